@@ -1,0 +1,1 @@
+"""pi0.5 with force tokens."""

@@ -1,0 +1,29 @@
+#!/usr/bin/env bash
+# Fill .venv at the project's root: uv (from PyPI when missing), Python 3.12 (from the machine, pyenv
+# or uv), the locked dependencies, then the project itself in editable form.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+find_uv() {
+  if command -v uv >/dev/null 2>&1; then command -v uv; return; fi
+  local boot=.venv-uv
+  [ -x "$boot/bin/uv" ] || { python3 -m venv "$boot" && "$boot/bin/python" -m pip install --quiet uv; } >&2
+  echo "$boot/bin/uv"
+}
+
+find_python() {
+  local candidate
+  for candidate in python3.12 "$HOME"/.pyenv/versions/3.12*/bin/python3.12 /usr/local/bin/python3.12; do
+    if "$candidate" -c 'import sys; sys.exit(sys.version_info[:2] != (3, 12))' >/dev/null 2>&1; then
+      command -v "$candidate"; return
+    fi
+  done
+  echo 3.12   # uv fetches its own
+}
+
+uv=$(find_uv)
+echo "set-up: uv $("$uv" --version | cut -d' ' -f2), python $(find_python)"
+[ -x .venv/bin/python ] || "$uv" venv --quiet --python "$(find_python)" .venv
+"$uv" pip sync --quiet --python .venv/bin/python requirements.lock
+"$uv" pip install --quiet --python .venv/bin/python --no-deps --editable .
+.venv/bin/python -c 'import cv2, mujoco, torch, lerobot; print("set-up: torch", torch.__version__, "mujoco", mujoco.__version__, "cv2", cv2.__version__)'

@@ -1,0 +1,1 @@
+"""UniForce: a latent force space shared by tactile sensors of any kind."""

@@ -1,0 +1,32 @@
+"""Every error a user can meet: what was expected, what came, what to do."""
+
+from __future__ import annotations
+
+
+class UniForceError(Exception):
+    """Base of all errors raised on purpose by this project."""
+
+
+class SensorError(UniForceError):
+    """A raw tactile signal can't be used: unknown sensor, no markers, dead, frozen, in contact."""
+
+
+class ContractError(UniForceError):
+    """An array or setting breaks a contract: shape, dtype, NaN, missing reference or key."""
+
+
+class CheckpointError(UniForceError):
+    """A checkpoint is missing, truncated, or does not fit what is running."""
+
+
+class DatasetError(UniForceError):
+    """A dataset can't be trusted: lossy tactile video, dropped frame, missing reference."""
+
+
+class RolloutError(UniForceError):
+    """A rollout had to stop: lost touch, non-finite action, broken episode."""
+
+
+def expected(what: str, wanted: object, came: object, do: str) -> str:
+    """Compose a message in the one form all our errors share."""
+    return f"{what}: expected {wanted}, got {came}. {do}"

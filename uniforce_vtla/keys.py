@@ -1,0 +1,60 @@
+"""Every dataset and observation key, spelled once. LeRobot types a feature by its key's prefix.
+
+``observation.images.*`` passes record, train, eval and rollout untouched; a key without the
+``observation.`` prefix never reaches a policy, which is what truth and provenance columns need.
+"""
+
+from __future__ import annotations
+
+from uniforce_vtla.contracts import FINGERS, Finger
+
+STATE = "observation.state"
+ACTION = "action"
+TASK = "task"
+
+CAMERAS = ("front", "wrist")
+AXES = ("x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos")  # m, m, m, rad, m in the robot base frame
+SLOTS = ("touch0", "touch1")
+
+OUTCOME_NAMES = ("aborted", "failed_grasp", "residual", "success")  # in order of precedence
+
+
+def camera_key(camera: str) -> str:
+    """Key of a scene camera's video, e.g. ``observation.images.front``."""
+    return f"observation.images.{camera}"
+
+
+def tactile_name(finger: Finger, reference: bool = False) -> str:
+    """Name of a finger's marker stream inside an environment's ``pixels`` dict."""
+    return f"tactile_{finger}_ref" if reference else f"tactile_{finger}"
+
+
+def tactile_key(finger: Finger, reference: bool = False) -> str:
+    """Key of a finger's marker image, or of the episode's reference beside it."""
+    return f"observation.images.{tactile_name(finger, reference)}"
+
+
+def latent_key(slot: str) -> str:
+    """Key of a slot's cached pooled latents, (K·latent,) float32."""
+    return f"observation.latent.{slot}"
+
+
+def wrench_key(slot: str) -> str:
+    """Key of a slot's true pad wrench (ceiling control only), (4,) float32: fx, fy, fz N, torsion Nmm."""
+    return f"observation.wrench.{slot}"
+
+
+def truth_wrench_key(finger: Finger) -> str:
+    """Per-frame truth column, canonical frame, (4,) float32: fx, fy, fz in N, torsion in Nmm."""
+    return f"truth.wrench.{finger}"
+
+
+def sensor_key(finger: Finger) -> str:
+    """Per-frame column holding the registry index of the sensor on a finger."""
+    return f"provenance.sensor.{finger}"
+
+
+TACTILE_KEYS = tuple(tactile_key(f, r) for f in FINGERS for r in (False, True))
+SUCCESS = "provenance.success"  # 1.0 if the episode ended in clean success
+OUTCOME = "provenance.outcome"  # index into OUTCOME_NAMES
+SEED = "provenance.seed"  # the integer that rebuilds the scene
