@@ -1,0 +1,25 @@
+"""The sensors this project knows. Adding one: a file beside this one and a line below."""
+
+from __future__ import annotations
+
+from uniforce_vtla.errors import SensorError, expected
+from uniforce_vtla.sensors.gelsight import GELSIGHT
+from uniforce_vtla.sensors.spec import SensorSpec
+from uniforce_vtla.sensors.tactip import TACTIP
+from uniforce_vtla.sensors.uskin import USKIN
+
+_SENSORS = {spec.name: spec for spec in (GELSIGHT, TACTIP, USKIN)}
+
+
+def list_sensors() -> tuple[str, ...]:
+    """Return the names of all known sensors; a name's place is its index in datasets."""
+    return tuple(_SENSORS)
+
+
+def get_sensor(name: str) -> SensorSpec:
+    """Return the facts of the sensor called ``name``; raise SensorError listing the known ones."""
+    if name not in _SENSORS:
+        raise SensorError(
+            expected("sensor", " | ".join(_SENSORS), repr(name), "Check the spelling or register it.")
+        )
+    return _SENSORS[name]

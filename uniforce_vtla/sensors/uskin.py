@@ -1,0 +1,19 @@
+"""XELA uSkin patch: 4×4 magnetic taxels of three axes each."""
+
+from uniforce_vtla.sensors.layouts import rectangular
+from uniforce_vtla.sensors.spec import SensorSpec
+
+USKIN = SensorSpec(
+    name="uskin",
+    signal="taxel",
+    raw_shape=(16, 3),
+    layout_mm=rectangular(rows=4, columns=4, pitch_mm=(24.6 / 4, 22.6 / 4)),
+    px_per_mm=(128.0 / (24.6 / 4), 96.0 / (22.6 / 4)),  # one taxel pitch = 128 × 96 px of the canonical image
+    marker_shape="disc",
+    marker_size_mm=0.67,  # 13.9 px at rest: the canonical renderer's smallest disc
+    pad_size_mm=(24.6, 22.6),
+    dome_radius_mm=None,
+    rated_depth_mm=1.5,
+    rate_hz=500.0,
+    source="UniForce paper, section IV-A (4×4 taxels, 24.6×22.6×5 mm, 500 Hz)",
+)
