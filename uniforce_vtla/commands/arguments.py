@@ -1,4 +1,4 @@
-"""One way to read a command line: ``key=value``, ``a.b=c`` or LeRobot's ``--a.b=c``, into a config dataclass."""
+"""One way to read a command line: ``key=value``, ``a.b=c`` or ``--a.b=c``, into a config dataclass."""
 
 from __future__ import annotations
 
