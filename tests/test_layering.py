@@ -1,0 +1,52 @@
+"""Data flows one way: a stage imports only from stages to its left."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SHARED = {"contracts", "errors", "keys", "results_file"}
+MAY_IMPORT = {
+    "sensors": set(),
+    "markers": {"sensors"},
+    "contact": {"sensors", "markers"},
+    "tokenizer": {"sensors", "markers", "contact"},
+    "evaluation": set(),
+}
+
+
+def imported_stages(file: Path) -> set[str]:
+    modules: list[str] = []
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            modules.append(node.module)
+        elif isinstance(node, ast.Import):
+            modules += [alias.name for alias in node.names]
+    return {m.split(".")[1] for m in modules if m.startswith("uniforce_vtla.")}
+
+
+@pytest.mark.parametrize("stage", MAY_IMPORT)
+def test_stage_imports_only_from_its_left(stage: str) -> None:
+    for file in (ROOT / "uniforce_vtla" / stage).rglob("*.py"):
+        foreign = imported_stages(file) - SHARED - {stage} - MAY_IMPORT[stage]
+        assert not foreign, f"{file.relative_to(ROOT)} imports {foreign}"
+
+
+@pytest.mark.parametrize("package", ["sensors", "markers", "contact", "tokenizer", "evaluation"])
+def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -> None:
+    forbidden = ("lerobot", "lerobot_policy_pi05_uniforce", "lerobot_env_uniforce_wiping", "uniforce_datasets")
+    for file in (ROOT / "uniforce_vtla" / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            module = node.module if isinstance(node, ast.ImportFrom) else None
+            assert not (module or "").startswith(forbidden), f"{file.relative_to(ROOT)} imports {module}"
+
+
+def test_no_folder_shadows_the_datasets_library() -> None:
+    assert not (ROOT / "datasets" / "__init__.py").exists()
+    import datasets
+    import lerobot.datasets
+
+    assert "site-packages" in str(datasets.__file__) and lerobot.datasets

@@ -1,0 +1,110 @@
+"""Roll a controller out in an environment: paired seeds in, scored episodes out.
+
+Evaluation never meets a policy class; it is handed a controller, ``action chunk = f(observation)``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from uniforce_vtla.errors import RolloutError, expected
+from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace
+
+
+class Environment(Protocol):
+    """What a rollout needs of an environment; ``WipeEnv`` is one."""
+
+    trace: EpisodeTrace
+    task: str
+
+    def reset(self, *, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Start the scene that ``seed`` describes; return observation and info."""
+
+    def advance(self, action: np.ndarray) -> bool:
+        """Act for one control step without rendering; return True when the episode is over."""
+
+    def observe(self) -> dict[str, Any]:
+        """Render the present observation."""
+
+    def result(self) -> EpisodeResult:
+        """Score the episode so far."""
+
+
+class Controller(Protocol):
+    """What acts: a policy checkpoint behind its processors, or a script."""
+
+    def reset(self, env: Environment) -> None:
+        """Forget the previous episode."""
+
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        """Return the next (n, 5) absolute targets to execute before looking again."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """One scored episode.
+
+    Attributes:
+        seed: the integer that rebuilds the scene.
+        result: outcome, events and continuous scores, from simulator truth.
+        trace: what was measured at each control step.
+        think_ms: controller time per chunk.
+        frames: front-camera pictures, one per chunk, when asked for.
+    """
+
+    seed: int
+    result: EpisodeResult
+    trace: EpisodeTrace
+    think_ms: np.ndarray
+    frames: list[np.ndarray] = field(default_factory=list)
+
+
+def roll_out(
+    env: Environment,
+    controller: Controller,
+    seed: int,
+    keep_frames: bool = False,
+    on_step: Callable[[], None] | None = None,
+) -> Rollout:
+    """Run one episode to its end.
+
+    Raises:
+        RolloutError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
+    """
+    observation, _ = env.reset(seed=seed)
+    controller.reset(env)
+    think_ms: list[float] = []
+    frames: list[np.ndarray] = []
+    done = False
+    while not done:
+        if keep_frames:
+            frames.append(observation["pixels"]["front"])
+        start = time.perf_counter()
+        chunk = _checked(controller.chunk(observation, env.task))
+        think_ms.append(1e3 * (time.perf_counter() - start))
+        done = _execute(env, chunk, on_step)
+        if not done:
+            observation = env.observe()
+    return Rollout(seed, env.result(), env.trace, np.asarray(think_ms), frames)
+
+
+def _execute(env: Environment, chunk: np.ndarray, on_step: Callable[[], None] | None) -> bool:
+    for action in chunk:
+        if on_step is not None:
+            on_step()
+        if env.advance(action):
+            return True
+    return False
+
+
+def _checked(chunk: np.ndarray) -> np.ndarray:
+    if chunk.ndim != 2 or chunk.shape[1] != 5 or len(chunk) == 0 or not np.isfinite(chunk).all():
+        raise RolloutError(
+            expected("action chunk", "finite (n ≥ 1, 5)", f"{chunk.shape}", "The robot holds; check the policy.")
+        )
+    return chunk
