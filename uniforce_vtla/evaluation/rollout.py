@@ -105,6 +105,8 @@ def _execute(env: Environment, chunk: np.ndarray, on_step: Callable[[], None] | 
 def _checked(chunk: np.ndarray) -> np.ndarray:
     if chunk.ndim != 2 or chunk.shape[1] != 5 or len(chunk) == 0 or not np.isfinite(chunk).all():
         raise RolloutError(
-            expected("action chunk", "finite (n ≥ 1, 5)", f"{chunk.shape}", "The robot holds; check the policy.")
+            expected(
+                "action chunk", "finite (n ≥ 1, 5)", f"{chunk.shape}", "The robot holds; check the policy."
+            )
         )
     return chunk

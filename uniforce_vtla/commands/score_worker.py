@@ -1,0 +1,53 @@
+"""One process of the scorer: builds environment and controller once, then scores seeds."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import torch
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_policy_pi05_uniforce.controller import PolicyController, ScriptController, shipped_checkpoint
+
+from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
+from uniforce_vtla.evaluation.pictures import write_trace_sheet, write_video
+from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
+
+if TYPE_CHECKING:
+    from uniforce_vtla.commands.score import ScoreConfig
+
+
+def score_seeds(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterator[EpisodeRow]:
+    """Yield one scored row per seed."""
+    torch.set_num_threads(1)  # processes share the cores; more threads each only fight
+    env, controller = _build(
+        config.policy, config.level, config.left_sensor, config.right_sensor, config.swap
+    )
+    for seed in seeds:
+        film = seed < config.first_seed + config.videos
+        torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
+        rollout = roll_out(env, controller, seed, keep_frames=film)
+        if film:
+            _keep(rollout, out, config.arm)
+        yield row_of(rollout)
+
+
+@functools.lru_cache(maxsize=1)
+def _build(policy: str, level: str, left: str, right: str, swap: str) -> tuple[WipeEnv, Controller]:
+    if policy == "expert":
+        return WipeEnv(level=level, left_sensor=left, right_sensor=right), ScriptController(WipeExpert())
+    path = shipped_checkpoint() if policy == "shipped" else Path(policy)
+    controller = PolicyController(path, swap=swap, left_sensor=left, right_sensor=right)
+    env = WipeEnv(
+        level=level, left_sensor=left, right_sensor=right, expose_wrench=controller.needs_true_wrench
+    )
+    return env, controller
+
+
+def _keep(rollout: Rollout, out: Path, arm: str) -> None:
+    frames = [cv2.resize(f, None, fx=2, fy=2) for f in rollout.frames]
+    write_video(out / f"seed_{rollout.seed}.mp4", frames, fps=5)
+    write_trace_sheet(out / f"seed_{rollout.seed}.png", rollout, title=f"{arm}, seed {rollout.seed}")

@@ -1,0 +1,117 @@
+"""From scored episodes to an arm's line in the table."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uniforce_vtla.evaluation.rollout import Rollout
+from uniforce_vtla.evaluation.statistics import wilson
+
+OUTCOMES = ("success", "failed_grasp", "residual", "aborted")
+
+
+@dataclass(frozen=True)
+class EpisodeRow:
+    """What is kept of one episode in ``episodes.jsonl``."""
+
+    seed: int
+    outcome: str
+    clean: bool
+    slippage: bool
+    excess_force: bool
+    residual: float
+    press_mean_N: float
+    press_max_N: float
+    seconds: float
+    think_p50_ms: float
+    think_p95_ms: float
+
+
+def row_of(rollout: Rollout) -> EpisodeRow:
+    """Return the row of a rollout."""
+    result, trace = rollout.result, rollout.trace
+    press = np.asarray(trace.press_N, dtype=np.float64)
+    pressing = press[press > 0.5]  # N: in contact with the board
+    return EpisodeRow(
+        seed=rollout.seed,
+        outcome=result.outcome,
+        clean=bool(result.clean),
+        slippage=bool(result.slippage),
+        excess_force=bool(result.excess_force),
+        residual=float(np.asarray(trace.residual)[-1]),
+        press_mean_N=float(pressing.mean()) if pressing.size else 0.0,
+        press_max_N=float(press.max()),
+        seconds=float(np.asarray(trace.time_s)[-1]),
+        think_p50_ms=float(np.percentile(rollout.think_ms, 50)),
+        think_p95_ms=float(np.percentile(rollout.think_ms, 95)),
+    )
+
+
+def write_row(path: Path, row: EpisodeRow) -> None:
+    """Append a row and force it to disk: a killed run keeps every finished episode."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as handle:
+        handle.write(json.dumps(asdict(row)) + "\n")
+        handle.flush()
+        os.fsync(handle.fileno())
+
+
+def read_rows(path: Path) -> dict[int, EpisodeRow]:
+    """Return the finished rows by seed; a last line cut short by a kill is left out."""
+    if not path.exists():
+        return {}
+    complete = path.read_text().split("\n")[:-1]
+    rows = [EpisodeRow(**json.loads(line)) for line in complete if line]
+    return {row.seed: row for row in rows}
+
+
+@dataclass(frozen=True)
+class ArmReport:
+    """Counts of one arm over its seeds."""
+
+    arm: str
+    rows: tuple[EpisodeRow, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of rollouts."""
+        return len(self.rows)
+
+    def count(self, name: str) -> int:
+        """Number of rollouts with outcome or event ``name``."""
+        if name in OUTCOMES:
+            return sum(row.outcome == name for row in self.rows)
+        return sum(bool(getattr(row, name)) for row in self.rows)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the arm's entry in ``wiping.json``."""
+        names = (*OUTCOMES, "clean", "slippage", "excess_force")
+        counts: dict[str, Any] = {"n": self.n, **{name: self.count(name) for name in names}}
+        interval = wilson(self.count("clean"), self.n)
+        seeds = [row.seed for row in self.rows]
+        return counts | {"clean_wilson_95": [interval.low, interval.high], "seeds": [seeds[0], seeds[-1]]}
+
+
+def summarise(arm: str, rows: Sequence[EpisodeRow]) -> ArmReport:
+    """Return the report of an arm's rows."""
+    return ArmReport(arm, tuple(rows))
+
+
+def table(reports: Sequence[ArmReport]) -> str:
+    """Return a Markdown table, one line per arm, k/n with Wilson 95 % intervals."""
+    head = "| arm | clean success | success | failed grasp | residual | aborted | slippage | excess force |"
+    lines = [head, "|" + "---|" * 8]
+    for report in reports:
+        counts = [
+            report.count(c) for c in ("failed_grasp", "residual", "aborted", "slippage", "excess_force")
+        ]
+        clean, success = (wilson(report.count(c), report.n) for c in ("clean", "success"))
+        lines.append("| " + " | ".join([report.arm, str(clean), str(success), *map(str, counts)]) + " |")
+    return "\n".join(lines)

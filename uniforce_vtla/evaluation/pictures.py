@@ -1,0 +1,88 @@
+"""Pictures of scored rollouts: bars with intervals, an episode's sheet, a video."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import av
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from uniforce_vtla.evaluation.arms import OUTCOMES, ArmReport
+from uniforce_vtla.evaluation.rollout import Rollout
+from uniforce_vtla.evaluation.statistics import wilson
+
+COLOURS = {"success": "#2a9d8f", "failed_grasp": "#e76f51", "residual": "#e9c46a", "aborted": "#6c757d"}
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Save without pyplot's global state, so that any thread or process may draw."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    FigureCanvasAgg(figure)
+    figure.savefig(path, dpi=110, bbox_inches="tight")
+    return path
+
+
+def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
+    """Draw each arm's outcomes as a stacked bar and its clean success with a 95 % interval."""
+    figure = Figure(figsize=(1.6 + 1.5 * len(reports), 3.6))
+    axes = figure.subplots()
+    for place, report in enumerate(reports):
+        bottom = 0.0
+        for outcome in OUTCOMES:
+            share = report.count(outcome) / report.n
+            label = outcome.replace("_", " ") if place == 0 else None
+            axes.bar(place, share, 0.6, bottom=bottom, color=COLOURS[outcome], label=label)
+            bottom += share
+        clean = wilson(report.count("clean"), report.n)
+        rate = clean.k / clean.n
+        axes.errorbar(place, rate, [[rate - clean.low], [clean.high - rate]], fmt="ko", capsize=4)
+    axes.set_xticks(range(len(reports)), [f"{r.arm}\n{r.count('clean')}/{r.n}" for r in reports])
+    axes.set_ylim(0, 1.02)
+    axes.set_ylabel("share of rollouts (dot: clean success, 95 %)")
+    axes.set_title(title)
+    axes.legend(bbox_to_anchor=(1.01, 1), frameon=False)
+    return save_figure(figure, path)
+
+
+def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
+    """Draw an episode: thumbnails, press and grip, height, residual."""
+    figure = Figure(figsize=(9, 7))
+    rows = figure.subplots(4, 1, height_ratios=[2, 1, 1, 1])
+    rows[0].imshow(_thumbnails(rollout.frames))
+    rows[0].axis("off")
+    events = [name for name in ("slippage", "excess_force") if getattr(rollout.result, name)]
+    rows[0].set_title(f"{title}: {rollout.result.outcome}{', ' + ', '.join(events) if events else ''}")
+    trace = rollout.trace
+    time_s = np.asarray(trace.time_s)
+    rows[1].plot(time_s, trace.press_N, label="press on board")
+    rows[1].plot(time_s, trace.grip_left_N, label="grip, left pad", alpha=0.7)
+    rows[1].plot(time_s, trace.grip_right_N, label="grip, right pad", alpha=0.7)
+    rows[1].set_ylabel("N")
+    rows[1].legend(frameon=False, ncols=3, fontsize=8)
+    rows[2].plot(time_s, np.asarray(trace.slip_mm), color="#e76f51")
+    rows[2].set_ylabel("in-hand slip, mm")
+    rows[3].plot(time_s, 100 * np.asarray(trace.residual), color="k")
+    rows[3].set_ylabel("ink left, %")
+    rows[3].set_xlabel("s")
+    return save_figure(figure, path)
+
+
+def _thumbnails(frames: Sequence[np.ndarray], count: int = 6) -> np.ndarray:
+    chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, count).astype(int)]
+    return np.concatenate(chosen, axis=1)
+
+
+def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> Path:
+    """Write (H, W, 3) uint8 frames as an h264 video that browsers play."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("h264", rate=fps)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for frame in frames:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        container.mux(stream.encode())
+    return path
