@@ -8,6 +8,7 @@ from pathlib import Path
 import av
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uniforce_vtla.evaluation.arms import OUTCOMES, ArmReport
@@ -26,25 +27,34 @@ def save_figure(figure: Figure, path: Path) -> Path:
 
 
 def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
-    """Draw each arm's outcomes as a stacked bar and its clean success with a 95 % interval."""
+    """Draw each arm's outcomes and clean success with a 95 % interval."""
     figure = Figure(figsize=(1.6 + 1.5 * len(reports), 3.6))
     axes = figure.subplots()
+    draw_outcomes(axes, reports)
+    axes.set_title(title)
+    return save_figure(figure, path)
+
+
+def draw_outcomes(axes: Axes, reports: Sequence[ArmReport]) -> None:
+    """Draw a stacked bar of outcomes per arm; the dot is clean success with its Wilson interval."""
     for place, report in enumerate(reports):
-        bottom = 0.0
-        for outcome in OUTCOMES:
-            share = report.count(outcome) / report.n
-            label = outcome.replace("_", " ") if place == 0 else None
-            axes.bar(place, share, 0.6, bottom=bottom, color=COLOURS[outcome], label=label)
-            bottom += share
+        _draw_bar(axes, place, report)
         clean = wilson(report.count("clean"), report.n)
         rate = clean.k / clean.n
         axes.errorbar(place, rate, [[rate - clean.low], [clean.high - rate]], fmt="ko", capsize=4)
     axes.set_xticks(range(len(reports)), [f"{r.arm}\n{r.count('clean')}/{r.n}" for r in reports])
     axes.set_ylim(0, 1.02)
     axes.set_ylabel("share of rollouts (dot: clean success, 95 %)")
-    axes.set_title(title)
     axes.legend(bbox_to_anchor=(1.01, 1), frameon=False)
-    return save_figure(figure, path)
+
+
+def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
+    bottom = 0.0
+    for outcome in OUTCOMES:
+        share = report.count(outcome) / report.n
+        label = outcome.replace("_", " ") if place == 0 else None
+        axes.bar(place, share, 0.6, bottom=bottom, color=COLOURS[outcome], label=label)
+        bottom += share
 
 
 def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:

@@ -1,0 +1,106 @@
+"""A checkpoint behind its processors, as ``action chunk = f(observation)``.
+
+The same batch conversion, preprocessor, ``select_action`` and postprocessor that ``lerobot-eval`` runs; only
+the observations that would meet a full action queue are never rendered, because the policy ignores them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lerobot.configs import PreTrainedConfig
+from lerobot.envs.utils import preprocess_observation
+from lerobot.policies.factory import make_pre_post_processors
+
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
+from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.keys import wrench_key
+
+SHIPPED = Path(__file__).parent / "assets" / "wiping_vt"
+
+
+def shipped_checkpoint() -> Path:
+    """Return the folder of the tiny V+T policy shipped with the package."""
+    if not (SHIPPED / "model.safetensors").exists():
+        raise CheckpointError(
+            expected(
+                "shipped policy", str(SHIPPED / "model.safetensors"), "no such file", "Reinstall the package."
+            )
+        )
+    return SHIPPED
+
+
+class PolicyController:
+    """Drive one environment with a ``pi05_uniforce`` checkpoint."""
+
+    def __init__(
+        self, checkpoint: Path, swap: str = "", left_sensor: str = "", right_sensor: str = ""
+    ) -> None:
+        config = PreTrainedConfig.from_pretrained(checkpoint)
+        if not isinstance(config, PI05UniforceConfig):
+            raise CheckpointError(
+                expected("policy type", "pi05_uniforce", config.type, "Choose another folder.")
+            )
+        config.device = "cpu"
+        config.pretrained_path = Path(checkpoint)
+        config.swap = swap or config.swap
+        config.left_sensor = left_sensor or config.left_sensor
+        config.right_sensor = right_sensor or config.right_sensor
+        self.policy = PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
+        self.config: PI05UniforceConfig = self.policy.config
+        self._before, self._after = make_pre_post_processors(config, pretrained_path=str(checkpoint))
+
+    @property
+    def needs_true_wrench(self) -> bool:
+        """Whether this is the ceiling control, which is fed the simulator's wrench."""
+        return self.config.touch_input == "wrench"
+
+    def reset(self, env: object) -> None:
+        """Forget the previous episode: action queue, issued target, cached references."""
+        self.policy.reset()
+
+    @torch.no_grad()
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        """Return the next (n_action_steps, 5) absolute targets [m, m, m, rad, m]."""
+        batch = preprocess_observation(self._wanted(observation))
+        batch["task"] = [task]
+        batch = self._before(batch)
+        steps = [self._after(self.policy.select_action(batch)) for _ in range(self.config.n_action_steps)]
+        return torch.cat(steps).numpy()
+
+    def _wanted(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """Leave out marker images no slot reads; name the true wrench by slot for the ceiling control."""
+        wanted = {k: v for k, v in observation.items() if not k.startswith("wrench_")}
+        if self.needs_true_wrench:
+            for slot, finger in self.config.finger_by_slot().items():
+                wanted[wrench_key(slot).removeprefix("observation.")] = observation[f"wrench_{finger}"]
+        pixels = observation["pixels"]
+        keep = {k for k in pixels if not k.startswith("tactile_")} | self._tactile_names()
+        return wanted | {"pixels": {k: pixels[k] for k in pixels if k in keep}}
+
+    def _tactile_names(self) -> set[str]:
+        if self.config.touch_input != "latent":
+            return set()
+        fingers = self.config.finger_by_slot().values()
+        return {f"tactile_{finger}{suffix}" for finger in fingers for suffix in ("", "_ref")}
+
+
+class ScriptController:
+    """Drive an environment with a script that answers one action at a time."""
+
+    def __init__(self, script: Any) -> None:
+        self._script = script
+        self._env: Any = None
+
+    def reset(self, env: Any) -> None:
+        """Start the script's episode."""
+        self._env = env
+        self._script.reset(env)
+
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        """Return the script's next target as a chunk of one."""
+        return np.asarray(self._script.act(self._env))[None]
