@@ -1,4 +1,4 @@
-"""The whole line on a laptop: record, train, roll out with the trained and with swapped sensors, score, show."""
+"""The whole line on a laptop: record, train, roll out with trained and swapped sensors, score, show."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class DemoConfig:
     out: str = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 
-# arm → (left sensor, right sensor, swap): the shipped policy learnt touch0 = right TacTip and is never retrained
+# arm → (left, right sensor, swap): the shipped policy learnt touch0 = right TacTip, never retrained
 ARMS = {
     "V+T": ("gelsight", "tactip", ""),
     "V+G": ("gelsight", "tactip", "touch0:left"),
@@ -43,12 +43,12 @@ def say(step: str, text: str) -> None:
 
 def run(config: DemoConfig) -> Path:
     """Run the demo; return the picture page's path."""
+    from uniforce_vtla.commands.demo_page import draw_demo_page
     from uniforce_vtla.commands.record import RecordConfig, record
     from uniforce_vtla.commands.score import ScoreConfig, score
     from uniforce_vtla.commands.train import main as train
     from uniforce_vtla.commands.view import ViewConfig, make_view
     from uniforce_vtla.evaluation.arms import table
-    from uniforce_vtla.commands.demo_page import draw_demo_page
 
     out = Path(config.out)
     shutil.rmtree(out, ignore_errors=True)

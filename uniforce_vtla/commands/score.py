@@ -30,7 +30,7 @@ from uniforce_vtla.results_file import provenance, write_json
 class ScoreConfig:
     """Roll a checkpoint out and score it from simulator truth.
 
-    Example: uniforce-score policy=outputs/train/checkpoints/last/pretrained_model rollouts=20 swap=touch0:left
+    Example: uniforce-score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
     policy: str = "shipped"  # checkpoint folder; "shipped" = the tiny V+T policy in the package; or "expert"
