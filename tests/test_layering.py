@@ -37,7 +37,12 @@ def test_stage_imports_only_from_its_left(stage: str) -> None:
 
 @pytest.mark.parametrize("package", ["sensors", "markers", "contact", "tokenizer", "evaluation"])
 def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -> None:
-    forbidden = ("lerobot", "lerobot_policy_pi05_uniforce", "lerobot_env_uniforce_wiping", "uniforce_datasets")
+    forbidden = (
+        "lerobot",
+        "lerobot_policy_pi05_uniforce",
+        "lerobot_env_uniforce_wiping",
+        "uniforce_datasets",
+    )
     for file in (ROOT / "uniforce_vtla" / package).rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             module = node.module if isinstance(node, ast.ImportFrom) else None
@@ -46,7 +51,8 @@ def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -
 
 def test_no_folder_shadows_the_datasets_library() -> None:
     assert not (ROOT / "datasets" / "__init__.py").exists()
-    import datasets
     import lerobot.datasets
+
+    import datasets
 
     assert "site-packages" in str(datasets.__file__) and lerobot.datasets

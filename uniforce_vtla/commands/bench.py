@@ -29,7 +29,6 @@ class BenchConfig:
 def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
     from lerobot_env_uniforce_wiping.bench import bench_env
     from uniforce_datasets.bench import bench_loader
-
     from uniforce_vtla.contact.bench import bench_contact
     from uniforce_vtla.markers.bench import bench_canonicalizer
     from uniforce_vtla.tokenizer.bench import bench_encode

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import cv2
 import torch
+
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController, ScriptController, shipped_checkpoint
-
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet, write_video
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import av
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uniforce_vtla.evaluation.arms import OUTCOMES, ArmReport
