@@ -1,1 +1,32 @@
-"""Stage: contact."""
+"""Stage: contact. One traction field, many sensors: contact state → marker images, raw frames or counts."""
+
+from uniforce_vtla.contact.indenters import PRETRAIN, SEEN, UNSEEN, flat_face_gap, gap_map, gap_maps
+from uniforce_vtla.contact.mirror import mirrored
+from uniforce_vtla.contact.options import ContactOptions
+from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs, pair_batches
+from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange
+from uniforce_vtla.contact.sequences import SequenceBatch, force_sequences
+from uniforce_vtla.contact.simulator import TactileSimulator, free_air
+from uniforce_vtla.contact.units import UnitVariation
+
+__all__ = [
+    "PAPER_RANGE",
+    "PRETRAIN",
+    "SEEN",
+    "UNSEEN",
+    "ContactOptions",
+    "ForceRange",
+    "PairBatch",
+    "PairSettings",
+    "SequenceBatch",
+    "TactileSimulator",
+    "UnitVariation",
+    "equilibrium_pairs",
+    "flat_face_gap",
+    "force_sequences",
+    "free_air",
+    "gap_map",
+    "gap_maps",
+    "mirrored",
+    "pair_batches",
+]

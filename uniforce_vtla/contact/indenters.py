@@ -1,0 +1,165 @@
+"""Objects that press: 18 named indenters as height maps, and the flat face of a held tool.
+
+Names follow the 18 GenForce indenters; the shapes are our own formulas (only the names are documented), sized
+to press a 25 mm pad. A height is how far the surface lies behind the foremost point, ``inf`` beyond the body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from uniforce_vtla.contact.grid import GRID_CELLS, cell_positions_mm
+from uniforce_vtla.errors import ContractError, expected
+
+Height = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (x, y) mm in the indenter's frame → height mm
+
+_HALF_MM = 5.0  # typical half-width of an indenter
+_RELIEF_MM = 4.0  # how far a base plate lies behind the features it carries
+
+
+def _within(inside: np.ndarray, height: np.ndarray | float = 0.0) -> np.ndarray:
+    return np.where(inside, height, np.inf)
+
+
+def _ball(radius_mm: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    r2 = x**2 + y**2
+    return _within(r2 <= radius_mm**2, radius_mm - np.sqrt(np.maximum(radius_mm**2 - r2, 0)))
+
+
+def _disc(radius_mm: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return _within(x**2 + y**2 <= radius_mm**2)
+
+
+def _polygon(sides: int, apothem_mm: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    angles = np.arange(sides) * 2 * np.pi / sides + np.pi / 2
+    reach = np.max([x * np.cos(a) + y * np.sin(a) for a in angles], axis=0)
+    return _within(reach <= apothem_mm)
+
+
+def _balls(
+    points: Sequence[tuple[float, float]], radius_mm: float, x: np.ndarray, y: np.ndarray
+) -> np.ndarray:
+    return np.min([_ball(radius_mm, x - a, y - b) for a, b in points], axis=0)
+
+
+def _ring(radius_mm: float, tube_mm: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return _ball(tube_mm, np.hypot(x, y) - radius_mm, np.zeros_like(x))
+
+
+def _bar(half_length_mm: float, radius_mm: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return np.where(np.abs(x) <= half_length_mm, _ball(radius_mm, np.zeros_like(x), y), np.inf)
+
+
+def _pacman(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    mouth = np.abs(np.arctan2(y, x)) < np.pi / 5
+    return _within((np.hypot(x, y) <= _HALF_MM) & ~mouth)
+
+
+def _moon(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return _within((np.hypot(x, y) <= _HALF_MM) & (np.hypot(x - 2.5, y) >= 4.0))
+
+
+def _prism(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return _within((np.abs(x) <= _HALF_MM) & (np.abs(y) <= 4.0), np.abs(y) * 0.8)
+
+
+def _dotin(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A disc with one blunt dot standing out of its middle."""
+    return np.minimum(_ball(2.0, x, y), _disc(_HALF_MM, x, y) + 1.0)
+
+
+def _random(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A fixed rough relief: a few waves of unrelated direction and length."""
+    waves = ((0.9, 0.3, 0.2), (-0.4, 0.8, 1.7), (0.6, -1.1, 4.0), (1.3, 0.7, 2.9))
+    relief = np.sum([np.sin(a * x + b * y + c) for a, b, c in waves], axis=0)
+    return _within(np.maximum(np.abs(x), np.abs(y)) <= _HALF_MM, 0.3 * (4 - relief))
+
+
+def _wave(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return _within((np.abs(x) <= 6.0) & (np.abs(y) <= 4.0), 0.6 * (1 - np.cos(x * 2 * np.pi / 4.0)))
+
+
+_CORNERS = tuple((a, b) for a in (-3.5, 3.5) for b in (-3.5, 3.5))
+
+HEIGHTS: dict[str, Height] = {
+    "cone": lambda x, y: _within(np.hypot(x, y) <= 6.0, np.hypot(x, y) * 0.6),
+    "cylinder": lambda x, y: _disc(_HALF_MM, x, y),
+    "cylinder_sh": lambda x, y: _within((np.hypot(x, y) <= _HALF_MM) & (np.hypot(x, y) >= 3.0)),  # a shell
+    "cylinder_si": lambda x, y: _bar(6.0, 4.0, x, y),  # lying on its side
+    "dotin": _dotin,
+    "dots": lambda x, y: _balls((*_CORNERS, (0.0, 0.0)), 1.8, x, y),
+    "hemisphere": lambda x, y: _ball(_HALF_MM, x, y),
+    "hexagon": lambda x, y: _polygon(6, 4.5, x, y),
+    "line": lambda x, y: _bar(7.0, 1.5, x, y),
+    "moon": _moon,
+    "pacman": _pacman,
+    "prism": _prism,
+    "random": _random,
+    "sphere": lambda x, y: _ball(7.0, x, y),
+    "sphere_s": lambda x, y: _ball(3.5, x, y),
+    "torus": lambda x, y: _ring(4.0, 1.8, x, y),
+    "triangle": lambda x, y: _polygon(3, 3.0, x, y),
+    "wave": _wave,
+}
+UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
+SEEN = tuple(name for name in HEIGHTS if name not in UNSEEN)
+PRETRAIN = ("cylinder", "cylinder_si", "dotin", "hexagon", "line", "moon", "prism", "sphere")
+
+
+def gap_map(name: str, center_mm: Sequence[float], angle_rad: float, scale: float = 1.0) -> np.ndarray:
+    """Return (G, G) float32 gap of one indenter: foremost point at 0, ``inf`` where it has no body."""
+    return gap_maps([name], np.array([center_mm]), np.array([angle_rad]), np.array([scale]))[0]
+
+
+def gap_maps(
+    names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray
+) -> np.ndarray:
+    """Return (B, G, G) float32 gaps of ``names`` at (B, 2) centres, turned by (B,) angles, sized by (B,) scales.
+
+    Raises:
+        ContractError: unknown indenter.
+    """
+    unknown = sorted(set(names) - set(HEIGHTS))
+    if unknown:
+        raise ContractError(expected("indenter", " | ".join(HEIGHTS), unknown, "Check the spelling."))
+    x, y = _local(center_mm, angle_rad)
+    scale = np.asarray(scale, dtype=np.float64)[:, None]
+    gap = np.empty_like(x)
+    for name in dict.fromkeys(names):
+        rows = np.flatnonzero(np.asarray(names) == name)
+        gap[rows] = HEIGHTS[name](x[rows] / scale[rows], y[rows] / scale[rows]) * scale[rows]
+    return _grounded(gap)
+
+
+def flat_face_gap(
+    center_mm: np.ndarray, size_mm: np.ndarray, angle_rad: np.ndarray, tilt_rad: np.ndarray
+) -> np.ndarray:
+    """Return (B, G, G) float32 gap of a rectangular flat face, e.g. the side of a held eraser.
+
+    Args:
+        center_mm: (B, 2) face centre in the pad frame.
+        size_mm: (B, 2) extent along the face's own x and y.
+        angle_rad: (B,) rotation in the pad plane, x towards y.
+        tilt_rad: (B, 2) slope of the gap along pad x and y; positive opens towards +x, +y.
+    """
+    x, y = _local(center_mm, angle_rad)
+    half = np.asarray(size_mm)[:, None] / 2  # (B, 1, 2)
+    inside = (np.abs(x) <= half[..., 0]) & (np.abs(y) <= half[..., 1])
+    slope = np.tan(np.asarray(tilt_rad)) @ cell_positions_mm().T  # (B, G·G)
+    return _grounded(np.where(inside, slope, np.inf))
+
+
+def _local(center_mm: np.ndarray, angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return grid cells as (B, G·G) x and y in each object's own frame."""
+    arm = cell_positions_mm()[None] - np.asarray(center_mm)[:, None]
+    cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
+    return cos * arm[..., 0] + sin * arm[..., 1], cos * arm[..., 1] - sin * arm[..., 0]
+
+
+def _grounded(gap: np.ndarray) -> np.ndarray:
+    """Shift (B, G·G) so that the point that touches first is at 0; rows without an object stay ``inf``."""
+    first = gap.min(axis=1, keepdims=True)
+    gap = gap - np.where(np.isfinite(first), first, 0)
+    return gap.reshape(-1, GRID_CELLS, GRID_CELLS).astype(np.float32)

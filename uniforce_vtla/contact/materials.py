@@ -1,0 +1,95 @@
+"""Material numbers of each simulated pad. Plausible, not identified: chosen so that the paper's ranges come out.
+
+Anchors: rated depth near 12 N on a full flat face (UniForce paper, section IV-A); e-folding radii of marker
+motion 1.4 / 3.5 mm (FOTS); uSkin counts of real grasps (95 % below 4,200, strongest 5–10 thousand).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uniforce_vtla.errors import SensorError, expected
+
+
+@dataclass(frozen=True)
+class PadMaterial:
+    """How a pad and what is seen of it answer to load.
+
+    Attributes:
+        rated_force_N: flat-face force that reaches the sensor's rated depth.
+        footprint_exponent: how much stiffer per area a small contact is; a bonded layer carries load
+            beyond the footprint, so its stiffness falls slower than its area.
+        skin_blur_mm: standard deviation with which the skin bridges the object's relief.
+        dilation_per_N: outward motion per mm of distance and newton.
+        dilation_radius_mm: e-folding radius of that motion.
+        drag_mm_per_N: motion along a point shear of 1 N.
+        drag_radii_mm: e-folding radii of its local and its wide part.
+        drag_local_share: share of the local part.
+        stretch_limit_mm: motion at which the material has stiffened by √2.
+        area_per_N: relative growth of a marker's area per newton close by.
+        area_radius_mm: e-folding radius of that growth.
+        camera_mm: distance from the surface to the optical centre.
+        pin_mm: length of the pin that tilts with the skin; 0 where markers lie on the surface.
+        fisheye: relative shortening of image radius at the pad's rim.
+    """
+
+    rated_force_N: float = 12.0  # the paper's normal range
+    footprint_exponent: float = 0.8
+    skin_blur_mm: float = 1.2
+    dilation_per_N: float = 0.09
+    dilation_radius_mm: float = 2.0  # FOTS 1.4 mm at half our marker pitch; a little wider for 2.5 mm
+    drag_mm_per_N: float = 0.25
+    drag_radii_mm: tuple[float, float] = (
+        3.5,
+        9.0,
+    )  # FOTS 3.5 mm; wide part: a sheared layer moves as a whole
+    drag_local_share: float = 0.6
+    stretch_limit_mm: float = 2.2
+    area_per_N: float = 0.03
+    area_radius_mm: float = 3.0
+    camera_mm: float = 30.0
+    pin_mm: float = 0.0
+    fisheye: float = 0.0
+
+
+@dataclass(frozen=True)
+class TaxelMaterial:
+    """How a magnetic taxel answers: Gaussian weight of traction around it, gains in counts per newton."""
+
+    rated_force_N: float = 12.0
+    footprint_exponent: float = 0.8
+    reach_pitch: float = 0.6  # standard deviation of a taxel's sensitivity, in pitches
+    normal_counts_per_N: float = 700.0  # 12 N on one taxel ≈ 8,400 counts: a real strong grasp
+    shear_counts_per_N: float = 300.0  # real |dx|/dz at the 99th percentile ≈ .2; .43 at the friction limit
+    cross_talk: float = 0.15  # counts of x, y per count of z and reach of offset
+    baseline_counts: tuple[int, int] = (18_000, 42_000)  # raw values at rest differ per taxel and axis
+
+
+MATERIALS: dict[str, PadMaterial | TaxelMaterial] = {
+    "gelsight": PadMaterial(),
+    "tactip": PadMaterial(
+        skin_blur_mm=2.5,
+        dilation_per_N=0.03,
+        dilation_radius_mm=4.0,
+        drag_mm_per_N=0.40,  # hollow dome: softer than a bonded gel
+        drag_radii_mm=(5.0, 12.0),
+        stretch_limit_mm=4.0,
+        area_per_N=0.01,
+        area_radius_mm=5.0,
+        camera_mm=45.0,
+        pin_mm=3.0,
+        fisheye=0.07,
+    ),
+    "uskin": TaxelMaterial(),
+}
+
+
+def get_material(sensor: str) -> PadMaterial | TaxelMaterial:
+    """Return the material of ``sensor``; raise SensorError where nothing was simulated yet."""
+    if sensor not in MATERIALS:
+        raise SensorError(
+            expected(
+                "simulated sensor", " | ".join(MATERIALS), repr(sensor), "Add it to contact/materials.py."
+            )
+        )
+    return MATERIALS[sensor]

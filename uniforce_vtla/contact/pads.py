@@ -1,0 +1,54 @@
+"""Where a sensor has material on the pad grid, and how far its skin stands back from the tangent plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_vtla.contact.grid import CELL_MM, cell_positions_mm
+from uniforce_vtla.sensors import SensorSpec
+
+_LARGE_MM = 1e3  # stands in for "no object here" in sums, where inf would give NaN
+
+
+@dataclass(frozen=True)
+class Pad:
+    """A sensor's cells.
+
+    Attributes:
+        cells: (C,) indices into the flattened grid of the cells with material.
+        position_mm: (C, 2) their centres.
+        coverage: (C,) share of each cell that is material, 0–1.
+        dome_mm: (C,) how far the skin lies behind the tangent plane.
+    """
+
+    cells: np.ndarray
+    position_mm: np.ndarray
+    coverage: np.ndarray
+    dome_mm: np.ndarray
+
+    def total_gap_mm(self, gap_mm: np.ndarray) -> np.ndarray:
+        """Return (B, C) distance from skin to object, given (B, G, G) gaps to the tangent plane."""
+        flat = gap_mm.reshape(len(gap_mm), -1)[:, self.cells]  # (B, C)
+        return np.minimum(flat + self.dome_mm, np.float32(_LARGE_MM)).astype(np.float32)
+
+
+def has_object(total_gap_mm: np.ndarray) -> np.ndarray:
+    """Return (B,) whether anything faces the pad."""
+    return total_gap_mm.min(axis=1) < _LARGE_MM / 2
+
+
+def build_pad(spec: SensorSpec) -> Pad:
+    """Return the pad of ``spec`` on the common grid."""
+    position = cell_positions_mm()
+    half = np.asarray(spec.pad_size_mm, dtype=np.float32) / 2
+    if spec.dome_radius_mm is None:
+        inside = np.clip((half - np.abs(position)) / CELL_MM + 0.5, 0, 1).prod(axis=1)
+        dome = np.zeros(len(position), dtype=np.float32)
+    else:
+        radius = np.hypot(*position.T)
+        inside = np.clip((half[0] - radius) / CELL_MM + 0.5, 0, 1)
+        dome = spec.dome_radius_mm - np.sqrt(np.maximum(spec.dome_radius_mm**2 - radius**2, 0))
+    cells = np.flatnonzero(inside > 0)
+    return Pad(cells, position[cells], inside[cells].astype(np.float32), dome[cells].astype(np.float32))

@@ -1,0 +1,140 @@
+"""Equilibrium pairs: one contact felt by two fingers, as each sensor sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uniforce_vtla.contact.indenters import PRETRAIN
+from uniforce_vtla.contact.mirror import mirrored
+from uniforce_vtla.contact.options import ContactOptions
+from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
+from uniforce_vtla.contact.simulator import TactileSimulator
+from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contracts import ContactState
+
+Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
+
+
+@dataclass(frozen=True)
+class PairBatch:
+    """n equilibrium pairs; images in each sensor's own frame, never flipped.
+
+    Attributes:
+        left_reference, left_current: (n, 480, 640) uint8, or what ``transform`` made of them.
+        right_reference, right_current: likewise, the right finger's view (mirrored contact).
+        force_N: (n, 3) in the canonical frame, i.e. the left finger's.
+        torsion_Nmm: (n,) likewise.
+        indenters: names of the objects.
+    """
+
+    left_reference: np.ndarray
+    left_current: np.ndarray
+    right_reference: np.ndarray
+    right_current: np.ndarray
+    force_N: np.ndarray
+    torsion_Nmm: np.ndarray
+    indenters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PairSettings:
+    """How pairs are drawn.
+
+    Attributes:
+        force_range: bounds of the loads.
+        flat_share: share of flat faces (the side of a held tool) beside the named indenters.
+        unit_strength: unit-to-unit variation; 0 for drawings only.
+        options: terms of the contact model.
+    """
+
+    force_range: ForceRange = field(default_factory=ForceRange)
+    flat_share: float = 0.15  # the wiping eraser presses a flat side, which no indenter resembles
+    unit_strength: float = 1.0
+    options: ContactOptions = field(default_factory=ContactOptions)
+
+
+def equilibrium_pairs(
+    rng: np.random.Generator,
+    n: int,
+    left_sensor: str,
+    right_sensor: str,
+    indenters: Sequence[str] = PRETRAIN,
+    force_range: ForceRange | None = None,
+    settings: PairSettings | None = None,
+    transform: Transform | None = None,
+) -> PairBatch:
+    """Return ``n`` pairs from one unit of each sensor.
+
+    Args:
+        rng: draws units, objects, loads and noise.
+        n: number of pairs; each full-size image takes 300 kB.
+        left_sensor: registry name of the left finger's sensor.
+        right_sensor: registry name of the right finger's.
+        indenters: names to draw from.
+        force_range: bounds of the loads; overrides ``settings``.
+        settings: everything else.
+        transform: applied to (B, 480, 640) images before they are kept.
+    """
+    settings = settings or PairSettings()
+    objects = sample_objects(rng, n, indenters, settings.flat_share)
+    force, torsion = sample_loads(rng, n, force_range or settings.force_range)
+    contact = ContactState(objects.gap_mm, force, torsion)
+    left = _views(rng, left_sensor, contact, settings, transform)
+    right = _views(rng, right_sensor, mirrored(contact), settings, transform)
+    return PairBatch(*left, *right, force, torsion, objects.names)
+
+
+def pair_batches(
+    rng: np.random.Generator,
+    batch: int,
+    left_sensor: str,
+    right_sensor: str,
+    indenters: Sequence[str] = PRETRAIN,
+    settings: PairSettings | None = None,
+    transform: Transform | None = None,
+) -> Iterator[PairBatch]:
+    """Yield batches of ``batch`` pairs without end, each from fresh units; memory stays one batch."""
+    while True:
+        yield equilibrium_pairs(
+            rng, batch, left_sensor, right_sensor, indenters, settings=settings, transform=transform
+        )
+
+
+def draw_simulator(
+    rng: np.random.Generator, sensor: str, unit_strength: float, options: ContactOptions
+) -> TactileSimulator:
+    """Return a simulator of a random unit of ``sensor``."""
+    unit = UnitVariation.draw(rng, sensor, unit_strength)
+    return TactileSimulator(sensor, unit, options, seed=int(rng.integers(2**31)))
+
+
+def _views(
+    rng: np.random.Generator,
+    sensor: str,
+    contact: ContactState,
+    settings: PairSettings,
+    transform: Transform | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n, …) references and currents of one finger."""
+    simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options)
+    reference = simulator.reference()[None]
+    current = _images(simulator, contact, transform)
+    kept = transform(reference) if transform else reference
+    return np.repeat(kept, len(current), axis=0), current
+
+
+def _images(simulator: TactileSimulator, contact: ContactState, transform: Transform | None) -> np.ndarray:
+    """Return images chunk by chunk, so that only a transform's (small) results pile up."""
+    chunks = []
+    for start in range(0, len(contact.gap_mm), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        state = ContactState(contact.gap_mm[part], contact.force_N[part], contact.torsion_Nmm[part])
+        images = simulator.marker_images(state)
+        chunks.append(transform(images) if transform else images)
+    return np.concatenate(chunks)
+
+
+_CHUNK = 16  # images drawn at once: 5 MB, stays in cache

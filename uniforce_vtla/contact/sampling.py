@@ -1,0 +1,92 @@
+"""Random contacts: objects on the pad and loads within friction, balanced over what a policy must feel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_vtla.contact.indenters import flat_face_gap, gap_maps
+
+FLAT = "flat"  # name given to flat faces among the indenters
+
+
+@dataclass(frozen=True)
+class ForceRange:
+    """Bounds of sampled loads.
+
+    Attributes:
+        normal_N: largest normal force; beyond the expert's grip, so that over-pressing is known too.
+        shear_N: largest shear along either axis.
+        friction: shear stays below friction × normal.
+        torsion_arm_mm: largest torsion is friction × normal × this arm.
+    """
+
+    normal_N: float = 16.0
+    shear_N: float = 8.0
+    friction: float = 0.95  # just under the simulator's 1.0: incipient slip, rarely gross slip
+    torsion_arm_mm: float = 2.5  # a disc of radius 4 mm slips in rotation at 2/3 of that
+
+
+PAPER_RANGE = ForceRange(normal_N=12.0, shear_N=3.0)  # the paper reports 0–12 N and ±3 N
+
+
+@dataclass(frozen=True)
+class Objects:
+    """Objects on a pad: ``gap_mm`` (n, G, G) and their ``names``."""
+
+    gap_mm: np.ndarray
+    names: tuple[str, ...]
+
+
+def sample_objects(
+    rng: np.random.Generator,
+    n: int,
+    indenters: Sequence[str],
+    flat_share: float = 0.0,
+    reach_mm: float = 4.0,
+) -> Objects:
+    """Return ``n`` objects at random places (±``reach_mm``), angles and sizes (±15 %)."""
+    names = [str(indenters[i]) for i in rng.integers(len(indenters), size=n)]
+    center = rng.uniform(-reach_mm, reach_mm, (n, 2))
+    angle = rng.uniform(-np.pi, np.pi, n)
+    gap = gap_maps(names, center, angle, rng.uniform(0.85, 1.15, n))
+    flat = rng.random(n) < flat_share
+    gap[flat] = _flat_faces(rng, int(flat.sum()))
+    return Objects(gap, tuple(FLAT if is_flat else name for is_flat, name in zip(flat, names, strict=True)))
+
+
+def _flat_faces(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Return (n, G, G) gaps of tool sides: 12–40 mm, partly beyond the pad, slightly tilted."""
+    return flat_face_gap(
+        rng.uniform(-5, 5, (n, 2)),
+        rng.uniform(12, 40, (n, 2)),
+        rng.uniform(-0.3, 0.3, n),
+        rng.uniform(-0.03, 0.03, (n, 2)),
+    )
+
+
+def sample_loads(rng: np.random.Generator, n: int, force_range: ForceRange) -> tuple[np.ndarray, np.ndarray]:
+    """Return force (n, 3) N and torsion (n,) Nmm within friction.
+
+    6 % no contact, 24 % light normal forces, the rest even; shear even over directions and its allowed
+    range; torsion in half of the contacts.
+    """
+    kind = rng.random(n)
+    fz = rng.uniform(0, force_range.normal_N, n)
+    fz = np.where(kind < 0.3, rng.uniform(0, 0.15 * force_range.normal_N, n), fz)
+    fz = np.where(kind < 0.06, 0, fz)
+    direction = rng.uniform(-np.pi, np.pi, n)
+    share = rng.random(n)
+    unit = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
+    longest = force_range.shear_N / np.abs(unit).max(
+        axis=1
+    )  # the square ±shear_N, reached in every direction
+    shear = unit * (np.minimum(force_range.friction * fz, longest) * share)[:, None]
+    spare = np.sqrt(
+        np.maximum(1 - (np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)) ** 2, 0)
+    )
+    twist = np.where(rng.random(n) < 0.5, rng.uniform(-1, 1, n), 0)
+    torsion = twist * spare * force_range.friction * fz * force_range.torsion_arm_mm
+    return np.concatenate([shear, fz[:, None]], axis=1).astype(np.float32), torsion.astype(np.float32)

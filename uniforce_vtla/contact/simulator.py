@@ -1,0 +1,165 @@
+"""A simulated sensor: contact state in, marker images, raw frames or counts out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uniforce_vtla.contact.camera_response import CameraResponse
+from uniforce_vtla.contact.grid import GRID_CELLS
+from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial, get_material
+from uniforce_vtla.contact.options import ContactOptions
+from uniforce_vtla.contact.pads import build_pad
+from uniforce_vtla.contact.pressure import Pressure, build_foundation, solve_pressure
+from uniforce_vtla.contact.raster import CENTRE_PX, fill_discs, fill_squares
+from uniforce_vtla.contact.taxel_image import taxel_discs
+from uniforce_vtla.contact.taxel_response import TaxelResponse, taxel_positions_mm
+from uniforce_vtla.contact.traction import solve_traction, transmitted
+from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.sensors import get_sensor
+
+
+class TactileSimulator:
+    """One unit of a sensor. Same seed and same calls, same output.
+
+    Args:
+        sensor: registry name.
+        unit: how this unit differs from the drawing; None for the drawing itself.
+        options: which terms are on.
+        seed: draws the noise.
+    """
+
+    def __init__(
+        self,
+        sensor: str,
+        unit: UnitVariation | None = None,
+        options: ContactOptions | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.spec = get_sensor(sensor)
+        self.unit = unit or UnitVariation()
+        self.options = options or ContactOptions()
+        self._rng = np.random.default_rng(seed)
+        self._material = get_material(sensor)
+        self.pad = build_pad(self.spec)
+        self._foundation = build_foundation(
+            self.pad,
+            self.spec.rated_depth_mm,
+            self._material.rated_force_N,
+            self._material.footprint_exponent,
+            self.unit.stiffness,
+        )
+        self._respond = self._build_response()
+
+    # -- what the sensor sees ---------------------------------------------------------------------------
+
+    def reference(self) -> np.ndarray:
+        """Return the (480, 640) uint8 marker image in free air, without noise."""
+        return self._draw(*self._markers(free_air(1), noise=False))[0]
+
+    def marker_images(self, contact: ContactState) -> np.ndarray:
+        """Return (B, 480, 640) uint8 marker images in {0, 255}, in this sensor's own frame."""
+        return self._draw(*self._markers(contact, self.options.noise))
+
+    def markers_px(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
+        """Return marker centres (B, M, 2) as x, y pixels and sizes (B, M): sides or diameters in pixels.
+
+        A lost marker's centre is NaN.
+        """
+        return self._markers(contact, self.options.noise)
+
+    def depth_mm(self, contact: ContactState) -> np.ndarray:
+        """Return (B,) indentation since first touch, in mm."""
+        return self._pressure(contact).depth_mm
+
+    def carried(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
+        """Return force (B, 3) N and torsion (B,) Nmm the pad really carries: less than asked where it slips."""
+        pressure, q = self._traction(contact)
+        return transmitted(pressure.p_MPa, q, self.pad.position_mm)
+
+    def counts(self, contact: ContactState) -> np.ndarray:
+        """Return (B, 16, 3) float32 counts above the baseline; taxel sensors only."""
+        return self._counts(contact, self.options.noise)
+
+    # -- stages -----------------------------------------------------------------------------------------
+
+    def _pressure(self, contact: ContactState) -> Pressure:
+        return solve_pressure(self._foundation, contact.gap_mm, contact.force_N[:, 2])
+
+    def _traction(self, contact: ContactState) -> tuple[Pressure, np.ndarray]:
+        pressure = self._pressure(contact)
+        friction = self.options.friction if self.options.coulomb_cap else None
+        q = solve_traction(
+            pressure.p_MPa,
+            self.pad.position_mm,
+            contact.force_N[:, :2],
+            contact.torsion_Nmm,
+            friction,
+        )
+        return pressure, q
+
+    def _markers(self, contact: ContactState, noise: bool) -> tuple[np.ndarray, np.ndarray]:
+        if isinstance(self._respond, TaxelResponse):
+            return taxel_discs(self._counts(contact, noise))
+        pressure, q = self._traction(contact)
+        motion = self._respond(pressure, q, self.options)
+        size = self.spec.marker_size_mm * self.spec.px_per_mm[0] * self.unit.view_scale * motion.growth
+        return self._disturbed(self._project(self._rest_mm + motion.shift_mm), noise), size
+
+    def _project(self, point_mm: np.ndarray) -> np.ndarray:
+        """Return (B, M, 2) pixels of points on the pad: scale, and the lens's compression towards the rim."""
+        assert isinstance(self._material, PadMaterial)
+        rim2 = (max(self.spec.pad_size_mm) / 2) ** 2
+        squeeze = 1 - self._material.fisheye * (point_mm**2).sum(axis=-1, keepdims=True) / rim2
+        scale = np.asarray(self.spec.px_per_mm) * self.unit.view_scale
+        return CENTRE_PX + point_mm * squeeze * scale
+
+    def _disturbed(self, centre_px: np.ndarray, noise: bool) -> np.ndarray:
+        """Add per-marker noise; lost markers become NaN."""
+        B, M, _ = centre_px.shape
+        if noise:
+            centre_px = centre_px + self._rng.standard_normal((B, M, 2)) * self.options.noise_px
+        if self.options.marker_loss:
+            lost = self._rng.random((B, M)) < self.options.loss_probability
+            centre_px = np.where(lost[..., None], np.nan, centre_px)
+        return centre_px
+
+    def _counts(self, contact: ContactState, noise: bool) -> np.ndarray:
+        assert isinstance(self._respond, TaxelResponse)
+        pressure, q = self._traction(contact)
+        counts = self._respond(pressure.p_MPa, q, self.options)
+        if noise:
+            scatter = self._rng.standard_normal(counts.shape) * self.options.noise_counts
+            counts = counts + scatter.astype(np.float32)
+        return np.round(counts)
+
+    def _draw(self, centre_px: np.ndarray, size_px: np.ndarray) -> np.ndarray:
+        if self.spec.marker_shape == "square":
+            return fill_squares(centre_px, size_px, self.unit.rotation_rad)
+        return fill_discs(centre_px, size_px)
+
+    # -- building ---------------------------------------------------------------------------------------
+
+    def _build_response(self) -> CameraResponse | TaxelResponse:
+        rng = np.random.default_rng(self.unit.seed)
+        offset = np.asarray(self.unit.offset_mm, dtype=np.float32)
+        if isinstance(self._material, TaxelMaterial):
+            taxel_mm = taxel_positions_mm(self.spec.layout_mm) + offset
+            gain = self.unit.gain * (1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3)))
+            pitch_mm = float(np.mean(self.spec.pad_size_mm)) / 4
+            return TaxelResponse(self.pad, taxel_mm, pitch_mm, self._material, gain)
+        self._rest_mm = self._unit_layout(rng, offset)
+        return CameraResponse(self.pad, self._rest_mm, self._material, self.unit.gain)
+
+    def _unit_layout(self, rng: np.random.Generator, offset_mm: np.ndarray) -> np.ndarray:
+        """Return (M, 2) rest positions of this unit's markers in mm."""
+        cos, sin = np.cos(self.unit.rotation_rad), np.sin(self.unit.rotation_rad)
+        turned = self.spec.layout_mm @ np.array([[cos, sin], [-sin, cos]])
+        jitter = rng.standard_normal(turned.shape) * self.unit.jitter_mm
+        return (turned + offset_mm + jitter).astype(np.float32)
+
+
+def free_air(batch: int) -> ContactState:
+    """Return ``batch`` contact states without any contact."""
+    gap = np.full((batch, GRID_CELLS, GRID_CELLS), np.inf, dtype=np.float32)
+    return ContactState(gap, np.zeros((batch, 3), np.float32), np.zeros(batch, np.float32))
