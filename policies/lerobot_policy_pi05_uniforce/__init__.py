@@ -1,1 +1,8 @@
-"""pi0.5 with force tokens."""
+"""π0.5 with force tokens.  Importing this package registers everything the distribution gives to LeRobot."""
+
+import lerobot_env_uniforce_wiping  # noqa: F401  registers the environment type
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import make_pi05_uniforce_pre_post_processors
+
+__all__ = ["PI05UniforceConfig", "PI05UniforcePolicy", "make_pi05_uniforce_pre_post_processors"]

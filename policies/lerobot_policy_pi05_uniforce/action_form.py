@@ -1,0 +1,78 @@
+"""Action forms: what the network predicts, and how that becomes the absolute targets every robot takes.
+
+``target_delta``: step k of a chunk is the change of the commanded target since the last *issued* command.
+Why: with a hidden board height and stiffness, force control is an increment on the last command.  A change
+relative to the *measured* pose would be a force command by itself (impedance turns commanded − measured into
+newtons), so a blind policy could hold a press without feeling it; and the network must not see the last
+command, because commanded − measured predicts the press.  Hence the base is added outside the network.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from uniforce_vtla.errors import ContractError, RolloutError, expected
+
+
+def to_deltas(actions: Tensor, is_pad: Tensor | None, measured: Tensor, scale: Tensor) -> Tensor:
+    """Turn absolute targets into scaled changes since the last command.
+
+    Args:
+        actions: (B, 1 + chunk, A) absolute targets in SI units; the first is the last command issued.
+        is_pad: (B, 1 + chunk) bool, or None; a padded first column means the episode starts here.
+        measured: (B, A) measured state, the base where no command has been issued yet, as in a rollout.
+        scale: (A,) units of one network unit.
+
+    Returns:
+        (B, chunk, A).
+    """
+    base = actions[:, 0]
+    if is_pad is not None:
+        base = torch.where(is_pad[:, :1], measured, base)
+    return (actions[:, 1:] - base[:, None]) / scale
+
+
+def to_targets(deltas: Tensor, base: Tensor, scale: Tensor) -> Tensor:
+    """Invert :func:`to_deltas`: (B, chunk, A) network units on a (B, A) base → absolute targets, SI units."""
+    return base[:, None] + deltas * scale
+
+
+class IssuedTarget:
+    """The last target sent to each environment row; empty until the first one after a reset."""
+
+    def __init__(self) -> None:
+        self._target: Tensor | None = None
+
+    def reset(self) -> None:
+        """Forget all targets."""
+        self._target = None
+
+    def record(self, target: Tensor) -> None:
+        """Remember (B, A) targets just handed out."""
+        self._target = target.detach().clone()
+
+    def base(self, measured: Tensor) -> Tensor:
+        """Return the (B, A) base of the next chunk: what was issued last, else the measured state.
+
+        Raises:
+            RolloutError: the number of environments changed without a reset.
+        """
+        if self._target is None:
+            return measured
+        if self._target.shape != measured.shape:
+            raise RolloutError(
+                expected(
+                    "batch", tuple(self._target.shape), tuple(measured.shape), "Call policy.reset() first."
+                )
+            )
+        return self._target
+
+
+def check_axes(state_size: int, action_size: int, scale: list[float]) -> None:
+    """Raise ContractError unless state, action and ``delta_scale`` describe the same axes."""
+    if not state_size == action_size == len(scale):
+        came = f"{state_size}, {action_size} and {len(scale)}"
+        raise ContractError(
+            expected("state, action and delta_scale", "equal lengths", came, "Or use action_form=absolute.")
+        )

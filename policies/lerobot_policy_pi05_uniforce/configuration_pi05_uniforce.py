@@ -1,0 +1,178 @@
+"""Settings of ``pi05_uniforce``: LeRobot's π0.5 plus touch slots, sizes, action form and provenance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from lerobot.configs import NormalizationMode, PreTrainedConfig
+from lerobot.optim import CosineDecayWithWarmupSchedulerConfig
+from lerobot.policies.pi05.configuration_pi05 import PI05Config
+
+from lerobot_policy_pi05_uniforce.sizes import resolve_size, size_defaults
+from uniforce_vtla.contracts import FINGERS, Finger, check_finger
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
+
+CHOICES = {
+    "size": ("tiny", "base"),
+    "touch_input": ("latent", "wrench", "none"),
+    "action_form": ("target_delta", "absolute"),
+    "on_sensor_loss": ("error", "mask"),
+}
+
+
+@PreTrainedConfig.register_subclass("pi05_uniforce")
+@dataclass
+class PI05UniforceConfig(PI05Config):
+    """π0.5 with force tokens.  A field left at None takes its size's default (see ``sizes.py``).
+
+    Raises:
+        ContractError: an unknown choice, slot, finger or token site.
+    """
+
+    size: str = (
+        "auto"  # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is, else tiny
+    )
+
+    # Shapes that follow the size
+    chunk_size: int | None = None  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
+    n_action_steps: int | None = None  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
+    image_resolution: tuple[int, int] | None = None  # [px] tiny 84² = 36 patches of 14² per camera; base 224²
+    max_action_dim: int | None = None  # tiny 8 (5 axes, padded); base 32, as the published weights
+    max_state_dim: int | None = None  # tiny 8; base 32
+    tokenizer_max_length: int | None = None  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
+    state_token: bool | None = (
+        None  # one more prefix token from the continuous state: 256 text bins per axis can't
+    )
+    #                                  be learnt from scratch on 50 demos. tiny on, base off
+    tiny_width: int = 128  # VLM and expert width: 0.5 s per step of batch 32 on one core
+    tiny_depth: int = 4  # layers, both streams
+    tiny_head_dim: int = 16  # 8 heads are fixed by LeRobot's joint layer
+    tiny_mlp_dim: int = 256  # hidden units of each layer's gated MLP
+    tiny_vision_depth: int = 2  # SigLIP layers
+    text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
+
+    # Touch
+    touch_slots: dict[str, str] = field(
+        default_factory=lambda: {"touch0": "right"}
+    )  # slot → finger; {} = none
+    touch_input: str = "latent"  # "latent" | "wrench" (true wrench, a ceiling control) | "none" (plain π0.5)
+    swap: str = ""  # "touch0:left" lets another finger fill a slot at rollout; weights don't change
+    left_sensor: str = ""  # kind mounted on the left finger; provenance, "" = not stated
+    right_sensor: str = ""  # kind mounted on the right finger
+    trained_sensors: dict[str, str] = field(
+        default_factory=dict
+    )  # slot → kind seen in training, "" or absent = any
+    latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
+    token_site: str = "prefix"  # "suffix" comes later
+    force_token_scale: float = 1.0  # initial RMS of a force token: that of an embedded image patch
+    touch_dropout: float = 0.3  # chance to hide a slot for a sample; only where two slots are trained
+    on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
+    tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
+    tokenizer_config: dict[str, Any] | None = None  # filled from that tokenizer, rebuilds it on load
+    tokenizer_hash: str = ""  # content hash of its weights, config and canonicaliser
+    num_patches: int = 0  # P of its latents
+    latent_size: int = 6  # numbers per patch
+
+    # Action
+    action_form: str | None = None  # "target_delta" (tiny) | "absolute" (base); see action_form.py
+    delta_scale: list[float] = field(
+        # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
+        default_factory=lambda: [0.03, 0.03, 0.012, 0.15, 0.01]
+    )
+
+    # Training
+    optimizer_lr: float | None = None  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
+    new_module_lr: float | None = (
+        None  # force and state projections; tiny as above, base 1e-4 (they start random)
+    )
+    scheduler_warmup_steps: int | None = None  # tiny 3 % of the decay; scaled with it when a run is shorter
+    scheduler_decay_steps: int | None = None  # tiny 100 000: any shorter run gets its whole cosine
+    scheduler_decay_lr: float | None = None  # tiny 1e-5; base 2.5e-6
+
+    def __post_init__(self) -> None:
+        self.size = resolve_size(self.size, self.device)
+        for name, value in size_defaults(self.size).items():
+            if getattr(self, name) is None:
+                setattr(self, name, value)
+        self.image_resolution = tuple(self.image_resolution)
+        self._check()
+        if (
+            self.action_form == "target_delta"
+        ):  # the policy itself turns deltas into absolute targets in SI units
+            self.normalization_mapping = {**self.normalization_mapping, "ACTION": NormalizationMode.IDENTITY}
+        super().__post_init__()
+
+    def _check(self) -> None:
+        for name, choices in CHOICES.items():
+            if getattr(self, name) not in choices:
+                wanted = " | ".join(choices)
+                raise ContractError(expected(name, wanted, repr(getattr(self, name)), "Fix the setting."))
+        if self.token_site != "prefix":
+            raise ContractError(
+                expected(
+                    "token_site", "prefix", repr(self.token_site), "Suffix tokens come in a later release."
+                )
+            )
+        for slot, finger in self.touch_slots.items():
+            _check_slot(slot)
+            check_finger(finger)
+        _ = self.slot_fingers
+
+    @property
+    def slots(self) -> tuple[str, ...]:
+        """Touch slots that give tokens, in a fixed order; empty when touch is off."""
+        return tuple(s for s in SLOTS if s in self.touch_slots) if self.touch_input != "none" else ()
+
+    @property
+    def slot_fingers(self) -> dict[str, Finger]:
+        """Which finger fills each slot now, after ``swap``."""
+        fingers = {slot: check_finger(finger) for slot, finger in self.touch_slots.items()}
+        for entry in filter(None, self.swap.replace(" ", "").split(",")):
+            slot, _, finger = entry.partition(":")
+            if slot not in fingers:
+                raise ContractError(
+                    expected(
+                        "swap", f"one of the slots {list(fingers)}", repr(entry), "Write swap=touch0:left."
+                    )
+                )
+            fingers[slot] = check_finger(finger)
+        return fingers
+
+    @property
+    def mounted_sensors(self) -> dict[str, str]:
+        """Finger → kind of sensor stated in this config ("" where not stated)."""
+        return dict(zip(FINGERS, (self.left_sensor, self.right_sensor), strict=True))
+
+    @property
+    def tokens_per_slot(self) -> int:
+        """K: pooled latents per slot."""
+        return self.latent_grid**2
+
+    @property
+    def image_features(self) -> dict[str, Any]:
+        """Scene cameras only: marker images must never reach SigLIP."""
+        return {k: v for k, v in super().image_features.items() if k not in TACTILE_KEYS}
+
+    @property
+    def action_delta_indices(self) -> list[int]:
+        """Frames of the action to load: the chunk, and for target deltas the last command before it."""
+        chunk = list(range(self.chunk_size or 0))
+        return [-1, *chunk] if self.action_form == "target_delta" else chunk
+
+    def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
+        """Warm-up, then one cosine over the run (LeRobot shortens both for shorter runs)."""
+        return CosineDecayWithWarmupSchedulerConfig(
+            peak_lr=self.optimizer_lr,
+            decay_lr=self.scheduler_decay_lr,
+            num_warmup_steps=self.scheduler_warmup_steps,
+            num_decay_steps=self.scheduler_decay_steps,
+        )
+
+
+def _check_slot(slot: str) -> None:
+    if slot not in SLOTS:
+        raise ContractError(
+            expected("touch slot", " or ".join(SLOTS), repr(slot), "Write touch_slots={touch0: right}.")
+        )

@@ -1,0 +1,41 @@
+"""What a policy learns about its touch input from the training data: latent scale, and whose latents they are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from lerobot_policy_pi05_uniforce.force_tokens import latent_rms
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.keys import latent_key
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+
+VIEW_MARKER = "uniforce_view.json"  # a training view says here which tokenizer made its latents
+
+
+def read_latent_rms(stats: dict[str, dict[str, Any]], config: PI05UniforceConfig) -> Tensor | None:
+    """Return the (latent,) RMS over all slots' cached latents, or None where the data holds none."""
+    if config.touch_input != "latent":
+        return None
+    rows = [stats[latent_key(slot)] for slot in config.slots if latent_key(slot) in stats]
+    scales = [
+        latent_rms(*(torch.as_tensor(row[k]) for k in ("mean", "std")), config.latent_size) for row in rows
+    ]
+    return torch.stack(scales).square().mean(dim=0).sqrt() if scales else None
+
+
+def check_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
+    """Raise DatasetError where a training view holds latents of another tokenizer than the policy's."""
+    marker = Path(getattr(dataset_meta, "root", "")) / VIEW_MARKER
+    if dataset_meta is None or config.touch_input != "latent" or not config.slots or not marker.is_file():
+        return
+    made_by = json.loads(marker.read_text()).get("tokenizer_hash", "")
+    if made_by and made_by != config.tokenizer_hash:
+        do = "Build the view again with this policy's tokenizer."
+        raise DatasetError(expected(f"tokenizer of {marker}", config.tokenizer_hash, made_by, do))

@@ -1,0 +1,63 @@
+"""Pooled latents (or a true wrench) of one touch slot → K prefix tokens of the VLM's width."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
+
+
+class ForceTokens(nn.Module):
+    """Project each slot's touch input to K tokens; one projection for all slots, told apart by an embedding.
+
+    The input keeps its amplitude (amplitude is force): it is divided by one fixed RMS per latent channel, a
+    property of the tokenizer stored in the checkpoint, never by its own size. What is RMS-normalised is the
+    outcome, after a non-linearity, so that force tokens enter the prefix as loud as an image patch does,
+    whatever was felt; a learned gain takes it from there.
+
+    Args:
+        input_size: numbers per token in: latent size, or 4 for a wrench.
+        num_tokens: K.
+        num_slots: how many slots the policy has.
+        width: VLM width D.
+        scale: initial RMS of a token.
+    """
+
+    def __init__(self, input_size: int, num_tokens: int, num_slots: int, width: int, scale: float) -> None:
+        super().__init__()
+        self.register_buffer("input_rms", torch.ones(input_size))
+        self.proj = nn.Sequential(nn.Linear(input_size, width), nn.GELU(), nn.Linear(width, width))
+        self.cell_embedding = nn.Parameter(0.5 * torch.randn(num_tokens, width))
+        self.slot_embedding = nn.Parameter(0.5 * torch.randn(num_slots, width))
+        self.gain = nn.Parameter(torch.tensor(scale))
+
+    def forward(self, touch: Tensor, slot: int) -> Tensor:
+        """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
+        hidden = self.proj(touch / self.input_rms)  # (B, K or 1, D)
+        hidden = hidden + self.cell_embedding + self.slot_embedding[slot]  # (B, K, D)
+        return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
+
+
+class StateToken(nn.Module):
+    """The continuous normalised state as one prefix token: text bins are too coarse to learn from few demos."""
+
+    def __init__(self, state_size: int, width: int) -> None:
+        super().__init__()
+        self.proj = nn.Sequential(nn.Linear(state_size, width), nn.GELU(), nn.Linear(width, width))
+
+    def forward(self, state: Tensor) -> Tensor:
+        """Map (B, 1, state_size) to (B, 1, D) of unit RMS."""
+        hidden = self.proj(state)
+        return nn.functional.rms_norm(hidden, hidden.shape[-1:])
+
+
+def wrench_rms(device: torch.device | str = "cpu") -> Tensor:
+    """Return the (4,) scale of the wrench input: N, N, N, Nmm."""
+    return torch.tensor(WRENCH_SCALE, device=device)
+
+
+def latent_rms(mean: Tensor, std: Tensor, latent_size: int) -> Tensor:
+    """Return the (latent_size,) RMS of each latent channel from a dataset's per-number mean and std (K·latent,)."""
+    power = (mean.float() ** 2 + std.float() ** 2).reshape(-1, latent_size).mean(dim=0)
+    return power.sqrt().clamp_min(1e-3)  # a channel the tokenizer never uses must not explode

@@ -1,0 +1,280 @@
+"""The policy: LeRobot's π0.5 whose prefix also holds force tokens, and whose actions follow the last command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+from lerobot.policies.pretrained import PreTrainedPolicy
+from torch import Tensor, nn
+
+from lerobot_policy_pi05_uniforce import weights
+from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_deltas, to_targets
+from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.dataset_facts import check_view, read_latent_rms
+from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens, StateToken, wrench_rms
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
+from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
+from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
+from lerobot_policy_pi05_uniforce.touch_input import WRENCH_SIZE, TouchInput
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.keys import ACTION, STATE
+
+LANGUAGE = ("observation.language.tokens", "observation.language.attention_mask")
+NEW_MODULES = ("force_tokens", "state_token")  # start random even when the backbone is pretrained
+
+
+class PI05UniforcePytorch(stock.PI05Pytorch):
+    """π0.5's network with touch: extra prefix tokens ride behind the cameras in the images list."""
+
+    def __init__(self, config: PI05UniforceConfig, rtc_processor: Any = None) -> None:
+        if config.size == "base":
+            super().__init__(config, rtc_processor=rtc_processor)
+        else:
+            self._init_tiny(config, rtc_processor)
+        self.tactile_encoder = _make_encoder(config)
+        self.force_tokens = self._make_force_tokens(config)
+        self.state_token = StateToken(_state_size(config), self.vlm_width) if config.state_token else None
+
+    def _init_tiny(self, config: PI05UniforceConfig, rtc_processor: Any) -> None:
+        nn.Module.__init__(self)  # the parent would build the 4 B model
+        self.config, self.rtc_processor = config, rtc_processor
+        self.gradient_checkpointing_enabled = False
+        self.paligemma_with_expert = TinyPaliGemmaWithExpert(config)
+        width = config.tiny_width
+        self.action_in_proj = nn.Linear(config.max_action_dim, width)
+        self.action_out_proj = nn.Linear(width, config.max_action_dim)
+        self.time_mlp_in = nn.Linear(width, width)
+        self.time_mlp_out = nn.Linear(width, width)
+        if config.compile_model:
+            self.sample_actions = torch.compile(self.sample_actions, mode=config.compile_mode)
+            self.forward = torch.compile(self.forward, mode=config.compile_mode)
+
+    def _make_force_tokens(self, config: PI05UniforceConfig) -> ForceTokens | None:
+        if not config.slots:
+            return None
+        size = WRENCH_SIZE if config.touch_input == "wrench" else config.latent_size
+        tokens = ForceTokens(
+            size, config.tokens_per_slot, len(config.slots), self.vlm_width, config.force_token_scale
+        )
+        if config.touch_input == "wrench":
+            tokens.input_rms.copy_(wrench_rms())
+        return tokens
+
+    @property
+    def vlm_width(self) -> int:
+        """D, the width of prefix tokens."""
+        return self.paligemma_with_expert.paligemma.config.text_config.hidden_size
+
+    def embed_prefix(
+        self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any
+    ):
+        """Embed cameras and text as π0.5 does, then append state and force tokens to the same block.
+
+        ``images`` holds (B, 3, H, W) cameras first, then (B, 1, S) state if used, then (B, K, ·) per slot.
+        Appended last, they leave image and text positions as they were; a masked token changes nothing.
+        """
+        cameras = sum(image.ndim == 4 for image in images)
+        embs, pads, atts = super().embed_prefix(
+            images[:cameras], img_masks[:cameras], tokens, masks, *args, **kwargs
+        )
+        extra, extra_masks = self._embed_extra(images[cameras:]), img_masks[cameras:]
+        for embedded, mask in zip(extra, extra_masks, strict=True):
+            count = embedded.shape[1]
+            embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
+            pads = torch.cat([pads, mask[:, None].expand(-1, count)], dim=1)
+            atts = torch.cat([atts, atts.new_zeros(embedded.shape[:2])], dim=1)  # 0: sees the whole prefix
+        return embs, pads, atts
+
+    def _embed_extra(self, extra: list[Tensor]) -> list[Tensor]:
+        embedded = []
+        if self.state_token is not None and extra:
+            embedded.append(self.state_token(extra[0]))
+            extra = extra[1:]
+        return embedded + [self.force_tokens(touch, slot) for slot, touch in enumerate(extra)]
+
+
+class PI05UniforcePolicy(stock.PI05Policy):
+    """π0.5 with a sense of force, as a LeRobot policy.
+
+    Args:
+        config: settings; ``config.touch_slots`` and ``swap`` say which finger fills which slot.
+        dataset_stats: training statistics; quantile spans are floored in place, so that the trainer's own
+            normaliser uses the same ones, and the scale of the latents is taken from it.
+        dataset_meta: training data; a view's tokenizer must be the policy's.
+    """
+
+    config_class = PI05UniforceConfig
+    name = "pi05_uniforce"
+
+    def __init__(
+        self,
+        config: PI05UniforceConfig,
+        dataset_stats: dict[str, dict[str, Any]] | None = None,
+        dataset_meta: Any = None,
+        **kwargs: Any,
+    ) -> None:
+        PreTrainedPolicy.__init__(self, config)  # PI05Policy's own would build the 4 B model
+        config.validate_features()
+        self.config = config
+        self.init_rtc_processor()
+        self.model = PI05UniforcePytorch(config, rtc_processor=self.rtc_processor)
+        self._take_dataset_facts(dataset_stats, dataset_meta)
+        if config.gradient_checkpointing:
+            self.model.gradient_checkpointing_enable()
+        if config.action_form == "target_delta":
+            check_axes(_state_size(config), self._action_size, config.delta_scale)
+        self.touch = TouchInput(config, self.model.tactile_encoder)
+        self.issued = IssuedTarget()
+        self.register_buffer("delta_scale", torch.tensor(config.delta_scale), persistent=False)
+        self.model.to(config.device)
+        self.to(config.device)
+        self.reset()
+
+    def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
+        check_view(meta, self.config)
+        if not stats:
+            return
+        stats.update(floor_quantiles(stats))
+        rms = read_latent_rms(stats, self.config)
+        if rms is not None:
+            self.model.force_tokens.input_rms.copy_(rms)
+
+    @classmethod
+    def from_pretrained(
+        cls,
+        pretrained_name_or_path: str | Path,
+        *,
+        config: PI05UniforceConfig | None = None,
+        revision: str | None = None,
+        local_files_only: bool = False,
+        **kwargs: Any,
+    ) -> PI05UniforcePolicy:
+        """Load a checkpoint; every tensor must be there, fit, and nothing be left over.
+
+        Raises:
+            CheckpointError: missing or damaged files, tensors that don't fit, touch settings that differ.
+        """
+        source = pretrained_name_or_path
+        saved = weights.read_config(weights.find(source, weights.CONFIG, revision, local_files_only))
+        if config is None:
+            config = cls.config_class.from_pretrained(source, revision=revision)
+        check_same(TouchFacts.of(saved), TouchFacts.of(config))
+        tensors = weights.read_tensors(weights.find(source, weights.WEIGHTS, revision, local_files_only))
+        policy = cls(config, **_known(kwargs))
+        weights.load_strict(policy, tensors)
+        return policy.to(config.device).eval()
+
+    @property
+    def _action_size(self) -> int:
+        return self.config.output_features[ACTION].shape[0]
+
+    def reset(self) -> None:
+        """Forget the queue, the issued targets and the cached references: an episode begins."""
+        super().reset()
+        if hasattr(self, "issued"):
+            self.issued.reset()
+            self.touch.reset()
+
+    def _preprocess_images(self, batch: dict[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
+        images, masks = super()._preprocess_images(batch)  # cameras only: see config.image_features
+        if self.model.state_token is not None:
+            state = batch[STATE].to(images[0].device, torch.float32)
+            images.append(state[:, None])  # (B, 1, S)
+            masks.append(torch.ones(len(state), dtype=torch.bool, device=state.device))
+        touches, touch_masks = self.touch.gather(batch, images[0].device, self.training)
+        return images + touches, masks + touch_masks
+
+    def prepare_action(self, batch: dict[str, Tensor]) -> Tensor:
+        """Return (B, chunk, max_action_dim) in network units."""
+        actions = batch[ACTION]
+        if self.config.action_form == "target_delta":
+            actions = to_deltas(actions, batch.get("action_is_pad"), self._measured(batch), self.delta_scale)
+        return stock.pad_vector(actions, self.config.max_action_dim)
+
+    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:
+        """Return the flow-matching loss over real steps and axes.
+
+        Args:
+            batch: preprocessed observations, text tokens and actions (B, [1 +] chunk, A).
+            reduction: "mean" → scalar; "none" → (B,) for weighted training.
+        """
+        images, masks = self._preprocess_images(batch)
+        actions = self.prepare_action(batch)
+        noise = self.model.sample_noise(actions.shape, actions.device)
+        time = self.model.sample_time(len(actions), actions.device)
+        losses = self.model.forward(images, masks, *(batch[k] for k in LANGUAGE), actions, noise, time)
+        losses = losses[:, :, : self._action_size]  # (B, chunk, A)
+        keep = self._real_steps(batch, losses)  # (B, chunk, 1)
+        per_sample = (losses * keep).sum(dim=(1, 2)) / (keep.sum(dim=(1, 2)) * self._action_size).clamp_min(1)
+        loss = (
+            per_sample
+            if reduction == "none"
+            else (losses * keep).sum() / (keep.sum() * self._action_size).clamp_min(1)
+        )
+        return loss, {
+            "loss": float(loss.detach().mean()),
+            "target_rms": float(actions.square().mean().sqrt()),
+        }
+
+    def _real_steps(self, batch: dict[str, Tensor], losses: Tensor) -> Tensor:
+        is_pad = batch.get("action_is_pad")
+        if is_pad is None:
+            return losses.new_ones(*losses.shape[:2], 1)
+        return (~is_pad[:, -losses.shape[1] :]).to(losses)[..., None]
+
+    @torch.no_grad()
+    def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
+        """Return (B, chunk, A) actions for the postprocessor: absolute targets whatever the action form."""
+        chunk = super().predict_action_chunk(batch, **kwargs)
+        if self.config.action_form == "absolute":
+            return chunk
+        return to_targets(chunk, self.issued.base(self._measured(batch)), self.delta_scale)
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
+        """Return the next (B, A) action and remember it as the base of the next chunk."""
+        action = super().select_action(batch)
+        self.issued.record(action)
+        return action
+
+    def _measured(self, batch: dict[str, Tensor]) -> Tensor:
+        if MEASURED_STATE not in batch:
+            do = "Run the policy's own preprocessor (make_pi05_uniforce_pre_post_processors)."
+            raise ContractError(expected(MEASURED_STATE, "the state in SI units", "no such key", do))
+        return batch[MEASURED_STATE].to(self.delta_scale)
+
+    def get_optim_params(self) -> list[dict[str, Any]]:
+        """Return trainable parameters in two groups: the backbone, and what starts random."""
+        named = [(n, p) for n, p in self.named_parameters() if p.requires_grad]
+        new = [p for n, p in named if _is_new(n)]
+        groups = [{"params": [p for n, p in named if not _is_new(n)]}]
+        return groups + ([{"params": new, "lr": self.config.new_module_lr}] if new else [])
+
+    def _get_default_peft_targets(self) -> dict[str, Any]:
+        targets = super()._get_default_peft_targets()
+        new = [name for name in NEW_MODULES if getattr(self.model, name) is not None]
+        return {**targets, "modules_to_save": [*targets["modules_to_save"], *new]}
+
+
+def _is_new(name: str) -> bool:
+    return name.split(".")[1] in NEW_MODULES
+
+
+def _state_size(config: PI05UniforceConfig) -> int:
+    return config.input_features[STATE].shape[0]
+
+
+def _make_encoder(config: PI05UniforceConfig) -> nn.Module | None:
+    if not config.slots or config.touch_input != "latent":
+        return None
+    from lerobot_policy_pi05_uniforce.tactile_encoder import build_encoder
+
+    return build_encoder(config)
+
+
+def _known(kwargs: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in kwargs.items() if k in ("dataset_stats", "dataset_meta")}
