@@ -1,0 +1,174 @@
+"""``Tokenizer``: a marker pair in, a latent force map out."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+import torch
+
+from uniforce_vtla.contracts import Finger, MarkerPair, check_finger
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.markers.taxel_render import TaxelScales
+from uniforce_vtla.tokenizer.entry import prepare
+from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, TokenizerConfig, build_model
+from uniforce_vtla.tokenizer.weights import ASSETS, content_hash, load_weights, read_config, save_checkpoint
+
+SHIPPED = ASSETS / "tokenizer"
+CACHED_REFERENCES = 8  # two slots, a few swaps; each costs about 0.5 MB
+
+
+def canonicaliser_facts() -> dict[str, Any]:
+    """Return what of the canonicaliser a checkpoint depends on; part of its hash."""
+    return {"taxel_scales": TaxelScales().as_dict()}
+
+
+class Tokenizer:
+    """The frozen encoder with its entry, its reference cache and its identity.
+
+    Attributes:
+        model: the network, in eval mode.
+        config: its sizes.
+        canonicaliser: facts of the canonicaliser it was trained behind.
+        hash: sha256 over weights, config and canonicaliser facts; checkpoints that use z must store it.
+    """
+
+    def __init__(self, model: ForceAutoencoder, canonicaliser: dict[str, Any] | None = None) -> None:
+        self.model = model.eval().requires_grad_(False)
+        self.config: TokenizerConfig = model.config
+        self.canonicaliser = canonicaliser_facts() if canonicaliser is None else canonicaliser
+        self.hash = content_hash(model, self.facts())
+        self._references: dict[str, ReferenceCache] = {}
+
+    @classmethod
+    def random(cls, config: TokenizerConfig | None = None, seed: int = 0) -> Tokenizer:
+        """Return an untrained tokenizer: a baseline, and a stand-in for tests."""
+        return cls(build_model(config or TokenizerConfig(), seed))
+
+    @classmethod
+    def from_pretrained(cls, path: str | Path | None = None) -> Tokenizer:
+        """Load a checkpoint folder; the one shipped with the package when ``path`` is None.
+
+        Raises:
+            CheckpointError: missing, truncated, of another shape, or made behind another canonicaliser.
+        """
+        folder = SHIPPED if path is None else Path(path)
+        facts = read_config(folder)
+        model = build_model(_sizes(facts, folder), seed=0)
+        load_weights(folder, model)
+        return cls(model, _same_canonicaliser(facts, folder))
+
+    def save(self, path: str | Path) -> Path:
+        """Write weights and facts to a folder that ``from_pretrained`` reads."""
+        return save_checkpoint(Path(path), self.model, self.facts())
+
+    def facts(self) -> dict[str, Any]:
+        """Return everything but the weights that decides what z means."""
+        return {"model": asdict(self.config), "canonicaliser": self.canonicaliser}
+
+    @property
+    def num_patches(self) -> int:
+        """P, the number of latent vectors per image."""
+        return self.config.num_patches
+
+    @overload
+    def encode(self, reference: MarkerPair) -> torch.Tensor: ...
+
+    @overload
+    def encode(self, reference: np.ndarray, current: np.ndarray, finger: Finger = "left") -> torch.Tensor: ...
+
+    @torch.no_grad()
+    def encode(
+        self,
+        reference: MarkerPair | np.ndarray,
+        current: np.ndarray | None = None,
+        finger: Finger = "left",
+    ) -> torch.Tensor:
+        """Return latents (B, P, latent) float32: the posterior's mean.
+
+        Args:
+            reference: a MarkerPair (then nothing else is given), or (B or 1, H, W) free-air images.
+            current: (B, H, W) images in contact, as the sensor saw them, of any size.
+            finger: who wore the sensor; the right finger's images are mirrored.
+
+        Raises:
+            ContractError: images of the wrong form, an unknown finger, a reference without markers.
+        """
+        if isinstance(reference, MarkerPair):
+            return self.encode(reference.reference[None], reference.current[None], reference.finger)
+        side = self.config.side
+        after = prepare(_given(current), check_finger(finger), side, "current")
+        return self.model.encoder.encode_current(self._reference(reference, finger, len(after)), after).mean
+
+    @torch.no_grad()
+    def decode(self, reference: np.ndarray, z: torch.Tensor, finger: Finger = "left") -> torch.Tensor:
+        """Return the (B, side, side) canonical image that latents z would show on that reference's sensor."""
+        before = prepare(reference, check_finger(finger), self.config.side, "reference")
+        return self.model.decoder(before.expand(len(z), -1, -1, -1), z)[:, 0].clamp(0, 1)
+
+    def _reference(self, reference: np.ndarray, finger: Finger, batch: int) -> ReferenceCache:
+        """Return the reference's cache; a single one is kept by content, since it lasts an episode."""
+        images = reference[None] if getattr(reference, "ndim", 0) == 2 else reference
+        before_count = len(images) if isinstance(images, np.ndarray) else 0
+        if before_count > 1:
+            _same_length(before_count, batch)
+            return self._encode_reference(images, finger)
+        key = _content_key(images, finger)
+        if key not in self._references:
+            self._references[key] = self._encode_reference(images, finger)
+        if len(self._references) > CACHED_REFERENCES:
+            self._references.pop(next(iter(self._references)))  # the oldest
+        return self._references[key]
+
+    def _encode_reference(self, images: np.ndarray, finger: Finger) -> ReferenceCache:
+        before = prepare(images, finger, self.config.side, "reference")
+        if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
+            raise ContractError(
+                expected("reference", "an image with markers", "all black", "Capture it again in free air.")
+            )
+        return self.model.encoder.encode_reference(before)
+
+
+def _given(current: np.ndarray | None) -> np.ndarray:
+    if current is None:
+        raise ContractError(
+            expected("encode", "a MarkerPair or reference and current", "no current", "Pass both images.")
+        )
+    return current
+
+
+def _same_length(references: int, currents: int) -> None:
+    if references != currents:
+        raise ContractError(
+            expected("references", f"1 or {currents}", references, "Pass one reference per image, or one.")
+        )
+
+
+def _content_key(images: np.ndarray, finger: Finger) -> str:
+    if not isinstance(images, np.ndarray):
+        raise ContractError(
+            expected("reference", "a MarkerPair or array", type(images).__name__, "Use Canonicalizer.pair.")
+        )
+    header = f"{finger} {images.dtype} {images.shape}".encode()
+    return hashlib.blake2b(header + np.ascontiguousarray(images).tobytes(), digest_size=16).hexdigest()
+
+
+def _sizes(facts: dict[str, Any], folder: Path) -> TokenizerConfig:
+    try:
+        return TokenizerConfig(**facts["model"])
+    except (KeyError, TypeError) as error:
+        raise CheckpointError(
+            expected(f"config of {folder}", "the fields of TokenizerConfig", error, "Is this a tokenizer?")
+        ) from error
+
+
+def _same_canonicaliser(facts: dict[str, Any], folder: Path) -> dict[str, Any]:
+    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+    if stored != running:
+        raise CheckpointError(
+            expected(f"canonicaliser of {folder}", stored, running, "Use its version, or pretrain again.")
+        )
+    return running

@@ -1,0 +1,90 @@
+"""Transformer parts: attention over patches, causal attention over two frames, sinusoidal codes."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import nn
+from torch.nn import functional as F  # noqa: N812
+
+
+class SpatialAttention(nn.Module):
+    """Multi-head self-attention among the patches of one frame."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.qkv = nn.Linear(width, 3 * width)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, tokens: torch.Tensor) -> torch.Tensor:
+        """Return (B, P, D) tokens after attention and residual."""
+        B, P, D = tokens.shape
+        qkv = self.qkv(self.norm(tokens)).view(B, P, 3, self.heads, D // self.heads)
+        query, key, value = qkv.permute(2, 0, 3, 1, 4)  # each (B, heads, P, D/heads)
+        mixed = F.scaled_dot_product_attention(query, key, value)
+        return tokens + self.out(mixed.transpose(1, 2).reshape(B, P, D))
+
+
+class CausalPairAttention(nn.Module):
+    """Attention of each patch over time, T = 2: the reference sees itself, the current frame sees both.
+
+    A softmax over the two rows of a lower-triangular 2×2 mask needs no kernel: the first row is 1, the second
+    a sigmoid of the difference of its two scores. Generic kernels crawl on thousands of length-2 sequences.
+    """
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.qkv = nn.Linear(width, 3 * width)
+        self.out = nn.Linear(width, width)
+
+    def reference(self, tokens: torch.Tensor) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
+        """Return reference tokens (B, P, D) and their (key, value), which the current frame will want."""
+        _, key, value = self._split(tokens)
+        return tokens + self.out(value.flatten(2)), (key, value)
+
+    def current(self, tokens: torch.Tensor, past: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+        """Return current tokens (B, P, D), given the reference's (key, value)."""
+        query, key, value = self._split(tokens)  # each (B, P, heads, D/heads)
+        past_key, past_value = past
+        scale = query.shape[-1] ** -0.5
+        advantage = (query * (past_key - key)).sum(-1, keepdim=True) * scale  # (B, P, heads, 1)
+        mixed = value + torch.sigmoid(advantage) * (past_value - value)
+        return tokens + self.out(mixed.flatten(2))
+
+    def _split(self, tokens: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        B, P, D = tokens.shape
+        query, key, value = self.qkv(self.norm(tokens)).view(B, P, 3, self.heads, D // self.heads).unbind(2)
+        return query, key, value
+
+
+class FeedForward(nn.Module):
+    """LayerNorm, two linear layers with GELU, residual."""
+
+    def __init__(self, width: int, ratio: int) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.LayerNorm(width), nn.Linear(width, ratio * width), nn.GELU(), nn.Linear(ratio * width, width)
+        )
+
+    def forward(self, tokens: torch.Tensor) -> torch.Tensor:
+        """Return (B, P, D)."""
+        return tokens + self.layers(tokens)
+
+
+def sinusoid(positions: torch.Tensor, width: int) -> torch.Tensor:
+    """Return the (N, width) sine-cosine code of (N,) positions; ``width`` is even."""
+    rates = torch.exp(-math.log(10_000.0) * torch.arange(0, width, 2) / width)  # (width / 2,)
+    angles = positions.float()[:, None] * rates
+    return torch.cat([angles.sin(), angles.cos()], dim=1)
+
+
+def grid_code(grid: int, width: int) -> torch.Tensor:
+    """Return the (grid², width) code of patches by row and column, half the width each."""
+    axis = sinusoid(torch.arange(grid), width // 2)  # (grid, width / 2)
+    rows = axis[:, None].expand(grid, grid, -1)
+    return torch.cat([rows, rows.transpose(0, 1)], dim=-1).reshape(grid * grid, width)

@@ -1,0 +1,79 @@
+"""The tokenizer's one entry: marker images of any size → mirrored, letterboxed, area-resized squares.
+
+Training, evaluation and the policy all come through here, so they can't disagree about a resize or a flip.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch.nn import functional as F  # noqa: N812  (its name everywhere)
+
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.mirror import to_canonical
+
+
+def prepare(images: np.ndarray, finger: Finger, side: int, name: str = "marker images") -> torch.Tensor:
+    """Return (B, 1, side, side) float32 in [0, 1] from (B, H, W) or (H, W) images as the sensor saw them.
+
+    Args:
+        images: uint8 in 0–255, or floats in [0, 1], of any size.
+        finger: who wore the sensor; decides the mirror.
+        side: pixels per side that the model takes.
+        name: what to call the images in an error.
+
+    Raises:
+        ContractError: not an array of that form, empty, NaN, or out of range.
+    """
+    if not isinstance(images, np.ndarray):
+        raise ContractError(expected(name, "a numpy array", type(images).__name__, "Use prepare_tensor."))
+    if images.ndim == 2:
+        images = images[None]
+    tensor = torch.from_numpy(np.ascontiguousarray(check_images(images, name)))
+    return prepare_tensor(tensor, right=finger == "right", side=side, name=name)
+
+
+def prepare_tensor(images: torch.Tensor, right: bool, side: int, name: str = "marker images") -> torch.Tensor:
+    """Return (B, 1, side, side) float32 in [0, 1] from a (B, H, W) tensor; ``right`` mirrors it.
+
+    The aspect is kept: the longer edge becomes ``side``, the rest stays black. Area averaging turns binary
+    markers into grey levels that still tell where an edge lies between two pixels.
+
+    Raises:
+        ContractError: as ``prepare``.
+    """
+    check_images(images, name)
+    canonical = to_canonical(images, "right" if right else "left").float()
+    if images.dtype == torch.uint8:
+        canonical = canonical / 255
+    return letterbox(canonical[:, None], side)
+
+
+def letterbox(images: torch.Tensor, side: int) -> torch.Tensor:
+    """Return (B, 1, side, side) from (B, 1, H, W): area-resized with the aspect kept, centred on black."""
+    height, width = images.shape[-2:]
+    longer = max(height, width)
+    rows, columns = max(1, round(side * height / longer)), max(1, round(side * width / longer))
+    small = F.adaptive_avg_pool2d(images, (rows, columns))  # (B, 1, rows, columns)
+    top, left = (side - rows) // 2, (side - columns) // 2
+    return F.pad(small, (left, side - columns - left, top, side - rows - top))
+
+
+def check_images[Images: (np.ndarray, torch.Tensor)](images: Images, name: str) -> Images:
+    """Return ``images`` if they are (B, H, W) uint8, or finite floats in [0, 1].
+
+    Raises:
+        ContractError: anything else.
+    """
+    kind = str(images.dtype).removeprefix("torch.")
+    came = f"{kind} {tuple(images.shape)}"
+    if images.ndim != 3 or not (kind == "uint8" or kind.startswith(("float", "bfloat"))):
+        raise ContractError(
+            expected(name, "(B, H, W) uint8 or float", came, "Pass marker images, one channel.")
+        )
+    if 0 in tuple(images.shape):
+        raise ContractError(expected(name, "non-empty images", came, "Check the sensor's frame."))
+    if kind != "uint8" and not bool(((images >= 0) & (images <= 1)).all()):  # NaN fails this too
+        raise ContractError(expected(name, "floats in [0, 1]", "NaN or values outside", "Divide by 255?"))
+    return images

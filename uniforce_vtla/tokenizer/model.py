@@ -1,0 +1,201 @@
+"""The conditional VAE: (reference, current) marker images → latent force map → current image again.
+
+UniForce paper, section "Architecture". Encoder = inverse dynamics, decoder = forward dynamics given a reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import nn
+from torch.nn import functional as F  # noqa: N812
+
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.tokenizer.attention import (
+    CausalPairAttention,
+    FeedForward,
+    SpatialAttention,
+    grid_code,
+    sinusoid,
+)
+
+LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
+
+
+@dataclass(frozen=True)
+class TokenizerConfig:
+    """Sizes of the model; all of them travel with the checkpoint."""
+
+    side: int = 128  # pixels per side of the square it sees; a fifth of 640, so areas average exactly
+    patch: int = 16  # pixels per side of a patch; P = (side / patch)²
+    width: int = 128  # D, size of a token
+    depth: int = 4  # encoder blocks
+    decoder_depth: int = 2  # decoder blocks
+    heads: int = 4  # attention heads; width must divide by it
+    mlp_ratio: int = 3  # hidden size of a block's MLP over width
+    embed_hidden: int = 256  # hidden units inside the encoder's patch embedding; 0 = linear, as in the paper
+    latent: int = 6  # numbers per patch (paper)
+    predict_change: bool = True  # decoder adds to the reference instead of redrawing every marker
+
+    def __post_init__(self) -> None:
+        if self.side % self.patch or self.width % self.heads or self.width % 4:
+            came = f"side {self.side}, patch {self.patch}, width {self.width}, heads {self.heads}"
+            raise ContractError(
+                expected("tokenizer sizes", "patch | side, heads | width, 4 | width", came, "Change one.")
+            )
+
+    @property
+    def grid(self) -> int:
+        """Patches per side."""
+        return self.side // self.patch
+
+    @property
+    def num_patches(self) -> int:
+        """P."""
+        return self.grid**2
+
+
+class Posterior(NamedTuple):
+    """Diagonal Gaussian over the latent force map: ``mean`` and ``log_variance``, each (B, P, latent)."""
+
+    mean: torch.Tensor
+    log_variance: torch.Tensor
+
+    def sample(self) -> torch.Tensor:
+        """Return μ + σ·ε, (B, P, latent)."""
+        return self.mean + torch.exp(0.5 * self.log_variance) * torch.randn_like(self.mean)
+
+
+ReferenceCache = list[tuple[torch.Tensor, torch.Tensor]]  # per block: key, value, each (B, P, heads, D/heads)
+
+
+class PatchEmbed(nn.Module):
+    """Cut (B, 1, S, S) into patches, project each to a token, add where it is."""
+
+    position: torch.Tensor
+
+    def __init__(self, config: TokenizerConfig, hidden: int = 0) -> None:
+        super().__init__()
+        self.patch = config.patch
+        pixels = config.patch**2
+        self.project: nn.Module = nn.Linear(pixels, config.width)
+        if hidden:
+            self.project = nn.Sequential(
+                nn.Linear(pixels, hidden), nn.GELU(), nn.Linear(hidden, config.width)
+            )
+        self.register_buffer("position", grid_code(config.grid, config.width), persistent=False)
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Return (B, P, D)."""
+        patches = F.unfold(images, self.patch, stride=self.patch).transpose(1, 2)  # (B, P, patch²)
+        return self.project(patches) + self.position
+
+
+class EncoderBlock(nn.Module):
+    """Attention in space, causal attention in time, MLP."""
+
+    def __init__(self, config: TokenizerConfig) -> None:
+        super().__init__()
+        self.spatial = SpatialAttention(config.width, config.heads)
+        self.temporal = CausalPairAttention(config.width, config.heads)
+        self.mlp = FeedForward(config.width, config.mlp_ratio)
+
+    def reference(self, tokens: torch.Tensor) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
+        """Return reference tokens (B, P, D) and the (key, value) to keep."""
+        tokens, kept = self.temporal.reference(self.spatial(tokens))
+        return self.mlp(tokens), kept
+
+    def current(self, tokens: torch.Tensor, past: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+        """Return current tokens (B, P, D)."""
+        return self.mlp(self.temporal.current(self.spatial(tokens), past))
+
+
+class Encoder(nn.Module):
+    """Inverse dynamics: what force turned the reference into the current image?"""
+
+    time: torch.Tensor
+
+    def __init__(self, config: TokenizerConfig) -> None:
+        super().__init__()
+        self.latent = config.latent
+        self.embed = PatchEmbed(config, config.embed_hidden)
+        self.blocks = nn.ModuleList(EncoderBlock(config) for _ in range(config.depth))
+        self.posterior = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, 2 * config.latent))
+        self.register_buffer("time", sinusoid(torch.arange(2), config.width), persistent=False)
+
+    def encode_reference(self, reference: torch.Tensor) -> ReferenceCache:
+        """Return what the current frame needs of (B, 1, S, S) references; it depends on nothing else."""
+        tokens = self.embed(reference) + self.time[0]
+        cache: ReferenceCache = []
+        for block in self.blocks:
+            tokens, kept = block.reference(tokens)
+            cache.append(kept)
+        return cache
+
+    def encode_current(self, cache: ReferenceCache, current: torch.Tensor) -> Posterior:
+        """Return the posterior for (B, 1, S, S) current images; a cache of batch 1 serves any B."""
+        tokens = self.embed(current) + self.time[1]
+        for block, past in zip(self.blocks, cache, strict=True):
+            tokens = block.current(tokens, past)
+        mean, log_variance = self.posterior(tokens).split(self.latent, dim=-1)  # (B, P, latent) each
+        return Posterior(mean, log_variance.clamp(*LOG_VARIANCE_RANGE))
+
+    def forward(self, reference: torch.Tensor, current: torch.Tensor) -> Posterior:
+        """Encode both frames; equal to the cached path by construction."""
+        return self.encode_current(self.encode_reference(reference), current)
+
+
+class DecoderBlock(nn.Module):
+    """Attention among patches, MLP."""
+
+    def __init__(self, config: TokenizerConfig) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            SpatialAttention(config.width, config.heads), FeedForward(config.width, config.mlp_ratio)
+        )
+
+    def forward(self, tokens: torch.Tensor) -> torch.Tensor:
+        """Return (B, P, D)."""
+        return self.layers(tokens)
+
+
+class Decoder(nn.Module):
+    """Forward dynamics: what would a sensor with this reference show under this force?"""
+
+    def __init__(self, config: TokenizerConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.embed = PatchEmbed(config)
+        self.inject = nn.Linear(config.latent, config.width)
+        self.blocks = nn.Sequential(*[DecoderBlock(config) for _ in range(config.decoder_depth)])
+        self.draw = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, config.patch**2))
+
+    def forward(self, reference: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+        """Return (B, 1, S, S) current images from references and latents (B, P, latent)."""
+        drawn = self.draw(self.blocks(self.embed(reference) + self.inject(z)))  # (B, P, patch²)
+        size = (self.config.side, self.config.side)
+        image = F.fold(drawn.transpose(1, 2), size, self.config.patch, stride=self.config.patch)
+        return reference + image if self.config.predict_change else image
+
+
+class ForceAutoencoder(nn.Module):
+    """Encoder and decoder together."""
+
+    def __init__(self, config: TokenizerConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.encoder = Encoder(config)
+        self.decoder = Decoder(config)
+
+    def forward(self, reference: torch.Tensor, current: torch.Tensor) -> Posterior:
+        """Return the posterior over the latent force map."""
+        return self.encoder(reference, current)
+
+
+def build_model(config: TokenizerConfig, seed: int) -> ForceAutoencoder:
+    """Return a model with weights drawn from ``seed``, leaving the global generator as it was."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return ForceAutoencoder(config)

@@ -1,0 +1,25 @@
+"""Latent maps on a coarser grid: what a policy keeps."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch.nn import functional as F  # noqa: N812
+
+from uniforce_vtla.errors import ContractError, expected
+
+
+def as_map(z: torch.Tensor) -> torch.Tensor:
+    """Return latents (B, P, L) as a square map (B, L, g, g)."""
+    if z.ndim != 3 or math.isqrt(z.shape[1]) ** 2 != z.shape[1]:
+        raise ContractError(
+            expected("latent", "(B, P, L), P a square", tuple(z.shape), "Use Tokenizer.encode.")
+        )
+    side = math.isqrt(z.shape[1])
+    return z.transpose(1, 2).unflatten(2, (side, side))  # (B, L, g, g)
+
+
+def pool_latent(z: torch.Tensor, grid: int = 4) -> torch.Tensor:
+    """Return (B, grid², L): means over neighbouring patches of (B, P, L)."""
+    return F.adaptive_avg_pool2d(as_map(z), grid).flatten(2).transpose(1, 2)

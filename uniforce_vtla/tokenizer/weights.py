@@ -1,0 +1,94 @@
+"""Checkpoints: a folder with ``model.safetensors`` and ``config.json``, loaded strictly, named by content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import safetensors
+import torch
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from uniforce_vtla.errors import CheckpointError, expected
+
+WEIGHTS, CONFIG = "model.safetensors", "config.json"
+ASSETS = Path(__file__).parent / "assets"  # checkpoints that come with the package
+
+
+def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> Path:
+    """Write weights and ``config`` atomically, file by file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
+    with tempfile.TemporaryDirectory(dir=folder) as scratch:
+        save_file(tensors, Path(scratch) / WEIGHTS)
+        (Path(scratch) / CONFIG).write_text(json.dumps(config, indent=1, sort_keys=True) + "\n")
+        for name in (WEIGHTS, CONFIG):
+            (Path(scratch) / name).replace(folder / name)
+    return folder
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """Return the checkpoint's config.
+
+    Raises:
+        CheckpointError: no such checkpoint, or its config isn't JSON.
+    """
+    path = folder / CONFIG
+    if not path.is_file() or not (folder / WEIGHTS).is_file():
+        raise CheckpointError(
+            expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", "Check the path.")
+        )
+    try:
+        return json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise CheckpointError(
+            expected(str(path), "JSON", str(error), "Copy the checkpoint again.")
+        ) from error
+
+
+def load_weights(folder: Path, model: nn.Module) -> None:
+    """Copy the checkpoint's tensors into ``model``.
+
+    Raises:
+        CheckpointError: truncated, or any tensor missing, unexpected or of another shape; all are listed.
+    """
+    try:
+        tensors = load_file(folder / WEIGHTS)
+    except (safetensors.SafetensorError, OSError) as error:
+        raise CheckpointError(
+            expected(str(folder / WEIGHTS), "readable weights", str(error), "Copy the checkpoint again.")
+        ) from error
+    wrong = mismatches(model.state_dict(), tensors)
+    if wrong:
+        raise CheckpointError(
+            expected(
+                str(folder), "the model's tensors", "; ".join(wrong), "Load the config it was made with."
+            )
+        )
+    model.load_state_dict(tensors)
+
+
+def mismatches(wanted: dict[str, torch.Tensor], came: dict[str, torch.Tensor]) -> list[str]:
+    """Return a line for every tensor that is missing, unexpected or misshapen."""
+    missing = [f"missing {name}" for name in sorted(wanted.keys() - came.keys())]
+    unexpected = [f"unexpected {name}" for name in sorted(came.keys() - wanted.keys())]
+    misshapen = [
+        f"{name} is {tuple(came[name].shape)}, not {tuple(wanted[name].shape)}"
+        for name in sorted(wanted.keys() & came.keys())
+        if wanted[name].shape != came[name].shape
+    ]
+    return missing + unexpected + misshapen
+
+
+def content_hash(model: nn.Module, facts: dict[str, Any]) -> str:
+    """Return the sha256 over every tensor's name, type, shape and bytes, and over ``facts`` as JSON."""
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for name, value in sorted(model.state_dict().items()):
+        array = value.detach().cpu().contiguous().numpy()
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
