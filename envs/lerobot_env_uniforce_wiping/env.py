@@ -1,0 +1,211 @@
+"""The wiping scene as a gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from lerobot_env_uniforce_wiping.levels import get_level
+from lerobot_env_uniforce_wiping.painter import Painter
+from lerobot_env_uniforce_wiping.recording import CLEAR_m, TraceRecorder
+from lerobot_env_uniforce_wiping.scene_params import SceneParams, draw_scene
+from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ, WipeSimulation
+from lerobot_env_uniforce_wiping.touch import PadImages
+from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, Finger
+from uniforce_vtla.errors import ContractError, RolloutError, expected
+from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, ScoreLimits, score_episode
+from uniforce_vtla.keys import AXES, CAMERAS, tactile_name
+from uniforce_vtla.sensors import get_sensor
+
+CAMERA_PX = 224
+
+
+class WipeEnv(gymnasium.Env):
+    """Grasp the eraser, carry it to the board, wipe the word off, lift.
+
+    Action and state are absolute x, y, z, yaw, width of the tool in the robot base frame (m, m, m, rad, m).
+    ``reset(seed=...)`` rebuilds the scene of that seed exactly; without a seed the next one is drawn from
+    the environment's own generator.
+
+    Args:
+        level: name of a locked level.
+        left_sensor: sensor worn by the left finger.
+        right_sensor: sensor worn by the right finger.
+        renderer: "painter" (OpenCV, no GL) or "egl".
+        expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
+        limits: what counts as residual, slip and excess force.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": int(CONTROL_HZ)}
+
+    def __init__(
+        self,
+        level: str = "easy",
+        left_sensor: str = "gelsight",
+        right_sensor: str = "tactip",
+        renderer: str = "painter",
+        expose_wrench: bool = False,
+        limits: ScoreLimits | None = None,
+        render_mode: str | None = "rgb_array",
+        **_: Any,
+    ) -> None:
+        self.level = get_level(level)
+        self.sensors = {"left": get_sensor(left_sensor).name, "right": get_sensor(right_sensor).name}
+        self.limits = limits or ScoreLimits()
+        self.expose_wrench, self.render_mode = expose_wrench, render_mode
+        self._renderer = _make_renderer(renderer)
+        self._touch = {f: PadImages(self.sensors[f], f) for f in FINGERS}
+        self._max_episode_steps = round(self.level.time_limit_s * CONTROL_HZ)
+        self.task = self.task_description = "wipe the whiteboard"
+        self._sim: WipeSimulation | None = None
+        self.action_space = spaces.Box(-2.0, 2.0, (len(AXES),), np.float32)
+        self.observation_space = self._observation_space()
+
+    def _observation_space(self) -> spaces.Dict:
+        def picture(shape: tuple[int, int]) -> spaces.Box:
+            return spaces.Box(0, 255, (*shape, 3), np.uint8)
+
+        pixels = {name: picture((CAMERA_PX, CAMERA_PX)) for name in CAMERAS}
+        pixels |= {tactile_name(f, r): picture(MARKER_IMAGE_SHAPE) for f in FINGERS for r in (False, True)}
+        state = spaces.Box(-10.0, 10.0, (len(AXES),), np.float32)
+        content: dict[str, spaces.Space] = {"pixels": spaces.Dict(pixels), "agent_pos": state}
+        if self.expose_wrench:
+            content |= {f"wrench_{f}": spaces.Box(-1e5, 1e5, (4,), np.float32) for f in FINGERS}
+        return spaces.Dict(content)
+
+    @property
+    def sim(self) -> WipeSimulation:
+        """The running simulation; RolloutError before the first reset."""
+        if self._sim is None:
+            raise RolloutError(expected("episode", "a started one", "none", "Call reset() first."))
+        return self._sim
+
+    @property
+    def scene(self) -> SceneParams:
+        """Every number of the current scene, hidden ones included."""
+        return self.sim.scene
+
+    @property
+    def state(self) -> np.ndarray:
+        """(5,) float32 measured x, y, z, yaw, width."""
+        return self.sim.measured.astype(np.float32)
+
+    @property
+    def trace(self) -> EpisodeTrace:
+        """What happened so far."""
+        return self._recorder.trace()
+
+    def true_wrench(self) -> dict[Finger, np.ndarray]:
+        """Return finger → (4,) float32 canonical fx, fy, fz N and torsion Nmm, mean over the last step."""
+        return {f: self.sim.pads[f].wrench.copy() for f in FINGERS}
+
+    def result(self) -> EpisodeResult:
+        """Score the episode as it stands."""
+        return score_episode(self.trace, self.limits)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Build the scene of ``seed`` and return its first observation."""
+        super().reset(seed=seed)
+        if seed is None:
+            seed = int(self.np_random.integers(2**31))
+        self.start(seed)
+        return self.observe(), self._info()
+
+    def start(self, seed: int) -> None:
+        """Build the scene of ``seed`` without observing it: the fast path's reset."""
+        scene = draw_scene(seed, self.level.name)
+        self._sim = WipeSimulation(scene, self.sensors["left"], self.sensors["right"])
+        self._recorder = TraceRecorder(self._sim)
+        self._steps = 0
+        self.task = self.task_description = scene.task
+        self._renderer.reset(self._sim)
+
+    def advance(self, action: np.ndarray) -> bool:
+        """Take one 1/30 s step without rendering; return whether the episode has ended.
+
+        Raises:
+            ContractError: the action is not five numbers. The robot's target is held.
+            RolloutError: the action is not finite. The robot's target is held.
+        """
+        self.sim.command(self._checked(action))
+        self.sim.step()
+        self._steps += 1
+        self._recorder.record()
+        return self._wiped_and_lifted() or self._steps >= self._max_episode_steps
+
+    def _checked(self, action: np.ndarray) -> np.ndarray:
+        try:
+            values = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ContractError(expected("action", "(5,) numbers", type(action), "See keys.AXES.")) from error
+        if values.shape != (len(AXES),):
+            raise ContractError(expected("action", f"({len(AXES)},) {AXES}", values.shape, "See keys.AXES."))
+        if not np.isfinite(values).all():
+            raise RolloutError(expected("action", "finite numbers", values, "The target is held; check the policy."))
+        return values
+
+    def _wiped_and_lifted(self) -> bool:
+        clear = self.scene.board_height_m + self.level.layout.grasp_height_m + CLEAR_m
+        clean = self.sim.ink.residual <= self.limits.residual_share
+        return clean and self._recorder.phase == 3 and self.sim.measured[2] > clear
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Take one 1/30 s step; ``info`` holds ``is_success`` and ``metrics`` every time."""
+        self.advance(action)
+        terminated = self._wiped_and_lifted()
+        truncated = not terminated and self._steps >= self._max_episode_steps
+        info = self._info()
+        reward = float(terminated and info["is_success"])
+        return self.observe(), reward, terminated, truncated, info
+
+    def observe(self) -> dict[str, Any]:
+        """Render cameras and pads now."""
+        pixels = dict(zip(CAMERAS, self._renderer.render(), strict=True))
+        for finger in FINGERS:
+            pixels[tactile_name(finger)] = self._touch[finger].image(self.sim)
+            pixels[tactile_name(finger, reference=True)] = self._touch[finger].reference
+        observation: dict[str, Any] = {"pixels": pixels, "agent_pos": self.state}
+        if self.expose_wrench:
+            observation |= {f"wrench_{f}": w for f, w in self.true_wrench().items()}
+        return observation
+
+    def _info(self) -> dict[str, Any]:
+        result = self.result()
+        return {"is_success": self._steps > 0 and result.success and self._recorder.phase == 3, "metrics": _flat(result)}
+
+    def render(self) -> np.ndarray:
+        """Return the front camera's picture."""
+        return self._renderer.render()[0]
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
+
+
+def _make_renderer(name: str) -> Painter:
+    if name == "painter":
+        return Painter()
+    if name == "egl":
+        from lerobot_env_uniforce_wiping.egl import EglRenderer
+
+        return EglRenderer()
+    raise ContractError(expected("renderer", "painter | egl", repr(name), "Use painter where there is no GL."))
+
+
+def _flat(result: EpisodeResult) -> dict[str, float]:
+    flags = {
+        "clean": result.clean,
+        "success": result.success,
+        "slippage": result.slippage,
+        "excess_force": result.excess_force,
+        "failed_grasp": result.outcome == "failed_grasp",
+        "residual_outcome": result.outcome == "residual",
+    }
+    return {name: float(value) for name, value in flags.items()} | result.metrics

@@ -1,0 +1,96 @@
+"""Ink on the board, worn off by pressure and sliding (Archard), with uneven adhesion."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from lerobot_env_uniforce_wiping.scene_params import SceneParams
+
+PIXEL_m = 0.001  # one ink cell
+VISIBLE = 0.25  # a cell counts as residual ink above this
+ADHESION_CELLS = 7  # blur of the adhesion noise, cells
+STROKE_m = 0.005  # pen width
+
+
+def _draw_word(word: str, rows: int, columns: int) -> np.ndarray:
+    """Return (rows, columns) float32 in {0, 1}: the word filling the box."""
+    font, thickness = cv2.FONT_HERSHEY_DUPLEX, 3
+    (width, height), base = cv2.getTextSize(word, font, 1.0, thickness)
+    canvas = np.zeros((height + base + 6, width + 6), np.uint8)
+    cv2.putText(canvas, word, (3, height + 3), font, 1.0, 255, thickness)
+    r, c = np.nonzero(canvas)
+    tight = canvas[r.min() : r.max() + 1, c.min() : c.max() + 1]
+    return (cv2.resize(tight, (columns, rows), interpolation=cv2.INTER_AREA) > 100).astype(np.float32)
+
+
+class InkField:
+    """Ink of one episode on a grid fixed to the board.
+
+    Array axes: rows run along board −x (the reader stands in front of the robot), columns along board −y...
+    kept simple: cell (i, j) lies at board x = (i − rows/2)·PIXEL_m, y = (j − columns/2)·PIXEL_m.
+    """
+
+    def __init__(self, scene: SceneParams) -> None:
+        level = scene.level
+        self.rows, self.columns = 150, 210  # cells along board x and y
+        self.wear = level.wear_per_kPa_m
+        rng = np.random.default_rng([scene.seed, 711])
+        noise = rng.standard_normal((self.rows, self.columns)).astype(np.float32)
+        noise = cv2.GaussianBlur(noise, (0, 0), ADHESION_CELLS)
+        self.adhesion = np.exp(level.adhesion_sigma * noise / noise.std())
+        self.ink = self._written(scene)
+        self.version = 0  # grows whenever ink changes, so that renderers know
+        self.initial_cells = float((self.ink > VISIBLE).sum())
+        x = (np.arange(self.rows) + 0.5 - self.rows / 2) * PIXEL_m
+        y = (np.arange(self.columns) + 0.5 - self.columns / 2) * PIXEL_m
+        self.x_m, self.y_m = np.meshgrid(x, y, indexing="ij")
+
+    def _written(self, scene: SceneParams) -> np.ndarray:
+        level = scene.level
+        rows, columns = round(level.letter_height_m / PIXEL_m), round(level.word_length_m / PIXEL_m)
+        top = round(self.rows / 2 - rows / 2 + scene.word_offset_m[0] / PIXEL_m)
+        left = round(self.columns / 2 - columns / 2 + scene.word_offset_m[1] / PIXEL_m)
+        ink = np.zeros((self.rows, self.columns), np.float32)
+        # Letters stand upright for the front camera: image up is board −x, image right is board +y.
+        ink[top : top + rows, left : left + columns] = _draw_word(scene.word, rows, columns)
+        return ink
+
+    @property
+    def residual(self) -> float:
+        """Share of the initially inked cells that still carry visible ink."""
+        return float((self.ink > VISIBLE).sum()) / self.initial_cells
+
+    def wipe(self, center_m: np.ndarray, yaw_rad: float, size_m: np.ndarray, press: np.ndarray, slide_m: float) -> None:
+        """Wear ink under a footprint.
+
+        Args:
+            center_m: (2,) centre of the felt in board coordinates.
+            yaw_rad: rotation of the felt about the board's normal.
+            size_m: (2,) felt extent along its own x and y.
+            press: (3,) normal force N and the centre of pressure in the felt's frame, m.
+            slide_m: sliding distance since the last call.
+        """
+        force_N = press[0]
+        if force_N <= 0 or slide_m <= 0:
+            return
+        reach = np.hypot(*size_m) / 2 + PIXEL_m
+        rows = self._span(center_m[0], reach, self.rows)
+        columns = self._span(center_m[1], reach, self.columns)
+        if rows.start >= rows.stop or columns.start >= columns.stop:
+            return
+        c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+        dx, dy = self.x_m[rows, columns] - center_m[0], self.y_m[rows, columns] - center_m[1]
+        u, v = (c * dx + s * dy) / size_m[0], (c * dy - s * dx) / size_m[1]  # in felt halves of ±0.5
+        inside = (np.abs(u) <= 0.5) & (np.abs(v) <= 0.5)
+        tilt = 1 + 12 * (press[1] / size_m[0] * u + press[2] / size_m[1] * v)  # bilinear, right moment
+        pressure_kPa = force_N / (size_m[0] * size_m[1]) / 1000 * np.maximum(tilt, 0) * inside
+        worn = np.exp(-self.wear * pressure_kPa * slide_m / self.adhesion[rows, columns])
+        self.ink[rows, columns] *= worn
+        self.version += 1
+
+    @staticmethod
+    def _span(center_m: float, reach_m: float, cells: int) -> slice:
+        start = int(np.floor((center_m - reach_m) / PIXEL_m + cells / 2))
+        stop = int(np.ceil((center_m + reach_m) / PIXEL_m + cells / 2))
+        return slice(max(start, 0), min(stop, cells))

@@ -1,0 +1,126 @@
+"""The locked difficulty levels: what a scene may draw, and the task's nominal layout."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+
+from uniforce_vtla.errors import ContractError, expected
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things nominally are, in the robot base frame; known to every controller."""
+
+    tray_m: tuple[float, float] = (0.48, -0.17)  # centre of the resting eraser
+    grasp_height_m: float = 0.030  # pad centre above the eraser's felt
+    start_height_m: float = 0.085  # tool height at the start
+    carry_height_m: float = 0.075  # tool height above the table while carrying
+    board_center_m: tuple[float, float] = (0.50, 0.04)  # centre of the writing
+    board_height_m: float = 0.012  # nominal board surface above the table
+    open_width_m: float = 0.060  # gripper width before the grasp
+    eraser_width_m: float = 0.030  # nominal, along the closing axis x
+    eraser_length_m: float = 0.060  # along the strokes, y
+    eraser_height_m: float = 0.050  # felt included
+    eraser_mass_kg: float = 0.055  # nominal
+
+
+@dataclass(frozen=True)
+class Level:
+    """One difficulty: sweep geometry, time limit and the ranges hidden variables are drawn from."""
+
+    name: str
+    time_limit_s: float  # the episode is cut here
+    rows: int  # strokes of the serpentine, odd rows come back
+    row_pitch_m: float  # below the narrowest eraser, so rows overlap
+    stroke_m: float  # travel of the tool along y in one row
+    letter_height_m: float  # along x
+    word_length_m: float  # along y
+    words: tuple[str, ...]
+    wear_per_kPa_m: float  # Archard constant: ink worn off per pressure and sliding distance
+    adhesion_sigma: float  # lognormal spread of ink adhesion over the board
+    stiffness_scale: Range  # arm stiffness over nominal, hidden
+    damping_scale: Range  # arm damping over nominal, hidden
+    stiction_Nm: Range  # dry friction of each arm joint, hidden
+    gripper_gain: Range  # gripper servo stiffness over nominal, hidden
+    gripper_dead_band_m: Range  # smallest change of width the gripper answers, hidden
+    board_offset_m: Range  # board height over nominal, hidden
+    board_tilt_rad: Range  # about x and y, hidden
+    eraser_width_offset_m: Range  # hidden (a pixel or two in the cameras)
+    eraser_mass_kg: Range
+    pad_friction: Range
+    board_friction: Range
+    gel_scale: Range  # pad stiffness over nominal, hidden
+    placement_m: float  # start pose and eraser placement spread, ±
+    word_offset_m: float  # ± shift of the writing inside the swept area
+    camera_shift_m: float  # ± camera position jitter
+    camera_turn_rad: float  # ± camera rotation jitter
+    layout: Layout = Layout()
+
+
+_HIDDEN = {
+    "stiffness_scale": (0.6, 1.4),
+    "damping_scale": (0.8, 1.2),
+    "stiction_Nm": (0.05, 0.35),
+    "gripper_gain": (0.6, 1.4),
+    "gripper_dead_band_m": (0.0, 0.0003),
+    "board_offset_m": (-0.004, 0.004),
+    "board_tilt_rad": (-0.015, 0.015),
+    "eraser_width_offset_m": (-0.002, 0.002),
+    "eraser_mass_kg": (0.040, 0.070),
+    "pad_friction": (0.55, 1.0),
+    "board_friction": (0.25, 0.40),
+    "gel_scale": (0.94, 1.06),
+}
+
+EASY = Level(
+    name="easy",
+    time_limit_s=12.0,
+    rows=2,
+    row_pitch_m=0.020,
+    stroke_m=0.100,
+    letter_height_m=0.030,
+    word_length_m=0.085,
+    words=("hi", "ok", "abc", "go", "VLA"),
+    wear_per_kPa_m=7.5,
+    adhesion_sigma=0.30,
+    placement_m=0.003,
+    word_offset_m=0.002,
+    camera_shift_m=0.004,
+    camera_turn_rad=0.01,
+    **_HIDDEN,  # type: ignore[arg-type]
+)
+PAPER = Level(
+    name="paper",
+    time_limit_s=30.0,
+    rows=4,
+    row_pitch_m=0.020,
+    stroke_m=0.150,
+    letter_height_m=0.065,
+    word_length_m=0.135,
+    words=("robot", "touch", "wipe", "force", "hello"),
+    wear_per_kPa_m=7.5,
+    adhesion_sigma=0.35,
+    placement_m=0.004,
+    word_offset_m=0.004,
+    camera_shift_m=0.005,
+    camera_turn_rad=0.015,
+    **_HIDDEN,  # type: ignore[arg-type]
+)
+LEVELS: dict[str, Level] = {level.name: level for level in (EASY, PAPER)}
+
+
+def get_level(name: str) -> Level:
+    """Return the level called ``name``; raise ContractError listing the known ones."""
+    if name not in LEVELS:
+        raise ContractError(expected("level", " | ".join(LEVELS), repr(name), "Check the spelling."))
+    return LEVELS[name]
+
+
+def level_hash(level: Level) -> str:
+    """Return 12 hex digits over every number of a level, so that scores name what they were taken on."""
+    text = json.dumps(asdict(level), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]

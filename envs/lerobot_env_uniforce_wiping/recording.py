@@ -1,0 +1,64 @@
+"""Collect the truth of an episode step by step; the trace is what scores are computed from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ, WipeSimulation
+from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
+from uniforce_vtla.sensors import get_sensor
+
+LIFT_TOOL_m = 0.045  # tool height above the table at which a grasped eraser counts as lifted
+HELD_m = 0.030  # eraser's distance from its place between the pads while it counts as held
+CLEAR_m = 0.020  # tool height over its wiping height that ends a wipe
+WIPING_PRESS_N = 0.5  # first press above this starts the wiping phase
+
+
+class TraceRecorder:
+    """Grows one row per step and knows the phase: 0 before lift, 1 carrying, 2 wiping, 3 lifted off."""
+
+    def __init__(self, simulation: WipeSimulation) -> None:
+        self._sim = simulation
+        self._rows: list[tuple[float, ...]] = []
+        self._at_lift: np.ndarray | None = None
+        self.phase = 0
+        self.aborted = False
+
+    def record(self) -> None:
+        """Append the state after a step."""
+        sim = self._sim
+        height = sim.measured[2]
+        self._update_phase(height)
+        left, right = sim.pads["left"], sim.pads["right"]
+        time_s = (len(self._rows) + 1) / CONTROL_HZ
+        grips = (float(left.wrench[2]), float(right.wrench[2]))
+        depths = (left.depth_mm, right.depth_mm)
+        tail = (height * 1000, sim.ink.residual, float(self.phase))
+        self._rows.append((time_s, sim.press_N, *grips, self.slip_mm(), *depths, *tail))
+
+    def _update_phase(self, height_m: float) -> None:
+        sim, layout = self._sim, self._sim.scene.level.layout
+        if self.phase == 0 and height_m > LIFT_TOOL_m and self._held():
+            self.phase, self._at_lift = 1, sim.eraser_in_tool()
+        elif self.phase in (1, 3) and sim.press_N > WIPING_PRESS_N:
+            self.phase = 2
+        elif self.phase == 2 and height_m > sim.scene.board_height_m + layout.grasp_height_m + CLEAR_m:
+            self.phase = 3
+
+    def _held(self) -> bool:
+        sim = self._sim
+        nominal = np.array([0.0, 0.0, sim.scene.level.layout.grasp_height_m])
+        near = float(np.linalg.norm(sim.eraser_in_tool() - nominal)) < HELD_m
+        return near and sim.pads["left"].wrench[2] > 0 and sim.pads["right"].wrench[2] > 0
+
+    def slip_mm(self) -> float:
+        """In-hand displacement across the pads (tool y, z) since the lift."""
+        if self._at_lift is None:
+            return 0.0
+        return float(np.linalg.norm((self._sim.eraser_in_tool() - self._at_lift)[1:])) * 1000
+
+    def trace(self) -> EpisodeTrace:
+        """Return what was recorded so far."""
+        columns = np.array(self._rows, dtype=np.float64).reshape(-1, len(STEP_FIELDS)).T
+        rated = tuple(get_sensor(self._sim.sensors[f]).rated_depth_mm for f in ("left", "right"))
+        return EpisodeTrace(*columns, rated_depth_mm=rated, aborted=self.aborted)  # type: ignore[arg-type]

@@ -1,0 +1,116 @@
+"""The wiping sequence every scripted controller shares: where to go next, and when.
+
+How hard to squeeze and to press is left to *hands*: touching ones (the expert), or blind ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from lerobot_env_uniforce_wiping.levels import Level
+from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
+from lerobot_env_uniforce_wiping.sweep import Sweep
+
+X, Y, Z, YAW, WIDTH = range(5)
+NEAR_m = 0.002  # arrived
+APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
+PHASES = ("descend", "close", "lift", "carry", "lower", "wipe", "leave", "done")
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Speeds of a run; a person's vary a little from one run to the next."""
+
+    horizontal_m_s: float = 0.115
+    vertical_m_s: float = 0.078
+    stroke_m_s: float = 0.095
+
+
+class Hands(Protocol):
+    """Decides grip and press. Every method maps the current target and measured state to the next target."""
+
+    def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
+        """Return the next width target and whether the grasp is made."""
+
+    def hold(self, target_m: float, measured: np.ndarray) -> float:
+        """Return the next width target while carrying and wiping."""
+
+    def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
+        """Return the next z target and whether the eraser presses hard enough to start."""
+
+    def press(self, target_m: float, measured: np.ndarray) -> float:
+        """Return the next z target while wiping."""
+
+
+class WipeSequence:
+    """Targets as a smooth function of the phase, the measured state and the hands."""
+
+    def __init__(self, level: Level, hands: Hands, target: np.ndarray, pace: Pace | None = None) -> None:
+        self.level, self.hands, self.pace = level, hands, pace or Pace()
+        self.sweep = Sweep(level)
+        self.target = np.array(target, dtype=np.float64)  # starts at the tool's own pose
+        self.phase = "descend"
+        self._along_m = 0.0
+        self._speed_m_s = 0.0
+
+    def next(self, measured: np.ndarray) -> np.ndarray:
+        """Return the next absolute target (5,)."""
+        done = getattr(self, f"_{self.phase}")(measured)
+        if done:
+            self.phase = PHASES[PHASES.index(self.phase) + 1]
+        return self.target.copy()
+
+    def _move(self, goal: dict[int, float]) -> bool:
+        """Slew the target towards the goal; True once every coordinate is near."""
+        for axis, value in goal.items():
+            limit = self.pace.vertical_m_s if axis == Z else self.pace.horizontal_m_s
+            speed = np.clip(APPROACH_GAIN * (value - self.target[axis]), -limit, limit)
+            self.target[axis] += speed / CONTROL_HZ
+        return all(abs(self.target[axis] - value) < NEAR_m for axis, value in goal.items())
+
+    def _descend(self, measured: np.ndarray) -> bool:
+        layout = self.level.layout
+        here = self._move({X: layout.tray_m[0], Y: layout.tray_m[1], WIDTH: layout.open_width_m})
+        self._move({Z: layout.grasp_height_m})
+        return here and measured[Z] < layout.grasp_height_m + 2 * NEAR_m
+
+    def _close(self, measured: np.ndarray) -> bool:
+        self._move({Z: self.level.layout.grasp_height_m})
+        self.target[WIDTH], held = self.hands.close(self.target[WIDTH], measured)
+        return held
+
+    def _lift(self, measured: np.ndarray) -> bool:
+        self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
+        self._move({Z: self.level.layout.carry_height_m})
+        return measured[Z] > self.level.layout.carry_height_m - 0.010
+
+    def _carry(self, measured: np.ndarray) -> bool:
+        self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
+        self._move({Z: self.level.layout.carry_height_m})
+        start = self.sweep.start
+        self._move({X: start[0], Y: start[1]})
+        return bool(np.linalg.norm(measured[:2] - start) < 2 * NEAR_m)
+
+    def _lower(self, measured: np.ndarray) -> bool:
+        self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
+        self._move({X: self.sweep.start[0], Y: self.sweep.start[1]})
+        self.target[Z], pressed = self.hands.lower(self.target[Z], measured)
+        return pressed
+
+    def _wipe(self, measured: np.ndarray) -> bool:
+        self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
+        self.target[Z] = self.hands.press(self.target[Z], measured)
+        self._speed_m_s = min(self._speed_m_s + 0.4 / CONTROL_HZ, self.pace.stroke_m_s)  # 0.4 m/s² start
+        self._along_m += self._speed_m_s / CONTROL_HZ
+        self.target[[X, Y]] = self.sweep.point(self._along_m)
+        return self._along_m >= self.sweep.length_m
+
+    def _leave(self, measured: np.ndarray) -> bool:
+        self._move({Z: self.level.layout.carry_height_m + 0.015})
+        return measured[Z] > self.level.layout.carry_height_m + 0.005
+
+    def _done(self, measured: np.ndarray) -> bool:
+        return False

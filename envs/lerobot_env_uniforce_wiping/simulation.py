@@ -1,0 +1,184 @@
+"""Physics of one scene: targets in, one 30 Hz step of MuJoCo, measured pose and touch truth out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from lerobot_env_uniforce_wiping.ink import InkField
+from lerobot_env_uniforce_wiping.kinematics import solve_arm
+from lerobot_env_uniforce_wiping.mjcf import TOOL_DOWN, build_mjcf
+from lerobot_env_uniforce_wiping.scene_params import SceneParams
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.sensors import get_sensor
+
+CONTROL_HZ = 30.0
+READS = 4  # force samples averaged over a step
+SUBSTEPS = 4  # physics steps per sample; READS · SUBSTEPS · timestep = 1 / CONTROL_HZ
+LEASH_m = 0.018  # targets stay this close to the measured tool: bounds the force of any command
+LEASH_rad = 0.20
+SPEED_LIMITS = np.array([0.15, 0.15, 0.10, 1.0, 0.15])  # m/s, m/s, m/s, rad/s, m/s of the inner target
+WIDTH_RANGE_m = (0.0, 0.08)
+YAW_RANGE_rad = (-0.5, 0.5)
+FLAT_N_mm, DOME_N_mm = 8.0, 2.4  # pad stiffness: rated depth at 12 N
+GEL_D, GEL_ZETA = 0.5, 0.7  # solimp d and damping ratio: converged in the time step, no chatter
+# World components of a force on a pad, in its canonical image frame: x = +y, y = −z, and z into the pad.
+INTO_PAD_x = {"left": -1.0, "right": 1.0}
+
+
+@dataclass(frozen=True)
+class PadTruth:
+    """What one pad feels, averaged over a step, and where the object touches it.
+
+    ``wrench`` is canonical: fx, fy, fz in N and torsion in Nmm; ``depth_mm`` is the mean indentation.
+    """
+
+    wrench: np.ndarray
+    depth_mm: float
+
+
+class WipeSimulation:
+    """One compiled scene. Frames: everything is in the robot base frame unless named otherwise."""
+
+    def __init__(self, scene: SceneParams, left_sensor: str, right_sensor: str) -> None:
+        self.scene = scene
+        self.sensors = {"left": left_sensor, "right": right_sensor}
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(scene, left_sensor, right_sensor))
+        self.data = mujoco.MjData(self.model)
+        self.ink = InkField(scene)
+        self._find_ids()
+        self._set_gel_stiffness()
+        self._place_arm()
+        self.pads = {f: PadTruth(np.zeros(4, np.float32), 0.0) for f in FINGERS}
+        self.press_N = 0.0
+        self._felt_before = self._felt_on_board()
+
+    def _find_ids(self) -> None:
+        m = self.model
+        self._pad_geom: dict[int, Finger] = {m.geom(f"pad_{f}").id: f for f in FINGERS}
+        self._felt, self._board = m.geom("felt").id, m.geom("board").id
+        self._eraser, self._tcp = m.body("eraser").id, m.site("tcp").id
+        self._board_body = m.body("board").id
+        self._reference = m.site("base_tool").pos.copy()
+        self._fingers_q = [m.jnt_qposadr[m.joint(f"finger_{f}").id] for f in FINGERS]
+
+    def _set_gel_stiffness(self) -> None:
+        """Pad stiffness K by formula: MuJoCo's solref then gives K whatever the eraser weighs."""
+        weight = self.model.body_invweight0
+        for geom, finger in self._pad_geom.items():
+            flat = get_sensor(self.sensors[finger]).dome_radius_mm is None
+            scale = self.scene.gel_scale[FINGERS.index(finger)]
+            K = (FLAT_N_mm if flat else DOME_N_mm) * 1000 * scale
+            mobility = weight[self.model.geom_bodyid[geom], 0] + weight[self._eraser, 0]
+            stiffness = K / (4 if flat else 1) * (1 - GEL_D) * mobility
+            damping = 2 * GEL_ZETA * np.sqrt(stiffness * GEL_D)
+            self.model.geom_solref[geom] = (-stiffness, -damping)
+
+    def _place_arm(self) -> None:
+        layout, offset = self.scene.level.layout, np.array(self.scene.start_offset_m)
+        start = np.array([*layout.tray_m, layout.start_height_m]) + offset
+        solve_arm(self.model, self.data, start, TOOL_DOWN)
+        for address in self._fingers_q:
+            self.data.qpos[address] = layout.open_width_m / 2
+        self.target = np.array([*start, 0.0, layout.open_width_m])
+        self._width_applied = layout.open_width_m
+        self._apply(self.target)
+        mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(5,) measured x, y, z, yaw, width: all a policy may know of the robot."""
+        matrix = self.data.site_xmat[self._tcp].reshape(3, 3)
+        yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
+        width = sum(self.data.qpos[a] for a in self._fingers_q)
+        return np.array([*self.data.site_xpos[self._tcp], yaw, width])
+
+    def command(self, action: np.ndarray) -> None:
+        """Move the inner target towards an absolute target: speed-limited, leashed, in range."""
+        limit = SPEED_LIMITS / CONTROL_HZ
+        target = self.target + np.clip(action - self.target, -limit, limit)
+        measured = self.measured
+        target[:3] = np.clip(target[:3], measured[:3] - LEASH_m, measured[:3] + LEASH_m)
+        target[3] = np.clip(target[3], *YAW_RANGE_rad)
+        target[3] = np.clip(target[3], measured[3] - LEASH_rad, measured[3] + LEASH_rad)
+        target[4] = np.clip(target[4], *WIDTH_RANGE_m)
+        self.target = target
+        self._apply(target)
+
+    def _apply(self, target: np.ndarray) -> None:
+        self.data.ctrl[:3] = TOOL_DOWN @ (target[:3] - self._reference)
+        self.data.ctrl[3:6] = (0.0, 0.0, -target[3])
+        if abs(target[4] - self._width_applied) > self.scene.gripper_dead_band_m:
+            self._width_applied = target[4]
+        self.data.ctrl[6] = self._width_applied
+
+    def step(self) -> None:
+        """Advance 1/30 s, averaging touch over the step and wearing ink."""
+        forces = {f: np.zeros(5) for f in FINGERS}  # fx, fy, fz, torsion, depth
+        press = np.zeros(3)
+        for _ in range(READS):
+            mujoco.mj_step(self.model, self.data, SUBSTEPS)
+            self._read_contacts(forces, press)
+        for finger in FINGERS:
+            mean = forces[finger] / READS
+            self.pads[finger] = PadTruth(mean[:4].astype(np.float32), float(mean[4]))
+        self.press_N = press[0] / READS
+        self._wear(press)
+
+    def _read_contacts(self, forces: dict[Finger, np.ndarray], press: np.ndarray) -> None:
+        contact = self.data.contact
+        wrench = np.zeros(6)
+        depth: dict[Finger, list[float]] = {f: [] for f in FINGERS}
+        for i, (geom1, geom2) in enumerate(contact.geom):
+            pad = self._pad_geom.get(geom1) or self._pad_geom.get(geom2)
+            if pad is not None:
+                mujoco.mj_contactForce(self.model, self.data, i, wrench)
+                forces[pad][:4] += self._on_pad(pad, i, wrench, geom1 in self._pad_geom)
+                depth[pad].append(-contact.dist[i] * 1000)
+            elif self._board in (geom1, geom2):
+                mujoco.mj_contactForce(self.model, self.data, i, wrench)
+                local = self._in_eraser(contact.pos[i])
+                press += wrench[0] * np.array([1.0, local[0], local[1]])
+        for finger, values in depth.items():
+            forces[finger][4] += max(float(np.mean(values)), 0.0) if values else 0.0
+
+    def _on_pad(self, finger: Finger, i: int, wrench: np.ndarray, pad_first: bool) -> np.ndarray:
+        """One contact's canonical (fx, fy, fz, torsion about the inward normal) on a pad."""
+        frame = self.data.contact.frame[i].reshape(3, 3)
+        # mj_contactForce: on geom2, along the contact frame whose first axis points from geom1 to geom2.
+        sign = -1.0 if pad_first else 1.0
+        tool = self.data.site_xmat[self._tcp].reshape(3, 3)
+        force = tool.T @ (frame.T @ wrench[:3]) * sign  # tool frame: x closes, y = world −y, z down
+        pad = self.data.geom(f"skin_{finger}").xpos
+        arm = tool.T @ (self.data.contact.pos[i] - pad)
+        moment_x = arm[1] * force[2] - arm[2] * force[1] + sign * (tool.T @ frame[0])[0] * wrench[3]
+        # Canonical: image x = tool −y (world +y), image y = tool z (world −z); torsion mirrors with the image.
+        return np.array([-force[1], force[2], INTO_PAD_x[finger] * force[0], -moment_x * 1000])
+
+    def _in_eraser(self, point: np.ndarray) -> np.ndarray:
+        rotation = self.data.xmat[self._eraser].reshape(3, 3)
+        return rotation.T @ (point - self.data.xpos[self._eraser])
+
+    def _felt_on_board(self) -> tuple[np.ndarray, float]:
+        """Centre of the felt (2,) and its yaw, in board coordinates."""
+        board = self.data.xmat[self._board_body].reshape(3, 3)
+        center = board.T @ (self.data.xpos[self._eraser] - self.data.xpos[self._board_body])
+        axis = board.T @ self.data.xmat[self._eraser].reshape(3, 3)[:, 0]
+        return center[:2].copy(), float(np.arctan2(axis[1], axis[0]))
+
+    def _wear(self, press: np.ndarray) -> None:
+        center, yaw = self._felt_on_board()
+        before = self._felt_before[0]
+        self._felt_before = (center, yaw)
+        if press[0] <= 0:
+            return
+        size = np.array([self.scene.eraser_width_m, self.scene.level.layout.eraser_length_m])
+        mean = np.array([press[0] / READS, press[1] / press[0], press[2] / press[0]])
+        self.ink.wipe((center + before) / 2, yaw, size, mean, float(np.linalg.norm(center - before)))
+
+    def eraser_in_tool(self) -> np.ndarray:
+        """(3,) position of the eraser in the tool frame, m."""
+        tool = self.data.site_xmat[self._tcp].reshape(3, 3)
+        return tool.T @ (self.data.xpos[self._eraser] - self.data.site_xpos[self._tcp])

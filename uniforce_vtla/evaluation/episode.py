@@ -1,0 +1,206 @@
+"""What happened in one episode: exclusive outcome, overlapping events, continuous numbers.
+
+Everything is computed from a trace of true (or, on hardware, estimated) quantities; nothing here knows an
+environment. Outcomes sum to n; events may overlap; a clean success is a success without an event.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.keys import OUTCOME_NAMES
+
+
+@dataclass(frozen=True)
+class ScoreLimits:
+    """Where an episode stops being good; printed with every score."""
+
+    residual_share: float = 0.10  # of the initial ink cells
+    slip_mm: float = 5.0  # in-hand displacement since the lift
+    quick_slip_mm: float = 3.0  # in-hand displacement within quick_slip_s
+    quick_slip_s: float = 0.5  # s
+    drop_mm: float = 20.0  # in-hand displacement that counts as a drop
+    lost_grip_N: float = 0.05  # a pad below this does not hold
+    lost_grip_s: float = 0.3  # both pads below it for this long after the lift is a drop
+    mean_press_N: float = 10.0  # over mean_press_s
+    mean_press_s: float = 0.5  # s
+    peak_press_N: float = 15.0  # any frame
+    wiping_press_N: float = 0.5  # above this a frame counts as wiping
+
+
+@dataclass(frozen=True)
+class EpisodeTrace:
+    """Per-step arrays of one episode, all of length n.
+
+    Attributes:
+        time_s: end of each step.
+        press_N: eraser on board.
+        grip_left_N: normal force on the left pad.
+        grip_right_N: normal force on the right pad.
+        slip_mm: in-hand displacement across the pads since the lift; 0 before it.
+        depth_left_mm: indentation of the left pad.
+        depth_right_mm: indentation of the right pad.
+        tool_z_mm: measured tool height.
+        residual: visible ink over initial ink.
+        phase: 0 before the lift, 1 carrying, 2 wiping, 3 lifted off after wiping.
+        rated_depth_mm: (left, right) deepest indentation the sensors allow.
+        aborted: the episode was stopped by an error.
+    """
+
+    time_s: np.ndarray
+    press_N: np.ndarray
+    grip_left_N: np.ndarray
+    grip_right_N: np.ndarray
+    slip_mm: np.ndarray
+    depth_left_mm: np.ndarray
+    depth_right_mm: np.ndarray
+    tool_z_mm: np.ndarray
+    residual: np.ndarray
+    phase: np.ndarray
+    rated_depth_mm: tuple[float, float]
+    aborted: bool = False
+
+    def __post_init__(self) -> None:
+        for name in STEP_FIELDS:
+            values = getattr(self, name)
+            if values.shape != self.time_s.shape or values.ndim != 1:
+                raise ContractError(
+                    expected(f"trace.{name}", self.time_s.shape, values.shape, "One value per step.")
+                )
+            if not np.isfinite(values).all():
+                raise ContractError(
+                    expected(f"trace.{name}", "finite numbers", "NaN or inf", "Check the simulation.")
+                )
+
+
+STEP_FIELDS = tuple(f.name for f in fields(EpisodeTrace) if f.name not in ("rated_depth_mm", "aborted"))
+
+
+@dataclass(frozen=True)
+class EpisodeResult:
+    """The verdict on one episode.
+
+    ``outcome`` is one of ``keys.OUTCOME_NAMES``; ``reasons`` says in words what led to it and to each event.
+    """
+
+    outcome: str
+    slippage: bool
+    excess_force: bool
+    reasons: tuple[str, ...]
+    metrics: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def success(self) -> bool:
+        """The wipe itself succeeded, whatever happened on the way."""
+        return self.outcome == "success"
+
+    @property
+    def clean(self) -> bool:
+        """Success without slippage or excess force: the number to optimise."""
+        return self.success and not self.slippage and not self.excess_force
+
+
+def score_episode(trace: EpisodeTrace, limits: ScoreLimits | None = None) -> EpisodeResult:
+    """Judge one episode; precedence aborted > failed_grasp > residual > success."""
+    limits = limits or ScoreLimits()
+    if len(trace.time_s) == 0:
+        return EpisodeResult("aborted", False, False, ("no step was taken",))
+    grasp, slips, excess = grasp_faults(trace, limits), slip_events(trace, limits), excess_events(trace, limits)
+    outcome, why = _outcome(trace, limits, grasp)
+    return EpisodeResult(outcome, bool(slips), bool(excess), (*why, *slips, *excess), _metrics(trace, limits))
+
+
+def _outcome(trace: EpisodeTrace, limits: ScoreLimits, grasp: list[str]) -> tuple[str, list[str]]:
+    aborted, failed, residual, success = OUTCOME_NAMES
+    if trace.aborted:
+        return aborted, ["stopped by an error"]
+    if grasp:
+        return failed, grasp
+    if trace.residual[-1] > limits.residual_share:
+        return residual, [_residual_reason(trace, limits)]
+    return success, []
+
+
+def _residual_reason(trace: EpisodeTrace, limits: ScoreLimits) -> str:
+    wiping = trace.press_N > limits.wiping_press_N
+    return "pressed too lightly or not everywhere" if wiping.any() else "never touched the board"
+
+
+def grasp_faults(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
+    """Return why the grasp failed; empty if the eraser was held from the lift to the end."""
+    lifted = trace.phase >= 1
+    if not lifted.any():
+        return ["never lifted"]
+    loose = lifted & (trace.grip_left_N < limits.lost_grip_N) & (trace.grip_right_N < limits.lost_grip_N)
+    faults = []
+    if trace.slip_mm.max() > limits.drop_mm:
+        faults.append(f"slid out of the hand (> {limits.drop_mm:g} mm)")
+    if _longest_run_s(loose, trace.time_s) > limits.lost_grip_s:
+        faults.append(f"dropped (no grip for {limits.lost_grip_s:g} s)")
+    return faults
+
+
+def slip_events(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
+    """Return the reasons for a slippage event."""
+    events = []
+    if trace.slip_mm.max() > limits.slip_mm:
+        events.append(f"slip > {limits.slip_mm:g} mm")
+    window = max(1, round(limits.quick_slip_s / _step_s(trace.time_s)))
+    moved = trace.slip_mm[window:] - trace.slip_mm[:-window]
+    if len(moved) and np.abs(moved).max() > limits.quick_slip_mm:
+        events.append(f"slip > {limits.quick_slip_mm:g} mm in {limits.quick_slip_s:g} s")
+    return events
+
+
+def excess_events(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
+    """Return the reasons for an excess-force event."""
+    events = []
+    if running_mean(trace.press_N, limits.mean_press_s, trace.time_s).max() > limits.mean_press_N:
+        events.append(f"mean press > {limits.mean_press_N:g} N")
+    if trace.press_N.max() > limits.peak_press_N:
+        events.append(f"peak press > {limits.peak_press_N:g} N")
+    depths = {"left": trace.depth_left_mm, "right": trace.depth_right_mm}
+    for (side, depth), rated in zip(depths.items(), trace.rated_depth_mm, strict=True):
+        if depth.max() > rated:
+            events.append(f"{side} pad deeper than {rated:g} mm")
+    return events
+
+
+def running_mean(values: np.ndarray, span_s: float, time_s: np.ndarray) -> np.ndarray:
+    """Mean over the last ``span_s``; (n − w + 1,) values, or the plain mean when the trace is shorter."""
+    window = min(max(1, round(span_s / _step_s(time_s))), len(values))
+    total = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
+    return (total[window:] - total[:-window]) / window
+
+
+def _step_s(time_s: np.ndarray) -> float:
+    return float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+
+
+def _longest_run_s(flags: np.ndarray, time_s: np.ndarray) -> float:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    runs = edges[1::2] - edges[::2]
+    return float(runs.max()) * _step_s(time_s) if len(runs) else 0.0
+
+
+def _metrics(trace: EpisodeTrace, limits: ScoreLimits) -> dict[str, float]:
+    wiping = trace.press_N > limits.wiping_press_N
+    press = trace.press_N[wiping] if wiping.any() else np.zeros(1)
+    height = trace.tool_z_mm[wiping] if wiping.any() else np.zeros(1)
+    grip = (trace.grip_left_N + trace.grip_right_N) / 2
+    return {
+        "residual": float(trace.residual[-1]),
+        "press_mean_N": float(press.mean()),
+        "press_p95_N": float(np.percentile(press, 95)),
+        "press_max_N": float(trace.press_N.max()),
+        "grip_mean_N": float(grip[wiping].mean()) if wiping.any() else float(grip.mean()),
+        "grip_max_N": float(grip.max()),
+        "slip_max_mm": float(trace.slip_mm.max()),
+        "depth_left_max_mm": float(trace.depth_left_mm.max()),
+        "depth_right_max_mm": float(trace.depth_right_mm.max()),
+        "wiping_z_sd_mm": float(height.std()),
+        "duration_s": float(trace.time_s[-1]),
+    }
