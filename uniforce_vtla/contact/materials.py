@@ -60,7 +60,9 @@ class TaxelMaterial:
     footprint_exponent: float = 0.8
     reach_pitch: float = 0.6  # standard deviation of a taxel's sensitivity, in pitches
     normal_counts_per_N: float = 700.0  # 12 N on one taxel ≈ 8,400 counts: a real strong grasp
-    shear_counts_per_N: float = 300.0  # real |dx|/dz at the 99th percentile ≈ .2; .43 at the friction limit
+    shear_counts_per_N: float = (
+        500.0  # real |dx|/dz at the 99th percentile ≈ .2, light boxes far from slipping
+    )
     cross_talk: float = 0.15  # counts of x, y per count of z and reach of offset
     baseline_counts: tuple[int, int] = (18_000, 42_000)  # raw values at rest differ per taxel and axis
 
@@ -71,13 +73,13 @@ MATERIALS: dict[str, PadMaterial | TaxelMaterial] = {
         skin_blur_mm=2.5,
         dilation_per_N=0.03,
         dilation_radius_mm=4.0,
-        drag_mm_per_N=0.40,  # hollow dome: softer than a bonded gel
+        drag_mm_per_N=0.55,  # hollow dome: softer than a bonded gel
         drag_radii_mm=(5.0, 12.0),
-        stretch_limit_mm=4.0,
+        stretch_limit_mm=5.0,
         area_per_N=0.01,
         area_radius_mm=5.0,
         camera_mm=45.0,
-        pin_mm=3.0,
+        pin_mm=2.0,
         fisheye=0.07,
     ),
     "uskin": TaxelMaterial(),

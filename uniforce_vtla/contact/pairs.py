@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,11 +11,8 @@ from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.mirror import mirrored
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
-from uniforce_vtla.contact.simulator import TactileSimulator
-from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contact.views import Transform, draw_simulator, images_of
 from uniforce_vtla.contracts import ContactState
-
-Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
 
 
 @dataclass(frozen=True)
@@ -103,14 +100,6 @@ def pair_batches(
         )
 
 
-def draw_simulator(
-    rng: np.random.Generator, sensor: str, unit_strength: float, options: ContactOptions
-) -> TactileSimulator:
-    """Return a simulator of a random unit of ``sensor``."""
-    unit = UnitVariation.draw(rng, sensor, unit_strength)
-    return TactileSimulator(sensor, unit, options, seed=int(rng.integers(2**31)))
-
-
 def _views(
     rng: np.random.Generator,
     sensor: str,
@@ -121,20 +110,6 @@ def _views(
     """Return (n, …) references and currents of one finger."""
     simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options)
     reference = simulator.reference()[None]
-    current = _images(simulator, contact, transform)
+    current = images_of(simulator, contact, transform)
     kept = transform(reference) if transform else reference
     return np.repeat(kept, len(current), axis=0), current
-
-
-def _images(simulator: TactileSimulator, contact: ContactState, transform: Transform | None) -> np.ndarray:
-    """Return images chunk by chunk, so that only a transform's (small) results pile up."""
-    chunks = []
-    for start in range(0, len(contact.gap_mm), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        state = ContactState(contact.gap_mm[part], contact.force_N[part], contact.torsion_Nmm[part])
-        images = simulator.marker_images(state)
-        chunks.append(transform(images) if transform else images)
-    return np.concatenate(chunks)
-
-
-_CHUNK = 16  # images drawn at once: 5 MB, stays in cache

@@ -9,8 +9,8 @@ import numpy as np
 
 from uniforce_vtla.contact.indenters import SEEN
 from uniforce_vtla.contact.options import ContactOptions
-from uniforce_vtla.contact.pairs import Transform, _images, draw_simulator
 from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange, sample_objects
+from uniforce_vtla.contact.views import Transform, draw_simulator, images_of
 from uniforce_vtla.contracts import ContactState
 
 
@@ -67,7 +67,7 @@ def force_sequences(
         contact = ContactState(np.repeat(gap[None], length, axis=0), load, np.zeros(length, np.float32))
         reference = simulator.reference()[None]
         references.append((transform(reference) if transform else reference)[0])
-        frames.append(_images(simulator, contact, transform))
+        frames.append(images_of(simulator, contact, transform))
     return SequenceBatch(np.stack(references), np.stack(frames), force, objects.names, sensor)
 
 

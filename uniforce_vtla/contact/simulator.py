@@ -11,12 +11,15 @@ from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pads import build_pad
 from uniforce_vtla.contact.pressure import Pressure, build_foundation, solve_pressure
 from uniforce_vtla.contact.raster import CENTRE_PX, fill_discs, fill_squares
-from uniforce_vtla.contact.taxel_image import taxel_discs
+from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
 from uniforce_vtla.contact.taxel_response import TaxelResponse, taxel_positions_mm
 from uniforce_vtla.contact.traction import solve_traction, transmitted
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
 from uniforce_vtla.sensors import get_sensor
+
+_SCALES = TaxelScales()
 
 
 class TactileSimulator:
@@ -55,11 +58,11 @@ class TactileSimulator:
 
     def reference(self) -> np.ndarray:
         """Return the (480, 640) uint8 marker image in free air, without noise."""
-        return self._draw(*self._markers(free_air(1), noise=False))[0]
+        return self._images(free_air(1), noise=False)[0]
 
     def marker_images(self, contact: ContactState) -> np.ndarray:
         """Return (B, 480, 640) uint8 marker images in {0, 255}, in this sensor's own frame."""
-        return self._draw(*self._markers(contact, self.options.noise))
+        return self._images(contact, self.options.noise)
 
     def markers_px(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
         """Return marker centres (B, M, 2) as x, y pixels and sizes (B, M): sides or diameters in pixels.
@@ -81,10 +84,30 @@ class TactileSimulator:
         """Return (B, 16, 3) float32 counts above the baseline; taxel sensors only."""
         return self._counts(contact, self.options.noise)
 
+    def raw_reference(self) -> np.ndarray:
+        """Return one free-air raw signal: (480, 640, 3) uint8 RGB frame, or (16, 3) int32 counts."""
+        return self.raw_frames(free_air(1))[0]
+
+    def raw_frames(self, contact: ContactState) -> np.ndarray:
+        """Return what the driver would deliver: (B, 480, 640, 3) uint8 RGB, or (B, 16, 3) int32 counts."""
+        if isinstance(self._respond, TaxelResponse):
+            return (self._baseline + self._counts(contact, self.options.noise)).astype(np.int32)
+        images = self.marker_images(contact)
+        if self.spec.marker_shape == "disc":
+            return tactip_frames(images, self._rng)
+        return gelsight_frames(images, self._indentation_mm(contact), self.spec.px_per_mm[0], self._rng)
+
     # -- stages -----------------------------------------------------------------------------------------
 
     def _pressure(self, contact: ContactState) -> Pressure:
         return solve_pressure(self._foundation, contact.gap_mm, contact.force_N[:, 2])
+
+    def _indentation_mm(self, contact: ContactState) -> np.ndarray:
+        """Return (B, G, G) inward displacement of the surface under the object."""
+        pressure = self._pressure(contact)
+        depth = np.zeros((len(contact.gap_mm), GRID_CELLS**2), dtype=np.float32)
+        depth[:, self.pad.cells] = pressure.p_MPa / pressure.stiffness[:, None]
+        return depth.reshape(-1, GRID_CELLS, GRID_CELLS)
 
     def _traction(self, contact: ContactState) -> tuple[Pressure, np.ndarray]:
         pressure = self._pressure(contact)
@@ -100,7 +123,8 @@ class TactileSimulator:
 
     def _markers(self, contact: ContactState, noise: bool) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(self._respond, TaxelResponse):
-            return taxel_discs(self._counts(contact, noise))
+            discs = self._discs(contact, noise)
+            return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
         pressure, q = self._traction(contact)
         motion = self._respond(pressure, q, self.options)
         size = self.spec.marker_size_mm * self.spec.px_per_mm[0] * self.unit.view_scale * motion.growth
@@ -133,7 +157,14 @@ class TactileSimulator:
             counts = counts + scatter.astype(np.float32)
         return np.round(counts)
 
-    def _draw(self, centre_px: np.ndarray, size_px: np.ndarray) -> np.ndarray:
+    def _discs(self, contact: ContactState, noise: bool) -> list[TaxelDiscs]:
+        return [place_discs(counts, _SCALES) for counts in self._counts(contact, noise)]
+
+    def _images(self, contact: ContactState, noise: bool) -> np.ndarray:
+        """Return (B, 480, 640): taxels drawn by the canonicaliser's rule, camera markers by our own."""
+        if isinstance(self._respond, TaxelResponse):
+            return np.stack([draw_discs(discs) for discs in self._discs(contact, noise)])
+        centre_px, size_px = self._markers(contact, noise)
         if self.spec.marker_shape == "square":
             return fill_squares(centre_px, size_px, self.unit.rotation_rad)
         return fill_discs(centre_px, size_px)
@@ -146,6 +177,7 @@ class TactileSimulator:
         if isinstance(self._material, TaxelMaterial):
             taxel_mm = taxel_positions_mm(self.spec.layout_mm) + offset
             gain = self.unit.gain * (1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3)))
+            self._baseline = rng.integers(*self._material.baseline_counts, size=(len(taxel_mm), 3))
             pitch_mm = float(np.mean(self.spec.pad_size_mm)) / 4
             return TaxelResponse(self.pad, taxel_mm, pitch_mm, self._material, gain)
         self._rest_mm = self._unit_layout(rng, offset)

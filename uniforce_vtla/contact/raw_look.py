@@ -1,0 +1,108 @@
+"""What a sensor's camera sees: marker image → colour frame with its light, lens and noise.
+
+Only as true as testing a marker finder needs: polarity, uneven coloured light, vignetting, the TacTip's rim
+ring and lamp reflections (described in facts D; no frame was copied).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+
+from uniforce_vtla.contact.raster import CENTRE_PX
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
+
+_EDGE_BLUR_PX = 1.2  # a camera's edge spread
+_PIXEL_NOISE = 2.0  # grey levels, standard deviation
+_GEL_MARKER_DARKNESS = 0.72  # share of light a printed marker swallows
+_GEL_SHADE = 60.0  # grey levels per unit slope of the indented surface
+_PIN_RGB = np.array([205, 215, 235], np.float32)  # pins are whitest in blue
+_RIM_PX = (247.0, 262.0)  # bright ring just outside the 240 px (20 mm) of the dome
+
+
+def gelsight_frames(
+    marker_images: np.ndarray, indentation_mm: np.ndarray, px_per_mm: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Return (B, 480, 640, 3) uint8 RGB: dark markers on a gel under three coloured lights.
+
+    Args:
+        marker_images: (B, 480, 640) uint8.
+        indentation_mm: (B, G, G) inward displacement on the pad grid of 1 mm cells.
+        px_per_mm: image scale.
+        rng: pixel noise.
+    """
+    frames = []
+    for image, depth in zip(marker_images, indentation_mm, strict=True):
+        ink = cv2.GaussianBlur(image.astype(np.float32) / 255, (0, 0), _EDGE_BLUR_PX)
+        lit = _gel_light() + _slope_shade(depth, px_per_mm)
+        frames.append(_exposed(lit * (1 - _GEL_MARKER_DARKNESS * ink)[..., None], rng))
+    return np.stack(frames)
+
+
+def tactip_frames(marker_images: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return (B, 480, 640, 3) uint8 RGB: bright pins on a black dome inside a bright rim."""
+    frames = []
+    for image in marker_images:
+        pin = cv2.GaussianBlur(image.astype(np.float32) / 255, (0, 0), _EDGE_BLUR_PX)[..., None]
+        frames.append(_exposed(_dome_light() * (1 - pin) + _PIN_RGB * _lamp_falloff() * pin, rng))
+    return np.stack(frames)
+
+
+def _exposed(frame: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    noise = rng.standard_normal(frame.shape, dtype=np.float32) * np.float32(_PIXEL_NOISE)
+    return np.clip(frame + noise, 0, 255).astype(np.uint8)
+
+
+def _slope_shade(depth_mm: np.ndarray, px_per_mm: float) -> np.ndarray:
+    """Return (H, W, 3) colour that the indentation's slopes catch from lights at 90°, 210° and 330°."""
+    H, W = MARKER_IMAGE_SHAPE
+    smooth = cv2.GaussianBlur(depth_mm.astype(np.float32), (0, 0), 1.0)
+    dy, dx = np.gradient(smooth)
+    centre = (len(depth_mm) - 1) / 2
+    x, y = (
+        (np.arange(W) - CENTRE_PX[0]) / px_per_mm + centre,
+        (np.arange(H) - CENTRE_PX[1]) / px_per_mm + centre,
+    )
+    map_x, map_y = (a.astype(np.float32) for a in np.meshgrid(x, y))
+    slope = [cv2.remap(d, map_x, map_y, cv2.INTER_LINEAR) for d in (dx, dy)]
+    angles = np.deg2rad([90, 210, 330])
+    return np.stack([_GEL_SHADE * (slope[0] * np.cos(a) + slope[1] * np.sin(a)) for a in angles], axis=-1)
+
+
+@cache
+def _radius_px() -> np.ndarray:
+    rows, columns = np.indices(MARKER_IMAGE_SHAPE)
+    return np.hypot(columns - CENTRE_PX[0], rows - CENTRE_PX[1]).astype(np.float32)
+
+
+@cache
+def _gel_light() -> np.ndarray:
+    """Return (H, W, 3) uneven coloured light: each channel strongest on its own side, darker in the corners."""
+    rows, columns = np.indices(MARKER_IMAGE_SHAPE)
+    x, y = (columns - CENTRE_PX[0]) / CENTRE_PX[0], (rows - CENTRE_PX[1]) / CENTRE_PX[1]
+    angles = np.deg2rad([90, 210, 330])
+    light = np.stack([150 + 35 * (x * np.cos(a) + y * np.sin(a)) for a in angles], axis=-1)
+    vignette = 1 - 0.4 * (_radius_px() / 400) ** 2
+    return (light * vignette[..., None]).astype(np.float32)
+
+
+@cache
+def _lamp_falloff() -> np.ndarray:
+    """Return (H, W, 1): pins near the rim get less light."""
+    return (1 - 0.35 * (_radius_px() / 240) ** 2).clip(0.4, 1)[..., None].astype(np.float32)
+
+
+@cache
+def _dome_light() -> np.ndarray:
+    """Return (H, W, 3) dark dome, soft reflections of six lamps, bright rim, black beyond."""
+    radius = _radius_px()
+    grey = 14 + 10 * (radius / 240) ** 2
+    rows, columns = np.indices(MARKER_IMAGE_SHAPE)
+    for angle in np.arange(6) * np.pi / 3 + 0.3:
+        x, y = CENTRE_PX + 228 * np.array([np.cos(angle), np.sin(angle)])
+        grey = grey + 40 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 12.0**2))
+    ring = (radius > _RIM_PX[0]) & (radius < _RIM_PX[1])
+    grey = np.where(ring, 190, np.where(radius >= _RIM_PX[1], 6, grey)).astype(np.float32)
+    return cv2.GaussianBlur(np.repeat(grey[..., None], 3, axis=2), (0, 0), 2.0)

@@ -1,0 +1,35 @@
+"""Images of many contacts from one random unit, chunk by chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from uniforce_vtla.contact.options import ContactOptions
+from uniforce_vtla.contact.simulator import TactileSimulator
+from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contracts import ContactState
+
+Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
+
+_CHUNK = 16  # images drawn at once: 5 MB, stays in cache
+
+
+def draw_simulator(
+    rng: np.random.Generator, sensor: str, unit_strength: float, options: ContactOptions
+) -> TactileSimulator:
+    """Return a simulator of a random unit of ``sensor``."""
+    unit = UnitVariation.draw(rng, sensor, unit_strength)
+    return TactileSimulator(sensor, unit, options, seed=int(rng.integers(2**31)))
+
+
+def images_of(simulator: TactileSimulator, contact: ContactState, transform: Transform | None) -> np.ndarray:
+    """Return images chunk by chunk, so that only a transform's (small) results pile up."""
+    chunks = []
+    for start in range(0, len(contact.gap_mm), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        state = ContactState(contact.gap_mm[part], contact.force_N[part], contact.torsion_Nmm[part])
+        images = simulator.marker_images(state)
+        chunks.append(transform(images) if transform else images)
+    return np.concatenate(chunks)
