@@ -50,9 +50,10 @@ class CameraResponse:
 
     def __call__(self, pressure: Pressure, q_MPa: np.ndarray, options: ContactOptions) -> MarkerMotion:
         """Return the motion of all markers under (B, C) pressure and (B, 2, C) shear traction."""
-        B, _, C = q_MPa.shape
-        field = (pressure.p_MPa @ self._from_pressure).reshape(B, 6, -1)  # (B, 6, M)
-        drag = (q_MPa.reshape(2 * B, C) @ self._from_shear).reshape(B, 2, -1)
+        B = len(q_MPa)
+        pressed = pressure.p_MPa.any(axis=0)  # (C,) most contacts press few cells
+        field = (pressure.p_MPa[:, pressed] @ self._from_pressure[pressed]).reshape(B, 6, -1)  # (B, 6, M)
+        drag = (q_MPa[..., pressed].reshape(2 * B, -1) @ self._from_shear[pressed]).reshape(B, 2, -1)
         depth = field[:, 3:] / pressure.stiffness[:, None, None]  # w, ∂w/∂x, ∂w/∂y
         shift = field[:, 0:2] + drag
         if options.pin_lever and self._material.pin_mm:

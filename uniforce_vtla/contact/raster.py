@@ -1,6 +1,6 @@
 """Fill many squares and discs into a batch of binary images, exactly mirror-symmetric and without loops.
 
-Each shape is cut into row spans; span starts and ends are scattered as +1/−1 and summed along the rows.
+Each shape is cut into row spans; the pixels of all spans are listed and set in one go.
 """
 
 from __future__ import annotations
@@ -58,16 +58,16 @@ def _rows(y_offset: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _fill(y: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Scatter span ends (B, M, K) and sum along rows."""
+    """Set the pixels of all spans (B, M, K) to 255."""
     B = len(y)
     H, W = MARKER_IMAGE_SHAPE
-    start = np.clip(np.ceil(low - 0.5) + W / 2, 0, W)  # first column inside
-    stop = np.clip(np.floor(high - 0.5) + W / 2 + 1, 0, W)  # one past the last
-    keep = inside & (start < stop)
-    image = np.broadcast_to(np.arange(B)[:, None, None], y.shape)[keep]
-    row = (y[keep] + CENTRE_PX[1]).astype(np.int64) + image * H
-    ends = np.zeros(B * H * W + 1, dtype=np.int8)  # + 1: a span may end at the very last pixel
-    np.add.at(ends, row * W + start[keep].astype(np.int64), 1)
-    np.add.at(ends, row * W + stop[keep].astype(np.int64), -1)
-    filled = np.cumsum(ends[:-1], dtype=np.int8) != 0
-    return (filled.view(np.uint8) * np.uint8(255)).reshape(B, H, W)
+    image, marker, line = np.nonzero(inside)
+    start = np.maximum(np.ceil(low[image, marker, line] - 0.5) + W / 2, 0)  # first column inside
+    stop = np.minimum(np.floor(high[image, marker, line] - 0.5) + W / 2 + 1, W)  # one past the last
+    length = np.maximum(stop - start, 0).astype(np.int64)
+    row = image * H + (y[image, marker, line] + CENTRE_PX[1]).astype(np.int64)
+    before = np.cumsum(length) - length  # pixels of all earlier spans
+    pixels = np.repeat(row * W + start.astype(np.int64) - before, length) + np.arange(length.sum())
+    filled = np.zeros(B * H * W, dtype=np.uint8)
+    filled[pixels] = 255
+    return filled.reshape(B, H, W)
