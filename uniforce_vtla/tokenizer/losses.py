@@ -1,0 +1,127 @@
+"""What pretraining minimises: four reconstructions, KL, equilibrium. No force label anywhere.
+
+UniForce paper, section "Objective Function"; the paper gives no λ, ours are measured starts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch.nn import functional as F  # noqa: N812
+
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.model import Decoder, Posterior
+from uniforce_vtla.tokenizer.pooling import pool_latent
+
+Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Weights and named variants of the objective."""
+
+    perceptual: Literal["gradient_pyramid", "lpips"] = (
+        "gradient_pyramid"  # lpips needs its own weights on disk
+    )
+    perceptual_weight: float = 0.1  # λ of the perceptual term
+    kl_weight: float = 1e-4  # λ of the KL term, per latent number
+    equilibrium_weight: float = 1.0  # λ of the equilibrium term
+    equilibrium: Literal["patch", "pooled", "both"] = (
+        "patch"  # patch is the paper's; real totals balance better
+    )
+    pooled_grid: int = 4  # regions per side for the pooled variant
+    changed_pixel_weight: float = 4.0  # extra weight where current differs from reference; 0 = plain L1
+    pyramid_levels: int = 3  # scales of the gradient pyramid
+
+
+@dataclass(frozen=True)
+class Side:
+    """One finger's prepared images, (B, 1, S, S) each, and the posterior inferred from them."""
+
+    reference: torch.Tensor
+    current: torch.Tensor
+    posterior: Posterior
+
+
+def objective(
+    decoder: Decoder, left: Side, right: Side, config: LossConfig
+) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    """Return the loss and its parts for one batch of equilibrium pairs."""
+    z = {"L": left.posterior.sample(), "R": right.posterior.sample()}
+    sides = {"L": left, "R": right}
+    # All four branches i → j in one pass of the decoder.
+    branches = [(i, j) for i in sides for j in sides]
+    drawn = decoder(
+        torch.cat([sides[j].reference for _, j in branches]), torch.cat([z[i] for i, _ in branches])
+    )
+    parts: dict[str, torch.Tensor] = {}
+    for (i, j), image in zip(branches, drawn.chunk(4), strict=True):
+        parts[f"recon_{i}{j}"] = reconstruction(image, sides[j], config)
+    recon = torch.stack(list(parts.values())).sum()
+    parts["kl"] = kl(left.posterior) + kl(right.posterior)
+    parts["equilibrium"] = equilibrium(z["L"], z["R"], config)
+    total = recon + config.kl_weight * parts["kl"] + config.equilibrium_weight * parts["equilibrium"]
+    return total, parts
+
+
+def reconstruction(drawn: torch.Tensor, truth: Side, config: LossConfig) -> torch.Tensor:
+    """Return weighted L1 + λ·perceptual of one branch.
+
+    Markers are sparse: plain L1 is content to copy the reference. Pixels that changed may count more.
+    """
+    change = (truth.current - truth.reference).abs()
+    weight = 1 + config.changed_pixel_weight * change  # (B, 1, S, S)
+    l1 = (weight * (drawn - truth.current).abs()).mean()
+    return l1 + config.perceptual_weight * perceptual(config)(drawn, truth.current)
+
+
+def kl(posterior: Posterior) -> torch.Tensor:
+    """Return KL(q ‖ N(0, 1)), mean over the latent's numbers."""
+    mean, log_variance = posterior
+    return 0.5 * (mean**2 + log_variance.exp() - 1 - log_variance).mean()
+
+
+def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig) -> torch.Tensor:
+    """Return ‖z_L − z_R‖² / P by patch (paper), on the pooled map, or both added."""
+    by_patch = (z_left - z_right).square().sum(-1).mean()
+    if config.equilibrium == "patch":
+        return by_patch
+    gap = pool_latent(z_left, config.pooled_grid) - pool_latent(z_right, config.pooled_grid)
+    pooled = gap.square().sum(-1).mean()
+    return pooled if config.equilibrium == "pooled" else by_patch + pooled
+
+
+def perceptual(config: LossConfig) -> Perceptual:
+    """Return the perceptual distance the config names; never another one in its place.
+
+    Raises:
+        CheckpointError: ``lpips`` without its package or backbone weights.
+        ContractError: no such distance.
+    """
+    if config.perceptual == "gradient_pyramid":
+        return lambda drawn, truth: gradient_pyramid(drawn, truth, config.pyramid_levels)
+    if config.perceptual == "lpips":
+        raise CheckpointError(
+            expected(
+                "perceptual=lpips",
+                "the lpips package and its backbone weights",
+                "neither is part of this installation",
+                "Install them and register the distance here, or use perceptual=gradient_pyramid.",
+            )
+        )
+    raise ContractError(
+        expected("perceptual", "gradient_pyramid or lpips", repr(config.perceptual), "Choose one.")
+    )
+
+
+def gradient_pyramid(drawn: torch.Tensor, truth: torch.Tensor, levels: int) -> torch.Tensor:
+    """Return the mean L1 between image gradients over ``levels`` halvings: edges at several scales."""
+    total = drawn.new_zeros(())
+    error = drawn - truth  # finite differences and averaging are linear: one pass over the error is enough
+    for _ in range(levels):
+        total = total + error.diff(dim=-1).abs().mean() + error.diff(dim=-2).abs().mean()
+        error = F.avg_pool2d(error, 2)
+    return total / levels

@@ -1,0 +1,133 @@
+"""Pretraining data on disk: equilibrium pairs drawn once, area-resized, as uint8 shards.
+
+⟨GelSight, TacTip⟩ and ⟨uSkin, TacTip⟩, TacTip on the right finger (UniForce paper, "Data Collection Protocol").
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from uniforce_vtla.contact.pairs import PairBatch, equilibrium_pairs
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.markers.mirror import to_canonical
+from uniforce_vtla.tokenizer.entry import letterbox
+
+RIGS = (("gelsight", "tactip"), ("uskin", "tactip"))
+NAMES = ("left_reference", "right_reference", "left_current", "right_current")
+
+
+@dataclass(frozen=True)
+class PairCacheConfig:
+    """How much is drawn; everything that decides the cache's content."""
+
+    side: int = 128  # pixels, the model's
+    units: int = 768  # units per rig; each has its own layout, view, stiffness and gains
+    pairs_per_unit: int = 16  # contacts felt by one unit: they share a reference
+    units_per_shard: int = 64  # one file per so many units; a killed run continues at the next shard
+    seed: int = 1  # of everything drawn
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """A batch of pairs in the canonical frame, ready for the model.
+
+    Attributes:
+        left_reference, right_reference: (U, 1, S, S) float32 in [0, 1], one per unit.
+        left_current, right_current: (U·n, 1, S, S), unit by unit.
+    """
+
+    left_reference: torch.Tensor
+    right_reference: torch.Tensor
+    left_current: torch.Tensor
+    right_current: torch.Tensor
+
+
+class PairCache:
+    """All shards in memory; draws training batches of whole units."""
+
+    def __init__(self, folder: Path, config: PairCacheConfig) -> None:
+        build_cache(folder, config)
+        shards = [_read(path) for path in _shard_paths(folder, config)]
+        self.arrays = {name: np.concatenate([shard[name] for shard in shards]) for name in NAMES}
+        self.pairs_per_unit = config.pairs_per_unit
+
+    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
+        """Return ``units`` random units with ``pairs`` random contacts each."""
+        unit = rng.integers(len(self.arrays["left_reference"]), size=units)
+        contact = np.stack([rng.permutation(self.pairs_per_unit)[:pairs] for _ in unit])  # (U, n)
+        reference = [self.arrays[name][unit] for name in NAMES[:2]]
+        current = [self.arrays[name][unit[:, None], contact] for name in NAMES[2:]]
+        left, right = (_ready(a) for a in reference)
+        return Pairs(left, _mirrored(right), _ready(current[0]), _mirrored(_ready(current[1])))
+
+
+def build_cache(folder: Path, config: PairCacheConfig) -> None:
+    """Draw the shards that are not there yet.
+
+    Raises:
+        DatasetError: the folder holds a cache of another config.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    _check_or_write_config(folder / "config.json", asdict(config))
+    for number, path in enumerate(tqdm(_shard_paths(folder, config), desc="drawing pairs")):
+        if not path.exists():
+            _write(path, _draw_shard(config, number))
+
+
+def shrink(images: np.ndarray, side: int) -> np.ndarray:
+    """Return (B, side, side) uint8 of (B, H, W) images: the tokenizer's own resize, without its mirror."""
+    small = letterbox(torch.from_numpy(images)[:, None].float(), side)[:, 0]
+    return small.round().to(torch.uint8).numpy()
+
+
+def _draw_shard(config: PairCacheConfig, number: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng([config.seed, number])
+    left, right = RIGS[number % len(RIGS)]
+    batches = [_draw_unit(rng, config, left, right) for _ in range(config.units_per_shard)]
+    references = {name: np.stack([getattr(b, name)[0] for b in batches]) for name in NAMES[:2]}
+    return references | {name: np.stack([getattr(b, name) for b in batches]) for name in NAMES[2:]}
+
+
+def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, left: str, right: str) -> PairBatch:
+    return equilibrium_pairs(
+        rng, config.pairs_per_unit, left, right, transform=lambda images: shrink(images, config.side)
+    )
+
+
+def _shard_paths(folder: Path, config: PairCacheConfig) -> list[Path]:
+    count = len(RIGS) * config.units // config.units_per_shard
+    return [folder / f"shard_{number:03d}.npz" for number in range(count)]
+
+
+def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    scratch = path.with_suffix(".tmp.npz")
+    np.savez(scratch, **arrays)  # type: ignore[arg-type]
+    scratch.replace(path)
+
+
+def _read(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path) as shard:
+        return {name: shard[name] for name in NAMES}
+
+
+def _check_or_write_config(path: Path, config: dict[str, object]) -> None:
+    if not path.exists():
+        path.write_text(json.dumps(config, indent=1))
+    elif (stored := json.loads(path.read_text())) != config:
+        raise DatasetError(expected(f"cache in {path.parent}", config, stored, "Choose another folder."))
+
+
+def _ready(images: np.ndarray) -> torch.Tensor:
+    """Return (…, S, S) uint8 as (N, 1, S, S) float32 in [0, 1]."""
+    flat = np.ascontiguousarray(images.reshape(-1, 1, *images.shape[-2:]))
+    return torch.from_numpy(flat).float() / 255
+
+
+def _mirrored(images: torch.Tensor) -> torch.Tensor:
+    return to_canonical(images, "right")

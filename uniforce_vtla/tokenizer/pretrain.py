@@ -1,0 +1,188 @@
+"""Pretraining: equilibrium pairs in, tokenizer checkpoint out. Resumable, seeded, without force labels."""
+
+from __future__ import annotations
+
+import csv
+import math
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from accelerate import Accelerator
+from tqdm import tqdm
+
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
+from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, TokenizerConfig, build_model
+from uniforce_vtla.tokenizer.pair_cache import PairCache, PairCacheConfig, Pairs
+
+
+@dataclass(frozen=True)
+class PretrainSettings:
+    """Everything a pretraining run depends on."""
+
+    model: TokenizerConfig = field(default_factory=TokenizerConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    data: PairCacheConfig = field(default_factory=PairCacheConfig)
+    steps: int = 3000  # optimiser steps
+    units_per_batch: int = 4  # units (references) in a batch
+    pairs_per_unit: int = 8  # contacts of each; 4 × 8 = 32 pairs
+    learning_rate: float = 1e-3  # peak, AdamW
+    weight_decay: float = 0.01  # AdamW
+    warmup_steps: int = 100  # linear to the peak, then cosine to 2 %
+    clip_norm: float = 1.0  # of the gradient
+    seed: int = 0  # weights, batches, latent noise
+    save_every: int = 100  # steps between checkpoints a killed run continues from
+
+
+def learning_rate(step: int, settings: PretrainSettings) -> float:
+    """Return the rate at ``step``: linear warm-up, cosine decay to 2 % of the peak."""
+    if step < settings.warmup_steps:
+        return settings.learning_rate * (step + 1) / settings.warmup_steps
+    done = (step - settings.warmup_steps) / max(1, settings.steps - settings.warmup_steps)
+    return settings.learning_rate * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, done))))
+
+
+class Pretraining:
+    """A run in ``folder``: continues where its last checkpoint stands.
+
+    Every step draws its batch and noise from (seed, step), so that a resumed run equals an uninterrupted one.
+    """
+
+    def __init__(self, settings: PretrainSettings, folder: Path, data: PairCache) -> None:
+        self.settings, self.folder, self.data = settings, folder, data
+        self.accelerator = Accelerator()
+        model = build_model(settings.model, settings.seed)
+        optimizer = torch.optim.AdamW(
+            model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+        )
+        self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
+        self.step = 0
+        self._resume()
+
+    def run(self, until: int | None = None) -> Tokenizer:
+        """Train up to ``until`` (or to the end) and return the tokenizer so far."""
+        last = self.settings.steps if until is None else min(until, self.settings.steps)
+        start = time.monotonic()
+        bar = tqdm(
+            total=last, initial=self.step, desc="pretraining", disable=not self.accelerator.is_main_process
+        )
+        while self.step < last:
+            report = self.train_step()
+            bar.update()
+            bar.set_postfix({name: f"{report[name]:.3g}" for name in ("loss", "equilibrium", "latent_std")})
+            self._log(report | {"seconds": time.monotonic() - start})
+            if self.step % self.settings.save_every == 0 or self.step == last:
+                self.save()
+        return self.tokenizer()
+
+    def train_step(self) -> dict[str, float]:
+        """Take one optimiser step; return the loss, its parts and the latent's spread."""
+        process = self.accelerator.process_index
+        rng = np.random.default_rng([self.settings.seed, self.step, process])
+        torch.manual_seed(int(rng.integers(2**62)))  # the latent's noise
+        pairs = self._to_device(
+            self.data.draw(rng, self.settings.units_per_batch, self.settings.pairs_per_unit)
+        )
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(self.step, self.settings)
+        loss, parts, spread = pair_loss(self._bare(), pairs, self.settings.loss)
+        self.optimizer.zero_grad()
+        self.accelerator.backward(loss)
+        self._average_gradients()
+        self.accelerator.clip_grad_norm_(self.model.parameters(), self.settings.clip_norm)
+        self.optimizer.step()
+        self.step += 1
+        return {"step": self.step, "loss": loss.item(), "latent_std": spread.item()} | {
+            name: part.item() for name, part in parts.items()
+        }
+
+    def tokenizer(self) -> Tokenizer:
+        """Return a frozen copy of the model as it stands."""
+        copy = ForceAutoencoder(self.settings.model)
+        copy.load_state_dict({k: v.detach().cpu().clone() for k, v in self._bare().state_dict().items()})
+        return Tokenizer(copy)
+
+    def save(self) -> None:
+        """Write the training state and a loadable tokenizer, each atomically."""
+        if not self.accelerator.is_main_process:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        state = {
+            "step": self.step,
+            "model": self._bare().state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+        }
+        scratch = self.folder / "state.tmp"
+        torch.save(state, scratch)
+        scratch.replace(self.folder / "state.pt")
+        self.tokenizer().save(self.folder / "tokenizer")
+
+    def _resume(self) -> None:
+        path = self.folder / "state.pt"
+        if path.exists():
+            state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+            self._bare().load_state_dict(state["model"])
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.step = int(state["step"])
+
+    def _bare(self) -> ForceAutoencoder:
+        return self.accelerator.unwrap_model(self.model)
+
+    def _average_gradients(self) -> None:
+        """Average over processes: the encoder is called in parts, which a wrapped forward() doesn't see."""
+        if self.accelerator.num_processes > 1:
+            for parameter in self.model.parameters():
+                if parameter.grad is not None:
+                    parameter.grad.copy_(self.accelerator.reduce(parameter.grad, "mean"))
+
+    def _to_device(self, pairs: Pairs) -> Pairs:
+        return Pairs(**{name: value.to(self.accelerator.device) for name, value in vars(pairs).items()})
+
+    def _log(self, report: dict[str, float]) -> None:
+        if not self.accelerator.is_main_process:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        path = self.folder / "log.csv"
+        fresh = not path.exists()
+        with path.open("a", newline="") as handle:
+            writer = csv.DictWriter(handle, fieldnames=list(report))
+            if fresh:
+                writer.writeheader()
+            writer.writerow({name: f"{value:.6g}" for name, value in report.items()})
+
+
+def pair_loss(
+    model: ForceAutoencoder, pairs: Pairs, config: LossConfig
+) -> tuple[torch.Tensor, dict[str, torch.Tensor], torch.Tensor]:
+    """Return loss, parts and the spread of the latent's mean over a batch."""
+    units = len(pairs.left_reference)
+    per_unit = len(pairs.left_current) // units
+    reference = torch.cat([pairs.left_reference, pairs.right_reference])  # (2U, 1, S, S)
+    current = torch.cat([pairs.left_current, pairs.right_current])  # (2U·n, 1, S, S)
+    posterior = encode_by_unit(model.encoder, reference, current, per_unit)
+    spread = posterior.mean.std(dim=0).mean()
+    references = reference.repeat_interleave(per_unit, dim=0)
+    left, right = (
+        Side(*parts)
+        for parts in zip(
+            references.chunk(2),
+            current.chunk(2),
+            (Posterior(*p) for p in zip(*(x.chunk(2) for x in posterior), strict=True)),
+            strict=True,
+        )
+    )
+    loss, parts = objective(model.decoder, left, right, config)
+    return loss, parts, spread
+
+
+def encode_by_unit(
+    encoder: Encoder, reference: torch.Tensor, current: torch.Tensor, per_unit: int
+) -> Posterior:
+    """Encode each reference once and its ``per_unit`` current images with it."""
+    cache = encoder.encode_reference(reference)
+    repeated = [tuple(part.repeat_interleave(per_unit, dim=0) for part in kept) for kept in cache]
+    return encoder.encode_current(repeated, current)  # type: ignore[arg-type]
