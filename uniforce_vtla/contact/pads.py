@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_vtla.contact.grid import CELL_MM, cell_positions_mm
+from uniforce_vtla.contact.grid import CELL_MM, GRID_CELLS, cell_positions_mm
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.sensors import SensorSpec
 
 _LARGE_MM = 1e3  # stands in for "no object here" in sums, where inf would give NaN
@@ -29,7 +30,15 @@ class Pad:
     dome_mm: np.ndarray
 
     def total_gap_mm(self, gap_mm: np.ndarray) -> np.ndarray:
-        """Return (B, C) distance from skin to object, given (B, G, G) gaps to the tangent plane."""
+        """Return (B, C) distance from skin to object, given (B, G, G) gaps to the tangent plane.
+
+        Raises:
+            ContractError: a gap map of another grid, or NaN in it.
+        """
+        if gap_mm.shape[1:] != (GRID_CELLS, GRID_CELLS) or np.isnan(gap_mm).any():
+            came = "NaN" if gap_mm.shape[1:] == (GRID_CELLS, GRID_CELLS) else gap_mm.shape
+            wanted = f"numbers or inf, (B, {GRID_CELLS}, {GRID_CELLS})"
+            raise ContractError(expected("gap_mm", wanted, came, "Use contact.indenters."))
         flat = gap_mm.reshape(len(gap_mm), -1)[:, self.cells]  # (B, C)
         return np.minimum(flat + self.dome_mm, np.float32(_LARGE_MM)).astype(np.float32)
 

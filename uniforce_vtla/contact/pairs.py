@@ -11,7 +11,7 @@ from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.mirror import mirrored
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
-from uniforce_vtla.contact.views import Transform, draw_simulator, images_of
+from uniforce_vtla.contact.views import Transform, draw_simulator, images_of, rows_of, slices
 from uniforce_vtla.contracts import ContactState
 
 
@@ -44,12 +44,14 @@ class PairSettings:
         force_range: bounds of the loads.
         flat_share: share of flat faces (the side of a held tool) beside the named indenters.
         unit_strength: unit-to-unit variation; 0 for drawings only.
+        pairs_per_unit: pairs felt by the same two units before others take over.
         options: terms of the contact model.
     """
 
     force_range: ForceRange = field(default_factory=ForceRange)
     flat_share: float = 0.15  # the wiping eraser presses a flat side, which no indenter resembles
     unit_strength: float = 1.0
+    pairs_per_unit: int = 64  # building a unit takes as long as some twenty images
     options: ContactOptions = field(default_factory=ContactOptions)
 
 
@@ -63,7 +65,7 @@ def equilibrium_pairs(
     settings: PairSettings | None = None,
     transform: Transform | None = None,
 ) -> PairBatch:
-    """Return ``n`` pairs from one unit of each sensor.
+    """Return ``n`` pairs, felt by several units of each sensor.
 
     Args:
         rng: draws units, objects, loads and noise.
@@ -107,9 +109,12 @@ def _views(
     settings: PairSettings,
     transform: Transform | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return (n, …) references and currents of one finger."""
-    simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options)
-    reference = simulator.reference()[None]
-    current = images_of(simulator, contact, transform)
-    kept = transform(reference) if transform else reference
-    return np.repeat(kept, len(current), axis=0), current
+    """Return (n, …) references and currents of one finger, a fresh unit every ``pairs_per_unit`` pairs."""
+    references, currents = [], []
+    for part in slices(len(contact.gap_mm), settings.pairs_per_unit):
+        simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options)
+        currents.append(images_of(simulator, rows_of(contact, part), transform))
+        reference = simulator.reference()[None]
+        kept = transform(reference) if transform else reference
+        references.append(np.repeat(kept, len(currents[-1]), axis=0))
+    return np.concatenate(references), np.concatenate(currents)

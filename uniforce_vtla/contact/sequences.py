@@ -42,10 +42,11 @@ def force_sequences(
     force_range: ForceRange = PAPER_RANGE,
     unit_strength: float = 1.0,
     flat_share: float = 0.0,
+    units: int = 8,
     options: ContactOptions | None = None,
     transform: Transform | None = None,
 ) -> SequenceBatch:
-    """Return ``n`` sequences of ``length`` frames, each from its own unit.
+    """Return ``n`` sequences of ``length`` frames.
 
     Args:
         rng: draws everything.
@@ -56,14 +57,17 @@ def force_sequences(
         force_range: bounds; the default is the paper's 0–12 N and ±3 N.
         unit_strength: unit-to-unit variation, 0 for the drawing.
         flat_share: share of flat faces beside the indenters.
+        units: how many units of the sensor take turns.
         options: terms of the contact model.
         transform: applied to (B, 480, 640) images before they are kept.
     """
     objects = sample_objects(rng, n, indenters, flat_share)
     force = np.stack([press_shear_release(rng, length, force_range) for _ in range(n)])
+    options = options or ContactOptions()
+    pool = [draw_simulator(rng, sensor, unit_strength, options) for _ in range(min(units, n))]
     references, frames = [], []
-    for gap, load in zip(objects.gap_mm, force, strict=True):
-        simulator = draw_simulator(rng, sensor, unit_strength, options or ContactOptions())
+    for index, (gap, load) in enumerate(zip(objects.gap_mm, force, strict=True)):
+        simulator = pool[index % len(pool)]
         contact = ContactState(np.repeat(gap[None], length, axis=0), load, np.zeros(length, np.float32))
         reference = simulator.reference()[None]
         references.append((transform(reference) if transform else reference)[0])

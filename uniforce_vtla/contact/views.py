@@ -24,12 +24,22 @@ def draw_simulator(
     return TactileSimulator(sensor, unit, options, seed=int(rng.integers(2**31)))
 
 
-def images_of(simulator: TactileSimulator, contact: ContactState, transform: Transform | None) -> np.ndarray:
-    """Return images chunk by chunk, so that only a transform's (small) results pile up."""
+def slices(n: int, size: int) -> list[slice]:
+    """Return slices that cut ``n`` rows into pieces of ``size``, the last one shorter."""
+    return [slice(start, min(start + size, n)) for start in range(0, n, size)]
+
+
+def rows_of(contact: ContactState, rows: slice) -> ContactState:
+    """Return some rows of a batch of contacts."""
+    return ContactState(contact.gap_mm[rows], contact.force_N[rows], contact.torsion_Nmm[rows])
+
+
+def images_of(
+    simulator: TactileSimulator, contact: ContactState, transform: Transform | None = None
+) -> np.ndarray:
+    """Return (B, …) images chunk by chunk, so that only a transform's (small) results pile up."""
     chunks = []
-    for start in range(0, len(contact.gap_mm), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        state = ContactState(contact.gap_mm[part], contact.force_N[part], contact.torsion_Nmm[part])
-        images = simulator.marker_images(state)
+    for part in slices(len(contact.gap_mm), _CHUNK):
+        images = simulator.marker_images(rows_of(contact, part))
         chunks.append(transform(images) if transform else images)
     return np.concatenate(chunks)
