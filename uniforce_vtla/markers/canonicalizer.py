@@ -1,0 +1,166 @@
+"""Raw signal of any known sensor → canonical marker image."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+
+from uniforce_vtla.contracts import Finger, MarkerPair, check_finger
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.camera_markers import Segmentation, segment
+from uniforce_vtla.markers.marker_plan import MarkerPlan, SegmentationSettings
+from uniforce_vtla.markers.reference import NoContactCheck, refuse_pressed_reference
+from uniforce_vtla.markers.taxel_render import (
+    Saturation,
+    TaxelDiscs,
+    TaxelScales,
+    check_alive,
+    check_counts,
+    draw_discs,
+    place_discs,
+)
+from uniforce_vtla.sensors import get_sensor
+
+
+class Canonicalizer:
+    """Turns one sensor's raw signal into marker images, as the sensor sees them (never flipped).
+
+    Cameras: the way to see the markers (channel, polarity, scale) is found in each frame, or kept from the reference
+    once there is one. Taxels: counts are drawn relative to the reference.
+
+    Attributes:
+        sensor: registry name.
+        saturation: what taxel rendering had to clip so far; stays 0 for cameras.
+    """
+
+    def __init__(
+        self,
+        sensor: str,
+        taxel_scales: TaxelScales | None = None,
+        segmentation: SegmentationSettings | None = None,
+        no_contact: NoContactCheck | None = None,
+    ) -> None:
+        self.spec = get_sensor(sensor)
+        self.sensor = sensor
+        self.saturation = Saturation()
+        self._taxel_scales = taxel_scales or TaxelScales()
+        self._segmentation = segmentation or SegmentationSettings()
+        self._no_contact = no_contact or NoContactCheck()
+        self._reference_counts: np.ndarray | None = None
+        self._plan: MarkerPlan | None = None
+        self._seen_reference: tuple[np.ndarray, Segmentation] | None = None
+
+    @property
+    def version(self) -> str:
+        """Name of the drawing or finding method; changes whenever equal raw input would give another image."""
+        return self._taxel_scales.version if self._is_taxel else self._segmentation.version
+
+    @property
+    def scales(self) -> dict[str, object]:
+        """Every number the image depends on, by name, for storing and hashing."""
+        return self._taxel_scales.as_dict() if self._is_taxel else asdict(self._segmentation)
+
+    def set_reference(self, raw: np.ndarray) -> None:
+        """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.
+
+        Counts of zero are taken as a stream that was tared before; a dead sensor shows at its first scan.
+
+        Raises:
+            ContractError: wrong shape or dtype.
+            SensorError: a camera frame without markers.
+        """
+        if self._is_taxel:
+            self._reference_counts = check_counts(raw, "uSkin reference")
+        else:
+            self._plan = self._segment(raw, None).plan
+
+    def pair(
+        self, reference_raw: np.ndarray, current_raw: np.ndarray, finger: Finger, reference_from: str = "own"
+    ) -> MarkerPair:
+        """Return the marker pair of two raw signals of one sensor; leaves ``set_reference`` as it was.
+
+        Args:
+            reference_raw: free-air frame (H, W, 3) uint8 RGB, or (16, 3) integer counts.
+            current_raw: the same, now.
+            finger: the finger that wears the sensor.
+            reference_from: "own", or where a borrowed reference came from.
+
+        Raises:
+            ContractError: shape, dtype or finger outside the contract, or frames of different size.
+            SensorError: no markers, dark, dead, or a reference that was pressed.
+        """
+        check_finger(finger)
+        images = self._taxel_pair if self._is_taxel else self._camera_pair
+        reference, current = images(reference_raw, current_raw)
+        return MarkerPair(reference, current, finger, self.sensor, reference_from)
+
+    def marker_image(self, raw: np.ndarray) -> np.ndarray:
+        """Return the (480, 640) uint8 image in {0, 255} of a frame (H, W, 3) uint8 RGB or counts (16, 3).
+
+        Raises:
+            ContractError: wrong shape or dtype, or taxels without a reference.
+            SensorError: no markers, dark or dead.
+        """
+        if not self._is_taxel:
+            return self._segment(raw, self._plan).image
+        discs = self._discs(raw, self._known_reference())
+        self.saturation.add(discs)
+        return draw_discs(discs)
+
+    def markers(self, raw: np.ndarray) -> np.ndarray:
+        """Return (M, 2) float32 marker centres, x right and y down, in px of the canonical image.
+
+        Raises:
+            ContractError: as ``marker_image``.
+            SensorError: as ``marker_image``.
+        """
+        if not self._is_taxel:
+            return self._segment(raw, self._plan).centres_px
+        return self._discs(raw, self._known_reference()).centres_px
+
+    @property
+    def _is_taxel(self) -> bool:
+        return self.spec.signal == "taxel"
+
+    def _segment(self, raw: np.ndarray, plan: MarkerPlan | None) -> Segmentation:
+        return segment(raw, self._segmentation, self.spec.dome_radius_mm is not None, plan)
+
+    def _camera_pair(
+        self, reference_raw: np.ndarray, current_raw: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        reference = self._segment_reference(reference_raw)
+        shapes = np.shape(reference_raw), np.shape(current_raw)
+        if shapes[0] != shapes[1]:
+            do = "Use one camera setting for both."
+            raise ContractError(expected("current frame", shapes[0], shapes[1], do))
+        return reference.image, self._segment(current_raw, reference.plan).image
+
+    def _segment_reference(self, raw: np.ndarray) -> Segmentation:
+        """Segment a reference once: a stream pairs every frame with the same one."""
+        seen = self._seen_reference
+        if seen is not None and np.array_equal(seen[0], raw):
+            return seen[1]
+        segmentation = self._segment(raw, None)
+        self._seen_reference = (raw.copy(), segmentation)
+        return segmentation
+
+    def _taxel_pair(
+        self, reference_raw: np.ndarray, current_raw: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        reference = check_counts(reference_raw, "uSkin reference")
+        discs = self._discs(current_raw, reference)
+        refuse_pressed_reference(current_raw.astype(np.int64) - reference, self._no_contact)
+        self.saturation.add(discs)
+        return draw_discs(place_discs(np.zeros_like(reference), self._taxel_scales)), draw_discs(discs)
+
+    def _discs(self, raw: np.ndarray, reference: np.ndarray) -> TaxelDiscs:
+        counts = check_counts(raw)
+        check_alive(counts)
+        return place_discs(counts - reference, self._taxel_scales)
+
+    def _known_reference(self) -> np.ndarray:
+        if self._reference_counts is None:
+            do = "Call set_reference(counts) with a free-air scan first."
+            raise ContractError(expected("uSkin reference", "(16, 3) counts in free air", "none", do))
+        return self._reference_counts

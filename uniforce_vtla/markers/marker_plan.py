@@ -1,0 +1,203 @@
+"""How markers differ from the gel in a camera frame: which channel, which polarity, which scale. Found, not set.
+
+Every candidate is tried at half resolution and scored by how much its blobs look like markers: contrast against what
+is left between them, agreement in size, and the even spacing of a pattern. Nothing assumes a grid or a count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from uniforce_vtla.errors import SensorError, expected
+
+CHANNELS = ("value", "gray", "blue", "yellow")
+POLARITIES = (1, -1)  # markers brighter or darker than the gel
+
+
+@dataclass(frozen=True)
+class SegmentationSettings:
+    """Every threshold of the marker finder; lengths in px of the canonical image, the rest relative."""
+
+    version: str = "camera-dog-1"
+    backgrounds_px: tuple[int, ...] = (19, 39, 79)  # box widths: from 331 pins to 25 large squares
+    smooth_px: int = 3  # below the smallest pin (≈ 6 px)
+    peak_fraction: float = 0.5  # a marker's edge lies at half its own peak
+    floor_fraction: float = 0.25  # of the typical peak: weaker blobs aren't markers
+    ceiling_fraction: float = 0.9  # keeps a reflection from hiding the markers beside it
+    min_contrast: float = 6.0  # grey levels; camera noise after smoothing stays below
+    min_markers: int = 12  # fewer can't show a pattern
+    area_range: tuple[float, float] = (0.25, 3.5)  # of the median area
+    elongation_max: float = 3.0  # of the median elongation: streaks go, dashes stay
+    isolation_max: float = 2.6  # of the median neighbour distance: lone blobs go
+    min_inliers: float = 0.4  # share of blobs that agree in size
+    max_spacing_ratio: float = 1.6  # third to first neighbour: 1–1.4 in patterns, 1.85 in random points
+    min_score: float = 12.0  # markerless gels score ≤ 2, weak patterns ≥ 25
+
+
+@dataclass(frozen=True)
+class MarkerPlan:
+    """One way to see the markers: a channel, a polarity (+1 bright, −1 dark) and a background width in px."""
+
+    channel: str
+    polarity: int
+    background_px: int
+
+
+@dataclass(frozen=True)
+class Blobs:
+    """Connected components of one threshold pass.
+
+    Attributes:
+        labels: (h, w) int32, 0 is background.
+        boxes: (N, 5) int32, cv2 statistics of labels 1…N: left, top, width, height, area.
+        centres: (N, 2) float64, x, y.
+        typical: amplitude of a typical marker, grey levels.
+        leftover: mean response outside all blobs, grey levels.
+    """
+
+    labels: np.ndarray
+    boxes: np.ndarray
+    centres: np.ndarray
+    typical: float
+    leftover: float
+
+
+def channel_image(frame: np.ndarray, channel: str) -> np.ndarray:
+    """Return one (h, w) uint8 view of an (h, w, 3) RGB frame."""
+    if channel == "gray":
+        return cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY)
+    red, green, blue = cv2.split(frame)
+    if channel == "blue":
+        return blue
+    if channel == "value":
+        return cv2.max(cv2.max(red, green), blue)
+    return cv2.addWeighted(cv2.addWeighted(red, 0.5, green, 0.5, 0), 0.5, blue, -0.5, 128)  # yellow − blue
+
+
+def find_blobs(
+    view: np.ndarray, plan: MarkerPlan, settings: SegmentationSettings, halve: int = 1
+) -> Blobs | None:
+    """Return the blobs of ``view`` under ``plan``; None where nothing stands out.
+
+    ``halve`` is 2 when the view is at half the canonical resolution. The threshold is local: half of the strongest
+    response nearby, so that vignetting and blur don't change a marker's size.
+    """
+    width = plan.background_px // halve | 1
+    response = _response(view, plan.polarity, width, settings.smooth_px)
+    nearby = cv2.dilate(response, np.ones((width // 3 | 1, width // 3 | 1), np.uint8))
+    typical = _typical_peak(response[(response == nearby) & (response >= settings.min_contrast / 2)])
+    if typical < settings.min_contrast:
+        return None
+    floor, ceiling = settings.floor_fraction * typical, settings.ceiling_fraction * typical
+    threshold = np.clip(np.arange(256) * settings.peak_fraction, floor, ceiling).astype(np.uint8)
+    mask = cv2.compare(response, cv2.LUT(nearby, threshold), cv2.CMP_GT)
+    count, labels, boxes, centres = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    leftover = cv2.mean(response, cv2.bitwise_not(mask))[0]
+    return Blobs(labels, boxes[1:], centres[1:], typical, leftover) if count > 1 else None
+
+
+def keep_markers(blobs: Blobs, settings: SegmentationSettings) -> np.ndarray:
+    """Return (N,) bool: blobs that agree with the rest in size, shape and spacing."""
+    area = blobs.boxes[:, 4]
+    solid = area >= 4
+    if solid.sum() < settings.min_markers:
+        return np.zeros(len(area), bool)
+    median = np.median(area[solid])
+    lowest, highest = settings.area_range
+    least = np.where(_touches_border(blobs), lowest * 0.4, lowest) * median  # the frame cuts border markers
+    keep = solid & (area >= least) & (area <= highest * median)
+    sides = blobs.boxes[:, 2:4].astype(float)
+    elongation = sides.max(axis=1) / sides.min(axis=1)
+    keep &= (elongation <= settings.elongation_max * np.median(elongation[solid])) | _touches_border(blobs)
+    return keep & _has_neighbours(blobs.centres, keep, settings)
+
+
+def score_blobs(blobs: Blobs, keep: np.ndarray, settings: SegmentationSettings) -> float:
+    """Return how much the kept blobs look like a marker pattern; 0 where they can't be one."""
+    area = blobs.boxes[:, 4]
+    inliers = keep.sum() / max(1, np.count_nonzero(area >= 4))
+    if keep.sum() < settings.min_markers or inliers < settings.min_inliers:
+        return 0.0
+    ratio = spacing_ratio(blobs.centres[keep])
+    if ratio > settings.max_spacing_ratio:
+        return 0.0
+    kept = area[keep]
+    spread = np.median(np.abs(kept - np.median(kept))) / np.median(kept)
+    contrast = blobs.typical / (blobs.leftover + 1)
+    return float(keep.sum() ** 0.6 * inliers * contrast / ratio**2 / (1 + 2 * spread))
+
+
+def spacing_ratio(centres: np.ndarray) -> float:
+    """Return the median ratio of third to first neighbour distance of (M, 2) points, M ≥ 4.
+
+    It is near 1 for square and hexagonal patterns under any smooth distortion, and 1.85 for points at random.
+    Points too few for border-free neighbourhoods use the second neighbour, which says the same.
+    """
+    distance = cKDTree(centres).query(centres, k=4)[0]  # (M, 4), the first is the point itself
+    if len(centres) < 64:
+        return float(np.median(distance[:, 2] / distance[:, 1]) ** 1.5)
+    return float(np.median(distance[:, 3] / distance[:, 1]))
+
+
+def choose_plan(frame: np.ndarray, settings: SegmentationSettings) -> tuple[MarkerPlan, float]:
+    """Return the plan that shows markers best in an (h, w, 3) RGB working frame, and its score.
+
+    Raises:
+        SensorError: no plan shows anything like a marker pattern.
+    """
+    half = cv2.resize(frame, (frame.shape[1] // 2, frame.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    views = {channel: channel_image(half, channel) for channel in CHANNELS}
+    plans = [MarkerPlan(*parts) for parts in product(CHANNELS, POLARITIES, settings.backgrounds_px)]
+    scores = [_score_plan(views[plan.channel], plan, settings) for plan in plans]
+    best = int(np.argmax(scores))
+    if scores[best] < settings.min_score:
+        came = f"no pattern of dots in any channel (score {scores[best]:.1f}, needs {settings.min_score:g})"
+        do = "Is this a gel without markers, out of focus, or unlit?"
+        raise SensorError(expected("camera frame", "markers on the gel", came, do))
+    return plans[best], scores[best]
+
+
+def _score_plan(view: np.ndarray, plan: MarkerPlan, settings: SegmentationSettings) -> float:
+    blobs = find_blobs(view, plan, settings, halve=2)
+    return 0.0 if blobs is None else score_blobs(blobs, keep_markers(blobs, settings), settings)
+
+
+def _response(view: np.ndarray, polarity: int, background_px: int, smooth_px: int) -> np.ndarray:
+    """Return the one-sided difference of box filters, uint8: how far a pixel stands out in its surroundings."""
+    smooth = cv2.blur(view, (smooth_px, smooth_px))
+    background = cv2.blur(smooth, (background_px, background_px))
+    return cv2.subtract(smooth, background) if polarity > 0 else cv2.subtract(background, smooth)
+
+
+def _typical_peak(peaks: np.ndarray) -> float:
+    """Return the median of the stronger of two groups of peaks (Otsu's split in log amplitude); 0 if too few."""
+    histogram = np.bincount(peaks, minlength=256).astype(float)
+    if histogram.sum() < 4:
+        return 0.0
+    level = np.log(np.maximum(np.arange(256), 1))
+    count, mass = np.cumsum(histogram), np.cumsum(histogram * level)
+    below, above = np.maximum(count, 1), np.maximum(count[-1] - count, 1)
+    between = count * (count[-1] - count) * ((mass[-1] - mass) / above - mass / below) ** 2
+    strong = histogram * (np.arange(256) > int(np.argmax(between))) if between.max() > 0 else histogram
+    return float(np.searchsorted(np.cumsum(strong), strong.sum() / 2))
+
+
+def _touches_border(blobs: Blobs) -> np.ndarray:
+    rows, columns = blobs.labels.shape
+    left, top, width, height = blobs.boxes[:, :4].T
+    return (left == 0) | (top == 0) | (left + width == columns) | (top + height == rows)
+
+
+def _has_neighbours(centres: np.ndarray, keep: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
+    """Return (N,) bool: kept blobs whose second neighbour is about as near as everyone's."""
+    if keep.sum() < 4:
+        return keep
+    distance = cKDTree(centres[keep]).query(centres[keep], k=3)[0][:, 2]
+    near = keep.copy()
+    near[keep] = distance <= settings.isolation_max * np.median(distance)
+    return near

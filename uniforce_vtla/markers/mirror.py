@@ -1,0 +1,55 @@
+"""The one mirror: nothing else in this project flips a tactile image or a force.
+
+Devices, datasets and the simulator store what each sensor sees. Facing fingers see a shared load mirrored, so the
+right finger's image is flipped horizontally where the tokenizer takes it in, and forces come out in that canonical
+frame (the left finger's own).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from uniforce_vtla.contracts import Finger, check_finger
+from uniforce_vtla.errors import ContractError, expected
+
+if TYPE_CHECKING:
+    import torch
+
+Array = TypeVar("Array", np.ndarray, "torch.Tensor")
+
+MIRROR_FORCE = (-1.0, 1.0, 1.0)  # a horizontal flip turns x round; y and z stay
+
+
+def to_canonical(image: Array, finger: Finger) -> Array:
+    """Return ``image`` (..., H, W), numpy or torch, as the left finger would see it.
+
+    The left finger's image comes back as it is; the right finger's is flipped along its last axis. Applied twice it
+    is the identity.
+
+    Raises:
+        ContractError: unknown finger, or fewer than two axes.
+    """
+    if image.ndim < 2:
+        raise ContractError(expected("image", "(..., H, W)", tuple(image.shape), "Pass whole images."))
+    if check_finger(finger) == "left":
+        return image
+    if isinstance(image, np.ndarray):
+        return np.ascontiguousarray(image[..., ::-1])  # torch refuses negative strides
+    return image.flip(-1)
+
+
+def to_finger_frame(force_N: Array, finger: Finger) -> Array:
+    """Return force (..., 3) N from the canonical frame to the finger's own; its own inverse.
+
+    Raises:
+        ContractError: unknown finger, or a last axis other than 3.
+    """
+    if force_N.ndim < 1 or force_N.shape[-1] != 3:
+        raise ContractError(expected("force", "(..., 3) N", tuple(force_N.shape), "Pass fx, fy, fz."))
+    if check_finger(finger) == "left":
+        return force_N
+    if isinstance(force_N, np.ndarray):
+        return (force_N * np.asarray(MIRROR_FORCE)).astype(np.result_type(force_N.dtype, np.float32))
+    return force_N * force_N.new_tensor(MIRROR_FORCE)

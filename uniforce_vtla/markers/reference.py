@@ -1,0 +1,117 @@
+"""Free-air references: taken from several frames, and refused where they can be known to be in contact.
+
+What can be known: a touch that moves or changes shows within the frames; a tared taxel pressed at the reference reads
+negative once released; taxels far from a stored resting level are loaded. What can't: a steady touch on a gel seen by
+a camera, or on taxels whose resting level nobody stored. It looks like free air, and no check here claims otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from uniforce_vtla.contracts import TAXEL_SHAPE
+from uniforce_vtla.errors import ContractError, SensorError, expected
+from uniforce_vtla.markers.taxel_render import check_alive, check_counts
+
+
+@dataclass(frozen=True)
+class NoContactCheck:
+    """When a reference counts as touched."""
+
+    min_frames: int = 3  # fewer can't show motion
+    max_taxel_std: float = 15.0  # counts; real sensors at rest: 1.1–2.6
+    max_rest_offset: float = 150.0  # counts from the stored resting level; a light touch gives 300
+    max_marker_motion_px: float = 2.0  # 90th percentile over markers; segmentation jitter stays below 0.5
+    pressed_counts: float = 300.0  # a taxel this far *below* its reference was pressed then
+    pressed_taxels: int = (
+        4  # so many of 16: one alone may be cross-talk (0.4 % of real taxels read below −30)
+    )
+
+
+def capture_taxel_reference(
+    scans: Sequence[np.ndarray], check: NoContactCheck | None = None, resting_level: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the (16, 3) int64 median of several free-air scans of (16, 3) counts.
+
+    Args:
+        scans: consecutive raw scans, at least ``check.min_frames``.
+        check: limits.
+        resting_level: (16, 3) counts known to be free air, if any; without it a steady touch can't be seen.
+
+    Raises:
+        ContractError: too few scans, or one that isn't (16, 3) integers.
+        SensorError: dead, moving between scans, or far from the resting level.
+    """
+    limits = check or NoContactCheck()
+    _check_enough(len(scans), limits)
+    counts = np.stack([check_counts(np.asarray(scan), "uSkin reference") for scan in scans])  # (N, 16, 3)
+    for scan in counts:
+        check_alive(scan)
+    moved = float(counts.std(axis=0).max())
+    if moved > limits.max_taxel_std:
+        _refuse(
+            f"taxels steady within {limits.max_taxel_std:g} counts", f"a standard deviation of {moved:.0f}"
+        )
+    reference = np.rint(np.median(counts, axis=0)).astype(np.int64)
+    if resting_level is not None:
+        _check_resting(reference, check_counts(np.asarray(resting_level), "resting level"), limits)
+    return reference
+
+
+def capture_camera_reference(
+    frames: Sequence[np.ndarray], centres_px: Sequence[np.ndarray], check: NoContactCheck | None = None
+) -> np.ndarray:
+    """Return the pixel-wise median of several (H, W, 3) uint8 frames whose markers hold still.
+
+    Args:
+        frames: consecutive camera frames of one size.
+        centres_px: their marker centres, from ``Canonicalizer.markers``.
+        check: limits.
+
+    Raises:
+        ContractError: too few frames, or of different sizes.
+        SensorError: markers move between the frames.
+    """
+    limits = check or NoContactCheck()
+    _check_enough(min(len(frames), len(centres_px)), limits)
+    if len({frame.shape for frame in frames}) > 1:
+        raise ContractError(expected("reference frames", "one size", "several", "Use one camera setting."))
+    motion = max(marker_motion_px(centres_px[0], centres) for centres in centres_px[1:])
+    if motion > limits.max_marker_motion_px:
+        _refuse(f"markers still within {limits.max_marker_motion_px:g} px", f"a motion of {motion:.1f} px")
+    return np.median(np.stack(frames), axis=0).astype(np.uint8)
+
+
+def marker_motion_px(before: np.ndarray, after: np.ndarray) -> float:
+    """Return the 90th percentile of the distance from (M, 2) markers to the nearest in (N, 2)."""
+    return float(np.percentile(cKDTree(after).query(before)[0], 90))
+
+
+def refuse_pressed_reference(delta_counts: np.ndarray, check: NoContactCheck) -> None:
+    """Raise SensorError where (16, 3) counts above the reference show that the reference was pressed."""
+    released = int((delta_counts[:, 2] < -check.pressed_counts).sum())
+    if released >= check.pressed_taxels and delta_counts[:, 2].sum() < 0:
+        _refuse("taxels at or above it", f"{released} of {TAXEL_SHAPE[0]} far below it")
+
+
+def _check_enough(count: int, limits: NoContactCheck) -> None:
+    if count < limits.min_frames:
+        wanted = f"at least {limits.min_frames} frames"
+        raise ContractError(expected("reference", wanted, count, "Record a little longer in free air."))
+
+
+def _check_resting(reference: np.ndarray, resting: np.ndarray, limits: NoContactCheck) -> None:
+    offset = int(np.abs(reference - resting).max())
+    if offset > limits.max_rest_offset:
+        _refuse(
+            f"taxels within {limits.max_rest_offset:g} counts of the resting level", f"{offset} counts off"
+        )
+
+
+def _refuse(wanted: str, came: str) -> None:
+    do = "It was in contact: open the gripper and take it again in free air."
+    raise SensorError(expected("reference", wanted, came, do))

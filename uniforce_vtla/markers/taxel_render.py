@@ -1,0 +1,134 @@
+"""Taxel counts → canonical marker image: one white disc per taxel, moved by shear, swollen by pressure.
+
+The picture is the one the GenForce collection rig draws (facts: canvas axes −1…4 both ways, y up): taxel i rests at
+column i mod 4, row i div 4 *from the bottom*. Shear counts move the disc, normal counts grow its area.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import cv2
+import numpy as np
+
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, TAXEL_SHAPE
+from uniforce_vtla.errors import ContractError, SensorError, expected
+
+SUBPIXEL_BITS = 4  # cv2 takes fixed-point centres; 1/16 px is far below a pixel
+
+
+@dataclass(frozen=True)
+class TaxelScales:
+    """How counts become geometry. A checkpoint stores and hashes these: change one, change ``version``."""
+
+    version: str = "uskin-collection-1"
+    counts_per_pitch: float = 2000.0  # S: shear counts that move a disc by one taxel pitch
+    area_rest_pt2: float = 100.0  # matplotlib "points²" at rest: 13.9 px across
+    area_per_count_pt2: float = 1.0  # k: growth of the area per normal count
+    area_max_pt2: float = 6000.0  # 107.6 px across; beyond it the disc saturates
+    shift_max_pitch: float = 0.8  # shear beyond this is clipped, so that taxels don't change places
+    edge_pitch: float = 0.6  # a disc's centre stays this far from the outermost taxels, still on the canvas
+    px_per_pt: float = 100.0 / 72.0  # the rig draws at 100 dots per inch
+
+    def as_dict(self) -> dict[str, object]:
+        """Return every scale by name, for storing and hashing."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class TaxelDiscs:
+    """Where the discs are, and which were clipped.
+
+    Attributes:
+        centres_px: (16, 2) float32, x right and y down in the 480×640 image.
+        radii_px: (16,) float32.
+        radius_saturated: (16,) bool, pressed beyond ``area_max_pt2``.
+        xy_saturated: (16,) bool, sheared beyond ``shift_max_pitch``.
+    """
+
+    centres_px: np.ndarray
+    radii_px: np.ndarray
+    radius_saturated: np.ndarray
+    xy_saturated: np.ndarray
+
+
+@dataclass
+class Saturation:
+    """Counts what rendering had to clip, since a clipped taxel hides force."""
+
+    frames: int = 0
+    frames_saturated: int = 0
+    taxels_radius: int = 0
+    taxels_xy: int = 0
+
+    def add(self, discs: TaxelDiscs) -> None:
+        """Count one rendered frame."""
+        self.frames += 1
+        self.frames_saturated += int((discs.radius_saturated | discs.xy_saturated).any())
+        self.taxels_radius += int(discs.radius_saturated.sum())
+        self.taxels_xy += int(discs.xy_saturated.sum())
+
+    def as_dict(self) -> dict[str, int]:
+        """Return the counts by name."""
+        return asdict(self)
+
+
+def check_counts(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
+    """Return (16, 3) integer counts as int64.
+
+    Raises:
+        ContractError: not an integer array of shape (16, 3).
+    """
+    shape, dtype = getattr(counts, "shape", None), getattr(counts, "dtype", type(counts).__name__)
+    if (
+        not isinstance(counts, np.ndarray)
+        or shape != TAXEL_SHAPE
+        or not np.issubdtype(counts.dtype, np.integer)
+    ):
+        do = "Pass raw integer counts, one row (x, y, z) per taxel; NaN and fractions aren't counts."
+        raise ContractError(expected(name, f"integers {TAXEL_SHAPE}", f"{dtype} {shape}", do))
+    return counts.astype(np.int64)  # uint16 would wrap round in the subtraction
+
+
+def check_alive(counts: np.ndarray) -> None:
+    """Raise SensorError if every count is zero: a live taxel never reads exactly zero on all axes."""
+    if not counts.any():
+        raise SensorError(
+            expected("uSkin counts", "a live scan", "48 zeros", "Check power and cable of the sensor.")
+        )
+
+
+def place_discs(delta_counts: np.ndarray, scales: TaxelScales) -> TaxelDiscs:
+    """Return the discs that (16, 3) counts above the reference are drawn as."""
+    taxel = np.arange(TAXEL_SHAPE[0])
+    rest = np.stack([taxel % 4, taxel // 4], axis=1)  # (16, 2) in pitches, y up
+    shift = delta_counts[:, :2] / scales.counts_per_pitch
+    limit = scales.shift_max_pitch
+    position = np.clip(rest + np.clip(shift, -limit, limit), -scales.edge_pitch, 3 + scales.edge_pitch)
+    area = scales.area_rest_pt2 + scales.area_per_count_pt2 * delta_counts[:, 2]
+    radii = np.sqrt(np.clip(area, scales.area_rest_pt2, scales.area_max_pt2)) * scales.px_per_pt / 2
+    return TaxelDiscs(
+        centres_px=_to_pixels(position).astype(np.float32),
+        radii_px=radii.astype(np.float32),
+        radius_saturated=area > scales.area_max_pt2,
+        xy_saturated=(np.abs(shift) > limit).any(axis=1),
+    )
+
+
+def draw_discs(discs: TaxelDiscs) -> np.ndarray:
+    """Return the (480, 640) uint8 image of white discs on black, strictly binary."""
+    image = np.zeros(MARKER_IMAGE_SHAPE, np.uint8)
+    one = 1 << SUBPIXEL_BITS
+    centres = np.rint(discs.centres_px * one).astype(int).tolist()
+    radii = np.rint(discs.radii_px * one).astype(int).tolist()
+    for centre, radius in zip(centres, radii, strict=True):
+        cv2.circle(image, centre, radius, 255, cv2.FILLED, cv2.LINE_8, SUBPIXEL_BITS)
+    return image
+
+
+def _to_pixels(position_pitch: np.ndarray) -> np.ndarray:
+    """Map (M, 2) canvas positions (y up, axes −1…4) to pixel centres (y down)."""
+    rows, columns = MARKER_IMAGE_SHAPE
+    x = (position_pitch[:, 0] + 1) * columns / 5  # the canvas is 5 pitches wide
+    y = rows - (position_pitch[:, 1] + 1) * rows / 5
+    return np.stack([x, y], axis=1) - 0.5  # the first pixel's centre is 0, its edge −0.5
