@@ -54,6 +54,16 @@ def sensor_key(finger: Finger) -> str:
     return f"provenance.sensor.{finger}"
 
 
+def time_key(finger: Finger) -> str:
+    """Per-frame column: when the finger's frame was captured, float64 seconds on the episode's clock."""
+    return f"provenance.time.{finger}"
+
+
+def age_key(finger: Finger) -> str:
+    """Per-frame column: how old that frame was when the observation was taken, float32 seconds."""
+    return f"provenance.age.{finger}"
+
+
 TACTILE_KEYS = tuple(tactile_key(f, r) for f in FINGERS for r in (False, True))
 SUCCESS = "provenance.success"  # 1.0 if the episode ended in clean success
 OUTCOME = "provenance.outcome"  # index into OUTCOME_NAMES

@@ -1,0 +1,259 @@
+"""Record demonstrations as a LeRobot v3 dataset that survives anything but the loss of the disk."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import logging
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+import av
+import numpy as np
+from lerobot.datasets.io_utils import write_info
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+from uniforce_datasets.columns import as_column, check_row, sensor_index
+from uniforce_datasets.features import CAMERA_SHAPE, dataset_features
+from uniforce_datasets.pooled_quantiles import write_pooled_stats
+from uniforce_datasets.staging import STAGING, commit, recover
+from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
+from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KEYS, sensor_key
+
+logger = logging.getLogger(__name__)
+
+LOCAL = "local"  # a revision that is no version number: LeRobot then doesn't look for one on the hub
+MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
+AT_THE_END = (SUCCESS, OUTCOME, SEED)  # columns known only when the episode is over
+
+
+class EpisodeRecorder:
+    """Creates a dataset, or goes on with the one at ``root``.
+
+    Args:
+        root: the dataset's folder.
+        repo_id: LeRobot's name for it; nothing is ever uploaded or downloaded.
+        left_sensor: registry name of the sensor on the left finger.
+        right_sensor: registry name of the sensor on the right finger.
+        fps: observations per second.
+        camera_shape: (rows, columns, 3) of the scene cameras.
+        truth: whether the true pad wrench is stored (simulation).
+        realtime: True on hardware: a video frame that can't be stored in time fails the episode.
+        queue_frames: video frames that may wait per key.
+
+    Raises:
+        DatasetError: another recorder writes here, the folder holds something else or other features, the disk
+            is full, a video frame was lost.
+        ContractError: a frame with a missing key, a wrong shape, or a marker image that isn't {0, 255}.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        repo_id: str,
+        left_sensor: str,
+        right_sensor: str,
+        fps: int = 30,
+        camera_shape: tuple[int, int, int] = CAMERA_SHAPE,
+        truth: bool = True,
+        realtime: bool = False,
+        queue_frames: int = 30,
+    ) -> None:
+        self.root = Path(root)
+        self._repo_id, self._fps = repo_id, fps
+        self._realtime, self._queue_frames = realtime, queue_frames
+        self._sensors = {
+            sensor_key(f): np.array([sensor_index(name)], dtype=np.int64)
+            for f, name in zip(FINGERS, (left_sensor, right_sensor), strict=True)
+        }
+        self._features = dataset_features(camera_shape, truth)
+        self.root.mkdir(parents=True, exist_ok=True)
+        self._lock = _lock(self.root)
+        recover(self.root)
+        self._dataset = self._open()
+
+    @property
+    def num_episodes(self) -> int:
+        """Saved episodes, those of earlier sessions included."""
+        return self._dataset.meta.total_episodes
+
+    @property
+    def num_frames(self) -> int:
+        """Frames waiting in the current episode."""
+        return self._dataset.writer.episode_buffer["size"]
+
+    def add(self, frame: Mapping[str, Any], task: str) -> None:
+        """Append one observation and the action commanded at it.
+
+        Args:
+            frame: every column but provenance that the recorder knows: cameras (H, W, 3) uint8, marker images
+                (480, 640) or (480, 640, 3) uint8, state, action, truth, capture time and age.
+            task: the instruction, in words.
+        """
+        row = {key: as_column(key, value) for key, value in frame.items()} | self._sensors
+        row |= {key: np.zeros(1, dtype=self._features[key]["dtype"]) for key in AT_THE_END}
+        check_row(row, self._features)
+        with _typed_errors(self):
+            self._dataset.add_frame(row | {"task": task})
+        self._refuse_dropped()
+
+    def save(self, success: bool, outcome: str, seed: int) -> None:
+        """Make the episode durable; on any error it is discarded and the saved ones stay as they are.
+
+        Args:
+            success: clean success.
+            outcome: one of ``keys.OUTCOME_NAMES``.
+            seed: the integer that rebuilds the scene.
+        """
+        if outcome not in OUTCOME_NAMES:
+            raise ContractError(
+                expected("outcome", " | ".join(OUTCOME_NAMES), repr(outcome), "Take evaluation's outcome.")
+            )
+        if self.num_frames < MIN_FRAMES:
+            came = self.num_frames
+            self.discard()
+            raise DatasetError(expected("episode", f"≥ {MIN_FRAMES} frames", came, "Record longer."))
+        self._refuse_dropped()
+        self._write_at_the_end(float(success), OUTCOME_NAMES.index(outcome), seed)
+        frames = self.num_frames
+        with _typed_errors(self):
+            self._dataset.save_episode()
+            self._name_marker_codec()
+            self._dataset.finalize()
+            _check_frame_counts(self.root / STAGING, frames)
+            commit(self.root)
+        self._dataset = self._open()
+
+    def discard(self) -> None:
+        """Forget the current episode."""
+        self._dataset.clear_episode_buffer(delete_images=False)
+        self._reopen()
+
+    def close(self) -> None:
+        """Drop an unfinished episode, pool the statistics over all data, let others record here."""
+        if self._lock.closed:
+            return
+        self._abandon()
+        if (self.root / "meta" / "info.json").exists():
+            write_pooled_stats(self.root)
+        self._lock.close()
+
+    def __enter__(self) -> EpisodeRecorder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open(self) -> LeRobotDataset:
+        """A LeRobot writer whose files all go to the staging folder."""
+        staged = self.root / STAGING
+        if (self.root / "meta" / "info.json").exists():
+            dataset = LeRobotDataset.resume(self._repo_id, root=self.root, revision=LOCAL)
+            _check_same(dataset.meta, self._fps, self._features)
+            dataset.meta.root = dataset.writer._root = staged
+            (staged / "meta").mkdir(parents=True)
+        else:
+            self._refuse_foreign_files()
+            dataset = LeRobotDataset.create(self._repo_id, self._fps, dict(self._features), root=staged)
+        dataset.writer._streaming_encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
+        return dataset
+
+    def _refuse_foreign_files(self) -> None:
+        foreign = [p.name for p in self.root.iterdir() if not p.name.startswith(".")]
+        if foreign:
+            raise DatasetError(
+                expected(str(self.root), "an empty folder or a dataset", foreign[:3], "Choose another root.")
+            )
+
+    def _reopen(self) -> None:
+        self._abandon()
+        self._dataset = self._open()
+
+    def _abandon(self) -> None:
+        """Let go of the LeRobot writer without writing: what it staged is deleted."""
+        writer = self._dataset.writer
+        writer.cancel_pending_videos()
+        writer._meta._metadata_buffer.clear()
+        if (self.root / STAGING).exists():
+            self._dataset.finalize()
+        shutil.rmtree(self.root / STAGING, ignore_errors=True)
+
+    def _refuse_dropped(self) -> None:
+        dropped = self._dataset.writer._streaming_encoder.dropped
+        if dropped:
+            self.discard()
+            raise DatasetError(
+                expected(
+                    "video", "every frame stored", f"{dropped} dropped", "Episode discarded; record it again."
+                )
+            )
+
+    def _write_at_the_end(self, success: float, outcome: int, seed: int) -> None:
+        buffer = self._dataset.writer.episode_buffer
+        for key, value in zip(AT_THE_END, (success, outcome, seed), strict=True):
+            buffer[key] = [np.array([value], dtype=self._features[key]["dtype"])] * buffer["size"]
+
+    def _name_marker_codec(self) -> None:
+        """Say crf 0 in info.json: LeRobot writes its one codec for every key, at the first episode."""
+        meta = self._dataset.meta
+        if meta.total_episodes == 1:
+            for key in TACTILE_KEYS:
+                meta.update_video_info(key, video_encoder=codec_of(key))
+            write_info(meta.info, meta.root)
+
+
+@contextmanager
+def _typed_errors(recorder: EpisodeRecorder) -> Iterator[None]:
+    """Turn what goes wrong while storing into a DatasetError, with the episode discarded."""
+    try:
+        yield
+    except (OSError, RuntimeError, DatasetError) as error:
+        recorder._reopen()
+        if isinstance(error, DatasetError):
+            raise
+        full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
+        do = "Free some space" if full else "See the error above"
+        saved = f"{recorder.num_episodes} saved episodes are intact"
+        raise DatasetError(
+            expected("episode", "room to store it", error, f"{do} and record it again; {saved}.")
+        ) from error
+
+
+def _check_same(meta: Any, fps: int, features: dict[str, dict]) -> None:
+    wanted = {key: (f["dtype"], tuple(f["shape"])) for key, f in features.items()}
+    came = {key: (f["dtype"], tuple(f["shape"])) for key, f in meta.features.items() if key in wanted}
+    if came != wanted or meta.fps != fps:
+        odd = sorted(k for k in wanted if came.get(k) != wanted[k]) or f"{meta.fps} fps"
+        raise DatasetError(
+            expected("dataset", "the features to record", f"others: {odd}", "Record into another root.")
+        )
+
+
+def _check_frame_counts(staged: Path, frames: int) -> None:
+    for path in sorted((staged / "videos").rglob("*.mp4")):
+        with av.open(str(path)) as video:
+            stored = video.streams.video[0].frames
+        if stored != frames:
+            raise DatasetError(
+                expected(path.parts[-3], f"{frames} frames", stored, "Episode discarded; record it again.")
+            )
+
+
+def _lock(root: Path) -> IO[str]:
+    handle = open(root / ".recorder.lock", "w")  # noqa: SIM115  held until close()
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        handle.close()
+        raise DatasetError(
+            expected(str(root), "one recorder at a time", "another one", "Wait, or use another root.")
+        ) from error
+    return handle

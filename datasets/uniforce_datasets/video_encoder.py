@@ -1,0 +1,83 @@
+"""Video while recording: a codec per key, and no frame lost in silence.
+
+LeRobot 0.6.1 knows one codec per dataset and drops a frame with a log line when its queue is full.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import av
+import numpy as np
+from lerobot.configs import RGBEncoderConfig
+from lerobot.datasets.video_utils import StreamingVideoEncoder
+
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.keys import TACTILE_KEYS
+
+PATIENCE_s = 60.0  # how long a simulation waits for a stuck encoder before it gives the episode up
+POLL_s = 0.002  # between looks at a full queue
+
+
+def camera_codec() -> RGBEncoderConfig:
+    """H.264 at crf 23: about 10 kB per 640×480 frame, fast enough for four streams on two cores."""
+    return RGBEncoderConfig(vcodec="h264", crf=23, preset="veryfast", g=2)
+
+
+def marker_codec() -> RGBEncoderConfig:
+    """H.264 at crf 0: exact for images that hold only 0 and 255 with R = G = B."""
+    return RGBEncoderConfig(vcodec="h264", crf=0, preset="veryfast", g=15)
+
+
+def codec_of(key: str) -> RGBEncoderConfig:
+    """Return the codec a video key is stored with."""
+    return marker_codec() if key in TACTILE_KEYS else camera_codec()
+
+
+class PerKeyEncoder(StreamingVideoEncoder):
+    """LeRobot's streaming encoder with a codec per key.
+
+    Args:
+        fps: frames per second of the videos.
+        queue_frames: frames that may wait per key.
+        realtime: True on hardware (a full queue loses the frame, which fails the episode);
+            False in simulation (a full queue makes the simulation wait).
+    """
+
+    def __init__(self, fps: int, queue_frames: int, realtime: bool) -> None:
+        super().__init__(fps=fps, rgb_encoder=camera_codec(), queue_maxsize=queue_frames, encoder_threads=1)
+        self._realtime = realtime
+        av.logging.set_libav_level(av.logging.ERROR)  # x264 prints a page per video otherwise
+
+    def start_episode(
+        self, video_keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None = None
+    ) -> None:
+        """Start one encoder per key, each with its own codec."""
+        self.cancel_episode()
+        for key in video_keys:
+            self._rgb_encoder = codec_of(key)
+            self._episode_active = False  # the parent would cancel the keys already started
+            super().start_episode([key], temp_dir, depth_video_keys)
+
+    def feed_frame(self, video_key: str, image: np.ndarray) -> None:
+        """Queue a frame; in simulation, wait for room first."""
+        if not self._realtime:
+            self._wait_for_room(video_key)
+        super().feed_frame(video_key, image)
+
+    def _wait_for_room(self, key: str) -> None:
+        deadline = time.monotonic() + PATIENCE_s
+        while self._frame_queues[key].full() and self._threads[key].is_alive():
+            if time.monotonic() > deadline:
+                raise DatasetError(
+                    expected(
+                        key, "a video encoder that moves", f"none in {PATIENCE_s} s", "Free the machine."
+                    )
+                )
+            time.sleep(POLL_s)
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Frames lost in this episode, by key."""
+        return {key: count for key, count in self._dropped_frames.items() if count}
