@@ -58,12 +58,13 @@ def check_sensors(config: PI05UniforceConfig, mounted: dict[str, str]) -> list[s
         CheckpointError: a slot's sensor differs and nobody asked for that.
     """
     notes = []
-    for slot, finger in config.slot_fingers.items():
+    for slot, finger in config.finger_by_slot().items():
         trained, worn = config.trained_sensors.get(slot, ""), mounted.get(finger, "")
         if not trained or not worn or trained == worn:
             continue
         asked = (
-            config.mounted_sensors[finger] == worn or config.slot_fingers[slot] != config.touch_slots[slot]
+            config.mounted_sensors[finger] == worn
+            or config.finger_by_slot()[slot] != config.touch_slots[slot]
         )
         if not asked:
             do = f"Say swap={slot}:FINGER or {finger}_sensor={worn} if you mean it."

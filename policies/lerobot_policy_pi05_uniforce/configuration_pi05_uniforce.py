@@ -66,7 +66,7 @@ class PI05UniforceConfig(PI05Config):
     )  # slot → kind seen in training, "" or absent = any
     latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
     token_site: str = "prefix"  # "suffix" comes later
-    force_token_scale: float = 1.0  # initial RMS of a force token: that of an embedded image patch
+    force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
     touch_dropout: float = 0.3  # chance to hide a slot for a sample; only where two slots are trained
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
@@ -118,15 +118,14 @@ class PI05UniforceConfig(PI05Config):
         for slot, finger in self.touch_slots.items():
             _check_slot(slot)
             check_finger(finger)
-        _ = self.slot_fingers
+        self.finger_by_slot()
 
     @property
     def slots(self) -> tuple[str, ...]:
         """Touch slots that give tokens, in a fixed order; empty when touch is off."""
         return tuple(s for s in SLOTS if s in self.touch_slots) if self.touch_input != "none" else ()
 
-    @property
-    def slot_fingers(self) -> dict[str, Finger]:
+    def finger_by_slot(self) -> dict[str, Finger]:
         """Which finger fills each slot now, after ``swap``."""
         fingers = {slot: check_finger(finger) for slot, finger in self.touch_slots.items()}
         for entry in filter(None, self.swap.replace(" ", "").split(",")):

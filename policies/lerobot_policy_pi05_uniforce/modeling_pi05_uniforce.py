@@ -18,6 +18,7 @@ from lerobot_policy_pi05_uniforce.dataset_facts import check_view, read_latent_r
 from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens, StateToken, wrench_rms
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
+from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder, check_hash
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
 from lerobot_policy_pi05_uniforce.touch_input import WRENCH_SIZE, TouchInput
 from uniforce_vtla.errors import ContractError, expected
@@ -166,6 +167,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         tensors = weights.read_tensors(weights.find(source, weights.WEIGHTS, revision, local_files_only))
         policy = cls(config, **_known(kwargs))
         weights.load_strict(policy, tensors)
+        if policy.model.tactile_encoder is not None:
+            check_hash(policy.model.tactile_encoder, config)
         return policy.to(config.device).eval()
 
     @property
@@ -188,6 +191,14 @@ class PI05UniforcePolicy(stock.PI05Policy):
         touches, touch_masks = self.touch.gather(batch, images[0].device, self.training)
         return images + touches, masks + touch_masks
 
+    def _text(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Return text tokens and mask, (B, L); tiny drops the padding no prompt of the batch uses."""
+        tokens, mask = (batch[key] for key in LANGUAGE)
+        if self.config.size == "tiny":  # base keeps one length, so that a compiled graph stays valid
+            longest = int(mask.sum(dim=1).max())
+            tokens, mask = tokens[:, :longest], mask[:, :longest]
+        return tokens, mask
+
     def prepare_action(self, batch: dict[str, Tensor]) -> Tensor:
         """Return (B, chunk, max_action_dim) in network units."""
         actions = batch[ACTION]
@@ -206,7 +217,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         actions = self.prepare_action(batch)
         noise = self.model.sample_noise(actions.shape, actions.device)
         time = self.model.sample_time(len(actions), actions.device)
-        losses = self.model.forward(images, masks, *(batch[k] for k in LANGUAGE), actions, noise, time)
+        losses = self.model.forward(images, masks, *self._text(batch), actions, noise, time)
         losses = losses[:, :, : self._action_size]  # (B, chunk, A)
         keep = self._real_steps(batch, losses)  # (B, chunk, 1)
         per_sample = (losses * keep).sum(dim=(1, 2)) / (keep.sum(dim=(1, 2)) * self._action_size).clamp_min(1)
@@ -229,6 +240,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """Return (B, chunk, A) actions for the postprocessor: absolute targets whatever the action form."""
+        tokens, mask = self._text(batch)
+        batch = {**batch, LANGUAGE[0]: tokens, LANGUAGE[1]: mask}
         chunk = super().predict_action_chunk(batch, **kwargs)
         if self.config.action_form == "absolute":
             return chunk
@@ -268,11 +281,9 @@ def _state_size(config: PI05UniforceConfig) -> int:
     return config.input_features[STATE].shape[0]
 
 
-def _make_encoder(config: PI05UniforceConfig) -> nn.Module | None:
+def _make_encoder(config: PI05UniforceConfig) -> TactileEncoder | None:
     if not config.slots or config.touch_input != "latent":
         return None
-    from lerobot_policy_pi05_uniforce.tactile_encoder import build_encoder
-
     return build_encoder(config)
 
 

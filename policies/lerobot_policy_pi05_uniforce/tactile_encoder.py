@@ -8,7 +8,12 @@ import torch
 from torch import Tensor, nn
 
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.tokenizer import Tokenizer, pool_latent, prepare_tensor
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
+from uniforce_vtla.tokenizer.api import canonicaliser_facts
+from uniforce_vtla.tokenizer.entry import prepare_tensor
+from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
+from uniforce_vtla.tokenizer.weights import content_hash
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -18,17 +23,15 @@ class TactileEncoder(nn.Module):
     """A frozen tokenizer: no gradients, always in eval mode, saved with the policy so that it stands alone.
 
     Args:
-        model: the tokenizer's network (``encode_reference``, ``encode_current``).
-        side: model image side in px.
+        model: the tokenizer's network; its decoder is kept too, so that its hash can be checked.
         grid: latents are pooled to grid × grid.
     """
 
-    def __init__(self, model: nn.Module, side: int, grid: int) -> None:
+    def __init__(self, model: ForceAutoencoder, grid: int) -> None:
         super().__init__()
         self.model = model
-        self.side = side
         self.grid = grid
-        self._references: dict[str, tuple[Tensor, Any]] = {}
+        self._references: dict[str, tuple[Tensor, ReferenceCache]] = {}
         self.requires_grad_(False)
         self.train(False)
 
@@ -54,20 +57,25 @@ class TactileEncoder(nn.Module):
             (B, K, latent) pooled latents.
         """
         cached = self._encode_reference(slot, finger, reference)
-        latent = self.model.encode_current(self._prepare(current, finger), cached)  # (B, P, latent)
+        latent = self.model.encoder.encode_current(cached, self._prepare(current, finger, "current")).mean
         return pool_latent(latent, self.grid)  # (B, K, latent)
 
-    def _encode_reference(self, slot: str, finger: Finger, reference: Tensor) -> Any:
+    def _encode_reference(self, slot: str, finger: Finger, reference: Tensor) -> ReferenceCache:
         key = f"{slot}/{finger}"
         known = self._references.get(key)
-        if known is None or not torch.equal(known[0], reference):
-            known = (reference.clone(), self.model.encode_reference(self._prepare(reference, finger)))
-            self._references[key] = known
-        return known[1]
+        if known is not None and torch.equal(known[0], reference):
+            return known[1]
+        before = self._prepare(reference, finger, "reference")
+        if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
+            do = "Capture it again in free air."
+            raise ContractError(expected(f"reference of {slot}", "an image with markers", "all black", do))
+        cache = self.model.encoder.encode_reference(before)
+        self._references[key] = (reference.clone(), cache)
+        return cache
 
-    def _prepare(self, images: Tensor, finger: Finger) -> Tensor:
+    def _prepare(self, images: Tensor, finger: Finger, name: str) -> Tensor:
         grey = images[:, 0] if images.ndim == 4 else images  # RGB copies of one binary channel
-        return prepare_tensor(grey.float(), right=finger == "right", side=self.side)
+        return prepare_tensor(grey, right=finger == "right", side=self.model.config.side, name=name)
 
 
 def build_encoder(config: PI05UniforceConfig) -> TactileEncoder:
@@ -76,12 +84,27 @@ def build_encoder(config: PI05UniforceConfig) -> TactileEncoder:
     A config loaded from a checkpoint already knows its tokenizer: it is rebuilt empty and its weights come from
     the checkpoint.  A new policy takes the tokenizer at ``tokenizer_path`` (None: the shipped one).
     """
-    if config.tokenizer_config is None:
-        tokenizer = Tokenizer.from_pretrained(config.tokenizer_path)
-        config.tokenizer_config = tokenizer.config_dict()
-        config.tokenizer_hash = tokenizer.hash
-        config.num_patches = tokenizer.num_patches
-        config.latent_size = tokenizer.latent_size
-    else:
-        tokenizer = Tokenizer.from_config(config.tokenizer_config)
-    return TactileEncoder(tokenizer.model, tokenizer.side, config.latent_grid)
+    if config.tokenizer_config is not None:
+        return TactileEncoder(_rebuild(config.tokenizer_config), config.latent_grid)
+    tokenizer = Tokenizer.from_pretrained(config.tokenizer_path)
+    config.tokenizer_config = tokenizer.facts()
+    config.tokenizer_hash = tokenizer.hash
+    config.num_patches = tokenizer.num_patches
+    config.latent_size = tokenizer.config.latent
+    return TactileEncoder(tokenizer.model, config.latent_grid)
+
+
+def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
+    """Raise CheckpointError unless the loaded tokenizer is, bit by bit, the one the policy was trained with."""
+    found = content_hash(encoder.model, config.tokenizer_config or {})
+    if found != config.tokenizer_hash:
+        do = "The tokenizer inside the checkpoint was changed; copy the checkpoint again."
+        raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
+
+
+def _rebuild(facts: dict[str, Any]) -> ForceAutoencoder:
+    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+    if stored != running:
+        do = "Use the version it was trained with, or train again."
+        raise CheckpointError(expected("canonicaliser of the checkpoint", stored, running, do))
+    return build_model(TokenizerConfig(**facts["model"]), seed=0)

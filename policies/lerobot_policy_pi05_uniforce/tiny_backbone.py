@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from lerobot.policies.pi05 import modeling_pi05 as stock
-from torch import nn
+from torch import Tensor, nn
 
+from lerobot_policy_pi05_uniforce.joint_layers import joint_layer
 from lerobot_policy_pi05_uniforce.local_tokenizer import vocabulary_size
 
 if TYPE_CHECKING:
@@ -44,6 +45,28 @@ class TinyPaliGemmaWithExpert(stock.PaliGemmaWithExpertModel):
         self.gemma_expert.lm_head = nn.Identity()
         self.to_bfloat16_for_selected_params(config.dtype)
         self._set_requires_grad()
+
+    def forward(
+        self,
+        attention_mask: Tensor | None = None,
+        position_ids: Tensor | None = None,
+        past_key_values: Any = None,
+        inputs_embeds: list | None = None,
+        use_cache: bool | None = None,
+        adarms_cond: list | None = None,
+    ) -> tuple[list, Any]:
+        """Run one stream as LeRobot does (sampling), or both at once through the fused joint pass (training)."""
+        streams, cond = inputs_embeds or [None, None], adarms_cond or [None, None]
+        if any(stream is None for stream in streams):
+            return super().forward(
+                attention_mask, position_ids, past_key_values, streams, use_cache=use_cache, adarms_cond=cond
+            )
+        vlm, expert = self.paligemma.model.language_model, self.gemma_expert.model
+        rotary = vlm.rotary_emb(streams[0], position_ids)
+        for layers in zip(vlm.layers, expert.layers, strict=True):
+            streams = joint_layer(streams, list(layers), attention_mask, rotary, cond)
+        ends = zip((vlm.norm, expert.norm), streams, cond, strict=True)
+        return [stock.layernorm_forward(norm, x, c)[0] for norm, x, c in ends], None
 
 
 def _vocabulary() -> int:

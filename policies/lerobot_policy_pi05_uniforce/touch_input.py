@@ -66,7 +66,7 @@ class TouchInput:
         return self._encode(batch, slot, device)
 
     def _encode(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor | None:
-        finger = self.config.slot_fingers[slot]
+        finger = self.config.finger_by_slot()[slot]
         reference = self._take(batch, tactile_key(finger, reference=True))
         current = self._take(batch, tactile_key(finger))
         if reference is None or current is None or self.encoder is None:
