@@ -10,7 +10,7 @@ from uniforce_vtla.contact.grid import CELL_AREA_MM2
 from uniforce_vtla.contact.materials import PadMaterial
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pads import Pad
-from uniforce_vtla.contact.pressure import Pressure
+from uniforce_vtla.contact.traction import Traction
 
 
 @dataclass(frozen=True)
@@ -34,28 +34,22 @@ class CameraResponse:
         A, m = CELL_AREA_MM2, material
         push = m.dilation_per_N * np.exp(-r2 / m.dilation_radius_mm**2) * A
         blur = np.exp(-r2 / (2 * m.skin_blur_mm**2)) * A / (2 * np.pi * m.skin_blur_mm**2)
-        fields = [
-            push * arm[..., 0],
-            push * arm[..., 1],
-            m.area_per_N * np.exp(-r2 / m.area_radius_mm**2) * A,
-            blur,
-            -blur * arm[..., 0] / m.skin_blur_mm**2,
-            -blur * arm[..., 1] / m.skin_blur_mm**2,
-        ]
+        local = [push * arm[..., 0], push * arm[..., 1], m.area_per_N * np.exp(-r2 / m.area_radius_mm**2) * A]
+        slope = [-blur * arm[..., axis] / m.skin_blur_mm**2 for axis in (0, 1)]
         near, wide = (np.exp(-r2 / radius**2) for radius in m.drag_radii_mm)
         drag = m.drag_mm_per_N * (m.drag_local_share * near + (1 - m.drag_local_share) * wide) * A
         self._rest_mm, self._material, self._gain = rest_mm, material, gain
-        self._from_pressure = np.concatenate(fields, axis=1).astype(np.float32)  # (C, 6·M)
+        self._from_pressure = np.concatenate(local, axis=1).astype(np.float32)  # (C, 3·M)
+        self._from_depth = np.concatenate([blur, *slope] if m.pin_mm else [blur], axis=1).astype(np.float32)
         self._from_shear = drag.astype(np.float32)  # (C, M)
 
-    def __call__(self, pressure: Pressure, q_MPa: np.ndarray, options: ContactOptions) -> MarkerMotion:
-        """Return the motion of all markers under (B, C) pressure and (B, 2, C) shear traction."""
-        B = len(q_MPa)
-        pressed = pressure.p_MPa.any(axis=0)  # (C,) most contacts press few cells
-        field = (pressure.p_MPa[:, pressed] @ self._from_pressure[pressed]).reshape(B, 6, -1)  # (B, 6, M)
-        drag = (q_MPa[..., pressed].reshape(2 * B, -1) @ self._from_shear[pressed]).reshape(B, 2, -1)
-        depth = field[:, 3:] / pressure.stiffness[:, None, None]  # w, ∂w/∂x, ∂w/∂y
-        shift = field[:, 0:2] + drag
+    def __call__(self, traction: Traction, options: ContactOptions) -> MarkerMotion:
+        """Return the motion of all markers under a batch of tractions."""
+        B, cells = len(traction.p_MPa), traction.cells
+        field = (traction.p_MPa @ self._from_pressure[cells]).reshape(B, 3, -1)  # (B, 3, M)
+        drag = (traction.q_MPa.reshape(2 * B, -1) @ self._from_shear[cells]).reshape(B, 2, -1)
+        depth = self._depth(traction)  # w, and for pins ∂w/∂x, ∂w/∂y
+        shift = field[:, :2] + drag
         if options.pin_lever and self._material.pin_mm:
             shift = shift - self._material.pin_mm * depth[:, 1:]
         shift = _limited(shift * self._gain, self._material.stretch_limit_mm).transpose(0, 2, 1)  # (B, M, 2)
@@ -65,6 +59,10 @@ class CameraResponse:
             shift = shift + self._rest_mm * nearer[..., None]
             growth = growth * (1 + nearer)
         return MarkerMotion(shift, growth)
+
+    def _depth(self, traction: Traction) -> np.ndarray:
+        depth = traction.indentation_mm @ self._from_depth[traction.cells]
+        return depth.reshape(len(depth), -1, len(self._rest_mm))  # (B, 1 or 3, M)
 
 
 def _limited(shift: np.ndarray, limit_mm: float) -> np.ndarray:

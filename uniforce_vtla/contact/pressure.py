@@ -58,12 +58,9 @@ def build_foundation(
     return Foundation(pad, stiffness, rated_depth_mm, float(flat[0]), footprint_exponent)
 
 
-def contact_stiffness(foundation: Foundation, total_gap_mm: np.ndarray) -> np.ndarray:
-    """Return (B,) N/mm³ for objects of these shapes: smaller footprints feel a stiffer bed."""
-    area = np.maximum(
-        footprint_mm2(foundation.pad, total_gap_mm, foundation.rated_depth_mm), 0.5 * CELL_AREA_MM2
-    )
-    ratio = foundation.flat_footprint_mm2 / area
+def contact_stiffness(foundation: Foundation, area_mm2: np.ndarray) -> np.ndarray:
+    """Return (B,) N/mm³ for objects of these footprints: smaller ones feel a stiffer bed."""
+    ratio = foundation.flat_footprint_mm2 / np.maximum(area_mm2, 0.5 * CELL_AREA_MM2)
     return (foundation.stiffness * ratio**foundation.footprint_exponent).astype(np.float32)
 
 
@@ -85,18 +82,23 @@ def solve_pressure(foundation: Foundation, gap_mm: np.ndarray, fz_N: np.ndarray)
                 "contact", "an object over the pad", "none, with fz > 0", "Move it over the pad or set 0 N."
             )
         )
-    stiffness = contact_stiffness(foundation, gap)
+    area = footprint_mm2(foundation.pad, gap, foundation.rated_depth_mm)
+    stiffness = contact_stiffness(foundation, area)
     first = gap.min(axis=1)
     load = fz_N / (stiffness * CELL_AREA_MM2)  # (B,) sum of overlaps wanted, in mm
-    delta = _solve_depth(gap, foundation.pad.coverage, load.astype(np.float32))
+    guess = first + load / np.maximum(area, CELL_AREA_MM2)
+    delta = _solve_depth(gap, foundation.pad.coverage, load.astype(np.float32), guess.astype(np.float32))
     overlap = np.maximum(delta[:, None] - gap, 0) * foundation.pad.coverage
     p = _exact_sum(overlap * stiffness[:, None], fz_N / CELL_AREA_MM2)
     return Pressure(p, stiffness, np.where(fz_N > 0, delta - first, 0).astype(np.float32))
 
 
-def _solve_depth(gap: np.ndarray, coverage: np.ndarray, load: np.ndarray) -> np.ndarray:
-    """Return (B,) δ with Σ coverage·max(δ − gap, 0) = load, by Newton from below the first touch upward."""
-    delta = gap.min(axis=1) + load / coverage.max() + np.float32(1e-4)
+def _solve_depth(gap: np.ndarray, coverage: np.ndarray, load: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """Return (B,) δ with Σ coverage·max(δ − gap, 0) = load.
+
+    Newton: the sum is convex and piecewise linear in δ, so after the first step it only falls, and ends exactly.
+    """
+    delta = guess + np.float32(1e-4)
     for _ in range(_MAX_STEPS):
         over = delta[:, None] - gap
         touching = (over > 0) * coverage  # (B, C)

@@ -13,7 +13,7 @@ from uniforce_vtla.contact.pressure import Pressure, build_foundation, solve_pre
 from uniforce_vtla.contact.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
 from uniforce_vtla.contact.taxel_response import TaxelResponse, taxel_positions_mm
-from uniforce_vtla.contact.traction import solve_traction, transmitted
+from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
@@ -77,8 +77,8 @@ class TactileSimulator:
 
     def carried(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
         """Return force (B, 3) N and torsion (B,) Nmm the pad really carries: less than asked where it slips."""
-        pressure, q = self._traction(contact)
-        return transmitted(pressure.p_MPa, q, self.pad.position_mm)
+        traction = self._traction(contact)
+        return transmitted(traction.p_MPa, traction.q_MPa, self.pad.position_mm[traction.cells])
 
     def counts(self, contact: ContactState) -> np.ndarray:
         """Return (B, 16, 3) float32 counts above the baseline; taxel sensors only."""
@@ -109,24 +109,20 @@ class TactileSimulator:
         depth[:, self.pad.cells] = pressure.p_MPa / pressure.stiffness[:, None]
         return depth.reshape(-1, GRID_CELLS, GRID_CELLS)
 
-    def _traction(self, contact: ContactState) -> tuple[Pressure, np.ndarray]:
+    def _traction(self, contact: ContactState) -> Traction:
         pressure = self._pressure(contact)
+        cells = np.flatnonzero(pressure.p_MPa.any(axis=0))  # most contacts press few
+        p = pressure.p_MPa[:, cells]
         friction = self.options.friction if self.options.coulomb_cap else None
-        q = solve_traction(
-            pressure.p_MPa,
-            self.pad.position_mm,
-            contact.force_N[:, :2],
-            contact.torsion_Nmm,
-            friction,
-        )
-        return pressure, q
+        position = self.pad.position_mm[cells]
+        q = solve_traction(p, position, contact.force_N[:, :2], contact.torsion_Nmm, friction)
+        return Traction(cells, p, q, p / pressure.stiffness[:, None])
 
     def _markers(self, contact: ContactState, noise: bool) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(self._respond, TaxelResponse):
             discs = self._discs(contact, noise)
             return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
-        pressure, q = self._traction(contact)
-        motion = self._respond(pressure, q, self.options)
+        motion = self._respond(self._traction(contact), self.options)
         size = self.spec.marker_size_mm * self.spec.px_per_mm[0] * self.unit.view_scale * motion.growth
         return self._disturbed(self._project(self._rest_mm + motion.shift_mm), noise), size
 
@@ -150,8 +146,7 @@ class TactileSimulator:
 
     def _counts(self, contact: ContactState, noise: bool) -> np.ndarray:
         assert isinstance(self._respond, TaxelResponse)
-        pressure, q = self._traction(contact)
-        counts = self._respond(pressure.p_MPa, q, self.options)
+        counts = self._respond(self._traction(contact), self.options)
         if noise:
             scatter = self._rng.standard_normal(counts.shape) * self.options.noise_counts
             counts = counts + scatter.astype(np.float32)

@@ -8,6 +8,7 @@ from uniforce_vtla.contact.grid import CELL_AREA_MM2
 from uniforce_vtla.contact.materials import TaxelMaterial
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pads import Pad
+from uniforce_vtla.contact.traction import Traction
 
 
 def taxel_positions_mm(layout_mm: np.ndarray) -> np.ndarray:
@@ -33,10 +34,11 @@ class TaxelResponse:
         self._talk = np.concatenate([talk[..., 0], talk[..., 1]], axis=1).astype(np.float32)  # (C, 32)
         self._gain = gain.astype(np.float32)  # (16, 3)
 
-    def __call__(self, p_MPa: np.ndarray, q_MPa: np.ndarray, options: ContactOptions) -> np.ndarray:
+    def __call__(self, traction: Traction, options: ContactOptions) -> np.ndarray:
         """Return (B, 16, 3) float32 counts above the baseline, without noise."""
-        B, _, C = q_MPa.shape
-        shear = (q_MPa.reshape(2 * B, C) @ self._shear).reshape(B, 2, -1)  # (B, 2, 16)
+        p, cells = traction.p_MPa, traction.cells
+        B = len(p)
+        shear = (traction.q_MPa.reshape(2 * B, -1) @ self._shear[cells]).reshape(B, 2, -1)  # (B, 2, 16)
         if options.cross_talk:
-            shear = shear + (p_MPa @ self._talk).reshape(B, 2, -1)
-        return np.stack([shear[:, 0], -shear[:, 1], p_MPa @ self._normal], axis=-1) * self._gain
+            shear = shear + (p @ self._talk[cells]).reshape(B, 2, -1)
+        return np.stack([shear[:, 0], -shear[:, 1], p @ self._normal[cells]], axis=-1) * self._gain

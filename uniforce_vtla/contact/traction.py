@@ -2,11 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from uniforce_vtla.contact.grid import CELL_AREA_MM2
 
 _PASSES = 6  # rounds of handing capped cells' excess to sticking ones; the residual is < 1 % after 4
+
+
+@dataclass(frozen=True)
+class Traction:
+    """What the object does to the pad, on the cells any contact of the batch presses.
+
+    Attributes:
+        cells: (K,) indices into the pad's cells.
+        p_MPa: (B, K) pressure.
+        q_MPa: (B, 2, K) shear traction, x right, y down.
+        indentation_mm: (B, K) inward displacement under the object.
+    """
+
+    cells: np.ndarray
+    p_MPa: np.ndarray
+    q_MPa: np.ndarray
+    indentation_mm: np.ndarray
 
 
 def solve_traction(
