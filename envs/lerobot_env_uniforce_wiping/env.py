@@ -20,7 +20,7 @@ from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, ScoreL
 from uniforce_vtla.keys import AXES, CAMERAS, tactile_name
 from uniforce_vtla.sensors import get_sensor
 
-CAMERA_PX = 224
+
 
 
 class WipeEnv(gymnasium.Env):
@@ -57,7 +57,6 @@ class WipeEnv(gymnasium.Env):
         self.limits = limits or ScoreLimits()
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
         self._renderer = _make_renderer(renderer)
-        self._touch = {f: PadImages(self.sensors[f], f) for f in FINGERS}
         self._max_episode_steps = round(self.level.time_limit_s * CONTROL_HZ)
         self.task = self.task_description = "wipe the whiteboard"
         self._sim: WipeSimulation | None = None
@@ -123,6 +122,7 @@ class WipeEnv(gymnasium.Env):
         self._recorder = TraceRecorder(self._sim)
         self._steps = 0
         self.task = self.task_description = scene.task
+        self._touch = {f: PadImages(self.sensors[f], f, seed) for f in FINGERS}
         self._renderer.reset(self._sim)
 
     def advance(self, action: np.ndarray) -> bool:

@@ -29,7 +29,7 @@ class TouchSettings:
     """How the expert regulates."""
 
     press_N: float = 7.3  # wipes clean well below the excess limit
-    grip_N: float = 9.5  # holds at the lowest friction, below the pads' rated depth
+    grip_N: float = 9.2  # holds at the lowest friction, below the pads' rated depth
     press_rate_m_s_N: float = 0.0035  # z speed per N of press error
     press_speed_m_s: float = 0.020  # fastest regulation
     grip_rate_m_s_N: float = 0.0030  # width speed per N of grip error

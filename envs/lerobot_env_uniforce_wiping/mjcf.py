@@ -31,6 +31,7 @@ JOINT_LIMITS = (
     (-2.8973, 2.8973),
 )
 LINK_MASS_kg = (4.0, 2.5, 3.0, 2.5, 2.0, 1.5, 0.6)  # plausible; gravity is compensated as on the real arm
+STICTION_SHARE = (1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3)  # small wrist gears stick less
 LINK_CAPSULES = (  # from, to in the link's frame; radius m
     ((0, 0, -0.19), (0, 0, 0), 0.065),
     ((0, 0, 0), (0, -0.19, 0), 0.062),
@@ -46,10 +47,13 @@ FELT_m = 0.010  # felt thickness
 
 TIMESTEP_s = 1 / 480  # 16 of them are one 30 Hz step
 STIFFNESS_N_m = (2000.0, 2000.0, 800.0)  # nominal Cartesian stiffness, x y z
-ROTATION_Nm_rad = 40.0  # stiffness about each axis
+ROTATION_Nm_rad = 60.0  # stiffness about each axis
 DAMPING_RATIO = 0.8  # of the Cartesian impedance at nominal stiffness
 EFFECTIVE_MASS_kg = 3.0  # of the tool as felt at the tip, for the damping only
 EFFECTIVE_INERTIA_kgm2 = 0.05  # likewise
+SHEAR_N_m = 8000.0  # both pads alike: a load from outside is then shared equally, F_L ≈ F_R
+SHEAR_DAMPING = 20.0  # N s/m, half critical
+SHEAR_MASS_kg = 0.05  # armature that keeps the pad's shear mode stable at this time step
 GRIPPER_N_m = 1200.0  # nominal stiffness of the gripper's servo, force per finger over width error
 GRIPPER_FORCE_N = 70.0  # servo limit
 TOOL_DOWN = np.diag([1.0, -1.0, -1.0])  # tool frame in the base frame at yaw 0: x closes, z points down
@@ -64,7 +68,7 @@ def _arm(scene: SceneParams) -> tuple[str, str]:
         opening += (
             f'<body name="link{i + 1}" pos="{_text(position)}" euler="{alpha} 0 0" gravcomp="1">'
             f'<joint name="joint{i + 1}" axis="0 0 1" range="{_text(limit)}" damping="1" armature="0.1"'
-            f' frictionloss="{scene.stiction_Nm}"/>'
+            f' frictionloss="{scene.stiction_Nm * STICTION_SHARE[i]}"/>'
             f'<geom name="link{i + 1}" type="capsule" fromto="{_text(start)} {_text(end)}" size="{radius}"'
             f' mass="{mass}" class="visual" rgba=".93 .93 .95 1"/>'
         )
@@ -91,8 +95,18 @@ def _finger(name: str, side: int, sensor: str, friction: float) -> str:
         # Pads look alike whatever they wear: the same block is drawn for every sensor.
         f'<geom name="skin_{name}" type="box" size="0.004 0.0125 0.0125" pos="{side * 0.004} 0 0" mass="0.01"'
         ' class="visual" rgba=".15 .55 .60 1"/>'
+        f'<body name="pad_{name}" gravcomp="1">{_shear_springs(name)}'
         f'<geom name="pad_{name}" {shape} {contact} mass="0.01" contype="1" conaffinity="0" group="4"/>'
-        "</body>"
+        "</body></body>"
+    )
+
+
+def _shear_springs(name: str) -> str:
+    """Two stiff slides across the pad: without them rigid friction leaves the sharing to the solver."""
+    return "".join(
+        f'<joint name="shear_{name}_{axis}" type="slide" axis="{direction}" stiffness="{SHEAR_N_m}"'
+        f' damping="{SHEAR_DAMPING}" armature="{SHEAR_MASS_kg}"/>'
+        for axis, direction in (("y", "0 1 0"), ("z", "0 0 1"))
     )
 
 

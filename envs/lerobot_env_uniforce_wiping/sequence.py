@@ -27,6 +27,8 @@ class Pace:
     horizontal_m_s: float = 0.115
     vertical_m_s: float = 0.078
     stroke_m_s: float = 0.095
+    shift_m_s: float = 0.045  # between rows: drag along the closing axis loads one pad more
+    ramp_m_s2: float = 0.5  # change of speed along the sweep
 
 
 class Hands(Protocol):
@@ -103,7 +105,10 @@ class WipeSequence:
     def _wipe(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
         self.target[Z] = self.hands.press(self.target[Z], measured)
-        self._speed_m_s = min(self._speed_m_s + 0.4 / CONTROL_HZ, self.pace.stroke_m_s)  # 0.4 m/s² start
+        shifting = self.sweep.between_rows(self._along_m + 0.008)  # slows down before the corner
+        wanted = self.pace.shift_m_s if shifting else self.pace.stroke_m_s
+        limit = self.pace.ramp_m_s2 / CONTROL_HZ
+        self._speed_m_s += float(np.clip(wanted - self._speed_m_s, -limit, limit))
         self._along_m += self._speed_m_s / CONTROL_HZ
         self.target[[X, Y]] = self.sweep.point(self._along_m)
         return self._along_m >= self.sweep.length_m

@@ -178,6 +178,13 @@ class WipeSimulation:
         mean = np.array([press[0] / READS, press[1] / press[0], press[2] / press[0]])
         self.ink.wipe((center + before) / 2, yaw, size, mean, float(np.linalg.norm(center - before)))
 
+    def block_from_pad(self, finger: Finger) -> tuple[np.ndarray, np.ndarray]:
+        """Return the block's centre (3,) relative to a pad, m, and its axes (3, 3) as columns; tool frame."""
+        tool = self.data.site_xmat[self._tcp].reshape(3, 3)
+        block = self.data.geom("block")
+        center = tool.T @ (block.xpos - self.data.geom(f"skin_{finger}").xpos)
+        return center, tool.T @ block.xmat.reshape(3, 3)
+
     def eraser_in_tool(self) -> np.ndarray:
         """(3,) position of the eraser in the tool frame, m."""
         tool = self.data.site_xmat[self._tcp].reshape(3, 3)

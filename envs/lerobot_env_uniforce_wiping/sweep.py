@@ -32,6 +32,10 @@ class Sweep:
         """(2,) where the eraser is put down."""
         return self.corners[0]
 
+    def between_rows(self, along_m: float) -> bool:
+        """Whether the tool moves from one row to the next there, along the closing axis."""
+        return bool(np.searchsorted(self._at, along_m, side="right") % 2 == 0) and along_m < self.length_m
+
     def point(self, along_m: float) -> np.ndarray:
         """Return (2,) x, y at an arc length, clamped to the ends."""
         return np.array([np.interp(along_m, self._at, self.corners[:, i]) for i in range(2)])

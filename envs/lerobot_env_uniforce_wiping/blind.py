@@ -1,0 +1,39 @@
+"""Blind scripts: the same sequence without touch. If one of them wiped well, touch would not be needed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from lerobot_env_uniforce_wiping.hands import BlindSettings, MeasuredRelativeHands, OpenLoopHands
+from lerobot_env_uniforce_wiping.sequence import WipeSequence
+from uniforce_vtla.errors import ContractError, expected
+
+if TYPE_CHECKING:
+    from lerobot_env_uniforce_wiping.env import WipeEnv
+
+STYLES = {"open_loop": OpenLoopHands, "measured_relative": MeasuredRelativeHands}
+
+
+class BlindScript:
+    """A script of one style and one pair of set points, with the expert's own sequence and layout."""
+
+    def __init__(self, style: str, settings: BlindSettings) -> None:
+        if style not in STYLES:
+            raise ContractError(expected("style", " | ".join(STYLES), repr(style), "Name one."))
+        self._style, self._settings = style, settings
+
+    def reset(self, env: WipeEnv) -> None:
+        """Start a new episode."""
+        hands = STYLES[self._style](env.level.layout, self._settings)
+        self._sequence = WipeSequence(env.level, hands, env.state.astype(np.float64))
+
+    @property
+    def phase(self) -> str:
+        """What it is doing, one of ``sequence.PHASES``."""
+        return self._sequence.phase
+
+    def act(self, env: WipeEnv) -> np.ndarray:
+        """Return the next absolute target (5,) float32 from the measured state alone."""
+        return self._sequence.next(env.state.astype(np.float64)).astype(np.float32)
