@@ -11,9 +11,9 @@ from lerobot_env_uniforce_wiping.mjcf import TCP_m
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
 
 CAMERA_PX = 224
-FOV_rad = {"front": 0.66, "wrist": 1.25}
-FRONT_m, FRONT_LOOK_m = np.array([1.10, 0.02, 0.40]), np.array([0.50, -0.03, 0.06])  # robot base frame
-WRIST_m, WRIST_LOOK_m = np.array([0.0, -0.085, 0.025]), np.array([0.0, -0.008, TCP_m])  # hand frame
+FOV_rad = {"front": 0.52, "wrist": 1.35}
+FRONT_m, FRONT_LOOK_m = np.array([1.05, -0.03, 0.52]), np.array([0.47, -0.04, 0.03])  # robot base frame
+WRIST_m, WRIST_LOOK_m = np.array([0.0, -0.095, 0.045]), np.array([0.0, -0.035, TCP_m + 0.045])  # hand frame
 
 
 @dataclass(frozen=True)

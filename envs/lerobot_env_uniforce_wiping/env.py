@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from lerobot_env_uniforce_wiping.cameras import CAMERA_PX
 from lerobot_env_uniforce_wiping.levels import get_level
 from lerobot_env_uniforce_wiping.painter import Painter
 from lerobot_env_uniforce_wiping.recording import CLEAR_m, TraceRecorder
