@@ -20,12 +20,15 @@ from uniforce_vtla.markers.marker_plan import (
     channel_image,
     choose_plan,
     find_blobs,
+    grow_mask,
     keep_markers,
     score_blobs,
 )
 from uniforce_vtla.markers.rim import inside_rim
 
 MIN_SIDE_PX = 48  # a smaller frame can't hold a marker pattern
+THUMBNAIL_SIZE = (16, 12)  # enough to tell one gel and lighting from another
+ALIKE_LEVELS = 12.0  # grey levels, mean: a touch changes less, another sensor more
 BLACK_LEVEL = 12  # grey levels: no pixel brighter means the lights or the camera are off
 
 
@@ -88,7 +91,7 @@ def segment(
         do = "Is the gel torn, unlit, or without markers?"
         raise SensorError(expected("camera frame", "markers on the gel", came, do))
     mask = np.concatenate([[False], keep]).astype(np.uint8)[blobs.labels] * 255
-    image, offset = centre_on_canvas(mask)
+    image, offset = centre_on_canvas(grow_mask(mask, blobs.centres[keep], settings))
     return Segmentation(image, (blobs.centres[keep] + offset).astype(np.float32), chosen)
 
 
@@ -100,6 +103,17 @@ def fit_canonical(frame: np.ndarray) -> np.ndarray:
         return frame
     size = (round(columns * scale), round(rows * scale))
     return cv2.resize(frame, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+
+
+def thumbnail(frame: np.ndarray) -> np.ndarray:
+    """Return a small (12, 16, 3) int16 picture of a frame's light and colour."""
+    coarse = cv2.resize(frame, (160, 120), interpolation=cv2.INTER_NEAREST)  # cheap first step
+    return cv2.resize(coarse, THUMBNAIL_SIZE, interpolation=cv2.INTER_AREA).astype(np.int16)
+
+
+def looks_alike(first: np.ndarray, second: np.ndarray) -> bool:
+    """Return whether two thumbnails may come from one camera and gel."""
+    return float(np.abs(first - second).mean()) <= ALIKE_LEVELS
 
 
 def centre_on_canvas(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,8 +8,15 @@ import numpy as np
 
 from uniforce_vtla.contracts import Finger, MarkerPair, check_finger
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.markers.camera_markers import Segmentation, segment
-from uniforce_vtla.markers.marker_plan import MarkerPlan, SegmentationSettings
+from uniforce_vtla.markers.camera_markers import (
+    Segmentation,
+    check_frame,
+    fit_canonical,
+    looks_alike,
+    segment,
+    thumbnail,
+)
+from uniforce_vtla.markers.marker_plan import MarkerPlan, SegmentationSettings, choose_plan
 from uniforce_vtla.markers.reference import NoContactCheck, refuse_pressed_reference
 from uniforce_vtla.markers.taxel_render import (
     Saturation,
@@ -26,8 +33,8 @@ from uniforce_vtla.sensors import get_sensor
 class Canonicalizer:
     """Turns one sensor's raw signal into marker images, as the sensor sees them (never flipped).
 
-    Cameras: the way to see the markers (channel, polarity, scale) is found in each frame, or kept from the reference
-    once there is one. Taxels: counts are drawn relative to the reference.
+    Cameras: the way to see the markers (channel, polarity, scale) is found in a frame and kept for the frames that
+    look like it; once there is a reference, its way is used. Taxels: counts are drawn relative to the reference.
 
     Attributes:
         sensor: registry name.
@@ -49,6 +56,7 @@ class Canonicalizer:
         self._no_contact = no_contact or NoContactCheck()
         self._reference_counts: np.ndarray | None = None
         self._plan: MarkerPlan | None = None
+        self._recent: tuple[np.ndarray, MarkerPlan] | None = None
         self._seen_reference: tuple[np.ndarray, Segmentation] | None = None
 
     @property
@@ -103,7 +111,7 @@ class Canonicalizer:
             SensorError: no markers, dark or dead.
         """
         if not self._is_taxel:
-            return self._segment(raw, self._plan).image
+            return self._segment(raw, self._plan_for(raw)).image
         discs = self._discs(raw, self._known_reference())
         self.saturation.add(discs)
         return draw_discs(discs)
@@ -116,7 +124,7 @@ class Canonicalizer:
             SensorError: as ``marker_image``.
         """
         if not self._is_taxel:
-            return self._segment(raw, self._plan).centres_px
+            return self._segment(raw, self._plan_for(raw)).centres_px
         return self._discs(raw, self._known_reference()).centres_px
 
     @property
@@ -125,6 +133,17 @@ class Canonicalizer:
 
     def _segment(self, raw: np.ndarray, plan: MarkerPlan | None) -> Segmentation:
         return segment(raw, self._segmentation, self.spec.dome_radius_mm is not None, plan)
+
+    def _plan_for(self, raw: np.ndarray) -> MarkerPlan:
+        """Return the reference's plan, or the recent one where the frame looks alike, or a new one."""
+        if self._plan is not None:
+            return self._plan
+        look = thumbnail(check_frame(raw))
+        if self._recent is not None and looks_alike(look, self._recent[0]):
+            return self._recent[1]
+        plan, _ = choose_plan(fit_canonical(raw), self._segmentation)
+        self._recent = (look, plan)
+        return plan
 
     def _camera_pair(
         self, reference_raw: np.ndarray, current_raw: np.ndarray

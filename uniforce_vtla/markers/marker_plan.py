@@ -25,14 +25,23 @@ class SegmentationSettings:
 
     version: str = "camera-dog-1"
     backgrounds_px: tuple[int, ...] = (19, 39, 79)  # box widths: from 331 pins to 25 large squares
-    smooth_px: int = 3  # below the smallest pin (≈ 6 px)
+    smooth_fraction: float = 0.08  # of the background width: 3, 3 and 7 px, below the markers each is for
     peak_fraction: float = 0.5  # a marker's edge lies at half its own peak
     floor_fraction: float = 0.25  # of the typical peak: weaker blobs aren't markers
-    ceiling_fraction: float = 0.9  # keeps a reflection from hiding the markers beside it
+    ceiling_fraction: float = 0.5  # of the typical peak: keeps a reflection from hiding the markers beside it
+    close_score: float = 0.8  # of the best: among plans this good the narrowest background wins
+    background_per_side: float = 1.5  # background width per marker side: narrower hollows markers out
+    outlier_fraction: float = 1.5  # of the typical peak: brighter is a reflection, held there
+    against_fraction: float = 0.5  # the same the other way: a streak over dark markers
     min_contrast: float = 6.0  # grey levels; camera noise after smoothing stays below
     min_markers: int = 12  # fewer can't show a pattern
     area_range: tuple[float, float] = (0.25, 3.5)  # of the median area
     elongation_max: float = 3.0  # of the median elongation: streaks go, dashes stay
+    cut_fraction: float = 0.4  # of the least area: the image border cuts markers
+    cut_side_max: float = 2.0  # of the median marker's side: a cut marker is no longer than a whole one
+    min_extent: float = 0.5  # of the median share of its box a blob fills: slanted streaks go
+    grow_px: int = 2  # the masks people publish are grown past half height, and so are these
+    grow_spacing_px: float = 11.0  # one px of growth per this much spacing, so that neighbours don't merge
     isolation_max: float = 2.6  # of the median neighbour distance: lone blobs go
     min_inliers: float = 0.4  # share of blobs that agree in size
     max_spacing_ratio: float = 1.6  # third to first neighbour: 1–1.4 in patterns, 1.85 in random points
@@ -53,7 +62,7 @@ class Blobs:
     """Connected components of one threshold pass.
 
     Attributes:
-        labels: (h, w) int32, 0 is background.
+        labels: (h, w) uint16, 0 is background.
         boxes: (N, 5) int32, cv2 statistics of labels 1…N: left, top, width, height, area.
         centres: (N, 2) float64, x, y.
         typical: amplitude of a typical marker, grey levels.
@@ -88,15 +97,21 @@ def find_blobs(
     response nearby, so that vignetting and blur don't change a marker's size.
     """
     width = plan.background_px // halve | 1
-    response = _response(view, plan.polarity, width, settings.smooth_px)
+    side = max(3, int(settings.smooth_fraction * width) | 1)
+    smooth = cv2.blur(view, (side, side))
+    response = _response(smooth, cv2.blur(smooth, (width, width)), plan.polarity)
     nearby = cv2.dilate(response, np.ones((width // 3 | 1, width // 3 | 1), np.uint8))
     typical = _typical_peak(response[(response == nearby) & (response >= settings.min_contrast / 2)])
     if typical < settings.min_contrast:
         return None
+    if halve == 1:  # the final pass: reflections and streaks would shade the markers beside them
+        smooth = _tame_outliers(smooth, width, plan.polarity * typical, settings)
+        response = _response(smooth, cv2.blur(smooth, (width, width)), plan.polarity)
+        nearby = cv2.dilate(response, np.ones((width // 3 | 1, width // 3 | 1), np.uint8))
     floor, ceiling = settings.floor_fraction * typical, settings.ceiling_fraction * typical
     threshold = np.clip(np.arange(256) * settings.peak_fraction, floor, ceiling).astype(np.uint8)
     mask = cv2.compare(response, cv2.LUT(nearby, threshold), cv2.CMP_GT)
-    count, labels, boxes, centres = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    count, labels, boxes, centres = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=cv2.CV_16U)
     leftover = cv2.mean(response, cv2.bitwise_not(mask))[0]
     return Blobs(labels, boxes[1:], centres[1:], typical, leftover) if count > 1 else None
 
@@ -107,13 +122,19 @@ def keep_markers(blobs: Blobs, settings: SegmentationSettings) -> np.ndarray:
     solid = area >= 4
     if solid.sum() < settings.min_markers:
         return np.zeros(len(area), bool)
-    median = np.median(area[solid])
+    median, sides, borders = (
+        np.median(area[solid]),
+        blobs.boxes[:, 2:4].astype(float),
+        _borders_touched(blobs),
+    )
     lowest, highest = settings.area_range
-    least = np.where(_touches_border(blobs), lowest * 0.4, lowest) * median  # the frame cuts border markers
+    least = np.where(borders == 1, lowest * settings.cut_fraction, lowest) * median
     keep = solid & (area >= least) & (area <= highest * median)
-    sides = blobs.boxes[:, 2:4].astype(float)
     elongation = sides.max(axis=1) / sides.min(axis=1)
-    keep &= (elongation <= settings.elongation_max * np.median(elongation[solid])) | _touches_border(blobs)
+    shapely = elongation <= settings.elongation_max * np.median(elongation[solid])
+    cut = (borders == 1) & (sides.max(axis=1) <= settings.cut_side_max * np.sqrt(median))
+    extent = area / sides.prod(axis=1)
+    keep &= (shapely | cut) & (borders < 2) & (extent >= settings.min_extent * np.median(extent[solid]))
     return keep & _has_neighbours(blobs.centres, keep, settings)
 
 
@@ -153,25 +174,51 @@ def choose_plan(frame: np.ndarray, settings: SegmentationSettings) -> tuple[Mark
     half = cv2.resize(frame, (frame.shape[1] // 2, frame.shape[0] // 2), interpolation=cv2.INTER_AREA)
     views = {channel: channel_image(half, channel) for channel in CHANNELS}
     plans = [MarkerPlan(*parts) for parts in product(CHANNELS, POLARITIES, settings.backgrounds_px)]
-    scores = [_score_plan(views[plan.channel], plan, settings) for plan in plans]
-    best = int(np.argmax(scores))
+    scores, sides = np.array([_judge_plan(views[plan.channel], plan, settings) for plan in plans]).T
+    least_px = settings.background_per_side * sides[np.argmax(scores)]
+    close = scores >= settings.close_score * scores.max()
+    wide = np.array([plan.background_px >= least_px for plan in plans])
+    candidates = np.flatnonzero(close & wide) if np.any(close & wide) else np.flatnonzero(close)
+    best = min(candidates, key=lambda i: (plans[i].background_px, -scores[i]))
     if scores[best] < settings.min_score:
         came = f"no pattern of dots in any channel (score {scores[best]:.1f}, needs {settings.min_score:g})"
         do = "Is this a gel without markers, out of focus, or unlit?"
         raise SensorError(expected("camera frame", "markers on the gel", came, do))
-    return plans[best], scores[best]
+    return plans[best], float(scores[best])
 
 
-def _score_plan(view: np.ndarray, plan: MarkerPlan, settings: SegmentationSettings) -> float:
+def grow_mask(mask: np.ndarray, centres: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
+    """Return an (h, w) mask grown by up to ``grow_px``, less where (M, 2) markers stand close."""
+    spacing = float(np.median(cKDTree(centres).query(centres, k=2)[0][:, 1]))
+    grow = min(settings.grow_px, int(spacing / settings.grow_spacing_px))
+    if grow == 0:
+        return mask
+    return cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow + 1, 2 * grow + 1)))
+
+
+def _judge_plan(view: np.ndarray, plan: MarkerPlan, settings: SegmentationSettings) -> tuple[float, float]:
+    """Return a plan's score and the side of its markers in canonical px; zeros where it shows none."""
     blobs = find_blobs(view, plan, settings, halve=2)
-    return 0.0 if blobs is None else score_blobs(blobs, keep_markers(blobs, settings), settings)
+    keep = np.zeros(0, bool) if blobs is None else keep_markers(blobs, settings)
+    if blobs is None or not keep.any():
+        return 0.0, 0.0
+    return score_blobs(blobs, keep, settings), 2 * float(np.sqrt(np.median(blobs.boxes[keep, 4])))
 
 
-def _response(view: np.ndarray, polarity: int, background_px: int, smooth_px: int) -> np.ndarray:
+def _response(smooth: np.ndarray, background: np.ndarray, polarity: int) -> np.ndarray:
     """Return the one-sided difference of box filters, uint8: how far a pixel stands out in its surroundings."""
-    smooth = cv2.blur(view, (smooth_px, smooth_px))
-    background = cv2.blur(smooth, (background_px, background_px))
     return cv2.subtract(smooth, background) if polarity > 0 else cv2.subtract(background, smooth)
+
+
+def _tame_outliers(
+    smooth: np.ndarray, width: int, amplitude: float, settings: SegmentationSettings
+) -> np.ndarray:
+    """Return ``smooth`` held within the range that markers of signed ``amplitude`` and gel explain."""
+    background = cv2.blur(smooth, (width, width))
+    beyond = settings.outlier_fraction * abs(amplitude)
+    against = settings.against_fraction * abs(amplitude)
+    above, below = (beyond, against) if amplitude > 0 else (against, beyond)
+    return cv2.max(cv2.min(smooth, cv2.add(background, above)), cv2.subtract(background, below))
 
 
 def _typical_peak(peaks: np.ndarray) -> float:
@@ -187,10 +234,12 @@ def _typical_peak(peaks: np.ndarray) -> float:
     return float(np.searchsorted(np.cumsum(strong), strong.sum() / 2))
 
 
-def _touches_border(blobs: Blobs) -> np.ndarray:
+def _borders_touched(blobs: Blobs) -> np.ndarray:
+    """Return (N,) how many image borders each blob touches: 1 may be a cut marker, 2 is a dark corner."""
     rows, columns = blobs.labels.shape
     left, top, width, height = blobs.boxes[:, :4].T
-    return (left == 0) | (top == 0) | (left + width == columns) | (top + height == rows)
+    touched = np.stack([left == 0, top == 0, left + width == columns, top + height == rows])
+    return touched.sum(axis=0)
 
 
 def _has_neighbours(centres: np.ndarray, keep: np.ndarray, settings: SegmentationSettings) -> np.ndarray:

@@ -7,7 +7,7 @@ frame (the left finger's own).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +17,10 @@ from uniforce_vtla.errors import ContractError, expected
 if TYPE_CHECKING:
     import torch
 
-Array = TypeVar("Array", np.ndarray, "torch.Tensor")
-
 MIRROR_FORCE = (-1.0, 1.0, 1.0)  # a horizontal flip turns x round; y and z stay
 
 
-def to_canonical(image: Array, finger: Finger) -> Array:
+def to_canonical[Array: (np.ndarray, "torch.Tensor")](image: Array, finger: Finger) -> Array:
     """Return ``image`` (..., H, W), numpy or torch, as the left finger would see it.
 
     The left finger's image comes back as it is; the right finger's is flipped along its last axis. Applied twice it
@@ -40,7 +38,7 @@ def to_canonical(image: Array, finger: Finger) -> Array:
     return image.flip(-1)
 
 
-def to_finger_frame(force_N: Array, finger: Finger) -> Array:
+def to_finger_frame[Array: (np.ndarray, "torch.Tensor")](force_N: Array, finger: Finger) -> Array:
     """Return force (..., 3) N from the canonical frame to the finger's own; its own inverse.
 
     Raises:

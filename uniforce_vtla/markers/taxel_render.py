@@ -111,7 +111,7 @@ def place_discs(delta_counts: np.ndarray, scales: TaxelScales) -> TaxelDiscs:
         centres_px=_to_pixels(position).astype(np.float32),
         radii_px=radii.astype(np.float32),
         radius_saturated=area > scales.area_max_pt2,
-        xy_saturated=(np.abs(shift) > limit).any(axis=1),
+        xy_saturated=np.any(np.abs(shift) > limit, axis=1),
     )
 
 
