@@ -30,7 +30,7 @@ class TouchFacts:
     def of(cls, config: PI05UniforceConfig | dict[str, Any]) -> TouchFacts:
         """Read the facts from a live config or from a saved ``config.json``."""
         read = config.get if isinstance(config, dict) else lambda name: getattr(config, name)
-        values = {f.name: read(f.name) for f in fields(cls) if f.name != "slots"}
+        values: dict[str, Any] = {f.name: read(f.name) for f in fields(cls) if f.name != "slots"}
         return cls(slots=tuple(sorted(read("touch_slots") or ())), **values)
 
 

@@ -14,6 +14,8 @@ from uniforce_vtla.contracts import FINGERS, Finger, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 
+_BY_SIZE: Any = None  # "take the size's default"; never left after __post_init__
+
 CHOICES = {
     "size": ("tiny", "base"),
     "touch_input": ("latent", "wrench", "none"),
@@ -25,27 +27,24 @@ CHOICES = {
 @PreTrainedConfig.register_subclass("pi05_uniforce")
 @dataclass
 class PI05UniforceConfig(PI05Config):
-    """π0.5 with force tokens.  A field left at None takes its size's default (see ``sizes.py``).
+    """π0.5 with force tokens.  A field left out takes its size's default (see ``sizes.py``).
 
     Raises:
         ContractError: an unknown choice, slot, finger or token site.
     """
 
-    size: str = (
-        "auto"  # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is, else tiny
-    )
+    size: str = "auto"  # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is
 
     # Shapes that follow the size
-    chunk_size: int | None = None  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
-    n_action_steps: int | None = None  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
-    image_resolution: tuple[int, int] | None = None  # [px] tiny 84² = 36 patches of 14² per camera; base 224²
-    max_action_dim: int | None = None  # tiny 8 (5 axes, padded); base 32, as the published weights
-    max_state_dim: int | None = None  # tiny 8; base 32
-    tokenizer_max_length: int | None = None  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
-    state_token: bool | None = (
-        None  # one more prefix token from the continuous state: 256 text bins per axis can't
+    chunk_size: int = _BY_SIZE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
+    n_action_steps: int = _BY_SIZE  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
+    image_resolution: tuple[int, int] = _BY_SIZE  # [px] tiny 84² = 36 patches of 14² per camera; base 224²
+    max_action_dim: int = _BY_SIZE  # tiny 8 (5 axes, padded); base 32, as the published weights
+    max_state_dim: int = _BY_SIZE  # tiny 8; base 32
+    tokenizer_max_length: int = _BY_SIZE  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
+    state_token: bool = (
+        _BY_SIZE  # continuous state as a token: 5×256 text bins need more than 50 demos. tiny on
     )
-    #                                  be learnt from scratch on 50 demos. tiny on, base off
     tiny_width: int = 128  # VLM and expert width: 0.5 s per step of batch 32 on one core
     tiny_depth: int = 4  # layers, both streams
     tiny_head_dim: int = 16  # 8 heads are fixed by LeRobot's joint layer
@@ -54,16 +53,14 @@ class PI05UniforceConfig(PI05Config):
     text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
 
     # Touch
-    touch_slots: dict[str, str] = field(
-        default_factory=lambda: {"touch0": "right"}
-    )  # slot → finger; {} = none
+    # slot → finger; {} = none
+    touch_slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
     touch_input: str = "latent"  # "latent" | "wrench" (true wrench, a ceiling control) | "none" (plain π0.5)
     swap: str = ""  # "touch0:left" lets another finger fill a slot at rollout; weights don't change
     left_sensor: str = ""  # kind mounted on the left finger; provenance, "" = not stated
     right_sensor: str = ""  # kind mounted on the right finger
-    trained_sensors: dict[str, str] = field(
-        default_factory=dict
-    )  # slot → kind seen in training, "" or absent = any
+    # slot → kind seen in training; "" or absent = any
+    trained_sensors: dict[str, str] = field(default_factory=dict)
     latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
     token_site: str = "prefix"  # "suffix" comes later
     force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
@@ -76,27 +73,33 @@ class PI05UniforceConfig(PI05Config):
     latent_size: int = 6  # numbers per patch
 
     # Action
-    action_form: str | None = None  # "target_delta" (tiny) | "absolute" (base); see action_form.py
-    delta_scale: list[float] = field(
-        # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
-        default_factory=lambda: [0.03, 0.03, 0.012, 0.15, 0.01]
+    action_form: str = _BY_SIZE  # "target_delta" (tiny) | "absolute" (base); see action_form.py
+    # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
+    delta_scale: list[float] = field(default_factory=lambda: [0.03, 0.03, 0.012, 0.15, 0.01])
+
+    normalization_mapping: dict[str, NormalizationMode] = (
+        field(  # only state and absolute actions are normalised
+            default_factory=lambda: {
+                "VISUAL": NormalizationMode.IDENTITY,
+                "STATE": NormalizationMode.QUANTILES,
+                "ACTION": NormalizationMode.QUANTILES,  # IDENTITY for target_delta, set below
+            }
+        )
     )
 
     # Training
-    optimizer_lr: float | None = None  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
-    new_module_lr: float | None = (
-        None  # force and state projections; tiny as above, base 1e-4 (they start random)
-    )
-    scheduler_warmup_steps: int | None = None  # tiny 3 % of the decay; scaled with it when a run is shorter
-    scheduler_decay_steps: int | None = None  # tiny 100 000: any shorter run gets its whole cosine
-    scheduler_decay_lr: float | None = None  # tiny 1e-5; base 2.5e-6
+    optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
+    new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4
+    scheduler_warmup_steps: int = _BY_SIZE  # tiny 3 % of the decay; scaled with it when a run is shorter
+    scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
+    scheduler_decay_lr: float = _BY_SIZE  # tiny 1e-5; base 2.5e-6
 
     def __post_init__(self) -> None:
         self.size = resolve_size(self.size, self.device)
         for name, value in size_defaults(self.size).items():
             if getattr(self, name) is None:
                 setattr(self, name, value)
-        self.image_resolution = tuple(self.image_resolution)
+        self.image_resolution = (self.image_resolution[0], self.image_resolution[1])  # lists come from JSON
         self._check()
         if (
             self.action_form == "target_delta"
@@ -115,6 +118,11 @@ class PI05UniforceConfig(PI05Config):
                     "token_site", "prefix", repr(self.token_site), "Suffix tokens come in a later release."
                 )
             )
+        if self.size == "tiny" and (
+            self.compile_model or self.gradient_checkpointing or self.dtype != "float32"
+        ):
+            came = "compile_model, gradient_checkpointing or bfloat16"
+            raise ContractError(expected("size=tiny", "plain float32", came, "Leave these to size=base."))
         for slot, finger in self.touch_slots.items():
             _check_slot(slot)
             check_finger(finger)
@@ -157,7 +165,7 @@ class PI05UniforceConfig(PI05Config):
     @property
     def action_delta_indices(self) -> list[int]:
         """Frames of the action to load: the chunk, and for target deltas the last command before it."""
-        chunk = list(range(self.chunk_size or 0))
+        chunk = list(range(self.chunk_size))
         return [-1, *chunk] if self.action_form == "target_delta" else chunk
 
     def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:

@@ -25,17 +25,24 @@ def read_latent_rms(stats: dict[str, dict[str, Any]], config: PI05UniforceConfig
         return None
     rows = [stats[latent_key(slot)] for slot in config.slots if latent_key(slot) in stats]
     scales = [
-        latent_rms(*(torch.as_tensor(row[k]) for k in ("mean", "std")), config.latent_size) for row in rows
+        latent_rms(torch.as_tensor(row["mean"]), torch.as_tensor(row["std"]), config.latent_size)
+        for row in rows
     ]
     return torch.stack(scales).square().mean(dim=0).sqrt() if scales else None
 
 
-def check_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
-    """Raise DatasetError where a training view holds latents of another tokenizer than the policy's."""
+def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
+    """Take provenance from a training view: refuse latents of another tokenizer, note which sensors it holds.
+
+    Raises:
+        DatasetError: the view's latents were made by another tokenizer than the policy's.
+    """
     marker = Path(getattr(dataset_meta, "root", "")) / VIEW_MARKER
-    if dataset_meta is None or config.touch_input != "latent" or not config.slots or not marker.is_file():
+    if dataset_meta is None or not config.slots or not marker.is_file():
         return
-    made_by = json.loads(marker.read_text()).get("tokenizer_hash", "")
-    if made_by and made_by != config.tokenizer_hash:
+    view = json.loads(marker.read_text())
+    config.trained_sensors = {**view.get("sensors", {}), **config.trained_sensors}
+    made_by = view.get("tokenizer_hash", "")
+    if config.touch_input == "latent" and made_by and made_by != config.tokenizer_hash:
         do = "Build the view again with this policy's tokenizer."
         raise DatasetError(expected(f"tokenizer of {marker}", config.tokenizer_hash, made_by, do))

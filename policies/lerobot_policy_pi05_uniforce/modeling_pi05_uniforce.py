@@ -14,7 +14,7 @@ from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_deltas, to_targets
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.dataset_facts import check_view, read_latent_rms
+from lerobot_policy_pi05_uniforce.dataset_facts import read_latent_rms, read_view
 from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens, StateToken, wrench_rms
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
@@ -50,9 +50,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.action_out_proj = nn.Linear(width, config.max_action_dim)
         self.time_mlp_in = nn.Linear(width, width)
         self.time_mlp_out = nn.Linear(width, width)
-        if config.compile_model:
-            self.sample_actions = torch.compile(self.sample_actions, mode=config.compile_mode)
-            self.forward = torch.compile(self.forward, mode=config.compile_mode)
 
     def _make_force_tokens(self, config: PI05UniforceConfig) -> ForceTokens | None:
         if not config.slots:
@@ -72,7 +69,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
 
     def embed_prefix(
         self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any
-    ):
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Embed cameras and text as π0.5 does, then append state and force tokens to the same block.
 
         ``images`` holds (B, 3, H, W) cameras first, then (B, 1, S) state if used, then (B, K, ·) per slot.
@@ -95,7 +92,9 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if self.state_token is not None and extra:
             embedded.append(self.state_token(extra[0]))
             extra = extra[1:]
-        return embedded + [self.force_tokens(touch, slot) for slot, touch in enumerate(extra)]
+        if self.force_tokens is not None:
+            embedded += [self.force_tokens(touch, slot) for slot, touch in enumerate(extra)]
+        return embedded
 
 
 class PI05UniforcePolicy(stock.PI05Policy):
@@ -136,12 +135,12 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self.reset()
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
-        check_view(meta, self.config)
+        read_view(meta, self.config)
         if not stats:
             return
-        stats.update(floor_quantiles(stats))
+        stats.update(floor_quantiles(stats) or {})
         rms = read_latent_rms(stats, self.config)
-        if rms is not None:
+        if rms is not None and self.model.force_tokens is not None:
             self.model.force_tokens.input_rms.copy_(rms)
 
     @classmethod

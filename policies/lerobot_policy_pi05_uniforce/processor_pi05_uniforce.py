@@ -37,8 +37,11 @@ MEASURED_STATE = "observation.measured_state"  # the state in SI units, beside t
 class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
     """Tokenize the prompt; the packaged tokenizer is stored by name and found again wherever it is installed."""
 
+    tokenizer_name: str | None = local_tokenizer.PACKAGED
+
     def __post_init__(self) -> None:
-        stored, self.tokenizer_name = self.tokenizer_name, local_tokenizer.location(self.tokenizer_name or "")
+        stored = self.tokenizer_name
+        self.tokenizer_name = local_tokenizer.location(stored or local_tokenizer.PACKAGED)
         super().__post_init__()
         self.tokenizer_name = stored
         self._warned = False

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from lerobot.configs import FeatureType, PolicyFeature
+
+from lerobot_policy_pi05_uniforce import (
+    PI05UniforceConfig,
+    PI05UniforcePolicy,
+    make_pi05_uniforce_pre_post_processors,
+)
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
+
+SMALL = {
+    "tiny_width": 32,
+    "tiny_depth": 2,
+    "tiny_head_dim": 8,
+    "tiny_mlp_dim": 32,
+    "image_resolution": (28, 28),
+}
+BOTH = {"touch0": "right", "touch1": "left"}
+LOW, HIGH = np.array([0.3, -0.2, 0.0, -1.0, 0.0]), np.array([0.7, 0.2, 0.3, 1.0, 0.08])
+
+
+@pytest.fixture(autouse=True)
+def one_thread_seeded() -> None:
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def tokenizer_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
+    return Tokenizer.random(config).save(tmp_path_factory.mktemp("tokenizer"))
+
+
+@pytest.fixture(scope="session")
+def stats() -> dict[str, dict[str, np.ndarray]]:
+    one = {
+        "q01": LOW,
+        "q99": HIGH,
+        "mean": (LOW + HIGH) / 2,
+        "std": (HIGH - LOW) / 4,
+        "min": LOW,
+        "max": HIGH,
+    }
+    return {"observation.state": one, "action": one}
+
+
+@pytest.fixture
+def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
+    def make(**settings: Any) -> PI05UniforceConfig:
+        cameras = {
+            f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
+            for name in ("front", "wrist", "tactile_left", "tactile_right")
+        }
+        state = {"observation.state": PolicyFeature(FeatureType.STATE, (5,))}
+        given = {"touch_slots": BOTH, "tokenizer_path": str(tokenizer_path), **SMALL, **settings}
+        return PI05UniforceConfig(
+            size="tiny",
+            device="cpu",
+            input_features=cameras | state,
+            output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
+            **given,
+        )
+
+    return make
+
+
+@pytest.fixture
+def make_policy(make_config: Callable[..., PI05UniforceConfig]) -> Callable[..., PI05UniforcePolicy]:
+    return lambda **settings: PI05UniforcePolicy(make_config(**settings)).eval()
+
+
+@pytest.fixture
+def make_batch(stats: dict[str, Any]) -> Callable[..., dict[str, torch.Tensor]]:
+    """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text; actions on request."""
+
+    def make(policy: PI05UniforcePolicy, size: int = 2, actions: bool = False) -> dict[str, torch.Tensor]:
+        before, _ = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+        batch: dict[str, Any] = {"task": ["wipe the ink off the board"] * size}
+        for name in ("front", "wrist"):
+            batch[f"observation.images.{name}"] = torch.rand(size, 3, 28, 28)
+        for finger in ("left", "right"):
+            for suffix in ("", "_ref"):
+                markers = (torch.rand(size, 1, 48, 64) > 0.9).float().expand(-1, 3, -1, -1)
+                batch[f"observation.images.tactile_{finger}{suffix}"] = markers.contiguous()
+        for slot in ("touch0", "touch1"):
+            batch[f"observation.wrench.{slot}"] = torch.randn(size, 4) * 5
+        batch["observation.state"] = _between(torch.rand(size, 5))
+        if actions:
+            steps = len(policy.config.action_delta_indices)
+            batch["action"] = _between(torch.rand(size, steps, 5))
+            batch["action_is_pad"] = torch.zeros(size, steps, dtype=torch.bool)
+        return before(batch)
+
+    return make
+
+
+def _between(share: torch.Tensor) -> torch.Tensor:
+    low, high = (torch.tensor(x, dtype=torch.float32) for x in (LOW, HIGH))
+    return low + (high - low) * share

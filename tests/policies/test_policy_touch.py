@@ -1,0 +1,215 @@
+from __future__ import annotations
+
+import logging
+
+import pytest
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import LANGUAGE
+from uniforce_vtla.errors import ContractError, RolloutError
+from uniforce_vtla.keys import latent_key, tactile_key
+
+
+class PlainNetwork(stock.PI05Pytorch):
+    """LeRobot's own network around somebody else's modules."""
+
+    def __init__(self, other: stock.PI05Pytorch) -> None:
+        torch.nn.Module.__init__(self)
+        self.config, self.rtc_processor = other.config, None
+        self.gradient_checkpointing_enabled = False
+        for name in (
+            "paligemma_with_expert",
+            "action_in_proj",
+            "action_out_proj",
+            "time_mlp_in",
+            "time_mlp_out",
+        ):
+            setattr(self, name, getattr(other, name))
+
+
+def inputs(policy, batch):
+    images, masks = policy._preprocess_images(batch)
+    return images, masks, batch[LANGUAGE[0]], batch[LANGUAGE[1]]
+
+
+def noise(policy, size=2):
+    return torch.randn(size, policy.config.chunk_size, policy.config.max_action_dim)
+
+
+def test_no_touch_is_bit_equal_to_plain_pi05(make_policy, make_batch):
+    policy = make_policy(touch_input="none", state_token=False)
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    assert len(images) == 2  # cameras only
+    plain, start = PlainNetwork(policy.model), noise(policy)
+    ours = policy.model.sample_actions(images, masks, tokens, text_mask, noise=start)
+    assert torch.equal(ours, plain.sample_actions(images, masks, tokens, text_mask, noise=start))
+    assert not any("force" in key or "tactile" in key for key in policy.state_dict())
+
+
+def test_masked_touch_equals_no_touch(make_policy, make_batch):
+    policy = make_policy()
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    start = noise(policy)
+    off = [*masks[:3], *(torch.zeros_like(m) for m in masks[3:])]  # two cameras, state, then slots
+    masked = policy.model.sample_actions(images, off, tokens, text_mask, noise=start)
+    without = policy.model.sample_actions(images[:3], masks[:3], tokens, text_mask, noise=start)
+    felt = policy.model.sample_actions(images, masks, tokens, text_mask, noise=start)
+    assert torch.allclose(masked, without, atol=1e-6)
+    assert (felt - without).abs().max() > 1e-3
+
+
+def test_joint_training_velocity_equals_sampling_velocity(make_policy, make_batch):
+    policy = make_policy()
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    x, actions, time = noise(policy), torch.zeros(1), torch.tensor([0.7, 0.3])
+    actions = torch.zeros_like(x)
+    x_t = time[:, None, None] * x
+    squared = policy.model.forward(images, masks, tokens, text_mask, actions, x, time)  # (u − v)², u = x − 0
+    prefix, pads, atts = policy.model.embed_prefix(images, masks, tokens, text_mask)
+    mask = stock.prepare_attention_masks_4d(stock.make_att_2d_masks(pads, atts))
+    _, cache = policy.model.paligemma_with_expert.forward(
+        mask, torch.cumsum(pads, 1) - 1, None, [prefix, None], use_cache=True
+    )
+    velocity = policy.model.denoise_step(pads, cache, x_t, time)
+    assert torch.allclose(squared.sqrt(), (x - velocity).abs(), atol=1e-4)
+
+
+def test_fused_joint_pass_equals_lerobots_own(make_policy, make_batch, monkeypatch):
+    policy = make_policy()
+    args = inputs(policy, make_batch(policy))
+    x, time = noise(policy), torch.tensor([0.7, 0.3])
+    fused = policy.model.forward(*args, torch.zeros_like(x), x, time)
+    backbone = policy.model.paligemma_with_expert
+    monkeypatch.setattr(type(backbone), "forward", stock.PaliGemmaWithExpertModel.forward)
+    eager = policy.model.forward(*args, torch.zeros_like(x), x, time)
+    assert torch.allclose(fused, eager, atol=1e-4)
+
+
+def test_gradient_reaches_force_projection_and_not_the_tokenizer(make_policy, make_batch):
+    policy = make_policy()
+    policy.train()
+    policy.forward(make_batch(policy, actions=True))[0].backward()
+    assert policy.model.force_tokens.proj[0].weight.grad.abs().sum() > 0
+    assert policy.model.force_tokens.slot_embedding.grad.abs().sum() > 0
+    assert all(p.grad is None and not p.requires_grad for p in policy.model.tactile_encoder.parameters())
+    assert not policy.model.tactile_encoder.training
+    trained = {id(p) for group in policy.get_optim_params() for p in group["params"]}
+    assert trained == {id(p) for p in policy.parameters() if p.requires_grad}
+
+
+def test_marker_images_act_through_tokens_alone(make_policy, make_batch):
+    policy = make_policy()
+    batch = make_batch(policy)
+    images, masks, tokens, text_mask = inputs(policy, batch)
+    changed = {**batch, tactile_key("right"): 1 - batch[tactile_key("right")]}
+    others, *_ = inputs(policy, changed)
+    assert all(torch.equal(a, b) for a, b in zip(images[:3], others[:3], strict=True))
+    assert not torch.equal(images[3], others[3]) and torch.equal(images[4], others[4])
+    embedded = policy.model.embed_prefix(images, masks, tokens, text_mask)[0]
+    assert embedded.shape[1] == 2 * 4 + tokens.shape[1] + 1 + 2 * 16  # 28² = 4 patches per camera
+
+
+def test_force_tokens_keep_amplitude(make_policy):
+    tokens = make_policy().model.force_tokens
+    touch = torch.randn(1, 16, 6)
+    assert (tokens(touch, 0) - tokens(3 * touch, 0)).abs().mean() > 0.05
+    assert torch.allclose(tokens(touch, 0).square().mean(-1), torch.ones(1, 16), atol=1e-3)
+
+
+def test_cached_latents_equal_encoding_the_images(make_policy, make_batch):
+    policy = make_policy()
+    batch = make_batch(policy)
+    images, _ = policy._preprocess_images(batch)
+    cached = {k: v for k, v in batch.items() if "tactile" not in k}
+    cached |= {latent_key(slot): images[3 + i].flatten(1) for i, slot in enumerate(("touch0", "touch1"))}
+    again, _ = policy._preprocess_images(cached)
+    assert all(torch.equal(a, b) for a, b in zip(images, again, strict=True))
+
+
+def test_swap_fills_the_slot_from_the_other_finger(make_policy, make_batch):
+    policy = make_policy(touch_slots={"touch0": "right"})
+    batch = make_batch(policy)
+    policy.config.swap = "touch0:left"
+    swapped, _ = policy._preprocess_images(batch)
+    mirrored = {k: v.flip(-1) for k, v in batch.items() if "tactile" in k}
+    policy.config.swap = ""
+    batch |= {tactile_key("right", r): mirrored[tactile_key("left", r)] for r in (False, True)}
+    policy.reset()
+    right, _ = policy._preprocess_images(batch)  # the right finger's mirror undoes the flip
+    assert torch.allclose(swapped[-1], right[-1], atol=1e-6)
+
+
+def test_reference_is_encoded_once_until_reset(make_policy, make_batch, monkeypatch):
+    policy = make_policy(touch_slots={"touch0": "right"})
+    batch, calls = make_batch(policy), []
+    encoder = policy.model.tactile_encoder.model.encoder
+    real = encoder.encode_reference
+    monkeypatch.setattr(encoder, "encode_reference", lambda x: calls.append(1) or real(x))
+    for _ in range(3):
+        policy._preprocess_images(batch)
+    assert len(calls) == 1
+    policy.reset()
+    policy._preprocess_images(batch)
+    assert len(calls) == 2
+    policy._preprocess_images({**batch, tactile_key("right", True): batch[tactile_key("left", True)]})
+    assert len(calls) == 3
+
+
+def test_lost_touch_is_an_error(make_policy, make_batch):
+    policy = make_policy()
+    batch = make_batch(policy)
+    gone = {k: v for k, v in batch.items() if k != tactile_key("left")}
+    with pytest.raises(RolloutError, match="tactile_left"):
+        policy.predict_action_chunk(gone)
+    with pytest.raises(ContractError, match="all black"):
+        policy.predict_action_chunk({**batch, tactile_key("left", True): batch[tactile_key("left")] * 0})
+
+
+def test_lost_touch_can_be_masked_and_is_said_once(make_policy, make_batch, caplog):
+    policy = make_policy(on_sensor_loss="mask")
+    batch = make_batch(policy)
+    gone = {k: v for k, v in batch.items() if k != tactile_key("left")}
+    with caplog.at_level(logging.WARNING):
+        for _ in range(2):
+            _, masks = policy._preprocess_images(gone)
+    assert masks[3].all() and not masks[4].any()
+    assert sum("tactile_left" in r.message for r in caplog.records) == 1
+
+
+def test_nan_wrench_is_lost_touch(make_policy, make_batch):
+    policy = make_policy(touch_input="wrench")
+    batch = make_batch(policy)
+    batch["observation.wrench.touch0"][1, 2] = float("nan")
+    with pytest.raises(RolloutError, match="NaN"):
+        policy.predict_action_chunk(batch)
+
+
+def test_touch_dropout_only_with_two_slots_in_training(make_policy, make_batch):
+    for slots, hidden in (({"touch0": "right"}, False), ({"touch0": "right", "touch1": "left"}, True)):
+        policy = make_policy(touch_slots=slots, touch_dropout=0.5)
+        batch = make_batch(policy, size=32)
+        policy.train()
+        _, masks = policy._preprocess_images(batch)
+        assert (not all(m.all() for m in masks)) == hidden
+        policy.eval()
+        _, masks = policy._preprocess_images(batch)
+        assert all(m.all() for m in masks)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"touch_slots": {"thumb": "left"}}, "touch slot"),
+        ({"touch_slots": {"touch0": "middle"}}, "finger"),
+        ({"swap": "touch9:left"}, "swap"),
+        ({"swap": "touch0"}, "finger"),
+        ({"token_site": "suffix"}, "later"),
+        ({"touch_input": "video"}, "touch_input"),
+        ({"action_form": "velocity"}, "action_form"),
+        ({"dtype": "bfloat16"}, "float32"),
+    ],
+)
+def test_bad_settings_say_what_is_wrong(make_config, settings, said):
+    with pytest.raises(ContractError, match=said):
+        make_config(**settings)
