@@ -11,17 +11,15 @@ import os
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_datasets.source import read_source
 from uniforce_vtla.keys import ACTION, STATE
 
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 POOLED_KEYS = (STATE, ACTION)
 
 
-def pooled_stats(values: np.ndarray) -> dict[str, list]:
+def pooled_stats(values: np.ndarray) -> dict[str, np.ndarray]:
     """Return min, max, mean, std, count and q01…q99 of (N, D) values, per column."""
     values = values.astype(np.float64)
     stats = {
@@ -32,40 +30,16 @@ def pooled_stats(values: np.ndarray) -> dict[str, list]:
         "count": np.array([len(values)]),
     }
     quantiles = np.quantile(values, QUANTILES, axis=0)
-    stats |= {f"q{round(q * 100):02d}": row for q, row in zip(QUANTILES, quantiles, strict=True)}
-    return {name: value.tolist() for name, value in stats.items()}
-
-
-def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Read (N, D) or (N,) columns of every data file, in frame order.
-
-    Raises:
-        DatasetError: no data file, or one that can't be read.
-    """
-    files = sorted((root / "data").rglob("*.parquet"))
-    if not files:
-        raise DatasetError(expected(str(root), "data/**/*.parquet", "none", "Record episodes first."))
-    table = pa.concat_tables([_read(file, keys) for file in files])
-    return {key: np.array(table[key].to_pylist()) for key in keys}
-
-
-def _read(file: Path, keys: tuple[str, ...]) -> pa.Table:
-    try:
-        return pq.read_table(file, columns=list(keys)).replace_schema_metadata(None)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise DatasetError(
-            expected(
-                str(file), "a whole parquet file", error, "It is truncated: restore it or delete the episode."
-            )
-        ) from error
+    return stats | {f"q{round(q * 100):02d}": row for q, row in zip(QUANTILES, quantiles, strict=True)}
 
 
 def write_pooled_stats(root: str | Path) -> None:
     """Replace the statistics of state and action in ``meta/stats.json`` by pooled ones."""
     path = Path(root) / "meta" / "stats.json"
     stats = json.loads(path.read_text())
-    columns = read_columns(Path(root), POOLED_KEYS)
-    stats |= {key: pooled_stats(columns[key]) for key in POOLED_KEYS}
+    columns = read_source(root).columns(POOLED_KEYS)
+    for key, values in columns.items():
+        stats[key] = {name: value.tolist() for name, value in pooled_stats(values).items()}
     fresh = path.with_suffix(".json.new")
     fresh.write_text(json.dumps(stats, indent=4))
     os.replace(fresh, path)

@@ -12,15 +12,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-import av
 import numpy as np
 from lerobot.datasets.io_utils import write_info
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from uniforce_datasets.columns import as_column, check_row, sensor_index
 from uniforce_datasets.features import CAMERA_SHAPE, dataset_features
+from uniforce_datasets.lossless import LOCAL
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.staging import STAGING, commit, recover
+from uniforce_datasets.stored_check import check_stored
 from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError, expected
@@ -28,7 +29,6 @@ from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KE
 
 logger = logging.getLogger(__name__)
 
-LOCAL = "local"  # a revision that is no version number: LeRobot then doesn't look for one on the hub
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
 AT_THE_END = (SUCCESS, OUTCOME, SEED)  # columns known only when the episode is over
 
@@ -101,6 +101,8 @@ class EpisodeRecorder:
         check_row(row, self._features)
         with _typed_errors(self):
             self._dataset.add_frame(row | {"task": task})
+        for key in TACTILE_KEYS:
+            self._ends[key] = (self._ends.get(key, (row[key],))[0], row[key])
         self._refuse_dropped()
 
     def save(self, success: bool, outcome: str, seed: int) -> None:
@@ -126,7 +128,7 @@ class EpisodeRecorder:
             self._dataset.save_episode()
             self._name_marker_codec()
             self._dataset.finalize()
-            _check_frame_counts(self.root / STAGING, frames)
+            check_stored(self.root / STAGING, frames, self._fps, self._ends)
             commit(self.root)
         self._dataset = self._open()
 
@@ -163,6 +165,7 @@ class EpisodeRecorder:
         else:
             self._refuse_foreign_files()
             dataset = LeRobotDataset.create(self._repo_id, self._fps, dict(self._features), root=staged)
+        self._ends: dict[str, tuple[np.ndarray, ...]] = {}  # first and last marker images of the episode
         dataset.writer._streaming_encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
         return dataset
 
@@ -235,16 +238,6 @@ def _check_same(meta: Any, fps: int, features: dict[str, dict]) -> None:
         raise DatasetError(
             expected("dataset", "the features to record", f"others: {odd}", "Record into another root.")
         )
-
-
-def _check_frame_counts(staged: Path, frames: int) -> None:
-    for path in sorted((staged / "videos").rglob("*.mp4")):
-        with av.open(str(path)) as video:
-            stored = video.streams.video[0].frames
-        if stored != frames:
-            raise DatasetError(
-                expected(path.parts[-3], f"{frames} frames", stored, "Episode discarded; record it again.")
-            )
 
 
 def _lock(root: Path) -> IO[str]:

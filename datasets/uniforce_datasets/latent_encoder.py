@@ -1,0 +1,48 @@
+"""Pooled latents of an episode's marker images, by whatever encodes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.tokenizer import Tokenizer, pool_latent
+
+
+class LatentEncoder(Protocol):
+    """What a training view asks of an encoder."""
+
+    @property
+    def hash(self) -> str:
+        """Identity of the weights; policies refuse latents of another one."""
+        ...
+
+    def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        """Return (B, K·latent) float32 from a (H, W) reference and (B, H, W) images as the sensor saw them."""
+        ...
+
+
+class PooledTokenizer:
+    """The frozen tokenizer with its latents pooled to grid × grid."""
+
+    def __init__(self, tokenizer: Tokenizer, grid: int) -> None:
+        self._tokenizer, self._grid = tokenizer, grid
+
+    @property
+    def hash(self) -> str:
+        """The tokenizer's content hash."""
+        return self._tokenizer.hash
+
+    def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        """See ``LatentEncoder``."""
+        latent = self._tokenizer.encode(reference[None], current, finger)  # (B, P, latent)
+        return pool_latent(latent, self._grid).flatten(1).numpy()  # (B, K·latent)
+
+
+def pooled_tokenizer(tokenizer: Tokenizer | str | Path | None, grid: int) -> PooledTokenizer:
+    """Wrap a tokenizer, the one at a path, or the shipped one (None)."""
+    if not isinstance(tokenizer, Tokenizer):
+        tokenizer = Tokenizer.from_pretrained(tokenizer or None)
+    return PooledTokenizer(tokenizer, grid)

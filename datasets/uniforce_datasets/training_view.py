@@ -1,0 +1,264 @@
+"""A training view in the place of a LeRobotDataset: what LeRobot's trainer asks for, from arrays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from uniforce_datasets.features import WRENCH_AXES
+from uniforce_datasets.pooled_quantiles import pooled_stats
+from uniforce_datasets.view_build import VIEW_MARKER, build_view
+from uniforce_datasets.view_plan import FORMAT
+from uniforce_vtla.contracts import FINGERS, check_finger
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.keys import (
+    ACTION,
+    AXES,
+    CAMERAS,
+    STATE,
+    camera_key,
+    latent_key,
+    truth_wrench_key,
+    wrench_key,
+)
+
+__all__ = ["VIEW_MARKER", "TrainingView", "ViewMetadata", "build_view", "make_training_dataset"]
+
+TOUCH = ("latent", "wrench", "none")
+
+
+@dataclass(frozen=True)
+class ViewMetadata:
+    """The part of LeRobot's dataset metadata that its trainer and policies read."""
+
+    root: Path
+    fps: int
+    features: dict[str, dict]
+    stats: dict[str, dict[str, np.ndarray]]
+    episodes: dict[str, list]
+    sensors: dict[str, list[str]]
+    camera_keys: list[str]
+    total_episodes: int
+    total_frames: int
+    repo_id: str = "local/view"
+    has_language_columns: bool = False
+    depth_keys: tuple[str, ...] = ()
+
+
+class TrainingView(Dataset):
+    """Frames of a view as LeRobot's trainer expects them.
+
+    A sample holds the cameras (3, S, S) uint8, the state, a chunk of actions with ``action_is_pad``, one touch
+    input per slot, and the task in words.
+
+    Args:
+        root: folder written by ``build_view``.
+        action_deltas: frames of the action relative to the sample; −1 is the command before it.
+        slots: which finger fills which slot; None takes the view's own.
+        touch: "latent" | "wrench" (the true one, a ceiling control) | "none".
+        episodes: numbers of the episodes to sample from; None is all.
+        image_transforms: applied to each camera image.
+
+    Raises:
+        DatasetError: not a whole view, or it holds no true wrench though one is asked for.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        action_deltas: Sequence[int] = (0,),
+        slots: Mapping[str, str] | None = None,
+        touch: str = "latent",
+        episodes: Sequence[int] | None = None,
+        image_transforms: Callable[[torch.Tensor], torch.Tensor] | None = None,
+    ) -> None:
+        self.root = Path(root)
+        self.marker = read_marker(self.root)
+        self._deltas = np.asarray(action_deltas, dtype=np.int64)
+        self._touch = self._touch_columns(self.marker["slots"] if slots is None else slots, touch)
+        self.episodes = None if episodes is None else list(episodes)
+        self.absolute_to_relative_idx = None  # samples are addressed by their index in the whole view
+        self._transform = image_transforms
+        self._tasks = [episode["task"] for episode in self.marker["episodes"]]
+        self._starts = np.concatenate([[0], np.cumsum([e["length"] for e in self.marker["episodes"]])])
+        self._task_names = sorted(set(self._tasks))
+        _ = self._arrays
+        self.meta = self._metadata()
+
+    @property
+    def num_frames(self) -> int:
+        """Frames of the episodes sampled from."""
+        if self.episodes is None:
+            return int(self._starts[-1])
+        return int(np.diff(self._starts)[self.episodes].sum())
+
+    @property
+    def num_episodes(self) -> int:
+        """Episodes sampled from."""
+        return len(self._tasks) if self.episodes is None else len(self.episodes)
+
+    @property
+    def features(self) -> dict[str, dict]:
+        """LeRobot's features dict."""
+        return self.meta.features
+
+    def __len__(self) -> int:
+        """Frames in the view, sampled from or not: the trainer's sampler uses whole-view indices."""
+        return int(self._starts[-1])
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        """Return one sample as LeRobotDataset would, images as uint8."""
+        episode = int(np.searchsorted(self._starts, index, side="right")) - 1
+        start, end = self._starts[episode], self._starts[episode + 1]
+        sample: dict[str, Any] = {camera_key(camera): self._image(camera, index) for camera in CAMERAS}
+        sample[STATE] = torch.from_numpy(self._arrays[STATE][index].copy())
+        wanted = index + self._deltas  # (T,)
+        sample[ACTION] = torch.from_numpy(self._arrays[ACTION][wanted.clip(start, end - 1)])  # (T, 5)
+        sample[f"{ACTION}_is_pad"] = torch.from_numpy((wanted < start) | (wanted >= end))  # (T,)
+        for key, name in self._touch.items():
+            sample[key] = torch.from_numpy(self._arrays[name][index].copy())
+        return sample | self._place(index, episode, int(index - start))
+
+    def _image(self, camera: str, index: int) -> torch.Tensor:
+        image = torch.from_numpy(self._arrays[camera][index].transpose(2, 0, 1).copy())  # (3, S, S)
+        return image if self._transform is None else self._transform(image)
+
+    def _place(self, index: int, episode: int, frame: int) -> dict[str, Any]:
+        return {
+            "timestamp": torch.tensor(frame / self.marker["fps"], dtype=torch.float32),
+            "frame_index": torch.tensor(frame),
+            "episode_index": torch.tensor(episode),
+            "index": torch.tensor(index),
+            "task_index": torch.tensor(self._task_names.index(self._tasks[episode])),
+            "task": self._tasks[episode],
+        }
+
+    @cached_property
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Images stay on disk, mapped; numbers are read."""
+        streams = {c: np.load(self.root / f"{c}.npy", mmap_mode="r") for c in CAMERAS}
+        names = {STATE, ACTION, *self._touch.values()}
+        return streams | {name: np.load(self.root / f"{name}.npy") for name in names}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave the arrays out: a loader's worker opens its own."""
+        return {name: value for name, value in self.__dict__.items() if name != "_arrays"}
+
+    def _touch_columns(self, slots: Mapping[str, str], touch: str) -> dict[str, str]:
+        if touch not in TOUCH:
+            raise ContractError(expected("touch", " | ".join(TOUCH), repr(touch), "Name one."))
+        if touch == "wrench" and not self.marker["wrench"]:
+            do = "Only simulated demos know it: use touch latents."
+            raise DatasetError(expected(str(self.root), "the true wrench", "none", do))
+        if touch == "latent":
+            return {latent_key(slot): f"latent_{finger}" for slot, finger in slots.items()}
+        if touch == "wrench":
+            return {
+                wrench_key(slot): truth_wrench_key(check_finger(finger)) for slot, finger in slots.items()
+            }
+        return {}
+
+    def _metadata(self) -> ViewMetadata:
+        vectors = {STATE: STATE, ACTION: ACTION, **self._touch}  # feature key → array name
+        used = self._used_frames()
+        stats = {key: pooled_stats(self._arrays[name][used]) for key, name in vectors.items()}
+        starts, ends = self._starts[:-1].tolist(), self._starts[1:].tolist()
+        return ViewMetadata(
+            root=self.root,
+            fps=self.marker["fps"],
+            features=self._features(),
+            stats=stats,
+            episodes={
+                "dataset_from_index": starts,
+                "dataset_to_index": ends,
+                "tasks": [[t] for t in self._tasks],
+            },
+            sensors=self.marker["sensors"],
+            camera_keys=[camera_key(camera) for camera in CAMERAS],
+            total_episodes=len(self._tasks),
+            total_frames=len(self),
+        )
+
+    def _used_frames(self) -> np.ndarray:
+        """(N,) bool: frames of the episodes sampled from."""
+        lengths = np.diff(self._starts)
+        used = np.ones(len(lengths), dtype=bool)
+        if self.episodes is not None:
+            used[:] = False
+            used[self.episodes] = True
+        return np.repeat(used, lengths)
+
+    def _features(self) -> dict[str, dict]:
+        side = self.marker["image_side"]
+        picture = {"dtype": "image", "shape": (side, side, 3), "names": ["height", "width", "channels"]}
+        features: dict[str, dict] = {camera_key(camera): dict(picture) for camera in CAMERAS}
+        features |= {key: _vector(AXES) for key in (STATE, ACTION)}
+        for key, name in self._touch.items():
+            size = self._arrays[name].shape[1]
+            features[key] = _vector(
+                WRENCH_AXES if size == len(WRENCH_AXES) else [f"z{i}" for i in range(size)]
+            )
+        return features
+
+
+def _vector(names: Sequence[str]) -> dict[str, Any]:
+    return {"dtype": "float32", "shape": (len(names),), "names": list(names)}
+
+
+def read_marker(root: Path) -> dict[str, Any]:
+    """Return the view's facts; raise DatasetError if ``root`` is not a whole view of this format."""
+    file = root / VIEW_MARKER
+    if not file.is_file():
+        raise DatasetError(expected(str(root), VIEW_MARKER, "none", "Build the view with uniforce-view."))
+    marker = json.loads(file.read_text())
+    names = (*CAMERAS, STATE, ACTION, *(f"latent_{finger}" for finger in FINGERS))
+    missing = [name for name in names if not (root / f"{name}.npy").is_file()]
+    if marker.get("format") != FORMAT or missing:
+        came = f"format {marker.get('format')}, missing {missing}"
+        raise DatasetError(expected(str(root), f"a whole view of format {FORMAT}", came, "Build it again."))
+    return marker
+
+
+def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any]) -> Any:
+    """Return a TrainingView where ``cfg.dataset.root`` is one, else what LeRobot itself makes.
+
+    The policy's own settings choose the action frames, slots and touch input; a policy without touch slots gets
+    cameras, state and action only.
+
+    Raises:
+        DatasetError: the policy pools latents to another grid, or asks for observation histories.
+    """
+    root = cfg.dataset.root
+    if root is None or not (Path(root) / VIEW_MARKER).is_file():
+        return stock_make_dataset(cfg)
+    policy = cfg.trainable_config
+    if getattr(policy, "observation_delta_indices", None) is not None:
+        raise DatasetError(
+            expected("policy", "single observations", "a history", "Train on the dataset itself.")
+        )
+    slots = {slot: policy.slot_fingers[slot] for slot in getattr(policy, "slots", ())}
+    touch = getattr(policy, "touch_input", "none") if slots else "none"
+    marker = read_marker(Path(root))
+    if touch == "latent" and policy.latent_grid != marker["latent_grid"]:
+        do = f"Build the view with latent_grid={policy.latent_grid}."
+        raise DatasetError(expected("latent_grid of the view", policy.latent_grid, marker["latent_grid"], do))
+    deltas = policy.action_delta_indices
+    return TrainingView(
+        root, (0,) if deltas is None else deltas, slots, touch, cfg.dataset.episodes, _transforms(cfg)
+    )
+
+
+def _transforms(cfg: Any) -> Callable[[torch.Tensor], torch.Tensor] | None:
+    if not cfg.dataset.image_transforms.enable:
+        return None
+    from lerobot.transforms import ImageTransforms
+
+    return ImageTransforms(cfg.dataset.image_transforms)

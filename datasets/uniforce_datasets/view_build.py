@@ -1,0 +1,156 @@
+"""Build a training view: videos decoded once, cameras resized, touch encoded by the frozen tokenizer.
+
+Stock LeRobot decodes six videos for every training sample.  A view reads arrays instead.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import batched
+from pathlib import Path
+
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from uniforce_datasets.latent_encoder import LatentEncoder, pooled_tokenizer
+from uniforce_datasets.source import Episode, Source, episode_frames
+from uniforce_datasets.view_plan import EpisodeFacts, ViewPlan, ViewSettings, plan_view
+from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.keys import CAMERAS, camera_key, tactile_key
+from uniforce_vtla.results_file import write_json
+from uniforce_vtla.tokenizer import Tokenizer
+
+VIEW_MARKER = "uniforce_view.json"  # written last: a folder with it is a whole view
+PROGRESS = "progress.json"
+BATCH = 32  # frames encoded at once: 10 MB of marker images
+DEFAULT_SLOTS = {"touch0": "right", "touch1": "left"}
+
+
+def build_view(
+    roots: str | Path | Sequence[str | Path],
+    out: str | Path,
+    image_side: int = 84,
+    latent_grid: int = 4,
+    slots: Mapping[str, str] | None = None,
+    tokenizer: Tokenizer | str | Path | None = None,
+    encoder: LatentEncoder | None = None,
+    keep: Callable[[EpisodeFacts], bool] = lambda facts: facts.success,
+) -> Path:
+    """Build the view of one or more recorded datasets; go on where an interrupted build stopped.
+
+    Args:
+        roots: dataset folder(s); several are joined in order.
+        out: the view's folder; an older view there is replaced when the new one is whole.
+        image_side: pixels per side of the stored camera images.
+        latent_grid: latents are pooled to grid × grid.
+        slots: which finger fills which slot by default; latents of both fingers are stored anyway.
+        tokenizer: encoder of touch; None is the shipped one.
+        encoder: anything else that encodes touch, instead of ``tokenizer``.
+        keep: chooses episodes; clean successes by default.
+
+    Raises:
+        DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
+    """
+    encoder = encoder or pooled_tokenizer(tokenizer, latent_grid)
+    settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)
+    plan = plan_view([roots] if isinstance(roots, str | Path) else roots, settings, keep)
+    out = Path(out)
+    if _same_view(out, plan):
+        return out
+    building = out.with_name(out.name + ".building")
+    _write_frames(plan, encoder, building)
+    for key, values in plan.columns.items():
+        np.save(building / f"{key}.npy", values)
+    write_json(building / VIEW_MARKER, plan.marker)
+    shutil.rmtree(out, ignore_errors=True)
+    building.rename(out)
+    return out
+
+
+def _same_view(out: Path, plan: ViewPlan) -> bool:
+    """Return whether ``out`` is this view already; raise DatasetError if it holds something else."""
+    marker = out / VIEW_MARKER
+    if marker.is_file():
+        return bool(json.loads(marker.read_text()) == json.loads(json.dumps(plan.marker)))
+    if out.exists() and any(out.iterdir()):
+        raise DatasetError(
+            expected(str(out), "no folder, or an older view", "other files", "Choose another out.")
+        )
+    return False
+
+
+def _write_frames(plan: ViewPlan, encoder: LatentEncoder, building: Path) -> None:
+    done = _resume(plan, building)
+    arrays: dict[str, np.ndarray] = {}
+    starts = plan.starts
+    bar = tqdm(total=plan.num_frames, initial=int(starts[done]), desc="view", unit="frame")
+    with bar:
+        for number in range(done, len(plan.episodes)):
+            source, episode = plan.episodes[number]
+            for name, block in _episode_blocks(source, episode, plan.settings.image_side, encoder):
+                if name not in arrays:
+                    arrays[name] = _open(building, name, plan.num_frames, block)
+                arrays[name][starts[number] : starts[number + 1]] = block
+            _flush(arrays)
+            write_json(building / PROGRESS, {"content": plan.marker["content"], "done": number + 1})
+            bar.update(episode.length)
+    (building / PROGRESS).unlink(missing_ok=True)
+
+
+def _resume(plan: ViewPlan, building: Path) -> int:
+    """Return how many episodes an earlier build of this very plan has finished."""
+    progress = building / PROGRESS
+    if progress.is_file():
+        state = json.loads(progress.read_text())
+        if state["content"] == plan.marker["content"]:
+            return int(state["done"])
+    shutil.rmtree(building, ignore_errors=True)
+    building.mkdir(parents=True)
+    return 0
+
+
+def _open(building: Path, name: str, frames: int, block: np.ndarray) -> np.ndarray:
+    path, shape = building / f"{name}.npy", (frames, *block.shape[1:])
+    if path.is_file():
+        return np.lib.format.open_memmap(path, mode="r+")
+    return np.lib.format.open_memmap(path, mode="w+", dtype=block.dtype, shape=shape)
+
+
+def _flush(arrays: dict[str, np.ndarray]) -> None:
+    for array in arrays.values():
+        assert isinstance(array, np.memmap)
+        array.flush()
+
+
+def _episode_blocks(
+    source: Source, episode: Episode, side: int, encoder: LatentEncoder
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield each stream's name and its (length, …) block."""
+    for camera in CAMERAS:
+        span = episode.videos[camera_key(camera)]
+        frames = episode_frames(span, episode.length, source.fps)
+        yield camera, np.stack([resize(frame, side) for frame in frames])
+    for finger in FINGERS:
+        yield f"latent_{finger}", _latents(source, episode, finger, encoder)
+
+
+def resize(image: np.ndarray, side: int) -> np.ndarray:
+    """Return a square (H, H, 3) image area-resized to (side, side, 3)."""
+    if image.shape[0] != image.shape[1]:
+        raise DatasetError(expected("camera", "square images", image.shape, "Crop when recording."))
+    return cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
+
+
+def _latents(source: Source, episode: Episode, finger: Finger, encoder: LatentEncoder) -> np.ndarray:
+    spans = episode.videos[tactile_key(finger, reference=True)], episode.videos[tactile_key(finger)]
+    reference = next(episode_frames(spans[0], episode.length, source.fps))[..., 0]
+    current = episode_frames(spans[1], episode.length, source.fps)
+    parts = []
+    for frames in batched(current, BATCH):
+        images = np.stack([check_marker_image(frame[..., 0], tactile_key(finger)) for frame in frames])
+        parts.append(encoder(reference, images, finger).astype(np.float32))
+    return np.concatenate(parts)  # (length, K·latent)

@@ -1,0 +1,160 @@
+"""What a training view will hold: chosen episodes of one or more recorded datasets, and every setting."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.source import Episode, Source
+from uniforce_vtla.contracts import FINGERS, check_finger
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.keys import (
+    ACTION,
+    CAMERAS,
+    OUTCOME,
+    OUTCOME_NAMES,
+    SEED,
+    SLOTS,
+    STATE,
+    SUCCESS,
+    camera_key,
+    sensor_key,
+    tactile_key,
+    truth_wrench_key,
+)
+from uniforce_vtla.sensors import list_sensors
+
+FORMAT = 1  # of the view folder; a view of another format is built anew
+
+
+@dataclass(frozen=True)
+class EpisodeFacts:
+    """What is known of one recorded episode; ``episodes=`` filters see it."""
+
+    source: str
+    episode: int
+    length: int
+    task: str
+    success: bool
+    outcome: str
+    seed: int
+    left_sensor: str
+    right_sensor: str
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """Everything that decides a view's content besides the recorded data."""
+
+    image_side: int
+    latent_grid: int
+    slots: Mapping[str, str]
+    tokenizer_hash: str
+
+
+@dataclass(frozen=True)
+class ViewPlan:
+    """Chosen episodes in order, where they come from, and the numeric columns of all their frames."""
+
+    settings: ViewSettings
+    fps: int
+    facts: tuple[EpisodeFacts, ...]
+    episodes: tuple[tuple[Source, Episode], ...]
+    columns: dict[str, np.ndarray]
+
+    @property
+    def num_frames(self) -> int:
+        """N, frames of all chosen episodes."""
+        return sum(fact.length for fact in self.facts)
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(E + 1,) first frame of each episode, and N."""
+        return np.concatenate([[0], np.cumsum([fact.length for fact in self.facts])]).astype(np.int64)
+
+    @property
+    def marker(self) -> dict[str, Any]:
+        """Content of ``uniforce_view.json``."""
+        sensors = {f: sorted({getattr(fact, f"{f}_sensor") for fact in self.facts}) for f in FINGERS}
+        return asdict(self.settings) | {
+            "format": FORMAT,
+            "fps": self.fps,
+            "num_frames": self.num_frames,
+            "sources": sorted({fact.source for fact in self.facts}),
+            "sensors": sensors,
+            "wrench": truth_wrench_key(FINGERS[0]) in self.columns,
+            "episodes": [asdict(fact) for fact in self.facts],
+            "content": self._content(),
+        }
+
+    def _content(self) -> str:
+        """Hash of settings, episodes and numbers: equal for a view that needs no rebuilding."""
+        digest = hashlib.sha256(json.dumps([asdict(self.settings), *map(asdict, self.facts)]).encode())
+        for key in sorted(self.columns):
+            digest.update(np.ascontiguousarray(self.columns[key]).tobytes())
+        return digest.hexdigest()
+
+
+def plan_view(
+    roots: Sequence[str | Path], settings: ViewSettings, wanted: Callable[[EpisodeFacts], bool]
+) -> ViewPlan:
+    """Check the datasets and choose their episodes.
+
+    Raises:
+        DatasetError: a broken dataset, different frame rates, a stream missing, no episode chosen.
+        ContractError: unknown slots or fingers.
+    """
+    for slot, finger in settings.slots.items():
+        if slot not in SLOTS:
+            raise ContractError(expected("slot", " or ".join(SLOTS), repr(slot), "Write touch0:right."))
+        check_finger(finger)
+    sources = [check_dataset(root) for root in roots]
+    for source in sources:
+        _check_streams(source, sources[0].fps)
+    truth = all(truth_wrench_key(f) in s.features for s in sources for f in FINGERS)
+    chosen = [(s, e, f) for s in sources for e, f in _facts(s) if wanted(f)]
+    if not chosen:
+        do = "Record successful demos, or keep failures."
+        raise DatasetError(expected("view", "at least one chosen episode", "none", do))
+    facts, episodes = tuple(f for *_, f in chosen), tuple((s, e) for s, e, _ in chosen)
+    return ViewPlan(settings, sources[0].fps, facts, episodes, _columns(episodes, truth))
+
+
+def _check_streams(source: Source, fps: int) -> None:
+    needed = [camera_key(c) for c in CAMERAS] + [tactile_key(f) for f in FINGERS]
+    missing = [key for key in needed if key not in source.features]
+    if missing or source.fps != fps:
+        came = f"{source.fps} Hz, without {missing}" if missing else f"{source.fps} Hz"
+        raise DatasetError(expected(str(source.root), f"{fps} Hz and {needed}", came, "Leave it out."))
+
+
+def _facts(source: Source) -> list[tuple[Episode, EpisodeFacts]]:
+    left, right = (sensor_key(f) for f in FINGERS)
+    columns = source.columns((SUCCESS, OUTCOME, SEED, left, right))
+
+    def fact(episode: Episode) -> EpisodeFacts:
+        first = {key: column[episode.start] for key, column in columns.items()}
+        sensors = (list_sensors()[int(first[key])] for key in (left, right))
+        success, outcome = bool(first[SUCCESS]), OUTCOME_NAMES[int(first[OUTCOME])]
+        head = (str(source.root), episode.index, episode.length, episode.task)
+        return EpisodeFacts(*head, success, outcome, int(first[SEED]), *sensors)
+
+    return [(episode, fact(episode)) for episode in source.episodes]
+
+
+def _columns(episodes: Sequence[tuple[Source, Episode]], truth: bool) -> dict[str, np.ndarray]:
+    keys = (STATE, ACTION, *(truth_wrench_key(f) for f in FINGERS if truth))
+    by_root = {source.root: source.columns(keys) for source, _ in episodes}
+
+    def gather(key: str) -> np.ndarray:
+        parts = [by_root[s.root][key][e.start : e.start + e.length] for s, e in episodes]
+        return np.concatenate(parts).astype(np.float32)
+
+    return {key: gather(key) for key in keys}
