@@ -16,6 +16,7 @@ from uniforce_vtla.contact.taxel_response import TaxelResponse, taxel_positions_
 from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
 from uniforce_vtla.sensors import get_sensor
 
@@ -81,7 +82,15 @@ class TactileSimulator:
         return transmitted(traction.p_MPa, traction.q_MPa, self.pad.position_mm[traction.cells])
 
     def counts(self, contact: ContactState) -> np.ndarray:
-        """Return (B, 16, 3) float32 counts above the baseline; taxel sensors only."""
+        """Return (B, 16, 3) float32 counts above the baseline.
+
+        Raises:
+            ContractError: the sensor is a camera.
+        """
+        if not isinstance(self._respond, TaxelResponse):
+            raise ContractError(
+                expected("counts", "a taxel sensor", self.spec.name, "Use raw_frames for a camera.")
+            )
         return self._counts(contact, self.options.noise)
 
     def raw_reference(self) -> np.ndarray:

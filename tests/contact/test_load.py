@@ -1,0 +1,118 @@
+"""Pressure and traction: forces are conserved, depth follows force, friction caps."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap, gap_maps
+from uniforce_vtla.contact.indenters import HEIGHTS
+from uniforce_vtla.contact.pads import build_pad
+from uniforce_vtla.contact.traction import solve_traction
+from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.sensors import get_sensor, list_sensors
+
+SENSORS = list_sensors()
+names, sensors = st.sampled_from(sorted(HEIGHTS)), st.sampled_from(SENSORS)
+place = st.tuples(st.floats(-5, 5), st.floats(-5, 5))
+
+
+@cache
+def simulator(sensor: str, cap: bool = True) -> TactileSimulator:
+    return TactileSimulator(sensor, options=ContactOptions(coulomb_cap=cap).quiet())
+
+
+def pressed(
+    name: str,
+    force: np.ndarray,
+    torsion: float = 0.0,
+    center: tuple[float, float] = (0, 0),
+    angle: float = 0.0,
+) -> ContactState:
+    B = len(force)
+    gap = gap_maps([name], np.array([center]), np.array([angle]), np.ones(1))
+    return ContactState(
+        np.repeat(gap, B, axis=0), force.astype(np.float32), np.full(B, torsion, dtype=np.float32)
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    sensors, names, place, st.floats(0, 3.2), st.floats(0.05, 16), st.floats(0, 0.9), st.floats(-3.14, 3.14)
+)
+def test_force_is_conserved(
+    sensor: str, name: str, center: tuple[float, float], angle: float, fz: float, share: float, way: float
+) -> None:
+    force = np.array([[share * fz * np.cos(way), share * fz * np.sin(way), fz]])
+    carried, moment = simulator(sensor).carried(pressed(name, force, 0.0, center, angle))
+    np.testing.assert_allclose(carried, force, rtol=1e-3, atol=1e-3)
+    assert abs(moment[0]) < 0.01 + 0.01 * fz
+
+
+@settings(max_examples=40, deadline=None)
+@given(sensors, names, place, st.lists(st.floats(0, 16), min_size=2, max_size=6))
+def test_depth_grows_with_force(
+    sensor: str, name: str, center: tuple[float, float], loads: list[float]
+) -> None:
+    fz = np.sort(np.array(loads))
+    depth = simulator(sensor).depth_mm(pressed(name, np.stack([0 * fz, 0 * fz, fz], axis=1), center=center))
+    assert (np.diff(depth) >= -1e-4).all() and (depth[fz == 0] == 0).all()
+    assert (np.diff(depth)[np.diff(fz) > 0.1] > 0).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(sensors, names, st.floats(0, 30), st.floats(-200, 200), st.floats(0.5, 16))
+def test_no_cell_exceeds_friction(sensor: str, name: str, shear: float, torsion: float, fz: float) -> None:
+    contact = pressed(name, np.array([[shear, 0, fz]]), torsion)
+    traction = simulator(sensor)._traction(contact)
+    assert (np.hypot(*traction.q_MPa[0]) <= traction.p_MPa[0] * 1.001 + 1e-7).all()
+    carried, _ = simulator(sensor).carried(contact)
+    assert np.hypot(*carried[0, :2]) <= fz * 1.002
+
+
+def test_partial_slip_hands_load_to_sticking_cells() -> None:
+    """Torsion and shear that slip on one side only are still carried as a whole."""
+    position = build_pad(get_sensor("gelsight")).position_mm
+    p = np.exp(-(position**2).sum(axis=1, keepdims=True).T / 30).astype(np.float32)
+    total = float(p.sum())
+    shear, torsion = np.array([[0.45 * total, 0.0]]), np.array([1.0 * total])
+    free = solve_traction(p, position, shear, torsion, friction=None)
+    capped = solve_traction(p, position, shear, torsion, friction=1.0)
+    assert (np.hypot(*free[0]) > p[0] * 1.01).any() and (np.hypot(*capped[0]) <= p[0] * 1.001).all()
+    np.testing.assert_allclose(capped.sum(axis=2), shear, rtol=0.03, atol=0.03 * total)
+    moment = (position[:, 0] * capped[0, 1] - position[:, 1] * capped[0, 0]).sum()
+    assert moment == pytest.approx(torsion[0], rel=0.05)
+
+
+def test_gross_slip_carries_friction_times_pressure() -> None:
+    force = np.array([[9.0, 0, 4.0]])
+    assert simulator("gelsight").carried(pressed("sphere", force))[0][0, 0] == pytest.approx(4.0, rel=1e-2)
+    assert simulator("gelsight", cap=False).carried(pressed("sphere", force))[0][0, 0] == pytest.approx(
+        9, rel=1e-2
+    )
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_full_flat_face_reaches_rated_depth_at_the_papers_force(sensor: str) -> None:
+    gap = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 60.0), np.zeros(1), np.zeros((1, 2)))
+    state = ContactState(gap, np.array([[0, 0, 12]], np.float32), np.zeros(1, np.float32))
+    assert simulator(sensor).depth_mm(state)[0] == pytest.approx(get_sensor(sensor).rated_depth_mm, rel=0.01)
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_typical_indenters_stay_within_twice_the_rated_depth(sensor: str) -> None:
+    force = np.array([[0, 0, 12.0]])
+    depth = [float(simulator(sensor).depth_mm(pressed(name, force))[0]) for name in HEIGHTS]
+    rated = get_sensor(sensor).rated_depth_mm
+    assert 0.6 * rated < np.median(depth) < 1.8 * rated
+
+
+def test_dome_widens_its_contact_with_load() -> None:
+    gap = flat_face_gap(np.zeros((2, 2)), np.full((2, 2), 60.0), np.zeros(2), np.zeros((2, 2)))
+    state = ContactState(gap, np.array([[0, 0, 1], [0, 0, 8]], np.float32), np.zeros(2, np.float32))
+    cells = (simulator("tactip")._traction(state).p_MPa > 0).sum(axis=1)
+    assert cells[1] > 2 * cells[0]

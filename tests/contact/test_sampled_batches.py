@@ -1,0 +1,116 @@
+"""Equilibrium pairs and force sequences: shapes, frames, balance, seeds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import islice
+
+import cv2
+import numpy as np
+import pytest
+
+from uniforce_vtla.contact import (
+    PAPER_RANGE,
+    PRETRAIN,
+    SEEN,
+    ContactOptions,
+    ForceRange,
+    PairSettings,
+    equilibrium_pairs,
+    force_sequences,
+    pair_batches,
+)
+from uniforce_vtla.contact.bench import bench_contact
+from uniforce_vtla.contact.sampling import FLAT, sample_loads
+from uniforce_vtla.contact.sequences import press_shear_release
+from uniforce_vtla.sensors import list_sensors
+
+DRAWING = PairSettings(unit_strength=0.0, options=ContactOptions().quiet())
+
+
+def small(images: np.ndarray) -> np.ndarray:
+    return np.stack([cv2.resize(image, (112, 84), interpolation=cv2.INTER_AREA) for image in images])
+
+
+def test_pairs_have_their_shapes_and_names() -> None:
+    pairs = equilibrium_pairs(np.random.default_rng(0), 5, "gelsight", "tactip")
+    for images in (pairs.left_reference, pairs.left_current, pairs.right_reference, pairs.right_current):
+        assert images.shape == (5, 480, 640) and images.dtype == np.uint8
+    assert pairs.force_N.shape == (5, 3) and pairs.torsion_Nmm.shape == (5,)
+    assert set(pairs.indenters) <= {*PRETRAIN, FLAT}
+
+
+def test_both_fingers_feel_the_mirrored_contact() -> None:
+    pairs = equilibrium_pairs(np.random.default_rng(1), 6, "gelsight", "gelsight", settings=DRAWING)
+    np.testing.assert_array_equal(pairs.right_current, pairs.left_current[:, :, ::-1])
+    assert not np.array_equal(pairs.right_current, pairs.left_current)
+
+
+def test_pairs_repeat_with_the_seed() -> None:
+    first, again = (equilibrium_pairs(np.random.default_rng(2), 3, "uskin", "tactip") for _ in range(2))
+    np.testing.assert_array_equal(first.left_current, again.left_current)
+    np.testing.assert_array_equal(first.right_reference, again.right_reference)
+
+
+def test_units_change_within_a_call() -> None:
+    settings = replace(DRAWING, unit_strength=1.0, pairs_per_unit=2)
+    references = equilibrium_pairs(
+        np.random.default_rng(3), 4, "gelsight", "uskin", settings=settings
+    ).left_reference
+    assert np.array_equal(references[0], references[1]) and not np.array_equal(references[1], references[2])
+
+
+def test_lean_batches_yield_transformed_images_without_end() -> None:
+    batches = pair_batches(np.random.default_rng(4), 3, "uskin", "tactip", transform=small)
+    first, second = islice(batches, 2)
+    assert first.left_current.shape == first.right_reference.shape == (3, 84, 112)
+    assert not np.array_equal(first.force_N, second.force_N)
+
+
+def test_loads_are_balanced_and_within_friction() -> None:
+    limits = ForceRange()
+    force, torsion = sample_loads(np.random.default_rng(5), 20_000, limits)
+    shear = np.hypot(force[:, 0], force[:, 1])
+    assert (force[:, 2] == 0).mean() == pytest.approx(0.06, abs=0.01)
+    assert (force[:, 2] > 12).mean() > 0.1 and force[:, 2].max() <= 16
+    assert np.abs(force[:, :2]).max() <= 8.001 and (np.abs(force[:, :2]) > 5).any(axis=0).all()
+    assert (shear <= limits.friction * force[:, 2] + 1e-4).all()
+    assert np.abs(force[:, :2].mean(axis=0)).max() < 0.1
+    assert 0.4 < (torsion != 0).mean() < 0.55 and abs(torsion.mean()) < 0.5
+    assert (shear > 0.8 * force[:, 2]).mean() > 0.03  # incipient slip
+
+
+@pytest.mark.parametrize("sensor", list_sensors())
+def test_sequences_start_and_end_in_free_air(sensor: str) -> None:
+    batch = force_sequences(np.random.default_rng(6), sensor, n=3, length=12, transform=small)
+    assert batch.frames.shape == (3, 12, 84, 112) and batch.reference.shape == (3, 84, 112)
+    assert batch.force_N.shape == (3, 12, 3) and set(batch.indenters) <= set(SEEN)
+    np.testing.assert_allclose(batch.force_N[:, [0, -1]], 0, atol=1e-5)
+    moving = np.abs(batch.frames.astype(float) - batch.reference[:, None]).mean(axis=(2, 3))
+    assert (moving.max(axis=1) > moving[:, 0]).all()
+
+
+def test_sequences_cover_their_range_within_friction() -> None:
+    rng = np.random.default_rng(7)
+    force = np.concatenate([press_shear_release(rng, 20, PAPER_RANGE) for _ in range(400)])
+    assert 9 < force[:, 2].max() < 13.5 and force[:, 2].min() >= 0
+    assert 2.5 < np.abs(force[:, 0]).max() <= 3.001 and 2.5 < np.abs(force[:, 1]).max() <= 3.001
+    assert (np.hypot(force[:, 0], force[:, 1]) <= force[:, 2] + 1e-4).all()
+
+
+def test_sequence_labels_explain_the_image() -> None:
+    """Shear in the label and marker motion in the image agree in sign (left finger = canonical frame)."""
+    batch = force_sequences(
+        np.random.default_rng(8), "gelsight", 12, 9, unit_strength=0, options=ContactOptions().quiet()
+    )
+    columns = np.arange(640)
+    weight = batch.frames.sum(axis=2, dtype=np.int64)  # (n, T, 640)
+    x = (weight * columns).sum(axis=-1) / weight.sum(axis=-1)
+    late = np.abs(batch.force_N[..., 0]) > 0.8
+    assert np.corrcoef((x - 319.5)[late], batch.force_N[..., 0][late])[0, 1] > 0.7
+
+
+def test_bench_reports_every_sensor() -> None:
+    result = bench_contact(0.05)["contact_images_per_s"]
+    assert set(result) == {*list_sensors(), "median"}
+    assert all(rate[name] > 0 for rate in result.values() for name in ("batched", "batch2"))

@@ -1,0 +1,90 @@
+"""Indenters, flat faces and the rasteriser."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uniforce_vtla.contact import PRETRAIN, SEEN, UNSEEN, flat_face_gap, gap_map, gap_maps
+from uniforce_vtla.contact.indenters import HEIGHTS
+from uniforce_vtla.contact.raster import fill_discs, fill_squares
+from uniforce_vtla.errors import ContractError
+
+
+def test_split_is_the_papers() -> None:
+    assert len(HEIGHTS) == 18 and len(SEEN) == 12 and len(UNSEEN) == 6 and len(PRETRAIN) == 8
+    assert set(SEEN) | set(UNSEEN) == set(HEIGHTS) and not set(SEEN) & set(UNSEEN)
+    assert set(PRETRAIN) <= set(SEEN)
+
+
+@pytest.mark.parametrize("name", sorted(HEIGHTS))
+def test_every_indenter_touches_at_zero_and_is_finite_somewhere(name: str) -> None:
+    gap = gap_map(name, (1.5, -2.0), 0.4)
+    assert gap.shape == (40, 40) and gap.dtype == np.float32
+    assert gap.min() == 0 and 8 <= np.isfinite(gap).sum() < 800 and not np.isnan(gap).any()
+
+
+def test_all_shapes_differ() -> None:
+    gaps = gap_maps(list(HEIGHTS), np.zeros((18, 2)), np.zeros(18), np.ones(18))
+    filled = np.where(np.isfinite(gaps), gaps, 50).reshape(18, -1)
+    apart = np.abs(filled[:, None] - filled[None]).max(axis=-1)
+    assert (apart + np.eye(18) > 0.2).all()
+
+
+def test_batch_of_gaps_equals_singles() -> None:
+    rng = np.random.default_rng(0)
+    center, angle, scale = rng.uniform(-4, 4, (18, 2)), rng.uniform(-3, 3, 18), rng.uniform(0.8, 1.2, 18)
+    batched = gap_maps(list(HEIGHTS), center, angle, scale)
+    for row, name in enumerate(HEIGHTS):
+        np.testing.assert_array_equal(batched[row], gap_map(name, tuple(center[row]), angle[row], scale[row]))
+
+
+def test_center_moves_the_object_right_and_down() -> None:
+    rows, columns = np.nonzero(gap_map("sphere", (6.5, 3.5), 0.0) == 0)
+    assert columns.mean() == pytest.approx(19.5 + 6.5) and rows.mean() == pytest.approx(19.5 + 3.5)
+
+
+def test_angle_turns_x_towards_y() -> None:
+    gap = gap_map("line", (0, 0), np.pi / 4)
+    rows, columns = np.nonzero(np.isfinite(gap))
+    assert np.corrcoef(columns, rows)[0, 1] > 0.8
+
+
+def test_flat_face_covers_its_rectangle_and_tilts() -> None:
+    gap = flat_face_gap(np.zeros((1, 2)), np.array([[20.0, 10.0]]), np.zeros(1), np.array([[0.05, 0.0]]))[0]
+    assert np.isfinite(gap).sum() == 200
+    assert gap[20, 29] > gap[20, 10] == 0
+    away = flat_face_gap(np.full((1, 2), 90.0), np.full((1, 2), 10.0), np.zeros(1), np.zeros((1, 2)))
+    assert np.isinf(away).all()
+
+
+def test_unknown_indenter_is_refused() -> None:
+    with pytest.raises(ContractError, match="sphere"):
+        gap_map("banana", (0, 0), 0.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-60, 700), st.floats(-60, 540), st.floats(1, 110), st.sampled_from(["disc", "square"]))
+def test_filled_area_is_right_and_clipped(x: float, y: float, size: float, shape: str) -> None:
+    fill = fill_discs if shape == "disc" else fill_squares
+    image = fill(np.array([[[x, y]]]), np.array([[size]]))[0]
+    assert image.shape == (480, 640) and set(np.unique(image)) <= {0, 255}
+    full = np.pi * size**2 / 4 if shape == "disc" else size**2
+    count = np.count_nonzero(image)
+    assert count <= full + 4 * size + 4
+    if size / 2 + 1 < x < 638 - size / 2 and size / 2 + 1 < y < 478 - size / 2:
+        assert abs(count - full) <= 2.5 * size + 4
+
+
+def test_turned_square_keeps_area_and_gains_reach() -> None:
+    centre, side = np.array([[[320.0, 240.0]]]), np.array([[40.0]])
+    straight, turned = fill_squares(centre, side)[0], fill_squares(centre, side, np.pi / 4)[0]
+    assert np.count_nonzero(turned) == pytest.approx(np.count_nonzero(straight), rel=0.06)
+    assert turned.any(axis=0).sum() > 1.3 * straight.any(axis=0).sum()
+
+
+def test_overlapping_shapes_stay_filled() -> None:
+    image = fill_discs(np.array([[[100.0, 100.0], [106.0, 100.0]]]), np.array([[20.0, 20.0]]))[0]
+    assert image[100, 95:112].all()

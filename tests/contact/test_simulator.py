@@ -1,0 +1,247 @@
+"""What the simulated sensors show: signs, mirror, symmetry, seeds, bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from uniforce_vtla.contact import (
+    ContactOptions,
+    TactileSimulator,
+    UnitVariation,
+    flat_face_gap,
+    free_air,
+    gap_map,
+    mirrored,
+)
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, ContactState, check_marker_image
+from uniforce_vtla.errors import ContractError, SensorError
+from uniforce_vtla.sensors import get_sensor, list_sensors
+
+SENSORS = list_sensors()
+QUIET = ContactOptions().quiet()
+
+
+@cache
+def quiet(sensor: str) -> TactileSimulator:
+    return TactileSimulator(sensor, options=QUIET)
+
+
+def contact(
+    force: tuple[float, float, float],
+    torsion: float = 0.0,
+    name: str = "sphere",
+    center: tuple[float, float] = (0, 0),
+    angle: float = 0.0,
+) -> ContactState:
+    gap = gap_map(name, center, angle)[None]
+    return ContactState(gap, np.array([force], np.float32), np.array([torsion], np.float32))
+
+
+def stacked(*contacts: ContactState) -> ContactState:
+    return ContactState(
+        np.concatenate([c.gap_mm for c in contacts]),
+        np.concatenate([c.force_N for c in contacts]),
+        np.concatenate([c.torsion_Nmm for c in contacts]),
+    )
+
+
+def mean_shift(sensor: str, loaded: ContactState, unloaded: ContactState) -> np.ndarray:
+    simulator = quiet(sensor)
+    return (simulator.markers_px(loaded)[0] - simulator.markers_px(unloaded)[0])[0].mean(axis=0)
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_images_keep_the_contract(sensor: str) -> None:
+    simulator = TactileSimulator(sensor)
+    images = simulator.marker_images(stacked(contact((1, 2, 8)), contact((0, 0, 0)), contact((-2, 1, 16))))
+    assert images.shape == (3, *MARKER_IMAGE_SHAPE)
+    for image in (*images, simulator.reference()):
+        check_marker_image(image)
+    M = len(get_sensor(sensor).layout_mm)
+    centre, size = simulator.markers_px(contact((0, 0, 5)))
+    assert centre.shape == (1, M, 2) and size.shape == (1, M) and (size > 0).all()
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize("flat", [False, True])
+def test_positive_shear_moves_markers_right_and_down(sensor: str, flat: bool) -> None:
+    def load(fx: float, fy: float) -> ContactState:
+        state = contact((fx, fy, 8))
+        if not flat:
+            return state
+        face = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 20.0), np.zeros(1), np.zeros((1, 2)))
+        return replace(state, gap_mm=face)
+
+    right = mean_shift(sensor, load(3, 0), load(0, 0))
+    down = mean_shift(sensor, load(0, 3), load(0, 0))
+    assert right[0] > 1 and abs(right[1]) < 0.2 * right[0]
+    assert down[1] > 1 and abs(down[0]) < 0.2 * down[1]
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_positive_torsion_turns_x_towards_y(sensor: str) -> None:
+    simulator = quiet(sensor)
+    rest = simulator.markers_px(free_air(1))[0][0] - (319.5, 239.5)
+    moved = simulator.markers_px(contact((0, 0, 12), torsion=20))[0][0]
+    straight = simulator.markers_px(contact((0, 0, 12)))[0][0]
+    shift = moved - straight
+    assert (rest[:, 0] * shift[:, 1] - rest[:, 1] * shift[:, 0]).sum() > 0
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_compression_pushes_outward_and_grows(sensor: str) -> None:
+    simulator = quiet(sensor)
+    rest, rest_size = simulator.markers_px(free_air(1))
+    centre, size = simulator.markers_px(contact((0, 0, 10)))
+    arm = rest[0] - (319.5, 239.5)
+    assert ((centre - rest)[0] * arm).sum() > 0
+    assert size.mean() > rest_size.mean() and (size >= rest_size - 1e-3).all()
+
+
+@pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
+def test_right_finger_sees_exactly_the_mirrored_image(sensor: str) -> None:
+    left = stacked(
+        contact((2, 1, 9), 12.0, "prism", (2.1, -1.3), 0.7),
+        contact((-3, 2, 7), -5.0, "pacman", (-1, 3), 2.0),
+        contact((0, 0, 0)),
+    )
+    images = quiet(sensor).marker_images(left)
+    opposite = quiet(sensor).marker_images(mirrored(left))
+    np.testing.assert_array_equal(opposite, images[:, :, ::-1])
+    np.testing.assert_array_equal(quiet(sensor).reference(), quiet(sensor).reference()[:, ::-1])
+
+
+def test_right_uskin_sees_the_mirrored_taxels() -> None:
+    left = contact((2, 1, 9), 12.0, "prism", (2.1, -1.3), 0.7)
+    counts = quiet("uskin").counts(left).reshape(4, 4, 3)
+    opposite = quiet("uskin").counts(mirrored(left)).reshape(4, 4, 3)
+    np.testing.assert_allclose(opposite, counts[:, ::-1] * [-1, 1, 1], atol=1)
+    flipped = quiet("uskin").marker_images(left)[:, :, ::-1]
+    differs = quiet("uskin").marker_images(mirrored(left)) != flipped
+    assert differs.mean() < 0.002  # the canonical taxel renderer rounds to whole pixels at disc edges
+
+
+@pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
+def test_symmetric_press_gives_a_symmetric_image(sensor: str) -> None:
+    image = quiet(sensor).marker_images(contact((0, 0, 10)))[0]
+    np.testing.assert_array_equal(image, image[:, ::-1])
+    np.testing.assert_array_equal(image, image[::-1])
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_batch_equals_singles(sensor: str) -> None:
+    contacts = [
+        contact((i - 2, 1, 3.0 * i), 2.0 * i, name) for i, name in enumerate(("wave", "dots", "cone", "line"))
+    ]
+    batched, _ = TactileSimulator(sensor, seed=3).markers_px(stacked(*contacts))
+    single = TactileSimulator(sensor, seed=3)
+    singles = np.concatenate([single.markers_px(c)[0] for c in contacts])
+    np.testing.assert_allclose(batched, singles, atol=0.1)  # taxels: counts are rounded, 1 count = .06 px
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_same_seed_same_output_other_seed_other_noise(sensor: str) -> None:
+    press = contact((1, 0, 6))
+    first, again = (TactileSimulator(sensor, seed=5).marker_images(press) for _ in range(2))
+    other = TactileSimulator(sensor, seed=6).markers_px(press)[0]
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(other, TactileSimulator(sensor, seed=5).markers_px(press)[0])
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_no_contact_looks_like_the_reference(sensor: str) -> None:
+    np.testing.assert_array_equal(quiet(sensor).marker_images(free_air(2))[1], quiet(sensor).reference())
+    np.testing.assert_array_equal(
+        quiet(sensor).marker_images(contact((0, 0, 0)))[0], quiet(sensor).reference()
+    )
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_units_differ_and_stay_near_the_drawing(sensor: str) -> None:
+    rng = np.random.default_rng(0)
+    units = [UnitVariation.draw(rng, sensor) for _ in range(4)]
+    shown = [TactileSimulator(sensor, unit, QUIET).markers_px(contact((0, 0, 6)))[0] for unit in units]
+    nominal = quiet(sensor).markers_px(contact((0, 0, 6)))[0]
+    assert all(not np.allclose(shown[0], other, atol=0.5) for other in shown[1:])
+    assert all(np.abs(other - nominal).mean() < 25 for other in shown)
+    assert all(0.9 <= unit.stiffness <= 1.1 and 0.9 <= unit.gain <= 1.1 for unit in units)
+    assert UnitVariation.draw(rng, sensor, 0.0).view_scale == 1.0
+
+
+@pytest.mark.parametrize(
+    ("sensor", "term"),
+    [("tactip", "pin_lever"), ("gelsight", "perspective"), ("uskin", "cross_talk")],
+)
+def test_optional_terms_switch(sensor: str, term: str) -> None:
+    without = TactileSimulator(sensor, options=replace(QUIET, **{term: False}))
+    press = contact((1, 1, 9), center=(2, 1))
+    assert np.abs(without.markers_px(press)[0] - quiet(sensor).markers_px(press)[0]).max() > 1
+
+
+def test_marker_loss_drops_markers_from_the_image() -> None:
+    lossy = TactileSimulator("tactip", options=replace(QUIET, marker_loss=True, loss_probability=0.3))
+    centre, _ = lossy.markers_px(free_air(1))
+    assert 10 < np.isnan(centre[0, :, 0]).sum() < 80
+    assert lossy.marker_images(free_air(1)).sum() < 0.9 * quiet("tactip").reference().sum(dtype=np.int64)
+
+
+@pytest.mark.parametrize("sensor", ["gelsight", "tactip"])
+def test_raw_camera_frames_show_markers_with_the_right_polarity(sensor: str) -> None:
+    simulator = quiet(sensor)
+    frame, mask = simulator.raw_reference(), simulator.reference() > 0
+    assert frame.shape == (*MARKER_IMAGE_SHAPE, 3) and frame.dtype == np.uint8
+    inner = np.zeros_like(mask)
+    inner[60:420, 140:500] = True
+    marker, around = frame[mask & inner].mean(), frame[~mask & inner].mean()
+    assert marker < 0.6 * around if sensor == "gelsight" else marker > 3 * around
+    assert simulator.raw_frames(contact((0, 0, 5))).shape == (1, *MARKER_IMAGE_SHAPE, 3)
+
+
+def test_raw_counts_stand_on_a_baseline() -> None:
+    simulator = quiet("uskin")
+    reference, pressed = simulator.raw_reference(), simulator.raw_frames(contact((0, 0, 12)))[0]
+    assert reference.shape == (16, 3) and reference.dtype == np.int32 and reference.min() > 1000
+    np.testing.assert_array_equal(pressed - reference, simulator.counts(contact((0, 0, 12)))[0])
+
+
+def test_strong_grasp_reaches_counts_of_real_grasps() -> None:
+    """Real uSkins: median 1,007, 99 % 7,071, 99.9 % 10,277 counts of z in contact (facts, section C)."""
+    on_taxel = contact((0, 0, 12), name="sphere_s", center=(3.07, 2.83))
+    assert 4_000 < quiet("uskin").counts(on_taxel)[0, :, 2].max() < 10_300
+    face = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 40.0), np.zeros(1), np.zeros((1, 2)))
+    assert 400 < np.median(quiet("uskin").counts(replace(on_taxel, gap_mm=face))[0, :, 2]) < 2_500
+
+
+def test_nan_force_is_refused() -> None:
+    with pytest.raises(ContractError, match="finite"):
+        contact((np.nan, 0, 1))
+
+
+def test_pull_is_refused() -> None:
+    with pytest.raises(ContractError, match="compression"):
+        contact((0, 0, -1))
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_bad_gaps_are_refused(sensor: str) -> None:
+    press = contact((0, 0, 1))
+    with pytest.raises(ContractError, match="an object over the pad"):
+        quiet(sensor).marker_images(replace(press, gap_mm=np.full_like(press.gap_mm, np.inf)))
+    with pytest.raises(ContractError, match="NaN"):
+        quiet(sensor).marker_images(replace(press, gap_mm=np.full_like(press.gap_mm, np.nan)))
+    with pytest.raises(ContractError, match="gap_mm"):
+        quiet(sensor).marker_images(replace(press, gap_mm=np.zeros((1, 20, 20), np.float32)))
+
+
+def test_unknown_sensor_is_refused() -> None:
+    with pytest.raises(SensorError, match="gelsight"):
+        TactileSimulator("skin")
+
+
+def test_counts_of_a_camera_are_refused() -> None:
+    with pytest.raises(ContractError, match="taxel"):
+        quiet("gelsight").counts(free_air(1))
