@@ -218,7 +218,10 @@ def _tame_outliers(
     beyond = settings.outlier_fraction * abs(amplitude)
     against = settings.against_fraction * abs(amplitude)
     above, below = (beyond, against) if amplitude > 0 else (against, beyond)
-    return cv2.max(cv2.min(smooth, cv2.add(background, above)), cv2.subtract(background, below))
+    levels = np.arange(256)  # tables: OpenCV adds scalars to images the slow way
+    highest = cv2.LUT(background, np.clip(levels + above, 0, 255).astype(np.uint8))
+    lowest = cv2.LUT(background, np.clip(levels - below, 0, 255).astype(np.uint8))
+    return cv2.max(cv2.min(smooth, highest), lowest)
 
 
 def _typical_peak(peaks: np.ndarray) -> float:

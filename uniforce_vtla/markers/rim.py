@@ -8,7 +8,8 @@ from uniforce_vtla.markers.marker_plan import Blobs
 
 ARC_BINS = 36  # 10° each
 MIN_ARC_BINS = 9  # a quarter circle: fewer bins are reflections, not a rim
-MIN_RING_PX = 200  # pixels needed to fit a circle
+STRIDE_PX = 3  # every third pixel both ways is plenty for a circle
+MIN_RING_PX = 25  # sampled pixels needed to fit a circle
 
 
 def inside_rim(blobs: Blobs, keep: np.ndarray) -> np.ndarray:
@@ -41,10 +42,10 @@ def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _ring_pixels(blobs: Blobs, keep: np.ndarray) -> np.ndarray:
-    """Return (N, 2) x, y of pixels in blobs refused as markers that lie outside nearly all markers."""
-    refused = np.concatenate([[False], ~keep])[blobs.labels]
+    """Return (N, 2) x, y of sampled pixels in blobs refused as markers that lie outside nearly all markers."""
+    refused = np.concatenate([[False], ~keep])[blobs.labels[::STRIDE_PX, ::STRIDE_PX]]
     y, x = np.nonzero(refused)
-    points = np.stack([x, y], axis=1).astype(float)
+    points = np.stack([x, y], axis=1).astype(float) * STRIDE_PX
     middle = np.median(blobs.centres[keep], axis=0)
     reach = np.percentile(np.hypot(*(blobs.centres[keep] - middle).T), 85)
     return points[np.hypot(*(points - middle).T) > reach]
