@@ -79,7 +79,7 @@ def test_partial_slip_hands_load_to_sticking_cells() -> None:
     position = build_pad(get_sensor("gelsight")).position_mm
     p = np.exp(-(position**2).sum(axis=1, keepdims=True).T / 30).astype(np.float32)
     total = float(p.sum())
-    shear, torsion = np.array([[0.45 * total, 0.0]]), np.array([1.0 * total])
+    shear, torsion = np.array([[0.45 * total, 0.0]]), np.array([2.0 * total])
     free = solve_traction(p, position, shear, torsion, friction=None)
     capped = solve_traction(p, position, shear, torsion, friction=1.0)
     assert (np.hypot(*free[0]) > p[0] * 1.01).any() and (np.hypot(*capped[0]) <= p[0] * 1.001).all()

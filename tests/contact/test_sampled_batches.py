@@ -106,8 +106,12 @@ def test_sequence_labels_explain_the_image() -> None:
     columns = np.arange(640)
     weight = batch.frames.sum(axis=2, dtype=np.int64)  # (n, T, 640)
     x = (weight * columns).sum(axis=-1) / weight.sum(axis=-1)
-    late = np.abs(batch.force_N[..., 0]) > 0.8
-    assert np.corrcoef((x - 319.5)[late], batch.force_N[..., 0][late])[0, 1] > 0.7
+    moved, load = np.diff(x, axis=1), np.diff(batch.force_N, axis=1)
+    sheared = (np.abs(load[..., 0]) > 0.3) & (
+        np.abs(load[..., 2]) < 0.8
+    )  # else pressing off-centre moves x too
+    assert sheared.sum() > 10
+    assert np.corrcoef(moved[sheared], load[..., 0][sheared])[0, 1] > 0.6
 
 
 def test_bench_reports_every_sensor() -> None:

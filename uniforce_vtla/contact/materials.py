@@ -64,7 +64,8 @@ class TaxelMaterial:
         500.0  # real |dx|/dz at the 99th percentile ≈ .2, light boxes far from slipping
     )
     cross_talk: float = 0.15  # counts of x, y per count of z and reach of offset
-    baseline_counts: tuple[int, int] = (18_000, 42_000)  # raw values at rest differ per taxel and axis
+    baseline_shear: tuple[int, int] = (15_500, 16_800)  # raw x, y of real taxels at rest differ this much
+    baseline_normal: tuple[int, int] = (36_000, 39_000)  # raw z likewise
 
 
 MATERIALS: dict[str, PadMaterial | TaxelMaterial] = {

@@ -181,7 +181,7 @@ class TactileSimulator:
         if isinstance(self._material, TaxelMaterial):
             taxel_mm = taxel_positions_mm(self.spec.layout_mm) + offset
             gain = self.unit.gain * (1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3)))
-            self._baseline = rng.integers(*self._material.baseline_counts, size=(len(taxel_mm), 3))
+            self._baseline = _draw_baseline(rng, len(taxel_mm), self._material)
             pitch_mm = float(np.mean(self.spec.pad_size_mm)) / 4
             return TaxelResponse(self.pad, taxel_mm, pitch_mm, self._material, gain)
         self._rest_mm = self._unit_layout(rng, offset)
@@ -193,6 +193,12 @@ class TactileSimulator:
         turned = self.spec.layout_mm @ np.array([[cos, sin], [-sin, cos]])
         jitter = rng.standard_normal(turned.shape) * self.unit.jitter_mm
         return (turned + offset_mm + jitter).astype(np.float32)
+
+
+def _draw_baseline(rng: np.random.Generator, taxels: int, material: TaxelMaterial) -> np.ndarray:
+    """Return (taxels, 3) raw counts of a unit at rest."""
+    shear = rng.integers(*material.baseline_shear, size=(taxels, 2))
+    return np.concatenate([shear, rng.integers(*material.baseline_normal, size=(taxels, 1))], axis=1)
 
 
 def free_air(batch: int) -> ContactState:
