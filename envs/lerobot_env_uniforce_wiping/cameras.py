@@ -9,10 +9,11 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping.mjcf import TCP_m
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
+from uniforce_vtla.keys import CAMERAS
 
 CAMERA_PX = 224
-FOV_rad = {"front": 0.52, "wrist": 1.35}
-FRONT_m, FRONT_LOOK_m = np.array([1.05, -0.03, 0.52]), np.array([0.47, -0.04, 0.03])  # robot base frame
+FOV_rad = {"front": 0.54, "wrist": 1.35}
+FRONT_m, FRONT_LOOK_m = np.array([1.15, -0.05, 0.44]), np.array([0.47, -0.045, 0.045])  # robot base frame
 WRIST_m, WRIST_LOOK_m = np.array([0.0, -0.095, 0.045]), np.array([0.0, -0.035, TCP_m + 0.045])  # hand frame
 
 
@@ -41,29 +42,32 @@ def look_at(position_m: np.ndarray, target_m: np.ndarray, up: np.ndarray) -> np.
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def _turned(rotation: np.ndarray, turn_rad: tuple[float, ...]) -> np.ndarray:
-    x, y, z = turn_rad
-    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    turn, _ = np.linalg.qr(np.eye(3) + skew)  # jitter is small: near enough a rotation vector
-    return turn * np.sign(np.diag(turn @ np.eye(3))) @ rotation if np.any(skew) else rotation
+def _jitter(turn_rad: tuple[float, ...]) -> np.ndarray:
+    """Return (3, 3) rotation of a rotation vector."""
+    quaternion, matrix = np.zeros(4), np.zeros(9)
+    angle = float(np.linalg.norm(turn_rad))
+    mujoco.mju_axisAngle2Quat(quaternion, np.array(turn_rad) / max(angle, 1e-12), angle)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
 
 
-def _focal(name: str) -> float:
-    return CAMERA_PX / 2 / float(np.tan(FOV_rad[name] / 2))
+def _mounted(scene: SceneParams, index: int, position_m: np.ndarray, look_m: np.ndarray, up_z: float) -> Camera:
+    shift = np.array(scene.camera_shift_m[index])
+    rotation = look_at(position_m + shift, look_m + shift, np.array([0.0, 0.0, up_z]))
+    focal = CAMERA_PX / 2 / float(np.tan(FOV_rad[CAMERAS[index]] / 2))
+    return Camera(position_m + shift, _jitter(scene.camera_turn_rad[index]) @ rotation, focal)
 
 
 def front_camera(scene: SceneParams) -> Camera:
-    """Stands before the robot and looks back at it over the board."""
-    position = FRONT_m + np.array(scene.camera_shift_m[0])
-    rotation = look_at(position, FRONT_LOOK_m + np.array(scene.camera_shift_m[0]), np.array([0.0, 0.0, 1.0]))
-    return Camera(position, _turned(rotation, scene.camera_turn_rad[0]), _focal("front"))
+    """Stands before the robot and looks back at it over the board; world frame."""
+    return _mounted(scene, 0, FRONT_m, FRONT_LOOK_m, 1.0)
 
 
-def wrist_camera(scene: SceneParams, data: mujoco.MjData) -> Camera:
-    """Rides on the hand and looks past the fingers at the eraser and the board."""
-    hand = data.body("hand")
-    axes = hand.xmat.reshape(3, 3)
-    shift = np.array(scene.camera_shift_m[1])
-    rotation = look_at(WRIST_m + shift, WRIST_LOOK_m + shift, np.array([0.0, 0.0, -1.0]))
-    local = _turned(rotation, scene.camera_turn_rad[1])
-    return Camera(hand.xpos + axes @ (WRIST_m + shift), local @ axes.T, _focal("wrist"))
+def wrist_camera(scene: SceneParams) -> Camera:
+    """Rides on the hand and looks past the fingers at the eraser and the board; hand frame."""
+    return _mounted(scene, 1, WRIST_m, WRIST_LOOK_m, -1.0)
+
+
+def carried(camera: Camera, body_m: np.ndarray, body_axes: np.ndarray) -> Camera:
+    """Return a camera given in a body's frame in the world frame, for the body's pose."""
+    return Camera(body_m + body_axes @ camera.position_m, camera.rotation @ body_axes.T, camera.focal_px)
