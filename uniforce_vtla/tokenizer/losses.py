@@ -35,6 +35,8 @@ class LossConfig:
     pooled_grid: int = 4  # regions per side for the pooled variant
     changed_pixel_weight: float = 4.0  # extra weight where current differs from reference; 0 = plain L1
     pyramid_levels: int = 3  # scales of the gradient pyramid
+    pixels_per_patch: int = 256  # errors are summed over a patch, as the equilibrium term is; a mean over
+    # pixels is so small beside it that the latent collapses (docs/experiments/tokenizer.md)
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ def reconstruction(drawn: torch.Tensor, truth: Side, config: LossConfig) -> torc
     change = (truth.current - truth.reference).abs()
     weight = 1 + config.changed_pixel_weight * change  # (B, 1, S, S)
     l1 = (weight * (drawn - truth.current).abs()).mean()
-    return l1 + config.perceptual_weight * perceptual(config)(drawn, truth.current)
+    per_pixel = l1 + config.perceptual_weight * perceptual(config)(drawn, truth.current)
+    return per_pixel * config.pixels_per_patch
 
 
 def kl(posterior: Posterior) -> torch.Tensor:

@@ -1,0 +1,178 @@
+"""Force head: latent force maps → (fx, fy, fz) in newtons, canonical frame. Trained on one source sensor only.
+
+ConvGRU + MLP over latent sequences (facts: the form the paper probes frozen encoders with).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.pooling import pool_latent
+from uniforce_vtla.tokenizer.weights import ASSETS, load_weights, read_config, save_checkpoint
+
+
+@dataclass(frozen=True)
+class HeadConfig:
+    """Sizes of a head; all of them travel with its checkpoint."""
+
+    channels: int = 6  # numbers per patch of the latent
+    grid: int = 4  # the map is pooled to grid × grid regions first; 1 for a plain vector
+    hidden: int = 24  # channels of the ConvGRU
+    mlp: int = 64  # hidden units of the MLP
+    dropout: float = 0.1  # of the MLP's input, against clinging to one sensor's details
+
+
+class ConvGRUCell(nn.Module):
+    """A GRU whose gates are 3×3 convolutions."""
+
+    def __init__(self, channels: int, hidden: int) -> None:
+        super().__init__()
+        self.hidden = hidden
+        self.gates = nn.Conv2d(channels + hidden, 2 * hidden, 3, padding=1)
+        self.proposal = nn.Conv2d(channels + hidden, hidden, 3, padding=1)
+
+    def forward(self, inputs: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
+        """Return the next (B, hidden, g, g) state."""
+        update, reset = self.gates(torch.cat([inputs, state], 1)).sigmoid().chunk(2, dim=1)
+        proposal = self.proposal(torch.cat([inputs, reset * state], 1)).tanh()
+        return state + update * (proposal - state)
+
+
+class ForceRegressor(nn.Module):
+    """Standardised latent map → ConvGRU → MLP, plus a linear path from the map itself."""
+
+    input_mean: torch.Tensor
+    input_std: torch.Tensor
+    force_scale: torch.Tensor
+
+    def __init__(self, config: HeadConfig) -> None:
+        super().__init__()
+        self.config = config
+        cells = config.grid**2
+        self.register_buffer("input_mean", torch.zeros(config.channels, config.grid, config.grid))
+        self.register_buffer("input_std", torch.ones(config.channels, config.grid, config.grid))
+        self.register_buffer("force_scale", torch.ones(3))  # N
+        self.cell = ConvGRUCell(config.channels, config.hidden)
+        self.drop = nn.Dropout(config.dropout)
+        self.linear = nn.Linear(config.channels * cells, 3)
+        self.mlp = nn.Sequential(
+            nn.Linear(config.hidden * cells, config.mlp), nn.GELU(), nn.Linear(config.mlp, 3)
+        )
+
+    def maps(self, z: torch.Tensor) -> torch.Tensor:
+        """Return standardised (B, L, g, g) maps of latents (B, P, L)."""
+        pooled = pool_latent(z, self.config.grid)  # (B, g², L)
+        maps = pooled.transpose(1, 2).unflatten(2, (self.config.grid, self.config.grid))
+        return (maps - self.input_mean) / self.input_std
+
+    def step(self, z: torch.Tensor, state: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return force (B, 3) N and the next state for one frame of latents (B, P, L)."""
+        maps = self.maps(z)
+        if state is None:
+            state = maps.new_zeros(len(maps), self.config.hidden, *maps.shape[2:])
+        state = self.cell(maps, state)
+        force = self.linear(self.drop(maps.flatten(1))) + self.mlp(self.drop(state.flatten(1)))
+        return force * self.force_scale, state
+
+    def forward(self, z: torch.Tensor) -> torch.Tensor:
+        """Return (B, T, 3) N for latent sequences (B, T, P, L)."""
+        state, forces = None, []
+        for frame in z.unbind(1):
+            force, state = self.step(frame, state)
+            forces.append(force)
+        return torch.stack(forces, dim=1)
+
+
+class ForceHead:
+    """A trained head, in eval mode.
+
+    Attributes:
+        source: the only sensor whose forces it was trained on.
+        tokenizer_hash: the tokenizer whose latents it reads.
+        model: the network.
+    """
+
+    def __init__(self, model: ForceRegressor, source: str, tokenizer_hash: str) -> None:
+        self.model = model.eval().requires_grad_(False)
+        self.source = source
+        self.tokenizer_hash = tokenizer_hash
+
+    @classmethod
+    def from_pretrained(cls, source: str = "tactip", path: str | Path | None = None) -> ForceHead:
+        """Load the shipped head trained on ``source``, or any head's folder.
+
+        Raises:
+            CheckpointError: no head for that source, or a checkpoint that doesn't fit.
+        """
+        folder = ASSETS / f"force_head_{source}" if path is None else Path(path)
+        facts = read_config(folder)
+        try:
+            model = ForceRegressor(HeadConfig(**facts["head"]))
+            found, tokenizer_hash = facts["source"], facts["tokenizer_hash"]
+        except (KeyError, TypeError) as error:
+            raise CheckpointError(
+                expected(
+                    f"config of {folder}", "head, source, tokenizer_hash", error, "Is this a force head?"
+                )
+            ) from error
+        load_weights(folder, model)
+        return cls(model, found, tokenizer_hash)
+
+    def save(self, path: str | Path) -> Path:
+        """Write weights and facts to a folder that ``from_pretrained`` reads."""
+        facts = {
+            "head": asdict(self.model.config),
+            "source": self.source,
+            "tokenizer_hash": self.tokenizer_hash,
+        }
+        return save_checkpoint(Path(path), self.model, facts)
+
+    @torch.no_grad()
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+        """Return (B, 3) N for (B, P, L) latents, each a frame of its own without history."""
+        return self.model.step(self._checked(z), None)[0]
+
+    @torch.no_grad()
+    def sequence(self, z: torch.Tensor) -> torch.Tensor:
+        """Return (B, T, 3) N for (B, T, P, L) latents, each frame with those before it."""
+        if z.ndim != 4:
+            raise ContractError(expected("latents", "(B, T, P, L)", tuple(z.shape), "Stack frames in time."))
+        self._checked(z[:, 0])
+        return self.model(z)
+
+    def stream(self) -> ForceStream:
+        """Return a reader that remembers the frames before; one per finger and episode."""
+        return ForceStream(self)
+
+    def _checked(self, z: torch.Tensor) -> torch.Tensor:
+        channels = self.model.config.channels
+        square = z.ndim == 3 and math.isqrt(z.shape[1]) ** 2 == z.shape[1]
+        if not square or z.shape[2] != channels:
+            raise ContractError(
+                expected(
+                    "latents", f"(B, P, {channels})", tuple(z.shape), "Use the tokenizer it was trained on."
+                )
+            )
+        if not bool(z.isfinite().all()):
+            raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the images."))
+        return z
+
+
+class ForceStream:
+    """A force head with memory: call it with (B, P, L) frame after frame."""
+
+    def __init__(self, head: ForceHead) -> None:
+        self._head = head
+        self._state: torch.Tensor | None = None
+
+    @torch.no_grad()
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+        """Return (B, 3) N, given this frame and those before it."""
+        force, self._state = self._head.model.step(self._head._checked(z), self._state)
+        return force
