@@ -1,0 +1,218 @@
+"""Cameras: markers are found whatever their colour, count and light, and never invented."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from uniforce_vtla.errors import ContractError, SensorError
+from uniforce_vtla.markers import Canonicalizer
+
+
+def missed_and_false(truth: np.ndarray, found: np.ndarray, within_px: float = 4.0) -> tuple[int, int]:
+    """Count true markers that nothing was found at, and found ones that aren't there."""
+    missed = int((cKDTree(found).query(truth)[0] > within_px).sum())
+    return missed, int((cKDTree(truth).query(found)[0] > within_px).sum())
+
+
+@pytest.mark.parametrize("rings, pins", [(6, 127), (10, 331)])
+@pytest.mark.parametrize("rim", ["none", "ring", "arcs", "bright outside"])
+def test_dome_pins_are_all_found_and_the_rim_is_not(dome, rings, pins, rim):
+    scene = dome(rings=rings, rim=rim)
+    missed, false = missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))
+    assert len(scene.centres_px) == pins
+    assert missed <= 0.01 * pins and false <= 0.01 * pins
+
+
+@pytest.mark.parametrize("size", [(320, 240), (1280, 960), (1920, 1080)])
+def test_dome_of_any_size(dome, size):
+    scene = dome(rings=6, size=size)
+    missed, false = missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))
+    assert missed <= 2 and false <= 1
+
+
+def test_led_reflections_cost_only_the_pins_they_cover(dome):
+    scene = dome(reflections=5)
+    missed, false = missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))
+    assert missed <= 10 and false <= 2  # each 22×12 px reflection covers one or two of the 331 pins
+
+
+def test_pressed_dome_moves_its_pins_outwards(dome):
+    canon = Canonicalizer("tactip")
+    rest, pressed = dome(), dome(pressed=True, seed=1)
+    assert max(missed_and_false(pressed.centres_px, canon.markers(pressed.frame))) <= 3
+    pair = canon.pair(rest.frame, pressed.frame, finger="right")
+    near = slice(190, 320), slice(300, 430)  # around the press
+    assert pair.current[near].mean() < pair.reference[near].mean()
+
+
+def test_dim_pins_beside_a_bright_rim(dome):
+    scene = dome(brightness=80.0)
+    assert max(missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))) <= 6
+
+
+GELS = {
+    "80 squares": dict(),
+    "25 squares": dict(grid=(5, 5)),
+    "63 dots": dict(grid=(7, 9), shape="dot", size=(320, 240)),
+    "266 dots": dict(grid=(14, 19), shape="dot"),
+    "80 dashes": dict(shape="dash"),
+    "64 bright dots": dict(grid=(8, 8), shape="dot", dark=False),
+    "80 faint squares": dict(contrast=0.2, noise=3.0),
+    "80 squares, noisy": dict(noise=12.0),
+    "80 squares, wide": dict(size=(1280, 720)),
+    "80 squares, upright": dict(size=(480, 640)),
+}
+
+
+@pytest.mark.parametrize("name", GELS)
+def test_gel_markers_of_either_polarity(gel, name):
+    scene = gel(**GELS[name])
+    missed, false = missed_and_false(scene.centres_px, Canonicalizer("gelsight").markers(scene.frame))
+    assert missed <= 1 and false <= 1
+
+
+@pytest.mark.parametrize("name", ["80 squares", "266 dots", "80 dashes", "64 bright dots"])
+def test_specular_streak_invents_nothing(gel, name):
+    scene = gel(**GELS[name], streak=True)
+    missed, false = missed_and_false(scene.centres_px, Canonicalizer("gelsight").markers(scene.frame), 6.0)
+    assert missed <= 5 and false <= 2  # the streak covers up to five markers
+
+
+def test_mask_covers_the_markers(gel):
+    image = Canonicalizer("gelsight").marker_image(gel().frame)
+    area = np.median(cv2.connectedComponentsWithStats(image)[2][1:, 4])
+    side = 2 * 0.18 * (0.85 * 480 / 7)  # the gel's pitch and marker share
+    assert 0.8 * side**2 < area < 1.9 * side**2  # grown by up to 2 px a side
+
+
+def test_inverted_frame_has_the_same_markers(gel):
+    frame = gel(noise=2.0).frame
+    canon = Canonicalizer("gelsight")
+    assert max(missed_and_false(canon.markers(frame), canon.markers(255 - frame))) == 0
+
+
+def test_wide_frame_is_letterboxed(gel):
+    image = Canonicalizer("gelsight").marker_image(gel(size=(1280, 720)).frame)
+    assert not image[:60].any() and not image[420:].any() and image[60:420].any()
+
+
+def test_one_canonicaliser_serves_different_gels(gel, dome):
+    """What was learnt from one look must not spoil the next."""
+    canon = Canonicalizer("gelsight")
+    for scene in (gel(), dome(rings=6, rim="none"), gel(grid=(8, 8), shape="dot", dark=False), gel()):
+        assert max(missed_and_false(scene.centres_px, canon.markers(scene.frame))) <= 2
+
+
+# --- refusals ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        np.zeros((480, 640), np.uint8),
+        np.zeros((480, 640, 4), np.uint8),
+        np.zeros((1, 480, 640, 3), np.uint8),
+        np.full((480, 640, 3), 0.5, np.float32),
+        np.full((480, 640, 3), np.nan),
+        np.zeros((480, 640, 3), np.int16),
+        np.zeros((0, 640, 3), np.uint8),
+        np.zeros((16, 16, 3), np.uint8),
+        np.zeros((16, 3), np.int64),
+        None,
+        [[1, 2, 3]],
+    ],
+)
+def test_malformed_frame_breaks_the_contract(frame):
+    with pytest.raises(ContractError, match="camera frame: expected"):
+        Canonicalizer("gelsight").marker_image(frame)
+
+
+@pytest.mark.parametrize("level", [0, 8, 128, 255])
+def test_black_or_even_frame_is_refused(level):
+    with pytest.raises(SensorError, match="camera frame: expected"):
+        Canonicalizer("tactip").marker_image(np.full((480, 640, 3), level, np.uint8))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_dark_noise_and_bright_noise_hold_no_markers(seed):
+    rng = np.random.default_rng(seed)
+    level, sigma = [(3, 2), (128, 4), (128, 25), (200, 60)][seed]
+    frame = np.clip(rng.normal(level, sigma, (480, 640, 3)), 0, 255).astype(np.uint8)
+    with pytest.raises(SensorError):
+        Canonicalizer("gelsight").marker_image(frame)
+
+
+def test_gel_without_markers_is_refused(gel):
+    bare = gel(contrast=0.0, streak=True).frame
+    with pytest.raises(SensorError, match="markers on the gel"):
+        Canonicalizer("gelsight").marker_image(bare)
+
+
+def test_scattered_dirt_is_not_a_pattern(gel):
+    rng, frame = np.random.default_rng(3), gel(contrast=0.0).frame.copy()
+    for x, y in rng.uniform((20, 20), (620, 460), (60, 2)):
+        cv2.circle(frame, (int(x), int(y)), int(rng.uniform(2, 12)), (20, 20, 20), cv2.FILLED)
+    with pytest.raises(SensorError):
+        Canonicalizer("gelsight").marker_image(frame)
+
+
+def test_lights_out_during_a_pair(dome):
+    frame = dome(rings=6).frame
+    with pytest.raises(SensorError, match="all-black"):
+        Canonicalizer("tactip").pair(frame, np.zeros_like(frame), finger="left")
+
+
+def test_frames_of_two_sizes_are_no_pair(dome):
+    first, second = dome(rings=6).frame, dome(rings=6, size=(320, 240)).frame
+    with pytest.raises(ContractError, match="one camera setting"):
+        Canonicalizer("tactip").pair(first, second, finger="left")
+
+
+# --- real recordings -----------------------------------------------------------------------------------------------
+
+
+def read_rgb(path: Path) -> np.ndarray:
+    return cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("index", range(6))
+def test_fots_frames_have_108_markers(real_folder, index):
+    frame = read_rgb(real_folder / "gelsight_fots" / f"{index}.png")
+    assert abs(len(Canonicalizer("gelsight").markers(frame)) - 108) <= 2
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("name", ["1. raw(1280*720).png", "2. scale down(640*360).png"])
+def test_bright_dots_match_the_authors_mask(real_folder, name):
+    folder = real_folder / "gelsight_bright_dots"
+    canon, frame = Canonicalizer("gelsight"), read_rgb(folder / name)
+    theirs = read_rgb(folder / "3. mask.png")[..., 0] > 127  # (360, 640)
+    ours = canon.marker_image(frame)[60:420] > 0
+    assert len(canon.markers(frame)) == 64
+    assert (ours & theirs).sum() / (ours | theirs).sum() >= 0.75
+
+
+CALIBRATION = "shape_reconstruction/calibration/sensor_1"
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    "name",
+    [
+        f"{CALIBRATION}/depth_calibration/ref.png",
+        f"{CALIBRATION}/depth_calibration/sample.png",
+        f"{CALIBRATION}/camera_calibration/ref.png",
+        "force_estimation/test.png",
+    ],
+)
+def test_real_gels_without_markers_are_refused(real_folder, name):
+    frame = read_rgb(real_folder / "markerless_9dtact" / name)
+    for sensor in ("gelsight", "tactip"):
+        with pytest.raises(SensorError, match="markers on the gel"):
+            Canonicalizer(sensor).pair(frame, frame, finger="left")
