@@ -11,7 +11,7 @@ from lerobot_env_uniforce_wiping.levels import Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
 from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
-CLEARANCE_m = 0.006  # above the nominal contact height, where lowering slows down
+CLEARANCE_m = 0.008  # above the nominal contact height, where lowering slows down
 FAST_m_s, SLOW_m_s = 0.070, 0.025  # lowering
 CLOSING_m_s = 0.040  # gripper in free air
 
@@ -28,8 +28,8 @@ class Feel:
 class TouchSettings:
     """How the expert regulates."""
 
-    press_N: float = 7.3  # wipes clean well below the excess limit
-    grip_N: float = 9.2  # holds at the lowest friction, below the pads' rated depth
+    press_N: float = 7.5  # wipes clean well below the excess limit
+    grip_N: float = 9.0  # holds at the lowest friction, below the pads' rated depth
     press_rate_m_s_N: float = 0.0035  # z speed per N of press error
     press_speed_m_s: float = 0.020  # fastest regulation
     grip_rate_m_s_N: float = 0.0030  # width speed per N of grip error

@@ -21,7 +21,7 @@ class Layout:
     carry_height_m: float = 0.075  # tool height above the table while carrying
     board_center_m: tuple[float, float] = (0.50, 0.04)  # centre of the writing
     board_height_m: float = 0.012  # nominal board surface above the table
-    open_width_m: float = 0.060  # gripper width before the grasp
+    open_width_m: float = 0.050  # gripper width before the grasp
     eraser_width_m: float = 0.030  # nominal, along the closing axis x
     eraser_length_m: float = 0.060  # along the strokes, y
     eraser_height_m: float = 0.050  # felt included
@@ -62,16 +62,16 @@ class Level:
 
 
 _HIDDEN = {
-    "stiffness_scale": (0.6, 1.4),
+    "stiffness_scale": (0.55, 1.45),
     "damping_scale": (0.8, 1.2),
     "stiction_Nm": (0.05, 0.35),
     "gripper_gain": (0.6, 1.4),
     "gripper_dead_band_m": (0.0, 0.0003),
-    "board_offset_m": (-0.004, 0.004),
+    "board_offset_m": (-0.006, 0.006),
     "board_tilt_rad": (-0.015, 0.015),
     "eraser_width_offset_m": (-0.002, 0.002),
     "eraser_mass_kg": (0.040, 0.070),
-    "pad_friction": (0.55, 1.0),
+    "pad_friction": (0.50, 0.90),
     "board_friction": (0.25, 0.40),
     "gel_scale": (0.94, 1.06),
 }
@@ -81,12 +81,12 @@ EASY = Level(
     time_limit_s=12.0,
     rows=2,
     row_pitch_m=0.020,
-    stroke_m=0.100,
+    stroke_m=0.110,
     letter_height_m=0.030,
-    word_length_m=0.085,
+    word_length_m=0.072,
     words=("hi", "ok", "abc", "go", "VLA"),
-    wear_per_kPa_m=11.0,
-    adhesion_sigma=0.30,
+    wear_per_kPa_m=10.0,
+    adhesion_sigma=0.20,
     placement_m=0.003,
     word_offset_m=0.002,
     camera_shift_m=0.004,
@@ -100,10 +100,10 @@ PAPER = Level(
     row_pitch_m=0.020,
     stroke_m=0.150,
     letter_height_m=0.065,
-    word_length_m=0.135,
+    word_length_m=0.112,
     words=("robot", "touch", "wipe", "force", "hello"),
-    wear_per_kPa_m=11.0,
-    adhesion_sigma=0.35,
+    wear_per_kPa_m=10.0,
+    adhesion_sigma=0.20,
     placement_m=0.004,
     word_offset_m=0.004,
     camera_shift_m=0.005,

@@ -16,6 +16,7 @@ from lerobot_env_uniforce_wiping.sweep import Sweep
 
 X, Y, Z, YAW, WIDTH = range(5)
 NEAR_m = 0.002  # arrived
+SLOW_DOWN_m = 0.008  # before a corner
 APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
 PHASES = ("descend", "close", "lift", "carry", "lower", "wipe", "leave", "done")
 
@@ -103,9 +104,10 @@ class WipeSequence:
         return pressed
 
     def _wipe(self, measured: np.ndarray) -> bool:
-        self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
-        self.target[Z] = self.hands.press(self.target[Z], measured)
-        shifting = self.sweep.between_rows(self._along_m + 0.008)  # slows down before the corner
+        shifting = self.sweep.between_rows(self._along_m + SLOW_DOWN_m)
+        if not shifting:  # drag along the closing axis loads the pads unevenly: hold still and trust the gel
+            self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
+            self.target[Z] = self.hands.press(self.target[Z], measured)
         wanted = self.pace.shift_m_s if shifting else self.pace.stroke_m_s
         limit = self.pace.ramp_m_s2 / CONTROL_HZ
         self._speed_m_s += float(np.clip(wanted - self._speed_m_s, -limit, limit))
