@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors
+from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, to_deltas, to_targets
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
+from lerobot_policy_pi05_uniforce.quantile_floor import SPAN_FLOOR, floor_quantiles
+from uniforce_vtla.errors import ContractError, RolloutError
+
+SCALE = torch.tensor([0.03, 0.03, 0.012, 0.15, 0.01])
+
+
+@given(seed=st.integers(0, 10_000), size=st.integers(1, 4), steps=st.integers(1, 8))
+def test_deltas_and_targets_are_inverse(seed, size, steps):
+    actions = torch.rand(size, 1 + steps, 5, generator=torch.Generator().manual_seed(seed))
+    deltas = to_deltas(actions, None, torch.zeros(size, 5), SCALE)
+    assert torch.allclose(to_targets(deltas, actions[:, 0], SCALE), actions[:, 1:], atol=1e-6)
+
+
+def test_an_episode_starts_from_the_measured_state_as_a_rollout_does():
+    actions, measured = torch.rand(2, 4, 5), torch.rand(2, 5)
+    is_pad = torch.tensor([[True, False, False, False], [False] * 4])
+    deltas = to_deltas(actions, is_pad, measured, SCALE)
+    assert torch.allclose(to_targets(deltas, measured, SCALE)[0], actions[0, 1:], atol=1e-6)
+    assert torch.allclose(to_targets(deltas, actions[:, 0], SCALE)[1], actions[1, 1:], atol=1e-6)
+
+
+def test_issued_target_refuses_another_batch():
+    issued = IssuedTarget()
+    issued.record(torch.zeros(3, 5))
+    with pytest.raises(RolloutError, match="reset"):
+        issued.base(torch.zeros(2, 5))
+
+
+def constant_delta(policy, monkeypatch, rows):
+    """Let the network answer one fixed delta per row and step, in network units."""
+
+    def sample(images, masks, tokens, text_mask, **kwargs):
+        out = torch.zeros(len(tokens), policy.config.chunk_size, policy.config.max_action_dim)
+        out[:, :, :5] = rows[: len(tokens), None]
+        return out
+
+    monkeypatch.setattr(policy.model, "sample_actions", sample)
+
+
+def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_batch, monkeypatch):
+    policy = make_policy(touch_input="none", n_action_steps=2)
+    rows = torch.tensor([[0.1] * 5, [-0.2] * 5])
+    constant_delta(policy, monkeypatch, rows)
+    first = make_batch(policy)
+    policy.reset()
+    a = [policy.select_action(first) for _ in range(2)]
+    assert torch.allclose(a[1], first[MEASURED_STATE] + rows * SCALE, atol=1e-6)
+    elsewhere = make_batch(policy)  # the measured state moved: it must not matter any more
+    b = policy.select_action(elsewhere)
+    assert torch.allclose(b, a[1] + rows * SCALE, atol=1e-6)
+    policy.select_action(elsewhere)
+    policy.reset()
+    assert torch.allclose(
+        policy.select_action(elsewhere), elsewhere[MEASURED_STATE] + rows * SCALE, atol=1e-6
+    )
+
+
+def test_postprocessor_leaves_targets_in_si_units(make_policy, make_batch, stats):
+    policy = make_policy(touch_input="none")
+    _, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    action = policy.select_action(make_batch(policy))
+    assert torch.equal(after(action), action)
+
+
+def test_absolute_actions_are_normalised_by_lerobot(make_policy, stats):
+    policy = make_policy(touch_input="none", action_form="absolute")
+    assert policy.config.action_delta_indices == list(range(16))
+    _, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    low = after(-torch.ones(1, 5))
+    assert np.allclose(low.numpy()[0], stats["action"]["q01"], atol=1e-6)
+
+
+def test_the_network_never_sees_the_last_command(make_policy, make_batch):
+    policy = make_policy(touch_input="none")
+    policy.train()
+    batch = make_batch(policy, actions=True)
+    moved = {**batch, "action": batch["action"] + 0.5}  # same deltas, another absolute place
+    losses = []
+    for b in (batch, moved):
+        torch.manual_seed(3)
+        losses.append(policy.forward(b)[0])
+    assert torch.allclose(*losses, rtol=1e-4)
+
+
+@pytest.mark.parametrize("reduction", ["mean", "none"])
+def test_padded_steps_and_axes_give_no_loss(make_policy, make_batch, monkeypatch, reduction):
+    policy = make_policy(touch_input="none")
+    batch = make_batch(policy, actions=True)
+    batch["action_is_pad"][:, 5:] = True  # the last command and four steps are real
+    losses = torch.full((2, 16, 8), 1e6)
+    losses[:, :4, :5] = 2.0
+    monkeypatch.setattr(policy.model, "forward", lambda *args: losses)
+    loss, _ = policy.forward(batch, reduction=reduction)
+    assert torch.allclose(loss, torch.tensor(2.0))
+    assert loss.shape == (() if reduction == "mean" else (2,))
+
+
+def test_mean_loss_is_the_mean_of_samples(make_policy, make_batch):
+    policy = make_policy(touch_input="none")
+    batch = make_batch(policy, actions=True)
+    torch.manual_seed(3)
+    mean, facts = policy.forward(batch)
+    torch.manual_seed(3)
+    rows, _ = policy.forward(batch, reduction="none")
+    assert torch.allclose(mean, rows.mean()) and facts["loss"] == pytest.approx(float(mean.detach()))
+
+
+def test_a_batch_without_the_measured_state_is_refused(make_policy, make_batch):
+    policy = make_policy(touch_input="none")
+    batch = make_batch(policy)
+    del batch[MEASURED_STATE]
+    with pytest.raises(ContractError, match="preprocessor"):
+        policy.select_action(batch)
+
+
+def test_delta_scale_must_fit_the_action(make_policy):
+    with pytest.raises(ContractError, match="delta_scale"):
+        make_policy(delta_scale=[0.1, 0.1])
+
+
+@given(
+    low=st.lists(st.floats(-1, 1), min_size=5, max_size=5),
+    span=st.lists(st.floats(0, 0.2), min_size=5, max_size=5),
+)
+def test_quantile_spans_are_floored(low, span):
+    stat = {"q01": np.array(low), "q99": np.array(low) + np.array(span)}
+    floored = floor_quantiles({"observation.state": stat, "other": stat})
+    wide = floored["observation.state"]["q99"] - floored["observation.state"]["q01"]
+    assert np.allclose(wide, np.maximum(span, SPAN_FLOOR), atol=1e-9)
+    centre = (floored["observation.state"]["q99"] + floored["observation.state"]["q01"]) / 2
+    assert np.allclose(centre, np.array(low) + np.array(span) / 2)
+    assert floored["other"] is stat
+
+
+def test_a_still_axis_cannot_explode(make_config, stats):
+    still = {k: {**v, "q01": v["q01"].copy(), "q99": v["q99"].copy()} for k, v in stats.items()}
+    still["observation.state"]["q99"][3] = still["observation.state"]["q01"][3]
+    before, _ = make_pi05_uniforce_pre_post_processors(make_config(touch_input="none"), still)
+    state = torch.tensor(still["observation.state"]["q01"], dtype=torch.float32)
+    state[3] += 0.01  # rad
+    batch = before({"observation.state": state, "task": "wipe"})
+    assert batch["observation.state"].abs().max() < 3
+
+
+def test_only_the_state_is_normalised(make_policy, make_batch):
+    batch = make_batch(make_policy(touch_input="wrench"))
+    assert batch["observation.state"].abs().max() <= 1.001
+    assert batch["observation.wrench.touch0"].abs().max() > 2
+
+
+def test_local_text_tokenizer_round_trips(make_config, stats, monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    before, _ = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    state = torch.tensor([0.5, 0.0, 0.1, 0.0, 0.04])
+    batch = before({"observation.state": state, "task": "wipe the züge_off"})
+    tokens, mask = batch["observation.language.tokens"], batch["observation.language.attention_mask"]
+    assert tokens.shape == (1, 64) and mask.sum() < 40
+    step = next(s for s in before.steps if hasattr(s, "input_tokenizer"))
+    text = step.input_tokenizer.decode(tokens[0][mask[0]][1:])
+    assert text == "Task: wipe the züge off, State: 128 128 85 128 128;\nAction: "
+
+
+def test_a_cut_prompt_is_said(make_config, stats, caplog):
+    before, _ = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    before({"observation.state": torch.tensor([0.5, 0.0, 0.1, 0.0, 0.04]), "task": "x" * 100})
+    assert any("may be cut" in r.message for r in caplog.records)

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from lerobot.datasets import factory
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from safetensors.torch import load_file
+
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from uniforce_vtla.commands import train
+from uniforce_vtla.errors import ContractError
+
+AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes of ten frames with cameras, state, cached latents and absolute targets."""
+    root = tmp_path_factory.mktemp("data") / "wipe"
+    image = {"dtype": "image", "shape": (28, 28, 3), "names": ["height", "width", "channels"]}
+    five = {"dtype": "float32", "shape": (5,), "names": AXES}
+    latent = {"dtype": "float32", "shape": (96,), "names": [f"z{i}" for i in range(96)]}
+    features = {"observation.images.front": image, "observation.images.wrist": image}
+    features |= {"observation.state": five, "action": five, "observation.latent.touch0": latent}
+    made = LeRobotDataset.create("local/wipe", fps=30, features=features, root=root, use_videos=False)
+    random = np.random.default_rng(0)
+    for _ in range(2):
+        for _ in range(10):
+            frame = {k: random.integers(0, 255, (28, 28, 3), dtype=np.uint8) for k in list(features)[:2]}
+            frame |= {k: random.random(5, dtype=np.float32) for k in ("observation.state", "action")}
+            frame["observation.latent.touch0"] = 4 * random.standard_normal(96).astype(np.float32)
+            made.add_frame({**frame, "task": "wipe the ink off the board"})
+        made.save_episode()
+    made.finalize()
+    return root
+
+
+def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    out = tmp_path / "run"
+    small = "tiny_width=32 tiny_depth=2 tiny_head_dim=8 tiny_mlp_dim=32 image_resolution=[28,28]"
+    model = [f"policy.{entry}" for entry in small.split()]
+    touch = [f"policy.tokenizer_path={tokenizer_path}", "policy.touch_slots={touch0: right}"]
+    data = ["dataset.repo_id=local/wipe", f"dataset.root={dataset}", f"output_dir={out}", "num_workers=0"]
+    run = ["steps=20", "batch_size=4", "log_freq=10", "save_freq=10", "env_eval_freq=0"]
+    train.main(["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *model, *touch, *data, *run])
+    last = out / "checkpoints" / "last" / "pretrained_model"
+    early = load_file(out / "checkpoints" / "000010" / "pretrained_model" / "model.safetensors")
+    late = load_file(last / "model.safetensors")
+    moved = {k for k in early if not torch.equal(early[k], late[k])}
+    assert any("force_tokens.proj" in k for k in moved) and any("vision_tower" in k for k in moved)
+    assert not any("tactile_encoder" in k for k in moved)
+    policy = PI05UniforcePolicy.from_pretrained(last)
+    assert policy.model.force_tokens.input_rms.mean() == pytest.approx(4.0, rel=0.1)  # from the data
+    assert policy.config.push_to_hub is False
+
+    train.main(["resume=true", f"config_path={last / 'train_config.json'}", "steps=24"])
+    assert json.loads((out / "checkpoints/last/training_state/training_step.json").read_text())["step"] == 24
+
+    tuned = tmp_path / "tuned"  # from a checkpoint, on new data statistics: LeRobot rebuilds the normaliser
+    data[2] = f"output_dir={tuned}"
+    train.main([f"policy.path={last}", "policy.device=cpu", *data, "steps=2", "batch_size=4", "save_freq=2"])
+    saved = load_file(
+        next((tuned / "checkpoints/last/pretrained_model").glob("*normalizer_processor.safetensors"))
+    )
+    assert "observation.state.q99" in saved
+
+
+def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
+    module = ModuleType("uniforce_datasets.training_view")
+    module.make_training_dataset = lambda cfg, stock: ("view", stock)
+    monkeypatch.setitem(sys.modules, "uniforce_datasets.training_view", module)
+    stock = factory.make_dataset
+    cfg = SimpleNamespace(dataset=SimpleNamespace(root=tmp_path, eval_split=0.0))
+    (tmp_path / train.VIEW_MARKER).write_text("{}")
+    with train.training_views():
+        assert factory.make_dataset(cfg) == ("view", stock)
+        cfg.dataset.eval_split = 0.1
+        with pytest.raises(ContractError, match="eval_split"):
+            factory.make_dataset(cfg)
+    assert factory.make_dataset is stock
+
+
+def test_other_datasets_stay_with_lerobot(tmp_path, monkeypatch):
+    monkeypatch.setattr(factory, "make_dataset", lambda cfg: "stock")
+    with train.training_views():
+        assert factory.make_dataset(SimpleNamespace(dataset=SimpleNamespace(root=tmp_path))) == "stock"
+        assert factory.make_dataset(SimpleNamespace(dataset=SimpleNamespace(root=None))) == "stock"
+
+
+def test_command_line_becomes_lerobots():
+    flags = train.to_lerobot(["policy=pi05_uniforce", "steps=5", "--policy.size=tiny", "wandb.enable=true"])
+    assert flags[:4] == [
+        "--policy.type=pi05_uniforce",
+        "--steps=5",
+        "--policy.size=tiny",
+        "--wandb.enable=true",
+    ]
+    assert flags[4:] == ["--policy.push_to_hub=false"]
+    assert train.to_lerobot(["resume=true", "config_path=a=b.json"]) == [
+        "--resume=true",
+        "--config_path=a=b.json",
+    ]
+
+
+def test_help_teaches_with_an_example(capsys):
+    train.main(["--help"])
+    assert "python scripts/train.py policy=pi05_uniforce" in capsys.readouterr().out
