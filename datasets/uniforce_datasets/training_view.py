@@ -244,7 +244,7 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any]) ->
         raise DatasetError(
             expected("policy", "single observations", "a history", "Train on the dataset itself.")
         )
-    slots = {slot: policy.slot_fingers[slot] for slot in getattr(policy, "slots", ())}
+    slots = {slot: policy.finger_by_slot()[slot] for slot in getattr(policy, "slots", ())}
     touch = getattr(policy, "touch_input", "none") if slots else "none"
     marker = read_marker(Path(root))
     if touch == "latent" and policy.latent_grid != marker["latent_grid"]:
