@@ -1,0 +1,63 @@
+"""How fast demos reach the trainer: stock LeRobot and the training view on the same data, in the same run."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch.utils.data import DataLoader, Dataset, RandomSampler
+
+from uniforce_datasets.lossless import open_dataset
+from uniforce_datasets.synthetic import FPS, record_synthetic
+from uniforce_datasets.training_view import TrainingView, build_view
+from uniforce_vtla.contracts import Finger
+
+CHUNK = 16  # actions per sample, as the tiny policy
+BATCH = 8
+EPISODES, FRAMES = 3, 90  # of the synthetic data: 9 s, so that random access is real
+
+
+class BlockMeans:
+    """Stands in for the tokenizer: the loader's speed depends on the latents' size only."""
+
+    hash = "block means"
+
+    def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        """Return (B, 96): as many numbers as 4×4 pooled latents of 6."""
+        change = (current != reference).reshape(len(current), 96, -1)
+        return change.mean(axis=2, dtype=np.float32)
+
+
+def bench_loader(root: str | Path | None = None, seconds: float = 2.0) -> dict[str, Any]:
+    """Return samples per second of one process, shuffled and batched, with a 16-step action chunk.
+
+    Args:
+        root: a recorded dataset; None records a small synthetic one.
+        seconds: how long each loader is measured.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(root) if root else record_synthetic(Path(folder) / "data", EPISODES, FRAMES)
+        view = build_view(data, Path(folder) / "view", encoder=BlockMeans(), keep=lambda facts: True)
+        chunk = {"action": [step / FPS for step in range(CHUNK)]}
+        stock = open_dataset(data, delta_timestamps=chunk, return_uint8=True)
+        return {
+            "stock_samples_per_s": _rate(stock, seconds),
+            "view_samples_per_s": _rate(TrainingView(view, range(CHUNK)), seconds),
+        }
+
+
+def _rate(dataset: Dataset, seconds: float) -> float:
+    """Samples per second through a DataLoader, its first batch left out."""
+    loader = DataLoader(
+        dataset, batch_size=BATCH, sampler=RandomSampler(dataset, replacement=True, num_samples=10**6)
+    )
+    batches = iter(loader)
+    next(batches)
+    count, start = 0, time.perf_counter()
+    while (spent := time.perf_counter() - start) < seconds:
+        next(batches)
+        count += BATCH
+    return count / spent if count else 0.0

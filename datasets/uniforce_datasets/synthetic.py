@@ -1,0 +1,64 @@
+"""A small dataset of moving dots: for the loader's bench and for tests, where no simulation is wanted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from uniforce_datasets.features import CAMERA_SHAPE
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
+from uniforce_vtla.keys import (
+    ACTION,
+    AXES,
+    CAMERAS,
+    STATE,
+    age_key,
+    camera_key,
+    tactile_key,
+    time_key,
+    truth_wrench_key,
+)
+
+FPS = 30
+DOT_PX = 12  # radius
+PITCH_PX = 64
+
+
+def dots(shift_px: float) -> np.ndarray:
+    """Return a marker image (480, 640) of a regular grid of discs shifted to the right."""
+    image = np.zeros(MARKER_IMAGE_SHAPE, dtype=np.uint8)
+    for y in range(PITCH_PX // 2, MARKER_IMAGE_SHAPE[0], PITCH_PX):
+        for x in range(PITCH_PX // 2, MARKER_IMAGE_SHAPE[1], PITCH_PX):
+            cv2.circle(image, (round(x + shift_px), y), DOT_PX, 255, -1)
+    return image
+
+
+def synthetic_frame(step: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Return one recordable frame; every number differs from frame to frame."""
+    ramp = np.linspace(0, 200, CAMERA_SHAPE[1], dtype=np.uint8)
+    picture = np.broadcast_to(np.roll(ramp, 3 * step)[None, :, None], CAMERA_SHAPE).copy()
+    frame: dict[str, Any] = {camera_key(camera): picture for camera in CAMERAS}
+    for finger in FINGERS:
+        frame[tactile_key(finger)] = dots(20 * np.sin(step / 5))
+        frame[tactile_key(finger, reference=True)] = dots(0)
+        frame[truth_wrench_key(finger)] = rng.normal(size=4).astype(np.float32)
+        frame[time_key(finger)] = np.array([step / FPS])
+        frame[age_key(finger)] = np.zeros(1, dtype=np.float32)
+    frame[STATE] = rng.normal(size=len(AXES)).astype(np.float32)
+    frame[ACTION] = rng.normal(size=len(AXES)).astype(np.float32)
+    return frame
+
+
+def record_synthetic(root: Path, episodes: int, frames: int, seed: int = 0) -> Path:
+    """Record ``episodes`` of ``frames`` each with the real recorder."""
+    rng = np.random.default_rng(seed)
+    with EpisodeRecorder(root, "local/synthetic", "gelsight", "tactip", FPS) as recorder:
+        for number in range(episodes):
+            for step in range(frames):
+                recorder.add(synthetic_frame(step, rng), "wipe the dots")
+            recorder.save(success=True, outcome="success", seed=number)
+    return root

@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from uniforce_datasets.bench import BlockMeans
+from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.training_view import build_view
+
+EPISODES, FRAMES = 3, 20
+logging.getLogger("lerobot").setLevel(logging.ERROR)
+
+
+@pytest.fixture(scope="session")
+def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three synthetic episodes of twenty frames; read only."""
+    return record_synthetic(tmp_path_factory.mktemp("demos") / "data", EPISODES, FRAMES)
+
+
+@pytest.fixture(scope="session")
+def view(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_view(demos, tmp_path_factory.mktemp("view") / "view", encoder=BlockMeans())

@@ -1,0 +1,259 @@
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import lerobot.datasets.compute_stats as compute_stats
+import lerobot.datasets.dataset_writer as dataset_writer
+import numpy as np
+import pytest
+
+from uniforce_datasets import staging
+from uniforce_datasets.lossless import open_dataset
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.source import read_source
+from uniforce_datasets.synthetic import FPS, dots, record_synthetic, synthetic_frame
+from uniforce_vtla.errors import ContractError, DatasetError, SensorError
+from uniforce_vtla.keys import (
+    ACTION,
+    OUTCOME,
+    OUTCOME_NAMES,
+    SEED,
+    STATE,
+    SUCCESS,
+    camera_key,
+    sensor_key,
+    tactile_key,
+    truth_wrench_key,
+)
+from uniforce_vtla.sensors import list_sensors
+
+SHORT = 4  # frames
+
+
+def open_recorder(root: Path, **options: object) -> EpisodeRecorder:
+    return EpisodeRecorder(root, "local/test", "gelsight", "tactip", FPS, **options)  # type: ignore[arg-type]
+
+
+def add_frames(recorder: EpisodeRecorder, count: int = SHORT, seed: int = 0) -> list[dict]:
+    rng = np.random.default_rng(seed)
+    frames = [synthetic_frame(step, rng) for step in range(count)]
+    for frame in frames:
+        recorder.add(frame, "wipe")
+    return frames
+
+
+def save_one(recorder: EpisodeRecorder) -> None:
+    add_frames(recorder)
+    recorder.save(success=True, outcome="success", seed=7)
+
+
+def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    recorded = []
+    for number, outcome in enumerate(
+        ("success", "failed_grasp", "residual")
+    ):  # three sessions: resume each time
+        with open_recorder(root) as recorder:
+            assert recorder.num_episodes == number
+            recorded += add_frames(recorder, seed=number)
+            recorder.save(success=outcome == "success", outcome=outcome, seed=100 + number)
+    dataset = open_dataset(root, return_uint8=True)
+    assert dataset.num_episodes == 3 and len(dataset) == 3 * SHORT
+    for index, frame in enumerate(recorded):
+        sample = dataset[index]
+        for finger in ("left", "right"):
+            for reference in (False, True):
+                key = tactile_key(finger, reference)  # type: ignore[arg-type]
+                assert np.array_equal(sample[key].numpy(), np.broadcast_to(frame[key], (3, 480, 640)))
+        assert np.array_equal(sample[STATE], frame[STATE]) and np.array_equal(sample[ACTION], frame[ACTION])
+        assert np.array_equal(sample[truth_wrench_key("left")], frame[truth_wrench_key("left")])
+        camera = sample[camera_key("front")].permute(1, 2, 0).numpy().astype(int)
+        assert np.abs(camera - frame[camera_key("front")]).mean() < 8  # lossy, yet the same picture
+        assert sample["task"] == "wipe"
+    columns = read_source(root).columns((SUCCESS, OUTCOME, SEED, sensor_key("right")))
+    ends = slice(None, None, SHORT)
+    assert columns[SUCCESS][ends].tolist() == [1, 0, 0] and columns[SEED].tolist()[-1] == 102
+    assert [OUTCOME_NAMES[i] for i in columns[OUTCOME][ends]] == ["success", "failed_grasp", "residual"]
+    assert set(columns[sensor_key("right")]) == {list_sensors().index("tactip")}
+
+
+KILLED_CHILD = """
+import sys, numpy as np
+from pathlib import Path
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.synthetic import FPS, synthetic_frame
+recorder, rng = EpisodeRecorder(Path(sys.argv[1]), "local/test", "gelsight", "tactip", FPS), np.random.default_rng(0)
+for number in range(100):
+    for step in range(4):
+        recorder.add(synthetic_frame(step, rng), "wipe")
+    recorder.save(success=True, outcome="success", seed=number)
+    print(number + 1, flush=True)
+"""
+
+
+@pytest.mark.slow
+def test_kill_9_keeps_every_saved_episode(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    environment = os.environ | {"HF_HUB_OFFLINE": "1", "OMP_NUM_THREADS": "1"}
+    child = subprocess.Popen(
+        [sys.executable, "-c", KILLED_CHILD, str(root)], stdout=subprocess.PIPE, text=True, env=environment
+    )
+    assert child.stdout is not None
+    saved = [int(child.stdout.readline()) for _ in range(2)][-1]
+    time.sleep(0.15)  # somewhere inside the next episode or its save
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    assert open_dataset(root).num_episodes >= saved  # before any repair
+    with open_recorder(root) as recorder:
+        kept = recorder.num_episodes
+        assert kept >= saved
+        save_one(recorder)
+    assert open_dataset(root).num_episodes == kept + 1
+
+
+@pytest.mark.parametrize("moves", range(0, 11, 2))
+def test_a_commit_cut_short_anywhere_loads_and_is_finished(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int
+) -> None:
+    root = record_synthetic(tmp_path / "data", 1, SHORT)
+    recorder = open_recorder(root)
+    add_frames(recorder)
+    real, calls = os.replace, []
+
+    def replace(source: object, target: object) -> None:
+        calls.append(source)
+        if len(calls) > moves + 1:  # the first one is the commit itself
+            raise KeyboardInterrupt
+        real(source, target)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(staging.os, "replace", replace)
+    with pytest.raises(KeyboardInterrupt):
+        recorder.save(success=True, outcome="success", seed=1)
+    monkeypatch.undo()
+    recorder._lock.close()  # as the dead process would
+    assert open_dataset(root).num_episodes >= 1
+    with open_recorder(root) as after:
+        assert after.num_episodes == 2
+    assert open_dataset(root).num_episodes == 2
+
+
+def test_dropped_frame_fails_the_episode_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with open_recorder(tmp_path / "data", realtime=True, queue_frames=1) as recorder:
+        save_one_slowly(recorder)
+        real = compute_stats.auto_downsample_height_width
+
+        def slow(image: np.ndarray) -> np.ndarray:
+            time.sleep(0.4)
+            return real(image)
+
+        monkeypatch.setattr(compute_stats, "auto_downsample_height_width", slow)
+        with pytest.raises(DatasetError, match="dropped"):
+            add_frames(recorder, 5)
+        monkeypatch.undo()
+        assert recorder.num_episodes == 1 and recorder.num_frames == 0
+        save_one_slowly(recorder)
+        assert recorder.num_episodes == 2
+    assert open_dataset(tmp_path / "data").num_episodes == 2
+
+
+def save_one_slowly(recorder: EpisodeRecorder) -> None:
+    rng = np.random.default_rng(0)
+    for step in range(2):
+        recorder.add(synthetic_frame(step, rng), "wipe")
+        time.sleep(0.5)  # a real-time recorder with a queue of one needs an encoder that has caught up
+    recorder.save(success=True, outcome="success", seed=0)
+
+
+@pytest.mark.parametrize("where", ["_save_episode_data", "_save_episode_video"])
+def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with open_recorder(tmp_path / "data") as recorder:
+        save_one(recorder)
+        monkeypatch.setattr(dataset_writer.DatasetWriter, where, full)
+        add_frames(recorder)
+        with pytest.raises(DatasetError, match=r"Free some space.*1 saved episodes"):
+            recorder.save(success=True, outcome="success", seed=1)
+        monkeypatch.undo()
+        save_one(recorder)
+    assert open_dataset(tmp_path / "data").num_episodes == 2
+
+
+def test_discard_forgets_the_episode(tmp_path: Path) -> None:
+    with open_recorder(tmp_path / "data") as recorder:
+        add_frames(recorder)
+        recorder.discard()
+        assert recorder.num_frames == 0
+        save_one(recorder)
+    assert open_dataset(tmp_path / "data").num_episodes == 1
+    assert not (tmp_path / "data" / staging.STAGING).exists()
+
+
+def test_damaged_marker_video_is_caught_before_it_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import uniforce_datasets.video_encoder as video_encoder
+
+    monkeypatch.setattr(video_encoder, "codec_of", lambda key: video_encoder.camera_codec())
+    with open_recorder(tmp_path / "data") as recorder:
+        rng = np.random.default_rng(0)
+        for step in range(SHORT):
+            noise = (rng.random((480, 640)) > 0.5).astype(np.uint8) * 255
+            recorder.add(synthetic_frame(step, rng) | {tactile_key("left"): noise}, "wipe")
+        with pytest.raises(DatasetError, match="tactile_left"):
+            recorder.save(success=True, outcome="success", seed=0)
+        assert recorder.num_episodes == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({STATE: np.zeros(4, np.float32)}, "observation.state"),
+        ({STATE: np.full(5, np.nan, np.float32)}, "finite"),
+        ({ACTION: np.zeros(5, np.float64)}, "action"),
+        ({"observation.extra": np.zeros(1, np.float32)}, "unknown"),
+        ({tactile_key("left"): np.full((480, 640), 7, np.uint8)}, "only 0 and 255"),
+        ({tactile_key("left"): dots(0)[:100]}, "tactile_left"),
+        ({camera_key("front"): np.zeros((10, 10, 3), np.uint8)}, "front"),
+    ],
+)
+def test_bad_frames_are_refused(tmp_path: Path, change: dict, error: str) -> None:
+    with open_recorder(tmp_path / "data") as recorder:
+        frame = synthetic_frame(0, np.random.default_rng(0)) | change
+        with pytest.raises(ContractError, match=error):
+            recorder.add(frame, "wipe")
+        assert recorder.num_frames == 0
+
+
+def test_missing_column_unknown_outcome_unknown_sensor(tmp_path: Path) -> None:
+    with open_recorder(tmp_path / "data") as recorder:
+        frame = synthetic_frame(0, np.random.default_rng(0))
+        del frame[tactile_key("right", reference=True)]
+        with pytest.raises(ContractError, match=r"missing.*tactile_right_ref"):
+            recorder.add(frame, "wipe")
+        with pytest.raises(ContractError, match="outcome"):
+            recorder.save(success=True, outcome="great", seed=0)
+        with pytest.raises(DatasetError, match="2 frames"):
+            recorder.save(success=True, outcome="success", seed=0)
+    with pytest.raises(SensorError, match="sensor"):
+        EpisodeRecorder(tmp_path / "other", "local/x", "digit", "tactip")
+
+
+def test_wrong_places_are_refused(tmp_path: Path, demos: Path) -> None:
+    with open_recorder(tmp_path / "data"), pytest.raises(DatasetError, match="one recorder"):
+        open_recorder(tmp_path / "data")
+    with pytest.raises(DatasetError, match="features"):
+        open_recorder(demos, truth=True, camera_shape=(64, 64, 3))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "notes.txt").write_text("mine")
+    with pytest.raises(DatasetError, match="empty folder"):
+        open_recorder(tmp_path / "full")

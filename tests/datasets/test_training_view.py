@@ -1,0 +1,165 @@
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from uniforce_datasets.bench import BlockMeans, bench_loader
+from uniforce_datasets.lossless import open_dataset
+from uniforce_datasets.synthetic import FPS, dots
+from uniforce_datasets.training_view import TrainingView, build_view, make_training_dataset
+from uniforce_datasets.view_build import PROGRESS, resize
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.keys import ACTION, STATE, camera_key, latent_key, truth_wrench_key, wrench_key
+
+EPISODES, FRAMES = 3, 20
+DELTAS = [-1, 0, 1, 2, 3]
+
+
+def test_samples_equal_stock_lerobot(demos: Path, view: Path) -> None:
+    stock = open_dataset(demos, delta_timestamps={ACTION: [d / FPS for d in DELTAS]}, return_uint8=True)
+    fast = TrainingView(view, DELTAS, {"touch0": "right", "touch1": "left"})
+    assert len(fast) == len(stock) == EPISODES * FRAMES
+    for index in (0, 1, FRAMES - 2, FRAMES - 1, FRAMES, 2 * FRAMES + 7, EPISODES * FRAMES - 1):
+        wanted, came = stock[index], fast[index]
+        for key in (STATE, ACTION, f"{ACTION}_is_pad", "timestamp", "frame_index", "episode_index", "index"):
+            assert torch.equal(wanted[key], came[key]), (index, key)
+            assert wanted[key].dtype == came[key].dtype
+        assert wanted["task"] == came["task"]
+        for camera in ("front", "wrist"):
+            picture = wanted[camera_key(camera)].permute(1, 2, 0).numpy()
+            small = came[camera_key(camera)].permute(1, 2, 0).numpy()
+            assert small.shape == (84, 84, 3) and small.dtype == np.uint8
+            assert np.array_equal(small, resize(picture, 84))
+
+
+def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
+    encode = BlockMeans()
+    straight = TrainingView(view, slots={"touch0": "right", "touch1": "left"})
+    only_left = TrainingView(view, slots={"touch0": "left"})
+    wanted = encode(dots(0), np.stack([dots(20 * np.sin(7 / 5))]), "left")[0]
+    assert wanted.any()
+    for sample in (straight[FRAMES + 7], only_left[FRAMES + 7]):
+        np.testing.assert_array_equal(sample[latent_key("touch0")], wanted)
+    assert latent_key("touch1") not in only_left[0] and latent_key("touch1") not in only_left.features
+
+
+def test_fingers_are_not_confused(demos: Path, tmp_path: Path) -> None:
+    class Sign:
+        hash = "sign"
+
+        def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+            return np.full((len(current), 96), 1.0 if finger == "left" else -1.0, np.float32)
+
+    made = TrainingView(build_view(demos, tmp_path / "view", encoder=Sign()))
+    assert made[0][latent_key("touch0")].unique() == -1 and made[0][latent_key("touch1")].unique() == 1
+
+
+def test_wrench_input_is_the_recorded_truth(demos: Path, view: Path) -> None:
+    stock, fast = open_dataset(demos), TrainingView(view, slots={"touch0": "right"}, touch="wrench")
+    assert torch.equal(stock[33][truth_wrench_key("right")], fast[33][wrench_key("touch0")])
+    assert latent_key("touch0") not in fast[33]
+    assert set(TrainingView(view, touch="none").features) == {
+        camera_key("front"), camera_key("wrist"), STATE, ACTION
+    }  # fmt: skip
+
+
+def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:
+    from lerobot.datasets.sampler import EpisodeAwareSampler
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+
+    made = TrainingView(view, episodes=[0, 2])
+    assert made.num_episodes == 2 and made.num_frames == 2 * FRAMES
+    bounds = made.meta.episodes["dataset_from_index"], made.meta.episodes["dataset_to_index"]
+    sampler = EpisodeAwareSampler(*bounds, episode_indices_to_use=made.episodes, shuffle=True)
+    assert {int(made[i]["episode_index"]) for i in sampler} == {0, 2}
+    policy = dataset_to_policy_features(made.meta.features)
+    assert policy[camera_key("front")].shape == (3, 84, 84) and policy[latent_key("touch0")].shape == (96,)
+    whole, stored = TrainingView(view).meta.stats, json.loads((demos / "meta" / "stats.json").read_text())
+    for name in ("q01", "q99", "mean", "std"):
+        np.testing.assert_allclose(whole[STATE][name], stored[STATE][name], rtol=1e-9)
+
+
+def test_view_travels_to_loader_workers(view: Path) -> None:
+    made = TrainingView(view, DELTAS)
+    packed = pickle.dumps(made)
+    assert len(packed) < 50_000
+    again = pickle.loads(packed)
+    assert torch.equal(again[5][camera_key("front")], made[5][camera_key("front")])
+
+
+def test_interrupted_build_goes_on(demos: Path, tmp_path: Path, view: Path) -> None:
+    class Fragile(BlockMeans):
+        left = 3
+
+        def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+            self.left -= 1
+            if self.left < 0:
+                raise KeyboardInterrupt
+            return super().__call__(reference, current, finger)
+
+    out = tmp_path / "view"
+    with pytest.raises(KeyboardInterrupt):
+        build_view(demos, out, encoder=Fragile())
+    assert not out.exists()
+    assert json.loads((tmp_path / "view.building" / PROGRESS).read_text())["done"] == 1
+    counter = Fragile()
+    counter.left = 4  # two episodes of two fingers remain
+    build_view(demos, out, encoder=counter)
+    for name in ("front", "latent_left", "latent_right", STATE):
+        assert np.array_equal(np.load(out / f"{name}.npy"), np.load(view / f"{name}.npy"))
+    counter.left = 0
+    build_view(demos, out, encoder=counter)  # nothing to do
+
+
+def test_union_of_two_datasets(demos: Path, tmp_path: Path) -> None:
+    out = build_view([demos, demos], tmp_path / "both", encoder=BlockMeans(), keep=lambda f: f.episode != 1)
+    both = TrainingView(out)
+    assert both.num_episodes == 4 and len(both) == 4 * FRAMES
+    assert torch.equal(both[0][STATE], both[2 * FRAMES][STATE])
+    assert both.meta.sensors == {"left": ["gelsight"], "right": ["tactip"]}
+
+
+def test_refusals(demos: Path, view: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="chosen episode"):
+        build_view(demos, tmp_path / "none", encoder=BlockMeans(), keep=lambda facts: False)
+    with pytest.raises(ContractError, match="slot"):
+        build_view(demos, tmp_path / "none", encoder=BlockMeans(), slots={"touch9": "left"})
+    with pytest.raises(DatasetError, match="other files"):
+        build_view(demos, demos, encoder=BlockMeans())
+    with pytest.raises(DatasetError, match=r"uniforce_view\.json"):
+        TrainingView(tmp_path)
+    with pytest.raises(ContractError, match="touch"):
+        TrainingView(view, touch="smell")
+
+
+def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
+    defaults = {"action_delta_indices": DELTAS, "observation_delta_indices": None}
+    dataset = SimpleNamespace(root=root, episodes=None, image_transforms=SimpleNamespace(enable=False))
+    return SimpleNamespace(dataset=dataset, trainable_config=SimpleNamespace(**(defaults | policy)))
+
+
+def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
+    touch = {"slots": ("touch0",), "slot_fingers": {"touch0": "left"}, "latent_grid": 4}
+    made = make_training_dataset(trainer_config(view, touch_input="latent", **touch), pytest.fail)
+    assert made[0][ACTION].shape == (5, 5) and latent_key("touch0") in made.features
+    blind = make_training_dataset(trainer_config(view), pytest.fail)
+    assert latent_key("touch0") not in blind.features
+    with pytest.raises(DatasetError, match="latent_grid=2"):
+        make_training_dataset(
+            trainer_config(view, touch_input="latent", **(touch | {"latent_grid": 2})), pytest.fail
+        )
+    assert make_training_dataset(trainer_config(demos), lambda cfg: "stock") == "stock"
+
+
+@pytest.mark.slow
+def test_view_feeds_the_trainer_fast_enough(demos: Path) -> None:
+    rates = bench_loader(demos, seconds=1.0)
+    assert rates["view_samples_per_s"] >= 200, rates
+    assert rates["view_samples_per_s"] > 3 * rates["stock_samples_per_s"], rates
