@@ -1,0 +1,83 @@
+"""The whole line in miniature: record, view, train, evaluate with LeRobot's command, score with a swap."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from lerobot.scripts import lerobot_eval
+from lerobot.utils.import_utils import register_third_party_plugins
+
+from uniforce_vtla.commands.record import RecordConfig, record
+from uniforce_vtla.commands.score import ScoreConfig, score
+from uniforce_vtla.commands.train import main as train
+from uniforce_vtla.commands.view import ViewConfig, make_view
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+TINY = ["policy.tiny_width=32", "policy.tiny_depth=1", "policy.tiny_mlp_dim=32", "policy.tiny_vision_depth=1"]
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy trained for two steps on one recorded demo, through the same commands a user types."""
+    folder = tmp_path_factory.mktemp("line")
+    record(RecordConfig(episodes=1, level="easy", root=str(folder / "demos"), seed=3))
+    make_view(ViewConfig(roots=str(folder / "demos"), out=str(folder / "view"), keep_failures=True))
+    train(
+        ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", "dataset.repo_id=local/view", *TINY]
+        + [f"dataset.root={folder / 'view'}", "steps=2", "batch_size=2", "num_workers=0", "save_freq=2"]
+        + [f"output_dir={folder / 'train'}"]
+    )
+    return folder / "train" / "checkpoints" / "last" / "pretrained_model"
+
+
+def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint: Path, tmp_path: Path) -> None:
+    for left, swap in (("gelsight", ""), ("uskin", "touch0:left")):
+        config = ScoreConfig(
+            policy=str(checkpoint),
+            arm="e2e",
+            left_sensor=left,
+            swap=swap,
+            rollouts=1,
+            workers=1,
+            out=str(tmp_path),
+        )
+        report = score(config)
+        assert report.n == 1
+        assert report.rows[0].outcome in ("success", "residual", "failed_grasp")
+    assert len(list(tmp_path.glob("*/seed_10000.mp4"))) == 2
+
+
+def test_a_finished_episode_is_not_scored_again(checkpoint: Path, tmp_path: Path) -> None:
+    config = ScoreConfig(
+        policy=str(checkpoint), arm="again", rollouts=1, workers=1, videos=0, out=str(tmp_path)
+    )
+    first = score(config)
+    rows = next(tmp_path.glob("*/episodes.jsonl"))
+    before = rows.read_text()
+    assert score(config).rows == first.rows
+    assert rows.read_text() == before
+
+
+def test_lerobot_eval_runs_the_same_checkpoint(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flags = [
+        f"--policy.path={checkpoint}",
+        "--policy.device=cpu",
+        "--env.type=uniforce_wiping",
+        "--env.level=easy",
+    ]
+    flags += [
+        "--eval.n_episodes=1",
+        "--eval.batch_size=1",
+        "--eval.use_async_envs=false",
+        f"--output_dir={tmp_path}",
+    ]
+    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *flags])
+    register_third_party_plugins()
+    lerobot_eval.main()
+    info = json.loads((tmp_path / "eval_info.json").read_text())
+    assert info["overall"]["pc_success"] in (0.0, 100.0)
