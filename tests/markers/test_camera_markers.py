@@ -35,10 +35,11 @@ def test_dome_of_any_size(dome, size):
     assert missed <= 2 and false <= 1
 
 
-def test_led_reflections_cost_only_the_pins_they_cover(dome):
-    scene = dome(reflections=5)
+@pytest.mark.parametrize("rings", [6, 10])
+def test_led_reflections_cost_only_the_pins_they_cover(dome, rings):
+    scene = dome(rings=rings, reflections=5)
     missed, false = missed_and_false(scene.centres_px, Canonicalizer("tactip").markers(scene.frame))
-    assert missed <= 10 and false <= 2  # each 22×12 px reflection covers one or two of the 331 pins
+    assert missed <= 10 and false <= 2  # each 22×12 px reflection covers one or two pins
 
 
 def test_pressed_dome_moves_its_pins_outwards(dome):
@@ -80,7 +81,7 @@ def test_gel_markers_of_either_polarity(gel, name):
 def test_specular_streak_invents_nothing(gel, name):
     scene = gel(**GELS[name], streak=True)
     missed, false = missed_and_false(scene.centres_px, Canonicalizer("gelsight").markers(scene.frame), 6.0)
-    assert missed <= 5 and false <= 2  # the streak covers up to five markers
+    assert missed <= 5 and false <= 4  # the streak covers up to five markers and may split some
 
 
 def test_mask_covers_the_markers(gel):

@@ -30,6 +30,7 @@ class SegmentationSettings:
     floor_fraction: float = 0.25  # of the typical peak: weaker blobs aren't markers
     ceiling_fraction: float = 0.5  # of the typical peak: keeps a reflection from hiding the markers beside it
     close_score: float = 0.8  # of the best: among plans this good the narrowest background wins
+    tries: int = 5  # plans tried at full resolution before giving up
     background_per_side: float = 1.5  # background width per marker side: narrower hollows markers out
     outlier_fraction: float = 1.5  # of the typical peak: brighter is a reflection, held there
     against_fraction: float = 0.5  # the same the other way: a streak over dark markers
@@ -43,9 +44,10 @@ class SegmentationSettings:
     grow_px: int = 2  # the masks people publish are grown past half height, and so are these
     grow_spacing_px: float = 11.0  # one px of growth per this much spacing, so that neighbours don't merge
     isolation_max: float = 2.6  # of the median neighbour distance: lone blobs go
-    min_inliers: float = 0.4  # share of blobs that agree in size
-    max_spacing_ratio: float = 1.6  # third to first neighbour: 1–1.4 in patterns, 1.85 in random points
-    min_score: float = 12.0  # markerless gels score ≤ 2, weak patterns ≥ 25
+    min_inliers: float = 0.5  # share of blobs that agree: pure noise reaches 0.46, patterns 0.75 and more
+    max_spacing_ratio: float = 1.25  # second to first neighbour: ≤ 1.13 in patterns, ≥ 1.3 in scattered dirt
+    ample_contrast: float = 45.0  # typical peak over leftover; more comes from reflections, not from markers
+    min_score: float = 40.0  # gels without markers score 0, faint patterns 100 and more
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,7 @@ def keep_markers(blobs: Blobs, settings: SegmentationSettings) -> np.ndarray:
 def score_blobs(blobs: Blobs, keep: np.ndarray, settings: SegmentationSettings) -> float:
     """Return how much the kept blobs look like a marker pattern; 0 where they can't be one."""
     area = blobs.boxes[:, 4]
-    inliers = keep.sum() / max(1, np.count_nonzero(area >= 4))
+    inliers = keep.mean()
     if keep.sum() < settings.min_markers or inliers < settings.min_inliers:
         return 0.0
     ratio = spacing_ratio(blobs.centres[keep])
@@ -149,24 +151,25 @@ def score_blobs(blobs: Blobs, keep: np.ndarray, settings: SegmentationSettings) 
         return 0.0
     kept = area[keep]
     spread = np.median(np.abs(kept - np.median(kept))) / np.median(kept)
-    contrast = blobs.typical / (blobs.leftover + 1)
-    return float(keep.sum() ** 0.6 * inliers * contrast / ratio**2 / (1 + 2 * spread))
+    contrast = min(blobs.typical / (blobs.leftover + 1), settings.ample_contrast)
+    evenness = inliers**2 / ratio**6 / (1 + 2 * spread)
+    return float(np.sqrt(keep.sum()) * contrast**1.5 * evenness)
 
 
 def spacing_ratio(centres: np.ndarray) -> float:
-    """Return the median ratio of third to first neighbour distance of (M, 2) points, M ≥ 4.
+    """Return the median ratio of second to first neighbour distance of (M, 2) points, M ≥ 3.
 
-    It is near 1 for square and hexagonal patterns under any smooth distortion, and 1.85 for points at random.
-    Points too few for border-free neighbourhoods use the second neighbour, which says the same.
+    Near 1 for rows, grids and hexagons under any smooth distortion (1.13 on a strongly pressed fisheye), 1.41 for
+    points at random and ≥ 1.3 where random blobs keep apart.
     """
-    distance = cKDTree(centres).query(centres, k=4)[0]  # (M, 4), the first is the point itself
-    if len(centres) < 64:
-        return float(np.median(distance[:, 2] / distance[:, 1]) ** 1.5)
-    return float(np.median(distance[:, 3] / distance[:, 1]))
+    distance = cKDTree(centres).query(centres, k=3)[0]  # (M, 3), the first is the point itself
+    return float(np.median(distance[:, 2] / distance[:, 1]))
 
 
 def choose_plan(frame: np.ndarray, settings: SegmentationSettings) -> tuple[MarkerPlan, float]:
     """Return the plan that shows markers best in an (h, w, 3) RGB working frame, and its score.
+
+    All plans are ranked at half resolution; the first few must hold at full resolution too.
 
     Raises:
         SensorError: no plan shows anything like a marker pattern.
@@ -174,17 +177,30 @@ def choose_plan(frame: np.ndarray, settings: SegmentationSettings) -> tuple[Mark
     half = cv2.resize(frame, (frame.shape[1] // 2, frame.shape[0] // 2), interpolation=cv2.INTER_AREA)
     views = {channel: channel_image(half, channel) for channel in CHANNELS}
     plans = [MarkerPlan(*parts) for parts in product(CHANNELS, POLARITIES, settings.backgrounds_px)]
-    scores, sides = np.array([_judge_plan(views[plan.channel], plan, settings) for plan in plans]).T
-    least_px = settings.background_per_side * sides[np.argmax(scores)]
-    close = scores >= settings.close_score * scores.max()
-    wide = np.array([plan.background_px >= least_px for plan in plans])
-    candidates = np.flatnonzero(close & wide) if np.any(close & wide) else np.flatnonzero(close)
-    best = min(candidates, key=lambda i: (plans[i].background_px, -scores[i]))
-    if scores[best] < settings.min_score:
-        came = f"no pattern of dots in any channel (score {scores[best]:.1f}, needs {settings.min_score:g})"
-        do = "Is this a gel without markers, out of focus, or unlit?"
-        raise SensorError(expected("camera frame", "markers on the gel", came, do))
-    return plans[best], float(scores[best])
+    scores, sides = np.array([_judge_plan(views[plan.channel], plan, settings, 2) for plan in plans]).T
+    best = 0.0
+    for index in _by_promise(plans, scores, sides, settings)[: settings.tries]:
+        score, _ = _judge_plan(channel_image(frame, plans[index].channel), plans[index], settings, 1)
+        if min(score, scores[index]) >= settings.min_score:
+            return plans[index], score
+        best = max(best, score)
+    came = f"no pattern of dots in any channel (score {best:.1f}, needs {settings.min_score:g})"
+    do = "Is this a gel without markers, out of focus, or unlit?"
+    raise SensorError(expected("camera frame", "markers on the gel", came, do))
+
+
+def _by_promise(
+    plans: list[MarkerPlan], scores: np.ndarray, sides: np.ndarray, settings: SegmentationSettings
+) -> list[int]:
+    """Return plan indices, first the close ones wide enough for the best plan's markers, narrowest first."""
+    best = plans[int(np.argmax(scores))]
+    widths = np.array([plan.background_px for plan in plans])
+    same = np.array([plan.polarity == best.polarity for plan in plans])
+    wide = widths >= settings.background_per_side * sides[np.argmax(scores)]
+    favoured = same & wide & (scores >= settings.close_score * scores.max())
+    return sorted(
+        range(len(plans)), key=lambda i: (not favoured[i], widths[i] if favoured[i] else 0, -scores[i])
+    )
 
 
 def grow_mask(mask: np.ndarray, centres: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
@@ -196,13 +212,15 @@ def grow_mask(mask: np.ndarray, centres: np.ndarray, settings: SegmentationSetti
     return cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow + 1, 2 * grow + 1)))
 
 
-def _judge_plan(view: np.ndarray, plan: MarkerPlan, settings: SegmentationSettings) -> tuple[float, float]:
+def _judge_plan(
+    view: np.ndarray, plan: MarkerPlan, settings: SegmentationSettings, halve: int
+) -> tuple[float, float]:
     """Return a plan's score and the side of its markers in canonical px; zeros where it shows none."""
-    blobs = find_blobs(view, plan, settings, halve=2)
+    blobs = find_blobs(view, plan, settings, halve)
     keep = np.zeros(0, bool) if blobs is None else keep_markers(blobs, settings)
     if blobs is None or not keep.any():
         return 0.0, 0.0
-    return score_blobs(blobs, keep, settings), 2 * float(np.sqrt(np.median(blobs.boxes[keep, 4])))
+    return score_blobs(blobs, keep, settings), halve * float(np.sqrt(np.median(blobs.boxes[keep, 4])))
 
 
 def _response(smooth: np.ndarray, background: np.ndarray, polarity: int) -> np.ndarray:

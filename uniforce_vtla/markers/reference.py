@@ -54,9 +54,7 @@ def capture_taxel_reference(
         check_alive(scan)
     moved = float(1.4826 * median_abs_deviation(counts, axis=0).max())  # one garbled scan isn't a touch
     if moved > limits.max_taxel_std:
-        _refuse(
-            f"taxels steady within {limits.max_taxel_std:g} counts", f"a spread of {moved:.0f}"
-        )
+        _refuse(f"taxels steady within {limits.max_taxel_std:g} counts", f"a spread of {moved:.0f}")
     reference = np.rint(np.median(counts, axis=0)).astype(np.int64)
     if resting_level is not None:
         _check_resting(reference, check_counts(np.asarray(resting_level), "resting level"), limits)

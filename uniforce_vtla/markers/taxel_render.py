@@ -16,6 +16,8 @@ from uniforce_vtla.errors import ContractError, SensorError, expected
 
 SUBPIXEL_BITS = 4  # cv2 takes fixed-point centres; 1/16 px is far below a pixel
 
+EDGE_PX = 0.45  # cv2 fills the pixels its outline touches: this much less gives the disc's true area
+
 
 @dataclass(frozen=True)
 class TaxelScales:
@@ -120,7 +122,7 @@ def draw_discs(discs: TaxelDiscs) -> np.ndarray:
     image = np.zeros(MARKER_IMAGE_SHAPE, np.uint8)
     one = 1 << SUBPIXEL_BITS
     centres = np.rint(discs.centres_px * one).astype(int).tolist()
-    radii = np.rint(discs.radii_px * one).astype(int).tolist()
+    radii = np.rint((discs.radii_px - EDGE_PX) * one).astype(int).tolist()
     for centre, radius in zip(centres, radii, strict=True):
         cv2.circle(image, centre, radius, 255, cv2.FILLED, cv2.LINE_8, SUBPIXEL_BITS)
     return image

@@ -1,0 +1,157 @@
+"""Taxels: the rendering follows its published scales, saturates visibly and refuses what isn't counts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from uniforce_vtla.errors import ContractError, SensorError
+from uniforce_vtla.markers import Canonicalizer, TaxelScales
+from uniforce_vtla.markers.taxel_render import draw_discs, place_discs
+
+BASELINE = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
+
+
+@pytest.fixture
+def canon() -> Canonicalizer:
+    canon = Canonicalizer("uskin")
+    canon.set_reference(BASELINE)
+    return canon
+
+
+def loaded(taxel: int, x: int = 0, y: int = 0, z: int = 0) -> np.ndarray:
+    counts = BASELINE.copy()
+    counts[taxel] += (x, y, z)
+    return counts
+
+
+def area(image: np.ndarray) -> float:
+    return float((image > 0).sum())
+
+
+def test_rest_is_sixteen_small_discs(canon):
+    image = canon.marker_image(BASELINE)
+    count, _, boxes, centres = cv2.connectedComponentsWithStats(image)
+    assert image.shape == (480, 640) and set(np.unique(image)) == {0, 255}
+    assert count == 17
+    assert np.all(np.abs(boxes[1:, 4] - np.pi * (13.9 / 2) ** 2) < 20)
+    order = np.lexsort((centres[1:, 0].round(), -centres[1:, 1].round()))  # bottom row first, left to right
+    assert np.allclose(centres[1:][order], canon.markers(BASELINE), atol=0.5)
+
+
+def test_taxels_count_from_the_bottom_left_upwards(canon):
+    centres = canon.markers(BASELINE)
+    assert np.allclose(centres[0], (127.5, 383.5)) and np.allclose(centres[1], (255.5, 383.5))
+    assert np.allclose(centres[4], (127.5, 287.5)) and np.allclose(centres[15], (511.5, 95.5))
+
+
+@pytest.mark.parametrize("x, y, moved", [(1000, 0, (64, 0)), (0, 1000, (0, -48)), (-1000, -1000, (-64, 48))])
+def test_shear_moves_right_and_up(canon, x, y, moved):
+    assert np.allclose(canon.markers(loaded(5, x, y))[5] - canon.markers(BASELINE)[5], moved, atol=0.1)
+
+
+@pytest.mark.parametrize(
+    "z, diameter_px", [(0, 13.9), (900, 43.9), (3500, 83.3), (5900, 107.6), (20_000, 107.6)]
+)
+def test_pressure_grows_the_disc_by_its_law(canon, z, diameter_px):
+    grown = area(canon.marker_image(loaded(5, z=z))) - area(canon.marker_image(BASELINE)) * 15 / 16
+    assert 2 * np.sqrt(grown / np.pi) == pytest.approx(diameter_px, abs=1.0)
+
+
+def test_pulling_leaves_the_smallest_disc(canon):
+    assert np.array_equal(canon.marker_image(loaded(3, z=-200)), canon.marker_image(BASELINE))
+
+
+def test_saturation_is_counted(canon):
+    canon.marker_image(BASELINE)
+    canon.marker_image(loaded(2, z=5_900))
+    assert canon.saturation.frames_saturated == 0
+    canon.marker_image(loaded(2, z=5_901))
+    canon.marker_image(loaded(2, x=-1_601, y=1_601))
+    assert canon.saturation.as_dict() == {
+        "frames": 4,
+        "frames_saturated": 2,
+        "taxels_radius": 1,
+        "taxels_xy": 1,
+    }
+
+
+@settings(max_examples=60, deadline=None)
+@given(hnp.arrays(np.int64, (16, 3), elements=st.integers(-40_000, 40_000)))
+def test_any_counts_give_a_binary_image_inside_the_canvas(delta):
+    discs = place_discs(delta, TaxelScales())
+    image = draw_discs(discs)
+    assert set(np.unique(image)) <= {0, 255} and image.any()
+    assert np.all((discs.centres_px > 0) & (discs.centres_px < (640, 480)))
+
+
+@settings(max_examples=30, deadline=None)
+@given(hnp.arrays(np.int64, (16, 3), elements=st.integers(0, 3_000)), st.integers(-10_000, 10_000))
+def test_only_the_difference_to_the_reference_matters(delta, shift):
+    images = []
+    for baseline in (BASELINE, BASELINE + shift):
+        images.append(Canonicalizer("uskin").pair(baseline, baseline + delta, finger="left"))
+    assert np.array_equal(images[0].current, images[1].current)
+    assert np.array_equal(images[0].reference, images[1].reference)
+
+
+def test_unsigned_counts_do_not_wrap(canon):
+    below = BASELINE.astype(np.uint16)
+    below[4, 0] -= 500
+    assert canon.markers(below)[4, 0] < canon.markers(BASELINE)[4, 0]
+
+
+def test_scales_are_stored_versioned_and_used():
+    canon = Canonicalizer("uskin")
+    assert canon.version == TaxelScales().version and canon.scales == TaxelScales().as_dict()
+    coarse = dataclasses.replace(TaxelScales(), version="mine", counts_per_pitch=5_000.0)
+    other = Canonicalizer("uskin", taxel_scales=coarse)
+    pairs = [c.pair(BASELINE, loaded(5, x=1_000), finger="left") for c in (canon, other)]
+    assert other.version == "mine" and not np.array_equal(pairs[0].current, pairs[1].current)
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        np.zeros((4, 4, 3), np.int64),
+        np.zeros((15, 3), np.int64),
+        np.zeros(48, np.int64),
+        BASELINE.astype(np.float32),
+        np.full((16, 3), np.nan),
+        BASELINE.astype(bool),
+        np.zeros((480, 640, 3), np.uint8),
+        np.zeros((0, 3), np.int64),
+        None,
+        BASELINE.tolist(),
+    ],
+)
+def test_malformed_counts_break_the_contract(canon, counts):
+    for call in (canon.marker_image, canon.markers, canon.set_reference):
+        with pytest.raises(ContractError, match="expected integers"):
+            call(counts)
+    with pytest.raises(ContractError):
+        canon.pair(BASELINE, counts, finger="left")
+
+
+def test_rendering_needs_a_reference():
+    for call in (Canonicalizer("uskin").marker_image, Canonicalizer("uskin").markers):
+        with pytest.raises(ContractError, match="set_reference"):
+            call(BASELINE)
+
+
+def test_dead_sensor(canon):
+    with pytest.raises(SensorError, match="48 zeros"):
+        canon.marker_image(np.zeros((16, 3), np.int64))
+    with pytest.raises(SensorError, match="48 zeros"):
+        canon.pair(BASELINE, np.zeros((16, 3), np.int64), finger="left")
+
+
+def test_a_tared_stream_may_have_a_zero_reference(canon):
+    pair = canon.pair(np.zeros((16, 3), np.int64), loaded(5, 100, 100, 900) - BASELINE, finger="left")
+    assert np.array_equal(pair.current, canon.marker_image(loaded(5, 100, 100, 900)))
