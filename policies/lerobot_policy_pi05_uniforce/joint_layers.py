@@ -1,7 +1,8 @@
-"""The joint pass of VLM and action expert, with torch's fused attention.
+"""Transformer layers of VLM and action expert, with torch's fused attention.
 
-LeRobot's own loop builds every attention matrix; on a CPU that is half of a training step.  Same weights, same
-mathematics, another order of summation: equal within 1e-5 (a test compares the two).
+LeRobot's own loop builds every attention matrix, which on a CPU is half of a training step, and its sampling
+path rebuilds masks and caches ten times per chunk.  Same weights, same mathematics, another order of summation:
+equal within 1e-5 (tests compare them).
 """
 
 from __future__ import annotations
@@ -15,9 +16,14 @@ Streams = list[Tensor]  # VLM prefix (B, L0, D0) and expert suffix (B, L1, D1)
 
 
 def joint_layer(
-    streams: Streams, layers: list[nn.Module], mask: Tensor, rotary: tuple, cond: list
+    streams: Streams,
+    layers: list[nn.Module],
+    mask: Tensor,
+    rotary: tuple,
+    cond: list,
+    past: tuple[Tensor, Tensor] | None = None,
 ) -> Streams:
-    """Run one layer of both streams: attention over the concatenated tokens, everything else per stream.
+    """Run one layer of one or both streams: attention over all tokens together, the rest per stream.
 
     Args:
         streams: prefix and suffix embeddings.
@@ -25,11 +31,12 @@ def joint_layer(
         mask: (B, 1, L, L) additive, L = L0 + L1.
         rotary: (cos, sin), each (B, L, head_dim).
         cond: per stream, the time condition of its adaptive norms (B, D), or None.
+        past: rotated keys and values (B, 1, L_past, head_dim) of tokens that came before, as cached.
     """
     normed = [
         layernorm_forward(la.input_layernorm, x, c) for la, x, c in zip(layers, streams, cond, strict=True)
     ]
-    attended = _attend([x for x, _ in normed], layers, mask, rotary)
+    attended = _attend([x for x, _ in normed], layers, mask, rotary, past)
     out = []
     for layer, x, (_, gate), a, c in zip(layers, streams, normed, attended, cond, strict=True):
         x = _gated_residual(x, layer.self_attn.o_proj(a), gate)
@@ -38,11 +45,15 @@ def joint_layer(
     return out
 
 
-def _attend(normed: Streams, layers: list[nn.Module], mask: Tensor, rotary: tuple) -> list[Tensor]:
+def _attend(
+    normed: Streams, layers: list[nn.Module], mask: Tensor, rotary: tuple, past: tuple[Tensor, Tensor] | None
+) -> list[Tensor]:
     q, k, v = (
         _project(normed, layers, name) for name in ("q_proj", "k_proj", "v_proj")
     )  # (B, heads, L, head)
     q, k = apply_rotary_pos_emb(q, k, *rotary, unsqueeze_dim=1)
+    if past is not None:
+        k, v = torch.cat([past[0], k], dim=2), torch.cat([past[1], v], dim=2)
     scale = layers[0].self_attn.scaling
     heads = q.shape[1]
     k, v = (x.expand(-1, heads, -1, -1) for x in (k, v))  # one key/value head serves all queries

@@ -55,18 +55,28 @@ class TinyPaliGemmaWithExpert(stock.PaliGemmaWithExpertModel):
         use_cache: bool | None = None,
         adarms_cond: list | None = None,
     ) -> tuple[list, Any]:
-        """Run one stream as LeRobot does (sampling), or both at once through the fused joint pass (training)."""
+        """Embed the prefix as LeRobot does; run both streams (training) or the suffix (sampling) fused."""
         streams, cond = inputs_embeds or [None, None], adarms_cond or [None, None]
-        if any(stream is None for stream in streams):
+        if streams[1] is None:
             return super().forward(
                 attention_mask, position_ids, past_key_values, streams, use_cache=use_cache, adarms_cond=cond
             )
-        vlm, expert = self.paligemma.model.language_model, self.gemma_expert.model
-        rotary = vlm.rotary_emb(streams[0], position_ids)
-        for layers in zip(vlm.layers, expert.layers, strict=True):
-            streams = joint_layer(streams, list(layers), attention_mask, rotary, cond)
-        ends = zip((vlm.norm, expert.norm), streams, cond, strict=True)
-        return [stock.layernorm_forward(norm, x, c)[0] for norm, x, c in ends], None
+        both = [self.paligemma.model.language_model, self.gemma_expert.model]
+        models = both if streams[0] is not None else both[1:]
+        first = len(both) - len(models)
+        streams = _run(models, streams[first:], attention_mask, position_ids, cond[first:], past_key_values)
+        return [None] * first + streams, None
+
+
+def _run(
+    models: list[nn.Module], streams: list[Tensor], mask: Tensor, positions: Tensor, cond: list, cache: Any
+) -> list[Tensor]:
+    rotary = models[0].rotary_emb(streams[0], positions)
+    for depth, layers in enumerate(zip(*(model.layers for model in models), strict=True)):
+        past = None if cache is None else (cache.layers[depth].keys, cache.layers[depth].values)
+        streams = joint_layer(streams, list(layers), mask, rotary, cond, past)
+    ends = zip(models, streams, cond, strict=True)
+    return [stock.layernorm_forward(model.norm, x, c)[0] for model, x, c in ends]
 
 
 def _vocabulary() -> int:

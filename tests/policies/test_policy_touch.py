@@ -75,15 +75,22 @@ def test_joint_training_velocity_equals_sampling_velocity(make_policy, make_batc
     assert torch.allclose(squared.sqrt(), (x - velocity).abs(), atol=1e-4)
 
 
-def test_fused_joint_pass_equals_lerobots_own(make_policy, make_batch, monkeypatch):
+def test_fused_layers_equal_lerobots_own(make_policy, make_batch, monkeypatch):
     policy = make_policy()
+    for (
+        layer
+    ) in policy.model.paligemma_with_expert.gemma_expert.model.layers:  # open gates: every layer counts
+        torch.nn.init.normal_(layer.input_layernorm.dense.bias)
+        torch.nn.init.normal_(layer.post_attention_layernorm.dense.bias)
     args = inputs(policy, make_batch(policy))
     x, time = noise(policy), torch.tensor([0.7, 0.3])
     fused = policy.model.forward(*args, torch.zeros_like(x), x, time)
+    sampled = policy.model.sample_actions(*args, noise=x)
     backbone = policy.model.paligemma_with_expert
     monkeypatch.setattr(type(backbone), "forward", stock.PaliGemmaWithExpertModel.forward)
     eager = policy.model.forward(*args, torch.zeros_like(x), x, time)
     assert torch.allclose(fused, eager, atol=1e-4)
+    assert torch.allclose(sampled, policy.model.sample_actions(*args, noise=x), atol=1e-5)
 
 
 def test_gradient_reaches_force_projection_and_not_the_tokenizer(make_policy, make_batch):
