@@ -27,13 +27,14 @@ class LossConfig:
         "gradient_pyramid"  # lpips needs its own weights on disk
     )
     perceptual_weight: float = 0.1  # λ of the perceptual term
-    kl_weight: float = 1e-4  # λ of the KL term, per latent number
-    equilibrium_weight: float = 1.0  # λ of the equilibrium term
+    kl_weight: float = 1e-2  # λ of the KL term, per latent number
+    equilibrium_weight: float = 4.0  # λ of the equilibrium term
+    equilibrium_warmup_steps: int = 300  # it rises linearly: at full weight from the start, z learns to be 0
     equilibrium: Literal["patch", "pooled", "both"] = (
         "patch"  # patch is the paper's; real totals balance better
     )
     pooled_grid: int = 4  # regions per side for the pooled variant
-    changed_pixel_weight: float = 4.0  # extra weight where current differs from reference; 0 = plain L1
+    changed_pixel_weight: float = 10.0  # extra weight where current differs from reference; 0 = plain L1
     pyramid_levels: int = 3  # scales of the gradient pyramid
     pixels_per_patch: int = 256  # errors are summed over a patch, as the equilibrium term is; a mean over
     # pixels is so small beside it that the latent collapses (docs/experiments/tokenizer.md)
@@ -49,9 +50,13 @@ class Side:
 
 
 def objective(
-    decoder: Decoder, left: Side, right: Side, config: LossConfig
+    decoder: Decoder, left: Side, right: Side, config: LossConfig, step: int
 ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-    """Return the loss and its parts for one batch of equilibrium pairs."""
+    """Return the loss and its parts for one batch of equilibrium pairs.
+
+    ``copied`` among the parts is what the reference itself would score in all four branches: a model whose
+    reconstructions sum to no less has learnt nothing.
+    """
     z = {"L": left.posterior.sample(), "R": right.posterior.sample()}
     sides = {"L": left, "R": right}
     # All four branches i → j in one pass of the decoder.
@@ -65,7 +70,10 @@ def objective(
     recon = torch.stack(list(parts.values())).sum()
     parts["kl"] = kl(left.posterior) + kl(right.posterior)
     parts["equilibrium"] = equilibrium(z["L"], z["R"], config)
-    total = recon + config.kl_weight * parts["kl"] + config.equilibrium_weight * parts["equilibrium"]
+    with torch.no_grad():
+        parts["copied"] = 2 * sum(reconstruction(s.reference, s, config) for s in (left, right))  # type: ignore
+    rise = min(1.0, (step + 1) / max(1, config.equilibrium_warmup_steps))
+    total = recon + config.kl_weight * parts["kl"] + rise * config.equilibrium_weight * parts["equilibrium"]
     return total, parts
 
 

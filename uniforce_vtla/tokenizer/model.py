@@ -20,7 +20,9 @@ from uniforce_vtla.tokenizer.attention import (
     grid_code,
     sinusoid,
 )
+from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels
 
+START_LOG_VARIANCE = -4.0  # σ ≈ 0.14
 LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
 
 
@@ -31,11 +33,12 @@ class TokenizerConfig:
     side: int = 128  # pixels per side of the square it sees; a fifth of 640, so areas average exactly
     patch: int = 16  # pixels per side of a patch; P = (side / patch)²
     width: int = 128  # D, size of a token
-    depth: int = 4  # encoder blocks
-    decoder_depth: int = 2  # decoder blocks
+    depth: int = 2  # encoder blocks
+    decoder_depth: int = 1  # decoder blocks
     heads: int = 4  # attention heads; width must divide by it
     mlp_ratio: int = 3  # hidden size of a block's MLP over width
     embed_hidden: int = 256  # hidden units inside the encoder's patch embedding; 0 = linear, as in the paper
+    motion_scales: int = 3  # scales of motion channels given to current tokens; 0 = none, as in the paper
     latent: int = 6  # numbers per patch (paper)
     predict_change: bool = True  # decoder adds to the reference instead of redrawing every marker
 
@@ -68,7 +71,21 @@ class Posterior(NamedTuple):
         return self.mean + torch.exp(0.5 * self.log_variance) * torch.randn_like(self.mean)
 
 
-ReferenceCache = list[tuple[torch.Tensor, torch.Tensor]]  # per block: key, value, each (B, P, heads, D/heads)
+class ReferenceCache(NamedTuple):
+    """What the current frame needs of its reference, all with the reference's batch.
+
+    Attributes:
+        image: (B, 1, S, S) prepared reference.
+        kept: per encoder block its key and value, (B, P, heads, D/heads) each.
+    """
+
+    image: torch.Tensor
+    kept: list[tuple[torch.Tensor, torch.Tensor]]
+
+    def repeat(self, times: int) -> ReferenceCache:
+        """Return the cache with every reference repeated ``times`` times in a row."""
+        kept = [(k.repeat_interleave(times, 0), v.repeat_interleave(times, 0)) for k, v in self.kept]
+        return ReferenceCache(self.image.repeat_interleave(times, 0), kept)
 
 
 class PatchEmbed(nn.Module):
@@ -91,6 +108,24 @@ class PatchEmbed(nn.Module):
         """Return (B, P, D)."""
         patches = F.unfold(images, self.patch, stride=self.patch).transpose(1, 2)  # (B, P, patch²)
         return self.project(patches) + self.position
+
+
+class MotionEmbed(nn.Module):
+    """Project each patch's motion channels to a token."""
+
+    def __init__(self, config: TokenizerConfig) -> None:
+        super().__init__()
+        self.scales = config.motion_scales
+        self.cells = config.patch // CELL_PX
+        inputs = CHANNELS * config.motion_scales * self.cells**2
+        self.project = nn.Sequential(
+            nn.Linear(inputs, config.width), nn.GELU(), nn.Linear(config.width, config.width)
+        )
+
+    def forward(self, reference: torch.Tensor, current: torch.Tensor) -> torch.Tensor:
+        """Return (B, P, D)."""
+        maps = motion_channels(reference, current, self.scales)  # (B, 3·scales, S / 4, S / 4)
+        return self.project(F.unfold(maps, self.cells, stride=self.cells).transpose(1, 2))
 
 
 class EncoderBlock(nn.Module):
@@ -121,23 +156,28 @@ class Encoder(nn.Module):
         super().__init__()
         self.latent = config.latent
         self.embed = PatchEmbed(config, config.embed_hidden)
+        self.motion = MotionEmbed(config) if config.motion_scales else None
         self.blocks = nn.ModuleList(EncoderBlock(config) for _ in range(config.depth))
         self.posterior = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, 2 * config.latent))
+        with torch.no_grad():  # a quiet start: at σ = 1 noise drowns what little μ says at first
+            self.posterior[1].bias[config.latent :] = START_LOG_VARIANCE
         self.register_buffer("time", sinusoid(torch.arange(2), config.width), persistent=False)
 
     def encode_reference(self, reference: torch.Tensor) -> ReferenceCache:
         """Return what the current frame needs of (B, 1, S, S) references; it depends on nothing else."""
         tokens = self.embed(reference) + self.time[0]
-        cache: ReferenceCache = []
+        cache = ReferenceCache(reference, [])
         for block in self.blocks:
             tokens, kept = block.reference(tokens)
-            cache.append(kept)
+            cache.kept.append(kept)
         return cache
 
     def encode_current(self, cache: ReferenceCache, current: torch.Tensor) -> Posterior:
         """Return the posterior for (B, 1, S, S) current images; a cache of batch 1 serves any B."""
         tokens = self.embed(current) + self.time[1]
-        for block, past in zip(self.blocks, cache, strict=True):
+        if self.motion is not None:
+            tokens = tokens + self.motion(cache.image.expand_as(current), current)
+        for block, past in zip(self.blocks, cache.kept, strict=True):
             tokens = block.current(tokens, past)
         mean, log_variance = self.posterior(tokens).split(self.latent, dim=-1)  # (B, P, latent) each
         return Posterior(mean, log_variance.clamp(*LOG_VARIANCE_RANGE))
@@ -171,6 +211,7 @@ class Decoder(nn.Module):
         self.inject = nn.Linear(config.latent, config.width)
         self.blocks = nn.Sequential(*[DecoderBlock(config) for _ in range(config.decoder_depth)])
         self.draw = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, config.patch**2))
+        nn.init.zeros_(self.draw[1].weight)  # starts from the reference itself (or from black)
 
     def forward(self, reference: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
         """Return (B, 1, S, S) current images from references and latents (B, P, latent)."""

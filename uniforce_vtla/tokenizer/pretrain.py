@@ -27,19 +27,19 @@ class PretrainSettings:
     model: TokenizerConfig = field(default_factory=TokenizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     data: PairCacheConfig = field(default_factory=PairCacheConfig)
-    steps: int = 3000  # optimiser steps
+    steps: int = 2500  # optimiser steps
     units_per_batch: int = 4  # units (references) in a batch
-    pairs_per_unit: int = 8  # contacts of each; 4 × 8 = 32 pairs
+    pairs_per_unit: int = 8  # contacts of each: 4 × 8 = 32 pairs
     learning_rate: float = 1e-3  # peak, AdamW
     weight_decay: float = 0.01  # AdamW
-    warmup_steps: int = 100  # linear to the peak, then cosine to 2 %
+    warmup_steps: int = 100  # linear to the peak, then cosine to a fiftieth
     clip_norm: float = 1.0  # of the gradient
     seed: int = 0  # weights, batches, latent noise
     save_every: int = 100  # steps between checkpoints a killed run continues from
 
 
 def learning_rate(step: int, settings: PretrainSettings) -> float:
-    """Return the rate at ``step``: linear warm-up, cosine decay to 2 % of the peak."""
+    """Return the rate at ``step``: linear warm-up, cosine decay to a fiftieth of the peak."""
     if step < settings.warmup_steps:
         return settings.learning_rate * (step + 1) / settings.warmup_steps
     done = (step - settings.warmup_steps) / max(1, settings.steps - settings.warmup_steps)
@@ -89,7 +89,7 @@ class Pretraining:
         )
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(self.step, self.settings)
-        loss, parts, spread = pair_loss(self._bare(), pairs, self.settings.loss)
+        loss, parts, spread = pair_loss(self._bare(), pairs, self.settings.loss, self.step)
         self.optimizer.zero_grad()
         self.accelerator.backward(loss)
         self._average_gradients()
@@ -156,7 +156,7 @@ class Pretraining:
 
 
 def pair_loss(
-    model: ForceAutoencoder, pairs: Pairs, config: LossConfig
+    model: ForceAutoencoder, pairs: Pairs, config: LossConfig, step: int
 ) -> tuple[torch.Tensor, dict[str, torch.Tensor], torch.Tensor]:
     """Return loss, parts and the spread of the latent's mean over a batch."""
     units = len(pairs.left_reference)
@@ -175,7 +175,7 @@ def pair_loss(
             strict=True,
         )
     )
-    loss, parts = objective(model.decoder, left, right, config)
+    loss, parts = objective(model.decoder, left, right, config, step)
     return loss, parts, spread
 
 
@@ -183,6 +183,4 @@ def encode_by_unit(
     encoder: Encoder, reference: torch.Tensor, current: torch.Tensor, per_unit: int
 ) -> Posterior:
     """Encode each reference once and its ``per_unit`` current images with it."""
-    cache = encoder.encode_reference(reference)
-    repeated = [tuple(part.repeat_interleave(per_unit, dim=0) for part in kept) for kept in cache]
-    return encoder.encode_current(repeated, current)  # type: ignore[arg-type]
+    return encoder.encode_current(encoder.encode_reference(reference).repeat(per_unit), current)

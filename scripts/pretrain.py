@@ -1,0 +1,3 @@
+from uniforce_vtla.commands.pretrain import main
+
+raise SystemExit(main())
