@@ -1,7 +1,8 @@
 """How fast raw signals become marker images, beside what OpenCV alone needs for the plainest segmentation.
 
-One thread. Cameras are timed as a control loop uses them: ``pair`` with one reference and a new current frame each
-time. Frames are synthetic, 640×480, with noise, uneven light and the sensor's own marker layout.
+One thread, in its CPU time, so that other programs on the machine don't enter. Cameras are timed as a control loop
+uses them: ``pair`` with one reference and a new current frame each time. Frames are synthetic, 640×480, with noise,
+uneven light and the sensor's own marker layout.
 """
 
 from __future__ import annotations
@@ -88,14 +89,15 @@ def _anchor_call(rng: np.random.Generator) -> Callable[[], object]:
 
 
 def _rate(call: Callable[[], object], seconds: float) -> float:
-    """Return 1 / the median duration of ``call``, Hz, from as many calls as fit into ``seconds``."""
+    """Return 1 / the median CPU time of ``call``, Hz, from as many calls as fit into ``seconds`` of the clock."""
     for _ in range(WARM_UP):
         call()
-    durations, end = [], time.perf_counter() + seconds
+    durations: list[float] = []
+    end = time.perf_counter() + seconds
     while not durations or time.perf_counter() < end:
-        start = time.perf_counter()
+        start = time.thread_time()
         call()
-        durations.append(time.perf_counter() - start)
+        durations.append(time.thread_time() - start)
     return 1.0 / float(np.median(durations))
 
 

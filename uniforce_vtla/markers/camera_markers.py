@@ -13,17 +13,16 @@ import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, SensorError, expected
-from uniforce_vtla.markers.marker_plan import (
+from uniforce_vtla.markers.marker_blobs import (
     Blobs,
     MarkerPlan,
     SegmentationSettings,
     channel_image,
-    choose_plan,
     find_blobs,
     grow_mask,
     keep_markers,
-    score_blobs,
 )
+from uniforce_vtla.markers.marker_plan import choose_plan, score_blobs
 from uniforce_vtla.markers.rim import inside_rim
 
 MIN_SIDE_PX = 48  # a smaller frame can't hold a marker pattern

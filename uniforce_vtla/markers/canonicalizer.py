@@ -16,7 +16,8 @@ from uniforce_vtla.markers.camera_markers import (
     segment,
     thumbnail,
 )
-from uniforce_vtla.markers.marker_plan import MarkerPlan, SegmentationSettings, choose_plan
+from uniforce_vtla.markers.marker_blobs import MarkerPlan, SegmentationSettings
+from uniforce_vtla.markers.marker_plan import choose_plan
 from uniforce_vtla.markers.reference import NoContactCheck, refuse_pressed_reference
 from uniforce_vtla.markers.taxel_render import (
     Saturation,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uniforce_vtla.markers.marker_plan import Blobs
+from uniforce_vtla.markers.marker_blobs import Blobs
 
 ARC_BINS = 36  # 10° each
 MIN_ARC_BINS = 9  # a quarter circle: fewer bins are reflections, not a rim
