@@ -60,7 +60,7 @@ def check_sensors(config: PI05UniforceConfig, mounted: dict[str, str]) -> list[s
     notes = []
     for slot, finger in config.finger_by_slot().items():
         trained, worn = config.trained_sensors.get(slot, ""), mounted.get(finger, "")
-        if not trained or not worn or trained == worn:
+        if not trained or not worn or worn in trained.split("+"):
             continue
         asked = (
             config.mounted_sensors[finger] == worn

@@ -59,7 +59,7 @@ class PI05UniforceConfig(PI05Config):
     swap: str = ""  # "touch0:left" lets another finger fill a slot at rollout; weights don't change
     left_sensor: str = ""  # kind mounted on the left finger; provenance, "" = not stated
     right_sensor: str = ""  # kind mounted on the right finger
-    # slot → kind seen in training; "" or absent = any
+    # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
     latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
     token_site: str = "prefix"  # "suffix" comes later

@@ -41,7 +41,9 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     if dataset_meta is None or not config.slots or not marker.is_file():
         return
     view = json.loads(marker.read_text())
-    config.trained_sensors = {**view.get("sensors", {}), **config.trained_sensors}
+    worn = view.get("sensors", {})  # finger → kinds in the data
+    kinds = {slot: "+".join(worn.get(config.touch_slots[slot], [])) for slot in config.slots}
+    config.trained_sensors = {**kinds, **config.trained_sensors}
     made_by = view.get("tokenizer_hash", "")
     if config.touch_input == "latent" and made_by and made_by != config.tokenizer_hash:
         do = "Build the view again with this policy's tokenizer."

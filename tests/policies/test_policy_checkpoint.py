@@ -157,6 +157,20 @@ def test_a_view_made_by_another_tokenizer_is_refused(make_config, tmp_path):
         PI05UniforcePolicy(make_config(), dataset_meta=Meta())
 
 
+def test_sensors_of_the_training_view_are_stored(make_config, tmp_path):
+    class Meta:
+        root = tmp_path
+
+    sensors = {"left": ["gelsight", "uskin"], "right": ["tactip"]}
+    (tmp_path / "uniforce_view.json").write_text(json.dumps({"sensors": sensors}))
+    config = make_config(touch_input="wrench")
+    PI05UniforcePolicy(config, dataset_meta=Meta())
+    assert config.trained_sensors == {"touch0": "tactip", "touch1": "gelsight+uskin"}
+    assert check_sensors(config, {"left": "uskin", "right": "tactip"}) == []
+    with pytest.raises(CheckpointError, match="right_sensor=uskin"):
+        check_sensors(config, {"left": "uskin", "right": "uskin"})
+
+
 def test_processors_survive_a_round_trip(make_policy, make_batch, stats, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     policy = make_policy()
