@@ -9,11 +9,11 @@ import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames, read_source, stored_frames
+from uniforce_datasets.staged_writer import LOCAL
 from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import tactile_key
 
-LOCAL = "local"  # a revision that is no version number: LeRobot then doesn't look for one on the hub
 END_FRAMES = 2  # frames looked at from the end of a sampled episode
 
 

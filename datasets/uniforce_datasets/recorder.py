@@ -13,16 +13,16 @@ from types import TracebackType
 from typing import IO, Any
 
 import numpy as np
+from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.io_utils import write_info
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from uniforce_datasets.columns import as_column, check_row, sensor_index
 from uniforce_datasets.features import CAMERA_SHAPE, dataset_features
-from uniforce_datasets.lossless import LOCAL
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
+from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, commit, recover
 from uniforce_datasets.stored_check import check_stored
-from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
+from uniforce_datasets.video_encoder import codec_of
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KEYS, sensor_key
@@ -76,17 +76,17 @@ class EpisodeRecorder:
         self.root.mkdir(parents=True, exist_ok=True)
         self._lock = _lock(self.root)
         recover(self.root)
-        self._dataset = self._open()
+        self._writer = self._open()
 
     @property
     def num_episodes(self) -> int:
         """Saved episodes, those of earlier sessions included."""
-        return self._dataset.meta.total_episodes
+        return self._writer._meta.total_episodes
 
     @property
     def num_frames(self) -> int:
         """Frames waiting in the current episode."""
-        return self._dataset.writer.episode_buffer["size"]
+        return self._writer.episode_buffer["size"]
 
     def add(self, frame: Mapping[str, Any], task: str) -> None:
         """Append one observation and the action commanded at it.
@@ -100,7 +100,7 @@ class EpisodeRecorder:
         row |= {key: np.zeros(1, dtype=self._features[key]["dtype"]) for key in AT_THE_END}
         check_row(row, self._features)
         with _typed_errors(self):
-            self._dataset.add_frame(row | {"task": task})
+            self._writer.add_frame(row | {"task": task})
         for key in TACTILE_KEYS:
             self._ends[key] = (self._ends.get(key, (row[key],))[0], row[key])
         self._refuse_dropped()
@@ -125,16 +125,16 @@ class EpisodeRecorder:
         self._write_at_the_end(float(success), OUTCOME_NAMES.index(outcome), seed)
         frames = self.num_frames
         with _typed_errors(self):
-            self._dataset.save_episode()
+            self._writer.save_episode()
             self._name_marker_codec()
-            self._dataset.finalize()
+            self._writer.finalize()
             check_stored(self.root / STAGING, frames, self._fps, self._ends)
             commit(self.root)
-        self._dataset = self._open()
+        self._writer = self._open()
 
     def discard(self) -> None:
         """Forget the current episode."""
-        self._dataset.clear_episode_buffer(delete_images=False)
+        self._writer.clear_episode_buffer(delete_images=False)
         self._reopen()
 
     def close(self) -> None:
@@ -154,20 +154,16 @@ class EpisodeRecorder:
     ) -> None:
         self.close()
 
-    def _open(self) -> LeRobotDataset:
+    def _open(self) -> DatasetWriter:
         """A LeRobot writer whose files all go to the staging folder."""
-        staged = self.root / STAGING
-        if (self.root / "meta" / "info.json").exists():
-            dataset = LeRobotDataset.resume(self._repo_id, root=self.root, revision=LOCAL)
-            _check_same(dataset.meta, self._fps, self._features)
-            dataset.meta.root = dataset.writer._root = staged
-            (staged / "meta").mkdir(parents=True)
-        else:
+        if not (self.root / "meta" / "info.json").exists():
             self._refuse_foreign_files()
-            dataset = LeRobotDataset.create(self._repo_id, self._fps, dict(self._features), root=staged)
+        writer = open_writer(
+            self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime
+        )
+        _check_same(writer._meta, self._fps, self._features)
         self._ends: dict[str, tuple[np.ndarray, ...]] = {}  # first and last marker images of the episode
-        dataset.writer._streaming_encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
-        return dataset
+        return writer
 
     def _refuse_foreign_files(self) -> None:
         foreign = [p.name for p in self.root.iterdir() if not p.name.startswith(".")]
@@ -178,19 +174,19 @@ class EpisodeRecorder:
 
     def _reopen(self) -> None:
         self._abandon()
-        self._dataset = self._open()
+        self._writer = self._open()
 
     def _abandon(self) -> None:
         """Let go of the LeRobot writer without writing: what it staged is deleted."""
-        writer = self._dataset.writer
+        writer = self._writer
         writer.cancel_pending_videos()
         writer._meta._metadata_buffer.clear()
         if (self.root / STAGING).exists():
-            self._dataset.finalize()
+            self._writer.finalize()
         shutil.rmtree(self.root / STAGING, ignore_errors=True)
 
     def _refuse_dropped(self) -> None:
-        dropped = self._dataset.writer._streaming_encoder.dropped
+        dropped = self._writer._streaming_encoder.dropped
         if dropped:
             self.discard()
             raise DatasetError(
@@ -200,13 +196,13 @@ class EpisodeRecorder:
             )
 
     def _write_at_the_end(self, success: float, outcome: int, seed: int) -> None:
-        buffer = self._dataset.writer.episode_buffer
+        buffer = self._writer.episode_buffer
         for key, value in zip(AT_THE_END, (success, outcome, seed), strict=True):
             buffer[key] = [np.array([value], dtype=self._features[key]["dtype"])] * buffer["size"]
 
     def _name_marker_codec(self) -> None:
         """Say crf 0 in info.json: LeRobot writes its one codec for every key, at the first episode."""
-        meta = self._dataset.meta
+        meta = self._writer._meta
         if meta.total_episodes == 1:
             for key in TACTILE_KEYS:
                 meta.update_video_info(key, video_encoder=codec_of(key))

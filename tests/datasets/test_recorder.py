@@ -117,7 +117,7 @@ def test_kill_9_keeps_every_saved_episode(tmp_path: Path) -> None:
     assert open_dataset(root).num_episodes == kept + 1
 
 
-@pytest.mark.parametrize("moves", range(0, 11, 2))
+@pytest.mark.parametrize("moves", (0, 4, 9))
 def test_a_commit_cut_short_anywhere_loads_and_is_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int
 ) -> None:

@@ -146,7 +146,7 @@ def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
 
 
 def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
-    touch = {"slots": ("touch0",), "slot_fingers": {"touch0": "left"}, "latent_grid": 4}
+    touch = {"slots": ("touch0",), "finger_by_slot": lambda: {"touch0": "left"}, "latent_grid": 4}
     made = make_training_dataset(trainer_config(view, touch_input="latent", **touch), pytest.fail)
     assert made[0][ACTION].shape == (5, 5) and latent_key("touch0") in made.features
     blind = make_training_dataset(trainer_config(view), pytest.fail)

@@ -1,0 +1,66 @@
+"""LeRobot's dataset writer, pointed at the staging folder.
+
+``LeRobotDataset.resume`` reads all episodes' metadata through Hugging Face datasets, about a second of work per saved
+episode; a writer needs only where the last one ended.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
+from lerobot.datasets.dataset_writer import DatasetWriter
+from lerobot.datasets.io_utils import load_info, load_stats, load_tasks
+
+from uniforce_datasets.staging import STAGING
+from uniforce_datasets.video_encoder import PerKeyEncoder, camera_codec
+from uniforce_vtla.errors import DatasetError, expected
+
+LOCAL = "local"  # a revision that is no version number: LeRobot then doesn't look for one on the hub
+PLACES = ("chunk_index", "file_index")
+
+
+class StagedMetadata(LeRobotDatasetMetadata):
+    """LeRobot's metadata with the last episode's row only."""
+
+    def _load_metadata(self) -> None:
+        if not (self.root / "meta" / "info.json").is_file():  # never ask the hub instead
+            raise DatasetError(expected(str(self.root), "meta/info.json", "none", "Give a dataset's folder."))
+        self.info = load_info(self.root)
+        self.tasks = load_tasks(self.root) if self.total_tasks else None
+        self.stats = load_stats(self.root)
+        self.episodes = [_last_row(self.root, self.video_keys)] if self.total_episodes else None
+
+
+def _last_row(root: Path, video_keys: list[str]) -> dict[str, Any]:
+    """Return the columns a writer goes on from."""
+    prefixes = ["data", "meta/episodes", *(f"videos/{key}" for key in video_keys)]
+    columns = [f"{prefix}/{place}" for prefix in prefixes for place in PLACES]
+    file = max((root / "meta" / "episodes").rglob("*.parquet"))
+    rows = pq.ParquetFile(file).read(columns=["episode_index", "dataset_to_index", *columns]).to_pylist()
+    return max(rows, key=lambda row: row["episode_index"])
+
+
+def open_writer(
+    root: Path, repo_id: str, fps: int, features: dict[str, dict], queue_frames: int, realtime: bool
+) -> DatasetWriter:
+    """Return a writer that appends one episode to the dataset at ``root``, or begins it, in the staging folder."""
+    staged = root / STAGING
+    if (root / "meta" / "info.json").exists():
+        meta = StagedMetadata(repo_id, root, LOCAL)
+        (staged / "meta").mkdir(parents=True)
+        meta.root = staged
+    else:
+        meta = StagedMetadata.create(repo_id, fps, dict(features), root=staged)
+    return DatasetWriter(
+        meta=meta,
+        root=staged,
+        rgb_encoder=camera_codec(),
+        depth_encoder=None,
+        encoder_threads=1,
+        batch_encoding_size=1,
+        streaming_encoder=PerKeyEncoder(fps, queue_frames, realtime),
+        initial_frames=meta.total_frames,
+    )
