@@ -38,6 +38,8 @@ class WipeEnv(gymnasium.Env):
         renderer: "painter" (OpenCV, no GL) or "egl".
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
         limits: what counts as residual, slip and excess force.
+        max_steps: cut episodes earlier or later than the level does.
+        render_mode: gymnasium's; pictures are always arrays.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": int(CONTROL_HZ)}
@@ -50,15 +52,15 @@ class WipeEnv(gymnasium.Env):
         renderer: str = "painter",
         expose_wrench: bool = False,
         limits: ScoreLimits | None = None,
+        max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
-        **_: Any,
     ) -> None:
         self.level = get_level(level)
         self.sensors = {"left": get_sensor(left_sensor).name, "right": get_sensor(right_sensor).name}
         self.limits = limits or ScoreLimits()
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
         self._renderer = _make_renderer(renderer)
-        self._max_episode_steps = round(self.level.time_limit_s * CONTROL_HZ)
+        self._max_episode_steps = max_steps or round(self.level.time_limit_s * CONTROL_HZ)
         self.task = self.task_description = "wipe the whiteboard"
         self._sim: WipeSimulation | None = None
         self.action_space = spaces.Box(-2.0, 2.0, (len(AXES),), np.float32)

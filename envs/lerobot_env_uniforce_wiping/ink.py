@@ -41,7 +41,8 @@ class InkField:
         self.adhesion = np.exp(level.adhesion_sigma * noise / noise.std())
         self.ink = self._written(scene)
         self.version = 0  # grows whenever ink changes, so that renderers know
-        self.initial_cells = float((self.ink > VISIBLE).sum())
+        self.initial_cells = float(np.count_nonzero(self.ink > VISIBLE))
+        self._counted, self._residual = 0, 1.0
         x = (np.arange(self.rows) + 0.5 - self.rows / 2) * PIXEL_m
         y = (np.arange(self.columns) + 0.5 - self.columns / 2) * PIXEL_m
         self.x_m, self.y_m = np.meshgrid(x, y, indexing="ij")
@@ -59,7 +60,10 @@ class InkField:
     @property
     def residual(self) -> float:
         """Share of the initially inked cells that still carry visible ink."""
-        return float((self.ink > VISIBLE).sum()) / self.initial_cells
+        if self._counted != self.version:
+            self._residual = float(np.count_nonzero(self.ink > VISIBLE)) / self.initial_cells
+            self._counted = self.version
+        return self._residual
 
     def wipe(self, center_m: np.ndarray, yaw_rad: float, size_m: np.ndarray, press: np.ndarray, slide_m: float) -> None:
         """Wear ink under a footprint.

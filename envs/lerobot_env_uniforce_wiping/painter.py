@@ -14,7 +14,7 @@ from lerobot_env_uniforce_wiping.cameras import CAMERA_PX, Camera, carried, fron
 from lerobot_env_uniforce_wiping.ink_view import InkView
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 
-BACKGROUND = (206, 212, 218)
+BACKGROUND = np.full((CAMERA_PX, CAMERA_PX, 3), (206, 212, 218), np.uint8)
 LIGHT = np.array([0.45, 0.25, 0.86])  # direction towards the light, world frame
 ROUND_NORMAL = np.array([0.6, 0.0, 0.8])  # capsules are shaded flat, as if facing this way
 AMBIENT = 0.62
@@ -56,7 +56,7 @@ class Painter:
         """Nothing to free."""
 
     def _paint(self, camera: Camera) -> np.ndarray:
-        picture = np.full((CAMERA_PX, CAMERA_PX, 3), BACKGROUND, np.uint8)
+        picture = BACKGROUND.copy()
         polygons = [*self._box_polygons(camera), *self._round_polygons(camera)]
         centers = self._data.geom_xpos[np.concatenate([self._boxes, self._rounds])]
         away = np.linalg.norm(centers - camera.position_m, axis=1) + 100.0 * self._layer  # ground first

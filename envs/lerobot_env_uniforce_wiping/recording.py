@@ -19,7 +19,8 @@ class TraceRecorder:
 
     def __init__(self, simulation: WipeSimulation) -> None:
         self._sim = simulation
-        self._rows: list[tuple[float, ...]] = []
+        self._rows = np.zeros((256, len(STEP_FIELDS)))  # grows by doubling
+        self._count = 0
         self._at_lift: np.ndarray | None = None
         self.phase = 0
         self.aborted = False
@@ -30,11 +31,14 @@ class TraceRecorder:
         height = sim.measured[2]
         self._update_phase(height)
         left, right = sim.pads["left"], sim.pads["right"]
-        time_s = (len(self._rows) + 1) / CONTROL_HZ
+        self._count += 1
         grips = (float(left.wrench[2]), float(right.wrench[2]))
         depths = (left.depth_mm, right.depth_mm)
         tail = (height * 1000, sim.ink.residual, float(self.phase))
-        self._rows.append((time_s, sim.press_N, *grips, self.slip_mm(), *depths, *tail))
+        if self._count > len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+        head = (self._count / CONTROL_HZ, sim.press_N)
+        self._rows[self._count - 1] = (*head, *grips, self.slip_mm(), *depths, *tail)
 
     def _update_phase(self, height_m: float) -> None:
         sim, layout = self._sim, self._sim.scene.level.layout
@@ -59,6 +63,6 @@ class TraceRecorder:
 
     def trace(self) -> EpisodeTrace:
         """Return what was recorded so far."""
-        columns = np.array(self._rows, dtype=np.float64).reshape(-1, len(STEP_FIELDS)).T
+        columns = self._rows[: self._count].T.copy()
         rated = tuple(get_sensor(self._sim.sensors[f]).rated_depth_mm for f in ("left", "right"))
         return EpisodeTrace(*columns, rated_depth_mm=rated, aborted=self.aborted)  # type: ignore[arg-type]

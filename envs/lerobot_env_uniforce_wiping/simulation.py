@@ -58,7 +58,9 @@ class WipeSimulation:
     def _find_ids(self) -> None:
         m = self.model
         self._pad_geom: dict[int, Finger] = {m.geom(f"pad_{f}").id: f for f in FINGERS}
-        self._felt, self._board = m.geom("felt").id, m.geom("board").id
+        self._skin = {f: m.geom(f"skin_{f}").id for f in FINGERS}
+        self._role = np.zeros(m.ngeom, dtype=np.int64)
+        self._role[[*self._pad_geom, m.geom("board").id]] = (1, 2, 3)
         self._eraser, self._tcp = m.body("eraser").id, m.site("tcp").id
         self._board_body = m.body("board").id
         self._reference = m.site("base_tool").pos.copy()
@@ -128,38 +130,44 @@ class WipeSimulation:
         self._wear(press)
 
     def _read_contacts(self, forces: dict[Finger, np.ndarray], press: np.ndarray) -> None:
+        """Add one sample of every contact's force to the sums. Elliptic cones: forces are efc_force itself."""
         contact = self.data.contact
-        wrench = np.zeros(6)
-        depth: dict[Finger, list[float]] = {f: [] for f in FINGERS}
-        for i, (geom1, geom2) in enumerate(contact.geom):
-            pad = self._pad_geom.get(geom1) or self._pad_geom.get(geom2)
-            if pad is not None:
-                mujoco.mj_contactForce(self.model, self.data, i, wrench)
-                forces[pad][:4] += self._on_pad(pad, i, wrench, geom1 in self._pad_geom)
-                depth[pad].append(-contact.dist[i] * 1000)
-            elif self._board in (geom1, geom2):
-                mujoco.mj_contactForce(self.model, self.data, i, wrench)
-                local = self._in_eraser(contact.pos[i])
-                press += wrench[0] * np.array([1.0, local[0], local[1]])
-        for finger, values in depth.items():
-            forces[finger][4] += max(float(np.mean(values)), 0.0) if values else 0.0
+        if len(contact.geom) == 0:
+            return
+        role = self._role[contact.geom]  # (C, 2): 0 other, 1 left pad, 2 right pad, 3 board
+        kind = role.max(axis=1)
+        address = contact.efc_address
+        local = self.data.efc_force[address[:, None] + np.arange(3)]  # (C, 3) on geom2, contact frame
+        frame = contact.frame.reshape(-1, 3, 3)
+        for code, finger in enumerate(FINGERS, start=1):
+            rows = np.flatnonzero((kind == code) & (address >= 0))
+            if len(rows):
+                sign = np.where(role[rows, 0] == code, -1.0, 1.0)  # the force on the pad, whichever comes first
+                turn = self.data.efc_force[address[rows] + 3]
+                world = (frame[rows].transpose(0, 2, 1) @ local[rows, :, None])[..., 0] * sign[:, None]
+                twist = frame[rows, 0, :] * (sign * turn)[:, None]
+                forces[finger] += self._on_pad(finger, contact.pos[rows], world, twist, contact.dist[rows])
+        rows = np.flatnonzero((kind == 3) & (address >= 0))
+        if len(rows):
+            at = self._in_eraser(contact.pos[rows])
+            press += local[rows, 0] @ np.column_stack([np.ones(len(rows)), at[:, :2]])
 
-    def _on_pad(self, finger: Finger, i: int, wrench: np.ndarray, pad_first: bool) -> np.ndarray:
-        """One contact's canonical (fx, fy, fz, torsion about the inward normal) on a pad."""
-        frame = self.data.contact.frame[i].reshape(3, 3)
-        # mj_contactForce: on geom2, along the contact frame whose first axis points from geom1 to geom2.
-        sign = -1.0 if pad_first else 1.0
-        tool = self.data.site_xmat[self._tcp].reshape(3, 3)
-        force = tool.T @ (frame.T @ wrench[:3]) * sign  # tool frame: x closes, y = world −y, z down
-        pad = self.data.geom(f"skin_{finger}").xpos
-        arm = tool.T @ (self.data.contact.pos[i] - pad)
-        moment_x = arm[1] * force[2] - arm[2] * force[1] + sign * (tool.T @ frame[0])[0] * wrench[3]
-        # Canonical: image x = tool −y (world +y), image y = tool z (world −z); torsion mirrors with the image.
-        return np.array([-force[1], force[2], INTO_PAD_x[finger] * force[0], -moment_x * 1000])
+    def _on_pad(
+        self, finger: Finger, point: np.ndarray, force: np.ndarray, twist: np.ndarray, gap_m: np.ndarray
+    ) -> np.ndarray:
+        """Return canonical fx, fy, fz N, torsion Nmm and mean depth mm of a pad's (C, 3) contacts."""
+        tool = self.data.site_xmat[self._tcp].reshape(3, 3)  # x closes, y = world −y, z down
+        pad = self.data.geom_xpos[self._skin[finger]]
+        pushes, arms = force @ tool, (point - pad) @ tool
+        total = pushes.sum(axis=0)
+        moment_x = np.sum(arms[:, 1] * pushes[:, 2] - arms[:, 2] * pushes[:, 1] + twist @ tool[:, 0])
+        depth_mm = max(float(-gap_m.mean() * 1000), 0.0)
+        # Image x = world +y = tool −y, image y = world −z = tool z; torsion mirrors with the image.
+        return np.array([-total[1], total[2], INTO_PAD_x[finger] * total[0], -moment_x * 1000, depth_mm])
 
-    def _in_eraser(self, point: np.ndarray) -> np.ndarray:
+    def _in_eraser(self, points: np.ndarray) -> np.ndarray:
         rotation = self.data.xmat[self._eraser].reshape(3, 3)
-        return rotation.T @ (point - self.data.xpos[self._eraser])
+        return (points - self.data.xpos[self._eraser]) @ rotation
 
     def _felt_on_board(self) -> tuple[np.ndarray, float]:
         """Centre of the felt (2,) and its yaw, in board coordinates."""
@@ -182,7 +190,7 @@ class WipeSimulation:
         """Return the block's centre (3,) relative to a pad, m, and its axes (3, 3) as columns; tool frame."""
         tool = self.data.site_xmat[self._tcp].reshape(3, 3)
         block = self.data.geom("block")
-        center = tool.T @ (block.xpos - self.data.geom(f"skin_{finger}").xpos)
+        center = tool.T @ (block.xpos - self.data.geom_xpos[self._skin[finger]])
         return center, tool.T @ block.xmat.reshape(3, 3)
 
     def eraser_in_tool(self) -> np.ndarray:

@@ -1,0 +1,37 @@
+"""How fast the scene runs with everything on: two cameras, two tactile fingers, one core."""
+
+from __future__ import annotations
+
+import time
+
+from lerobot_env_uniforce_wiping.env import WipeEnv
+from lerobot_env_uniforce_wiping.expert import WipeExpert
+
+
+def bench_env(seconds: float) -> dict[str, float]:
+    """Run expert episodes for ``seconds`` and return steps per CPU second of one core.
+
+    Each step observes: two 224×224 pictures and both marker images. ``physics_steps_per_s`` is the fast path.
+    """
+    env, expert = WipeEnv(level="easy"), WipeExpert()
+    rates = {
+        "env_steps_per_s": _rate(env, expert, seconds / 2, observe=True),
+        "physics_steps_per_s": _rate(env, expert, seconds / 2, observe=False),
+    }
+    env.close()
+    return rates
+
+
+def _rate(env: WipeEnv, expert: WipeExpert, seconds: float, observe: bool) -> float:
+    steps, seed, start = 0, 0, time.process_time()
+    while time.process_time() - start < seconds:
+        env.start(seed)
+        expert.reset(env)
+        done = False
+        while not done and time.process_time() - start < seconds:
+            done = env.advance(expert.act(env))
+            steps += 1
+            if observe:
+                env.observe()
+        seed += 1
+    return steps / (time.process_time() - start)

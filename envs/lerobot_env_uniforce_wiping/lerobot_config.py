@@ -1,0 +1,79 @@
+"""The scene as a LeRobot environment type: ``--env.type=uniforce_wiping``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+
+from lerobot_env_uniforce_wiping.cameras import CAMERA_PX
+from lerobot_env_uniforce_wiping.levels import get_level
+from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
+from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
+from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TACTILE_KEYS, camera_key
+
+GYM_ID = "uniforce_wiping/WipeWhiteboard-v0"
+if GYM_ID not in gymnasium.registry:
+    gymnasium.register(GYM_ID, entry_point="lerobot_env_uniforce_wiping.env:WipeEnv")
+
+
+def _features() -> dict[str, PolicyFeature]:
+    visual, pad = FeatureType.VISUAL, (*MARKER_IMAGE_SHAPE, 3)
+    cameras = {camera_key(c): PolicyFeature(visual, (CAMERA_PX, CAMERA_PX, 3)) for c in CAMERAS}
+    tactile = {key: PolicyFeature(visual, pad) for key in TACTILE_KEYS}
+    return {
+        ACTION: PolicyFeature(FeatureType.ACTION, (len(AXES),)),
+        STATE: PolicyFeature(FeatureType.STATE, (len(AXES),)),
+        **cameras,
+        **tactile,
+    }
+
+
+@EnvConfig.register_subclass("uniforce_wiping")
+@dataclass
+class UniforceWipingConfig(EnvConfig):
+    """Settings of the wiping scene for LeRobot's commands; a sensor swap is ``--env.left_sensor=uskin``."""
+
+    task: str | None = "WipeWhiteboard-v0"
+    fps: int = int(CONTROL_HZ)
+    level: str = "easy"
+    left_sensor: str = "gelsight"
+    right_sensor: str = "tactip"
+    renderer: str = "painter"
+    expose_wrench: bool = False  # ceiling control only
+    episode_length: int | None = None  # steps; None = the level's own
+    features: dict[str, PolicyFeature] = field(default_factory=_features)
+    features_map: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.expose_wrench:
+            wrench = PolicyFeature(FeatureType.STATE, (4,))
+            self.features = self.features | {f"observation.wrench_{f}": wrench for f in FINGERS}
+        self.features_map = self.features_map or {key: key for key in self.features}
+        if self.episode_length is None:
+            self.episode_length = round(get_level(self.level).time_limit_s * CONTROL_HZ)
+
+    @property
+    def package_name(self) -> str:
+        """The package that registers the gymnasium id."""
+        return "lerobot_env_uniforce_wiping"
+
+    @property
+    def gym_id(self) -> str:
+        """Registered gymnasium id."""
+        return GYM_ID
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """Arguments of ``WipeEnv``."""
+        return {
+            "level": self.level,
+            "left_sensor": self.left_sensor,
+            "right_sensor": self.right_sensor,
+            "renderer": self.renderer,
+            "expose_wrench": self.expose_wrench,
+            "max_steps": self.episode_length,
+        }
