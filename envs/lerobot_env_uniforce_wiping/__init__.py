@@ -6,4 +6,13 @@ from lerobot_env_uniforce_wiping.lerobot_config import UniforceWipingConfig
 from lerobot_env_uniforce_wiping.levels import LEVELS, level_hash
 from lerobot_env_uniforce_wiping.scene_params import SceneParams, draw_scene
 
-__all__ = ["LEVELS", "ExpertNoise", "SceneParams", "UniforceWipingConfig", "WipeEnv", "WipeExpert", "draw_scene", "level_hash"]
+__all__ = [
+    "LEVELS",
+    "ExpertNoise",
+    "SceneParams",
+    "UniforceWipingConfig",
+    "WipeEnv",
+    "WipeExpert",
+    "draw_scene",
+    "level_hash",
+]

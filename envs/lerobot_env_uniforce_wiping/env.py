@@ -22,8 +22,6 @@ from uniforce_vtla.keys import AXES, CAMERAS, tactile_name
 from uniforce_vtla.sensors import get_sensor
 
 
-
-
 class WipeEnv(gymnasium.Env):
     """Grasp the eraser, carry it to the board, wipe the word off, lift.
 
@@ -149,7 +147,9 @@ class WipeEnv(gymnasium.Env):
         if values.shape != (len(AXES),):
             raise ContractError(expected("action", f"({len(AXES)},) {AXES}", values.shape, "See keys.AXES."))
         if not np.isfinite(values).all():
-            raise RolloutError(expected("action", "finite numbers", values, "The target is held; check the policy."))
+            raise RolloutError(
+                expected("action", "finite numbers", values, "The target is held; check the policy.")
+            )
         return values
 
     def _wiped_and_lifted(self) -> bool:
@@ -157,9 +157,7 @@ class WipeEnv(gymnasium.Env):
         clean = self.sim.ink.residual <= self.limits.residual_share
         return clean and self._recorder.phase == 3 and self.sim.measured[2] > clear
 
-    def step(
-        self, action: np.ndarray
-    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Take one 1/30 s step; ``info`` holds ``is_success`` and ``metrics`` every time."""
         self.advance(action)
         terminated = self._wiped_and_lifted()
@@ -181,7 +179,10 @@ class WipeEnv(gymnasium.Env):
 
     def _info(self) -> dict[str, Any]:
         result = self.result()
-        return {"is_success": self._steps > 0 and result.success and self._recorder.phase == 3, "metrics": _flat(result)}
+        return {
+            "is_success": self._steps > 0 and result.success and self._recorder.phase == 3,
+            "metrics": _flat(result),
+        }
 
     def render(self) -> np.ndarray:
         """Return the front camera's picture."""
@@ -199,7 +200,9 @@ def _make_renderer(name: str) -> Painter:
         from lerobot_env_uniforce_wiping.egl import EglRenderer
 
         return EglRenderer()
-    raise ContractError(expected("renderer", "painter | egl", repr(name), "Use painter where there is no GL."))
+    raise ContractError(
+        expected("renderer", "painter | egl", repr(name), "Use painter where there is no GL.")
+    )
 
 
 def _flat(result: EpisodeResult) -> dict[str, float]:

@@ -65,7 +65,9 @@ class InkField:
             self._counted = self.version
         return self._residual
 
-    def wipe(self, center_m: np.ndarray, yaw_rad: float, size_m: np.ndarray, press: np.ndarray, slide_m: float) -> None:
+    def wipe(
+        self, center_m: np.ndarray, yaw_rad: float, size_m: np.ndarray, press: np.ndarray, slide_m: float
+    ) -> None:
         """Wear ink under a footprint.
 
         Args:

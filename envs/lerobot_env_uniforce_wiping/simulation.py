@@ -142,7 +142,9 @@ class WipeSimulation:
         for code, finger in enumerate(FINGERS, start=1):
             rows = np.flatnonzero((kind == code) & (address >= 0))
             if len(rows):
-                sign = np.where(role[rows, 0] == code, -1.0, 1.0)  # the force on the pad, whichever comes first
+                sign = np.where(
+                    role[rows, 0] == code, -1.0, 1.0
+                )  # the force on the pad, whichever comes first
                 turn = self.data.efc_force[address[rows] + 3]
                 world = (frame[rows].transpose(0, 2, 1) @ local[rows, :, None])[..., 0] * sign[:, None]
                 twist = frame[rows, 0, :] * (sign * turn)[:, None]

@@ -108,7 +108,11 @@ def score_episode(trace: EpisodeTrace, limits: ScoreLimits | None = None) -> Epi
     limits = limits or ScoreLimits()
     if len(trace.time_s) == 0:
         return EpisodeResult("aborted", False, False, ("no step was taken",))
-    grasp, slips, excess = grasp_faults(trace, limits), slip_events(trace, limits), excess_events(trace, limits)
+    grasp, slips, excess = (
+        grasp_faults(trace, limits),
+        slip_events(trace, limits),
+        excess_events(trace, limits),
+    )
     outcome, why = _outcome(trace, limits, grasp)
     return EpisodeResult(outcome, bool(slips), bool(excess), (*why, *slips, *excess), _metrics(trace, limits))
 

@@ -1,0 +1,171 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.blind import BlindScript
+from lerobot_env_uniforce_wiping.episodes import run_script
+from lerobot_env_uniforce_wiping.hands import BlindSettings
+from uniforce_vtla.contracts import FINGERS, check_marker_image
+from uniforce_vtla.errors import ContractError, RolloutError, SensorError
+from uniforce_vtla.evaluation.episode import EpisodeTrace
+from uniforce_vtla.keys import tactile_name
+
+SEED = 4
+EASY_SEEDS = (1, 2, 4)
+
+
+@pytest.fixture(scope="module")
+def grasped() -> WipeEnv:
+    """An environment whose expert has just put the eraser on the board."""
+    env, expert = WipeEnv(), WipeExpert()
+    env.start(SEED)
+    expert.reset(env)
+    while expert.phase != "wipe":
+        env.advance(expert.act(env))
+    for _ in range(8):
+        env.advance(expert.act(env))
+    return env
+
+
+def test_observation_is_inside_its_space_and_finite(grasped: WipeEnv) -> None:
+    env = WipeEnv(expose_wrench=True)
+    observation, info = env.reset(seed=SEED)
+    assert env.observation_space.contains(observation)
+    assert np.isfinite(observation["agent_pos"]).all() and not info["is_success"]
+    assert WipeEnv().observation_space.contains(grasped.observe())
+
+
+def test_wrench_is_not_in_the_default_observation(grasped: WipeEnv) -> None:
+    assert set(grasped.observe()) == {"pixels", "agent_pos"}
+
+
+def test_marker_images_hold_only_black_and_white_on_three_equal_channels(grasped: WipeEnv) -> None:
+    pixels = grasped.observe()["pixels"]
+    for finger in FINGERS:
+        for reference in (False, True):
+            image = pixels[tactile_name(finger, reference)]
+            check_marker_image(np.ascontiguousarray(image[..., 0]))
+            assert (image == image[..., :1]).all()
+        moved = pixels[tactile_name(finger)] != pixels[tactile_name(finger, reference=True)]
+        assert moved.mean() > 0.002, "a gripped pad must look different from its reference"
+
+
+def test_same_seed_same_episode_and_other_seed_another() -> None:
+    def start(seed: int) -> list[np.ndarray]:
+        observation, _ = WipeEnv().reset(seed=seed)
+        return [observation["agent_pos"], *observation["pixels"].values()]
+
+    first, again, other = start(7), start(7), start(8)
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert not np.array_equal(first[1], other[1]) and not np.array_equal(first[0], other[0])
+
+
+def test_pads_look_alike_whatever_they_wear() -> None:
+    pictures = [WipeEnv(left_sensor=s).reset(seed=SEED)[0]["pixels"] for s in ("gelsight", "uskin")]
+    for camera in ("front", "wrist"):
+        assert np.array_equal(pictures[0][camera], pictures[1][camera])
+
+
+def test_pictures_show_ink_that_goes_away(grasped: WipeEnv) -> None:
+    def inked(picture: np.ndarray) -> int:
+        r, g, b = picture.astype(int).transpose(2, 0, 1)
+        return int(((b - r > 60) & (r < 60) & (b < 140)).sum())
+
+    env = WipeEnv()
+    before = inked(env.reset(seed=SEED)[0]["pixels"]["front"])
+    env.sim.ink.ink[:] = 0
+    env.sim.ink.version += 1
+    assert before > inked(env.render()) + 30
+
+
+@pytest.mark.parametrize(
+    ("action", "error"),
+    [
+        (np.array([0.5, 0.0, np.nan, 0.0, 0.05]), RolloutError),
+        (np.array([0.5, 0.0, np.inf, 0.0, 0.05]), RolloutError),
+        (np.zeros(4), ContractError),
+        (np.zeros((1, 5)), ContractError),
+        ("down", ContractError),
+    ],
+)
+def test_bad_action_is_refused_and_the_target_held(grasped: WipeEnv, action: object, error: type) -> None:
+    target, control = grasped.sim.target.copy(), grasped.sim.data.ctrl.copy()
+    with pytest.raises(error):
+        grasped.advance(action)  # type: ignore[arg-type]
+    assert np.array_equal(grasped.sim.target, target) and np.array_equal(grasped.sim.data.ctrl, control)
+
+
+def test_bad_settings_are_refused() -> None:
+    with pytest.raises(SensorError):
+        WipeEnv(left_sensor="thumb")
+    with pytest.raises(ContractError, match="painter"):
+        WipeEnv(renderer="oil")
+    with pytest.raises(ContractError, match="easy"):
+        WipeEnv(level="impossible")
+    with pytest.raises(RolloutError, match="reset"):
+        WipeEnv().advance(np.zeros(5))
+
+
+def test_step_reports_success_and_metrics_every_time() -> None:
+    env = WipeEnv(max_steps=3)
+    observation, _ = env.reset(seed=SEED)
+    hold = observation["agent_pos"]
+    for step in range(3):
+        _, reward, terminated, truncated, info = env.step(hold)
+        assert reward == 0 and not terminated and truncated is (step == 2)
+        assert info["is_success"] is False and np.isfinite(list(info["metrics"].values())).all()
+    assert isinstance(env.trace, EpisodeTrace) and len(env.trace.time_s) == 3
+    assert env.result().outcome == "failed_grasp"
+
+
+@pytest.mark.parametrize("seed", EASY_SEEDS)
+def test_expert_wipes_clean(seed: int) -> None:
+    env = WipeEnv()
+    result = run_script(env, WipeExpert(), seed)
+    assert result.clean, result.reasons
+    assert len(env.trace.time_s) <= 360
+
+
+def test_a_blind_script_fails_where_the_expert_succeeds() -> None:
+    env, script = WipeEnv(), BlindScript("open_loop", BlindSettings(press_N=7.0, grip_N=12.0))
+    blind = [run_script(env, script, seed) for seed in (4, 15, 24)]
+    touch = [run_script(env, WipeExpert(), seed) for seed in (15, 24)]
+    assert all(r.clean for r in touch)
+    assert sum(r.clean for r in blind) <= 1, [r.reasons for r in blind]
+
+
+def test_expert_targets_are_smooth_and_slow() -> None:
+    env, expert = WipeEnv(), WipeExpert()
+    env.start(SEED)
+    expert.reset(env)
+    actions = []
+    while not env.advance(actions[-1] if actions else env.state):
+        actions.append(expert.act(env))
+    speed = np.abs(np.diff(np.array(actions), axis=0)) * 30
+    assert speed[:, 2].max() <= 0.080 and np.hypot(speed[:, 0], speed[:, 1]).max() <= 0.125
+
+
+def test_unknown_fingers_and_styles_are_refused() -> None:
+    with pytest.raises(ContractError, match="both"):
+        WipeExpert("thumb")  # type: ignore[arg-type]
+    with pytest.raises(ContractError, match="open_loop"):
+        BlindScript("psychic", BlindSettings(6.0, 9.0))
+
+
+def test_runs_without_gl() -> None:
+    code = "from lerobot_env_uniforce_wiping import WipeEnv; print(WipeEnv().reset(seed=1)[0]['pixels']['front'].std())"
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"MUJOCO_GL": "disable"},
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert run.returncode == 0, run.stderr
+    assert float(run.stdout) > 10

@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.evaluation.episode import (
+    STEP_FIELDS,
+    EpisodeTrace,
+    ScoreLimits,
+    running_mean,
+    score_episode,
+)
+from uniforce_vtla.keys import OUTCOME_NAMES
+
+N = 120  # steps at 30 Hz
+
+
+def good_trace(**changes: object) -> EpisodeTrace:
+    phase = np.repeat([0.0, 1.0, 2.0, 3.0], N // 4)
+    zeros = np.zeros(N)
+    fields: dict[str, object] = {name: zeros.copy() for name in STEP_FIELDS}
+    fields |= {
+        "time_s": (np.arange(N) + 1) / 30,
+        "press_N": np.where(phase == 2, 6.0, 0.0),
+        "grip_left_N": np.where(phase > 0, 9.0, 0.0),
+        "grip_right_N": np.where(phase > 0, 9.0, 0.0),
+        "residual": np.where(phase == 3, 0.05, 1.0),
+        "phase": phase,
+    }
+    return EpisodeTrace(**(fields | changes), rated_depth_mm=(1.5, 5.0))  # type: ignore[arg-type]
+
+
+def at(values: np.ndarray, where: slice, to: float) -> np.ndarray:
+    changed = values.copy()
+    changed[where] = to
+    return changed
+
+
+def test_good_episode_is_a_clean_success() -> None:
+    result = score_episode(good_trace())
+    assert result.outcome == "success" and result.clean and result.reasons == ()
+    assert result.metrics["press_mean_N"] == pytest.approx(6.0)
+
+
+def test_precedence_of_outcomes() -> None:
+    dirty = good_trace(residual=np.ones(N))
+    dropped = replace(dirty, grip_left_N=np.zeros(N), grip_right_N=np.zeros(N))
+    assert score_episode(dirty).outcome == "residual"
+    assert score_episode(dropped).outcome == "failed_grasp"
+    assert score_episode(replace(dropped, aborted=True)).outcome == "aborted"
+
+
+def test_never_lifted_and_slid_out_are_failed_grasps() -> None:
+    assert score_episode(good_trace(phase=np.zeros(N))).outcome == "failed_grasp"
+    assert score_episode(good_trace(slip_mm=at(np.zeros(N), slice(90, N), 21.0))).outcome == "failed_grasp"
+
+
+def test_one_loose_pad_or_a_short_gap_is_no_drop() -> None:
+    trace = good_trace()
+    one_pad = replace(trace, grip_left_N=np.zeros(N))
+    blink = replace(
+        trace,
+        grip_left_N=at(trace.grip_left_N, slice(60, 66), 0.0),
+        grip_right_N=at(trace.grip_right_N, slice(60, 66), 0.0),
+    )
+    assert score_episode(one_pad).success and score_episode(blink).success
+
+
+def test_slow_and_quick_slip() -> None:
+    slow = np.linspace(0, 4.5, N)  # 0.56 mm in 0.5 s
+    assert not score_episode(good_trace(slip_mm=slow)).slippage
+    assert score_episode(good_trace(slip_mm=slow * 1.2)).slippage  # 5.4 mm since the lift
+    assert score_episode(good_trace(slip_mm=at(np.zeros(N), slice(70, N), 3.5))).slippage
+
+
+@pytest.mark.parametrize(
+    ("field", "where", "value", "excess"),
+    [
+        ("press_N", slice(60, 80), 10.5, True),  # 0.67 s above 10 N
+        ("press_N", slice(60, 66), 12.0, False),  # 0.2 s only: the mean stays below
+        ("press_N", slice(60, 61), 15.5, True),
+        ("depth_left_mm", slice(60, 61), 1.6, True),
+        ("depth_right_mm", slice(60, 61), 1.6, False),  # rated 5 mm
+    ],
+)
+def test_excess_force(field: str, where: slice, value: float, excess: bool) -> None:
+    base = good_trace()
+    result = score_episode(replace(base, **{field: at(getattr(base, field), where, value)}))
+    assert result.excess_force is excess
+    assert result.success and result.clean is not excess
+
+
+def test_empty_trace_is_aborted() -> None:
+    empty = EpisodeTrace(*[np.zeros(0)] * len(STEP_FIELDS), rated_depth_mm=(1.5, 1.5))
+    assert score_episode(empty).outcome == "aborted"
+
+
+def test_bad_traces_are_refused() -> None:
+    with pytest.raises(ContractError, match="finite"):
+        good_trace(press_N=np.full(N, np.nan))
+    with pytest.raises(ContractError, match="One value per step"):
+        good_trace(press_N=np.zeros(N - 1))
+
+
+columns = st.lists(st.floats(0, 30), min_size=8, max_size=40)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(columns, st.floats(0, 1), st.integers(0, 3), st.booleans()), min_size=1, max_size=8)
+)
+def test_outcomes_sum_to_n(episodes: list[tuple[list[float], float, int, bool]]) -> None:
+    outcomes = Counter(_random_result(*e).outcome for e in episodes)
+    assert set(outcomes) <= set(OUTCOME_NAMES) and sum(outcomes.values()) == len(episodes)
+
+
+def _random_trace(values: list[float], residual: float, phase: int, aborted: bool) -> EpisodeTrace:
+    n = len(values)
+    fields = {name: np.asarray(values) for name in STEP_FIELDS}
+    fields |= {
+        "time_s": (np.arange(n) + 1) / 30,
+        "residual": np.full(n, residual),
+        "phase": np.full(n, phase),
+    }
+    return EpisodeTrace(**fields, rated_depth_mm=(1.5, 5.0), aborted=aborted)
+
+
+def _random_result(values: list[float], residual: float, phase: int, aborted: bool):
+    return score_episode(_random_trace(values, residual, phase, aborted))
+
+
+@settings(max_examples=40, deadline=None)
+@given(columns, st.floats(1.0, 4.0))
+def test_events_are_monotone_in_what_they_measure(values: list[float], factor: float) -> None:
+    base = _random_trace(values, 0.0, 2, False)
+    worse = replace(base, press_N=base.press_N * factor, slip_mm=base.slip_mm * factor)
+    before, after = score_episode(base), score_episode(worse)
+    assert before.excess_force <= after.excess_force and before.slippage <= after.slippage
+
+
+@settings(max_examples=40, deadline=None)
+@given(columns, st.floats(0.0, 1.0))
+def test_stricter_limits_never_make_an_episode_cleaner(values: list[float], share: float) -> None:
+    trace = _random_trace(values, 0.05, 2, False)
+    strict = ScoreLimits(residual_share=0.1 * share, slip_mm=5 * share, mean_press_N=10 * share)
+    assert score_episode(trace, strict).clean <= score_episode(trace).clean
+
+
+def test_running_mean_of_a_constant() -> None:
+    time_s = (np.arange(30) + 1) / 30
+    assert np.allclose(running_mean(np.full(30, 3.0), 0.5, time_s), 3.0)
+    assert running_mean(np.arange(5.0), 10.0, time_s[:5]) == pytest.approx([2.0])
