@@ -6,7 +6,6 @@ Every sensor feels the *same* contacts (one seed): what differs between cells of
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -90,8 +89,3 @@ def within(force_N: np.ndarray, bounds: ForceRange = PAPER_RANGE) -> np.ndarray:
     """Return which forces (..., 3) lie in the paper's range: 0–12 N normal, ±3 N shear."""
     shear = np.abs(force_N[..., :2]).max(axis=-1)
     return (shear <= bounds.shear_N) & (force_N[..., 2] <= bounds.normal_N)
-
-
-def names_of(sensors: Sequence[str] = SENSORS) -> list[tuple[str, str]]:
-    """Return the ordered pairs (source, target) of different sensors: six for three."""
-    return [(source, target) for source in sensors for target in sensors if source != target]

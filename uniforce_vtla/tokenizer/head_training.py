@@ -1,0 +1,74 @@
+"""Train a force head on one source sensor's labelled sequences; no other sensor's label is ever seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch.nn import functional as F  # noqa: N812
+
+from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
+
+STD_FLOOR = 0.3  # of the channel's own spread: a cell that hardly moves must not be blown up
+
+
+@dataclass(frozen=True)
+class HeadTrainingConfig:
+    """How a head is trained."""
+
+    head: HeadConfig = field(default_factory=HeadConfig)
+    steps: int = 400  # optimiser steps
+    batch: int = 64  # sequences per step
+    learning_rate: float = 3e-3  # AdamW, cosine to zero
+    weight_decay: float = 0.05  # AdamW; keeps to what many cells agree on
+    input_noise: float = 0.1  # of the standardised input: a source's fine print doesn't transfer
+
+
+def train_head(z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig, seed: int) -> ForceRegressor:
+    """Return a head fitted to latent sequences (n, T, P, L) and their forces (n, T, 3).
+
+    Every step takes a random stretch of random length, single frames included, so that the head works with any
+    history and with none.
+    """
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        head = ForceRegressor(config.head)
+        target = torch.from_numpy(force_N).float()
+        _standardise(head, z, target)
+        optimizer = torch.optim.AdamW(
+            head.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
+        rng = np.random.default_rng(seed)
+        head.train()
+        for _ in range(config.steps):
+            rows, frames = _stretch(rng, len(z), z.shape[1], config.batch)
+            loss = _loss(head, z[rows][:, frames], target[rows][:, frames], config.input_noise)
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+    return head.eval()
+
+
+def _standardise(head: ForceRegressor, z: torch.Tensor, force_N: torch.Tensor) -> None:
+    """Store the source's mean and spread per cell, and its force scale, inside the head."""
+    maps = head.maps(z.flatten(0, 1))  # (n·T, L, g, g)
+    std = maps.std(dim=0)
+    channel = std.square().mean(dim=(1, 2), keepdim=True).sqrt()
+    head.input_mean.copy_(maps.mean(dim=0))
+    head.input_std.copy_(torch.maximum(std, STD_FLOOR * channel).clamp_min(1e-6))
+    head.force_scale.copy_(force_N.flatten(0, 1).std(dim=0))
+
+
+def _stretch(rng: np.random.Generator, rows: int, length: int, batch: int) -> tuple[np.ndarray, slice]:
+    frames = int(rng.integers(1, length + 1))
+    start = int(rng.integers(0, length - frames + 1))
+    return rng.integers(rows, size=batch), slice(start, start + frames)
+
+
+def _loss(head: ForceRegressor, z: torch.Tensor, force_N: torch.Tensor, noise: float) -> torch.Tensor:
+    spread = head.input_std.flatten(1).mean(1)  # (L,) one amount of noise per channel
+    noisy = z + noise * spread * torch.randn_like(z)
+    return F.smooth_l1_loss(head(noisy) / head.force_scale, force_N / head.force_scale, beta=0.2)

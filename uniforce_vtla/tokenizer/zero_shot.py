@@ -1,0 +1,152 @@
+"""Zero-shot force: train a head on one sensor, read another through the same tokenizer. Six transfers.
+
+The set is frozen: it must draw to the hash committed before the shipped checkpoint was trained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.labelled_set import FROZEN, SENSORS, LabelledSet, set_facts, within
+from uniforce_vtla.tokenizer.pooling import pool_latent
+
+LETTER = {"gelsight": "G", "tactip": "T", "uskin": "U"}  # as in the paper's table
+POOL = 4  # regions per side kept of a latent map: what the policy sees too
+
+Features = dict[str, torch.Tensor]  # sensor → (n, T, P, L)
+Cells = dict[str, dict[str, list[float]]]  # "G->T" → {"r2": [fx, fy, fz], "mae_N": …}
+
+
+def transfers() -> list[tuple[str, str]]:
+    """Return the ordered pairs (source, target) of different sensors: six for three."""
+    return [(source, target) for source in SENSORS for target in SENSORS if source != target]
+
+
+def transfer_name(source: str, target: str) -> str:
+    """Return a transfer's name in the table, e.g. ``G->T``."""
+    return f"{LETTER[source]}->{LETTER[target]}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Labelled sets by sensor: ``training`` for heads (seen indenters), ``frozen`` for scores (unseen)."""
+
+    training: dict[str, LabelledSet]
+    frozen: dict[str, LabelledSet]
+    head: HeadTrainingConfig = field(default_factory=HeadTrainingConfig)
+
+    def forces(self, sensor: str) -> np.ndarray:
+        """Return the frozen set's true forces, (n, T, 3) N."""
+        return self.frozen[sensor].force_N
+
+
+def check_frozen(facts: dict[str, Any], frozen: dict[str, LabelledSet]) -> None:
+    """Raise DatasetError unless the set just drawn is the one that was committed."""
+    drawn = set_facts(FROZEN, {sensor: labelled.digest for sensor, labelled in frozen.items()})["set_hash"]
+    if drawn != facts["set_hash"]:
+        raise DatasetError(
+            expected(
+                "frozen zero-shot set", facts["set_hash"], drawn, "The contact model changed: freeze anew."
+            )
+        )
+
+
+@torch.no_grad()
+def encode_set(tokenizer: Tokenizer, labelled: LabelledSet) -> torch.Tensor:
+    """Return pooled latents (n, T, POOL², L) of a labelled set (worn on the left finger)."""
+    rows = [
+        pool_latent(tokenizer.encode(before, after), POOL)
+        for before, after in zip(labelled.reference, labelled.frames, strict=True)
+    ]
+    return torch.stack(rows)
+
+
+def descriptor_features(labelled: LabelledSet) -> torch.Tensor:
+    """Return the hand descriptor as a map of one region, (n, T, 1, 6)."""
+    return torch.from_numpy(labelled.descriptor)[:, :, None]
+
+
+def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], seeds: int, grid: int) -> Cells:
+    """Return a row of the table: per transfer the mean over ``seeds`` heads."""
+    frozen = {sensor: features(table.frozen[sensor]) for sensor in SENSORS}
+    cells: dict[str, list[dict[str, list[float]]]] = {}
+    for source in SENSORS:
+        z = features(table.training[source])
+        for seed in range(seeds):
+            head = train_head(z, table.training[source].force_N, _sized(table.head, z, grid), seed)
+            for target in SENSORS:
+                cell = score(table.forces(target), predict(head, frozen[target]))
+                cells.setdefault(transfer_name(source, target), []).append(cell)
+    return {name: _mean(scores) for name, scores in cells.items()}
+
+
+def mean_row(table: Table) -> Cells:
+    """Return the row that always says the source's mean force."""
+    row: Cells = {}
+    for source, target in transfers():
+        mean = table.training[source].force_N.reshape(-1, 3).mean(axis=0)
+        truth = table.forces(target)
+        row[transfer_name(source, target)] = score(truth, np.broadcast_to(mean, truth.shape))
+    return row
+
+
+@torch.no_grad()
+def predict(head: ForceRegressor, z: torch.Tensor) -> np.ndarray:
+    """Return (n, T, 3) N."""
+    return head(z).numpy()
+
+
+def score(truth_N: np.ndarray, said_N: np.ndarray) -> dict[str, list[float]]:
+    """Return R² and MAE per axis over all frames, and over those within the paper's range."""
+    small = within(truth_N)
+    return {
+        "r2": _r2(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
+        "mae_N": _mae(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
+        "r2_paper_range": _r2(truth_N[small], said_N[small]),
+        "mae_N_paper_range": _mae(truth_N[small], said_N[small]),
+    }
+
+
+def summary(row: Cells) -> dict[str, float]:
+    """Return what the bars ask of a row: means and worst cells over the six transfers."""
+    r2 = np.array([row[transfer_name(a, b)]["r2"] for a, b in transfers()])  # (6, 3)
+    return {
+        "fz_mean": float(r2[:, 2].mean()),
+        "fz_worst": float(r2[:, 2].min()),
+        "shear_mean": float(r2[:, :2].mean()),
+        "shear_worst": float(r2[:, :2].min()),
+        "mean": float(r2.mean()),
+    }
+
+
+def shipped_cell(head: ForceHead, tokenizer: Tokenizer, labelled: LabelledSet) -> dict[str, list[float]]:
+    """Return the score of a shipped head on another sensor's frozen set."""
+    return score(labelled.force_N, predict(head.model, encode_set(tokenizer, labelled)))
+
+
+def _sized(config: HeadTrainingConfig, z: torch.Tensor, grid: int) -> HeadTrainingConfig:
+    head: HeadConfig = replace(config.head, channels=z.shape[-1], grid=grid)
+    return replace(config, head=head)
+
+
+def _r2(truth: np.ndarray, said: np.ndarray) -> list[float]:
+    residual = ((truth - said) ** 2).sum(axis=0)
+    spread = ((truth - truth.mean(axis=0)) ** 2).sum(axis=0)
+    return [float(v) for v in 1 - residual / spread]
+
+
+def _mae(truth: np.ndarray, said: np.ndarray) -> list[float]:
+    return [float(v) for v in np.abs(truth - said).mean(axis=0)]
+
+
+def _mean(scores: list[dict[str, list[float]]]) -> dict[str, list[float]]:
+    return {key: [float(v) for v in np.mean([s[key] for s in scores], axis=0)] for key in scores[0]}
