@@ -27,8 +27,7 @@ def _draw_word(word: str, rows: int, columns: int) -> np.ndarray:
 class InkField:
     """Ink of one episode on a grid fixed to the board.
 
-    Array axes: rows run along board −x (the reader stands in front of the robot), columns along board −y...
-    kept simple: cell (i, j) lies at board x = (i − rows/2)·PIXEL_m, y = (j − columns/2)·PIXEL_m.
+    Cell (i, j) lies at board x = (i + ½ − rows/2)·PIXEL_m and y = (j + ½ − columns/2)·PIXEL_m.
     """
 
     def __init__(self, scene: SceneParams) -> None:

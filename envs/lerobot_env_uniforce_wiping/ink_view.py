@@ -25,7 +25,8 @@ class InkView:
         x0 = (self._rows.start + 0.5 - sim.ink.rows / 2) * PIXEL_m
         y0 = (self._columns.start + 0.5 - sim.ink.columns / 2) * PIXEL_m
         self._to_board = np.array([[0, PIXEL_m, x0], [PIXEL_m, 0, y0], [0, 0, 0]])  # (column, row, 1) → board
-        self._version, self._cover = -1, np.zeros((1, 1), np.uint8)
+        self._version = -1
+        self._cover: np.ndarray = np.zeros((1, 1), np.uint8)
 
     def _texture(self) -> np.ndarray:
         if self._version != self._ink.version:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from uniforce_vtla.errors import ContractError, expected
 
@@ -110,7 +110,17 @@ PAPER = Level(
     camera_turn_rad=0.015,
     **_HIDDEN,  # type: ignore[arg-type]
 )
-LEVELS: dict[str, Level] = {level.name: level for level in (EASY, PAPER)}
+HARD = replace(
+    PAPER,
+    name="hard",
+    stiffness_scale=(0.45, 1.55),
+    board_offset_m=(-0.008, 0.008),
+    board_tilt_rad=(-0.022, 0.022),
+    pad_friction=(0.48, 0.80),
+    placement_m=0.005,
+    camera_shift_m=0.008,
+)
+LEVELS: dict[str, Level] = {level.name: level for level in (EASY, PAPER, HARD)}
 
 
 def get_level(name: str) -> Level:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ, WipeSimulation
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 from uniforce_vtla.sensors import get_sensor
 
@@ -19,7 +20,7 @@ class TraceRecorder:
 
     def __init__(self, simulation: WipeSimulation) -> None:
         self._sim = simulation
-        self._rows = np.zeros((256, len(STEP_FIELDS)))  # grows by doubling
+        self._rows: np.ndarray = np.zeros((256, len(STEP_FIELDS)))  # grows by doubling
         self._count = 0
         self._at_lift: np.ndarray | None = None
         self.phase = 0
@@ -63,6 +64,6 @@ class TraceRecorder:
 
     def trace(self) -> EpisodeTrace:
         """Return what was recorded so far."""
-        columns = self._rows[: self._count].T.copy()
-        rated = tuple(get_sensor(self._sim.sensors[f]).rated_depth_mm for f in ("left", "right"))
-        return EpisodeTrace(*columns, rated_depth_mm=rated, aborted=self.aborted)  # type: ignore[arg-type]
+        columns = {name: self._rows[: self._count, i].copy() for i, name in enumerate(STEP_FIELDS)}
+        rated = {f: get_sensor(self._sim.sensors[f]).rated_depth_mm for f in FINGERS}
+        return EpisodeTrace(**columns, rated_depth_mm=(rated["left"], rated["right"]), aborted=self.aborted)

@@ -8,8 +8,10 @@ from lerobot_env_uniforce_wiping.levels import Level
 
 
 class Sweep:
-    """A polyline over the nominal board, by arc length. A memoryless policy can follow it: the row's x
-    decides the direction, the end of a row leads to the next row's x, and the last end is left upwards.
+    """A polyline over the nominal board, by arc length.
+
+    A memoryless policy can follow it: the row's x decides the direction, the end of a row leads to the next
+    row's x, and the last end is left upwards.
     """
 
     def __init__(self, level: Level) -> None:

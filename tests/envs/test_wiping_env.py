@@ -74,7 +74,7 @@ def test_pads_look_alike_whatever_they_wear() -> None:
 
 def test_pictures_show_ink_that_goes_away(grasped: WipeEnv) -> None:
     def inked(picture: np.ndarray) -> int:
-        r, g, b = picture.astype(int).transpose(2, 0, 1)
+        r, _, b = picture.astype(int).transpose(2, 0, 1)
         return int(((b - r > 60) & (r < 60) & (b < 140)).sum())
 
     env = WipeEnv()

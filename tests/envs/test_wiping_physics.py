@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import mujoco
@@ -63,7 +64,7 @@ def test_gel_indentation_is_force_over_stiffness(mass_kg: float) -> None:
         assert pad.depth_mm == pytest.approx(pad.wrench[2] / stiffness, rel=0.05)
 
 
-def test_slip_load_is_near_two_mu_F() -> None:
+def test_slip_load_is_near_two_mu_grip() -> None:
     sim = grasped(pad_friction=(0.6, 0.6))
     grip = np.mean([sim.pads[f].wrench[2] for f in FINGERS])
     limit = 2 * 0.6 * float(grip)
@@ -117,7 +118,7 @@ def test_residual_falls_with_press() -> None:
         return ink.residual
 
     values = [residual(p) for p in (0.0, 2.0, 4.0, 6.0, 8.0)]
-    assert values[0] == 1.0 and all(a >= b for a, b in zip(values, values[1:], strict=False))
+    assert values[0] == 1.0 and all(a >= b for a, b in itertools.pairwise(values))
     assert values[1] > 0.3 > 0.1 > values[-1]
 
 
