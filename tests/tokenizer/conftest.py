@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from uniforce_vtla.tokenizer.model import TokenizerConfig
+
+torch.set_num_threads(1)
+TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)
+
+
+@pytest.fixture
+def tiny() -> TokenizerConfig:
+    return TINY
+
+
+@pytest.fixture
+def dots() -> np.ndarray:
+    """(3, 96, 128) uint8: a free-air image, then the same dots moved 4 px right, then 4 px down."""
+    images = np.zeros((3, 96, 128), np.uint8)
+    for image, (dx, dy) in zip(images, ((0, 0), (4, 0), (0, 4)), strict=True):
+        for row in range(16, 96, 24):
+            for column in range(16, 128, 24):
+                image[row + dy : row + dy + 8, column + dx : column + dx + 8] = 255
+    return images

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+
+
+@pytest.fixture
+def head() -> ForceHead:
+    torch.manual_seed(0)
+    return ForceHead(ForceRegressor(HeadConfig()), "tactip", "none")
+
+
+def test_stream_equals_sequence_for_every_prefix(head: ForceHead) -> None:
+    z = torch.randn(2, 5, 64, 6)
+    stream = head.stream()
+    one_by_one = torch.stack([stream(frame) for frame in z.unbind(1)], dim=1)
+    torch.testing.assert_close(one_by_one, head.sequence(z), atol=1e-6, rtol=0)
+    for length in range(1, 6):
+        torch.testing.assert_close(head.sequence(z[:, :length]), one_by_one[:, :length], atol=1e-6, rtol=0)
+
+
+def test_call_treats_a_batch_as_frames_without_history(head: ForceHead) -> None:
+    z = torch.randn(4, 64, 6)
+    torch.testing.assert_close(head(z), head.sequence(z[:, None])[:, 0], atol=1e-6, rtol=0)
+    torch.testing.assert_close(head(z)[2:3], head(z[2:3]), atol=1e-6, rtol=0)
+    stream = head.stream()
+    stream(z)
+    assert not torch.allclose(stream(z), head(z))  # the second frame remembers the first
+
+
+@pytest.mark.parametrize("length", [1, 6])
+def test_trained_head_reads_force_with_and_without_history(length: int) -> None:
+    rng = np.random.default_rng(0)
+    force = rng.uniform(-1, 1, (200, 6, 3)).astype(np.float32) * np.array([3, 3, 8], np.float32)
+    mixing = rng.standard_normal((3, 6)).astype(np.float32)
+    z = torch.from_numpy((force @ mixing)[:, :, None].repeat(16, axis=2))  # (n, T, 16, 6)
+    head = train_head(z[:150], force[:150], HeadTrainingConfig(steps=150), seed=0)
+    with torch.no_grad():
+        said = head(z[150:, :length]).numpy()
+    error = np.abs(said - force[150:, :length]).mean(axis=(0, 1))
+    assert (error < 0.3 * force.std(axis=(0, 1))).all()
+
+
+def test_training_is_seeded() -> None:
+    z, force = torch.randn(20, 3, 16, 6), np.random.default_rng(0).random((20, 3, 3), np.float32)
+    first, second, third = (train_head(z, force, HeadTrainingConfig(steps=3), seed=s) for s in (1, 1, 2))
+    assert torch.equal(first.linear.weight, second.linear.weight)
+    assert not torch.equal(first.linear.weight, third.linear.weight)
+
+
+@pytest.mark.parametrize(
+    "z", [torch.zeros(1, 63, 6), torch.zeros(1, 64, 5), torch.zeros(64, 6), torch.full((1, 64, 6), torch.nan)]
+)
+def test_bad_latents_raise(head: ForceHead, z: torch.Tensor) -> None:
+    with pytest.raises(ContractError, match="expected"):
+        head(z)
+    with pytest.raises(ContractError):
+        head.sequence(z)

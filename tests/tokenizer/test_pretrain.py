@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.tokenizer.losses import (
+    LossConfig,
+    Side,
+    equilibrium,
+    gradient_pyramid,
+    kl,
+    perceptual,
+    reconstruction,
+)
+from uniforce_vtla.tokenizer.model import Posterior, TokenizerConfig, build_model
+from uniforce_vtla.tokenizer.pair_cache import PairCache, PairCacheConfig, build_cache
+from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, learning_rate, pair_loss
+
+SMALL_DATA = PairCacheConfig(side=32, units=2, pairs_per_unit=4, units_per_shard=1)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> PairCache:
+    return PairCache(tmp_path_factory.mktemp("pairs"), SMALL_DATA)
+
+
+@pytest.fixture
+def settings(tiny: TokenizerConfig) -> PretrainSettings:
+    return PretrainSettings(
+        model=tiny,
+        data=SMALL_DATA,
+        steps=6,
+        units_per_batch=2,
+        pairs_per_unit=2,
+        warmup_steps=2,
+        save_every=2,
+    )
+
+
+def test_pairs_come_mirrored_and_in_range(data: PairCache) -> None:
+    pairs = data.draw(np.random.default_rng(0), units=3, pairs=2)
+    assert pairs.left_reference.shape == (3, 1, 32, 32) and pairs.right_current.shape == (6, 1, 32, 32)
+    stored = torch.from_numpy(data.arrays["right_reference"][:, None]).float() / 255
+    same = [torch.equal(pairs.right_reference[0], s.flip(-1)) for s in stored]
+    assert any(same) and pairs.left_current.max() <= 1
+
+
+def test_cache_resumes_and_refuses_another_recipe(tmp_path: Path) -> None:
+    build_cache(tmp_path, SMALL_DATA)
+    kept = (tmp_path / "shard_001.npz").read_bytes()
+    (tmp_path / "shard_001.npz").unlink()
+    build_cache(tmp_path, SMALL_DATA)
+    assert (tmp_path / "shard_001.npz").read_bytes() == kept
+    with pytest.raises(DatasetError):
+        build_cache(tmp_path, replace(SMALL_DATA, seed=9))
+
+
+def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> None:
+    model = build_model(tiny, 0)
+    pairs = data.draw(np.random.default_rng(0), units=2, pairs=4)
+    optimizer = torch.optim.Adam(model.parameters(), 3e-3)
+    config = LossConfig(equilibrium_weight=0.1)
+    losses = []
+    torch.manual_seed(0)
+    for step in range(120):
+        loss, parts, _ = pair_loss(model, pairs, config, step)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    reconstructed = sum(parts[f"recon_{b}"].item() for b in ("LL", "LR", "RL", "RR"))
+    assert losses[-1] < 0.8 * losses[0] and reconstructed < 0.8 * parts["copied"].item()
+
+
+def test_resumed_run_equals_an_uninterrupted_one(
+    data: PairCache, settings: PretrainSettings, tmp_path: Path
+) -> None:
+    whole = Pretraining(settings, tmp_path / "whole", data).run()
+    Pretraining(settings, tmp_path / "parts", data).run(until=4)
+    resumed = Pretraining(settings, tmp_path / "parts", data)
+    assert resumed.step == 4
+    tokenizer = resumed.run()
+    for a, b in zip(whole.model.parameters(), tokenizer.model.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+    assert len((tmp_path / "parts" / "log.csv").read_text().splitlines()) == settings.steps + 1
+    assert (tmp_path / "parts" / "tokenizer" / "model.safetensors").exists()
+
+
+def test_learning_rate_rises_then_falls(settings: PretrainSettings) -> None:
+    rates = [learning_rate(s, settings) for s in range(settings.steps + 1)]
+    assert rates[0] < rates[1] == settings.learning_rate and rates[-1] == pytest.approx(2e-5)
+
+
+def test_equilibrium_variants_on_a_known_gap() -> None:
+    left, right = torch.zeros(1, 16, 6), torch.zeros(1, 16, 6)
+    right[0, 0], right[0, 1] = 1, -1  # two neighbours cancel in the pooled map
+    assert equilibrium(left, right, LossConfig()) == pytest.approx(12 / 16)
+    assert equilibrium(left, right, LossConfig(equilibrium="pooled", pooled_grid=2)) == 0
+    assert equilibrium(left, right, LossConfig(equilibrium="both", pooled_grid=2)) == pytest.approx(12 / 16)
+
+
+def test_kl_is_zero_for_the_prior_only() -> None:
+    prior = Posterior(torch.zeros(1, 4, 6), torch.zeros(1, 4, 6))
+    assert kl(prior) == 0 and kl(Posterior(prior.mean + 1, prior.log_variance)) == pytest.approx(0.5)
+
+
+def test_changed_pixels_count_more_when_asked() -> None:
+    reference = torch.zeros(1, 1, 16, 16)
+    current = reference.clone()
+    current[..., :2] = 1
+    side = Side(reference, current, Posterior(reference, reference))
+    plain = reconstruction(reference, side, LossConfig(changed_pixel_weight=0, perceptual_weight=0))
+    weighted = reconstruction(reference, side, LossConfig(changed_pixel_weight=9, perceptual_weight=0))
+    assert weighted == pytest.approx(10 * plain.item())
+
+
+def test_gradient_pyramid_sees_edges_only() -> None:
+    image = torch.rand(1, 1, 16, 16)
+    assert gradient_pyramid(image + 0.3, image, 3) == pytest.approx(0, abs=1e-6)
+    assert gradient_pyramid(image.flip(-1), image, 3) > 0.05
+
+
+def test_absent_or_unknown_perceptual_terms_raise() -> None:
+    with pytest.raises(CheckpointError, match="lpips"):
+        perceptual(LossConfig(perceptual="lpips"))
+    with pytest.raises(ContractError):
+        perceptual(LossConfig(perceptual="else"))  # type: ignore[arg-type]

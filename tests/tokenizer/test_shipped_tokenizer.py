@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from uniforce_vtla.tokenizer.api import SHIPPED, Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled
+from uniforce_vtla.tokenizer.weights import ASSETS
+from uniforce_vtla.tokenizer.zero_shot import encode_set, predict, score, shipped_cell
+
+pytestmark = pytest.mark.skipif(not SHIPPED.exists(), reason="no checkpoint shipped yet")
+
+
+@pytest.fixture(scope="module")
+def tokenizer() -> Tokenizer:
+    torch.set_num_threads(1)
+    return Tokenizer.from_pretrained()
+
+
+def test_assets_are_small_and_heads_belong_to_the_tokenizer(tokenizer: Tokenizer) -> None:
+    size = sum(file.stat().st_size for file in ASSETS.rglob("*") if file.is_file())
+    assert size <= 12e6
+    for sensor in SENSORS:
+        head = ForceHead.from_pretrained(sensor)
+        assert head.source == sensor and head.tokenizer_hash == tokenizer.hash
+
+
+def test_cached_path_equals_full_path_with_shipped_weights(tokenizer: Tokenizer) -> None:
+    labelled = draw_labelled(
+        replace(FROZEN, sequences=1, length=4, seed=3), "gelsight", tokenizer.config.side
+    )
+    z = tokenizer.encode(labelled.reference, labelled.frames[0])
+    current = torch.from_numpy(labelled.frames[0][:, None]) / 255
+    reference = torch.from_numpy(labelled.reference[:, None]) / 255
+    full = tokenizer.model(reference.expand_as(current), current).mean
+    torch.testing.assert_close(z, full, atol=1e-5, rtol=0)
+
+
+def test_shipped_head_reads_another_sensor_and_beats_an_untrained_encoder(tokenizer: Tokenizer) -> None:
+    recipe = replace(FROZEN, sequences=16, length=6, seed=11)
+    target = draw_labelled(recipe, "gelsight", tokenizer.config.side)
+    trained = shipped_cell(ForceHead.from_pretrained("tactip"), tokenizer, target)
+    untrained = Tokenizer.random(tokenizer.config)
+    source = draw_labelled(replace(HEAD_TRAINING, sequences=24, length=6), "tactip", tokenizer.config.side)
+    head = train_head(encode_set(untrained, source), source.force_N, HeadTrainingConfig(steps=60), seed=0)
+    baseline = score(target.force_N, predict(head, encode_set(untrained, target)))
+    assert np.mean(trained["r2"]) > np.mean(baseline["r2"]) + 0.1
+    assert trained["r2"][2] > 0.3

@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from uniforce_vtla.errors import CheckpointError
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.model import TokenizerConfig
+
+
+@pytest.fixture
+def saved(tmp_path: Path, tiny: TokenizerConfig) -> Path:
+    return Tokenizer.random(tiny, seed=1).save(tmp_path / "checkpoint")
+
+
+def rewrite(folder: Path, change) -> None:
+    tensors = load_file(folder / "model.safetensors")
+    change(tensors)
+    save_file(tensors, folder / "model.safetensors")
+
+
+def test_round_trip_keeps_weights_and_hash(saved: Path, tiny: TokenizerConfig) -> None:
+    original, loaded = Tokenizer.random(tiny, seed=1), Tokenizer.from_pretrained(saved)
+    assert loaded.hash == original.hash and loaded.config == tiny
+    pairs = zip(original.model.parameters(), loaded.model.parameters(), strict=True)
+    assert all(torch.equal(a, b) for a, b in pairs)
+
+
+def test_truncated_weights_raise(saved: Path) -> None:
+    path = saved / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(CheckpointError, match="readable weights"):
+        Tokenizer.from_pretrained(saved)
+
+
+def test_every_wrong_tensor_is_listed(saved: Path) -> None:
+    def spoil(tensors: dict[str, torch.Tensor]) -> None:
+        del tensors["decoder.inject.bias"]
+        tensors["extra"] = torch.zeros(1)
+        tensors["decoder.inject.weight"] = torch.zeros(2, 2)
+
+    rewrite(saved, spoil)
+    with pytest.raises(CheckpointError) as error:
+        Tokenizer.from_pretrained(saved)
+    for line in ("missing decoder.inject.bias", "unexpected extra", "decoder.inject.weight is (2, 2)"):
+        assert line in str(error.value)
+
+
+def test_missing_folder_and_broken_config_raise(saved: Path, tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match="none"):
+        Tokenizer.from_pretrained(tmp_path / "nothing")
+    (saved / "config.json").write_text("{")
+    with pytest.raises(CheckpointError, match="JSON"):
+        Tokenizer.from_pretrained(saved)
+    (saved / "config.json").write_text("{}")
+    with pytest.raises(CheckpointError, match="TokenizerConfig"):
+        Tokenizer.from_pretrained(saved)
+
+
+def test_another_canonicaliser_is_refused(saved: Path) -> None:
+    config = json.loads((saved / "config.json").read_text())
+    config["canonicaliser"]["taxel_scales"]["counts_per_pitch"] += 1
+    (saved / "config.json").write_text(json.dumps(config))
+    with pytest.raises(CheckpointError, match="canonicaliser"):
+        Tokenizer.from_pretrained(saved)
+
+
+def test_hash_follows_weights_config_and_scales(tiny: TokenizerConfig) -> None:
+    tokenizer = Tokenizer.random(tiny, seed=1)
+    assert tokenizer.hash == Tokenizer.random(tiny, seed=1).hash
+    assert tokenizer.hash != Tokenizer.random(tiny, seed=2).hash
+    other = Tokenizer(tokenizer.model, tokenizer.canonicaliser | {"taxel_scales": {"version": "other"}})
+    assert tokenizer.hash != other.hash
+    with torch.no_grad():
+        tokenizer.model.decoder.inject.bias[0] += 1e-3
+    assert tokenizer.hash != Tokenizer(tokenizer.model).hash
+
+
+def test_force_head_round_trip_and_missing_source(tmp_path: Path) -> None:
+    head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "abc")
+    loaded = ForceHead.from_pretrained(path=head.save(tmp_path / "head"))
+    z = torch.randn(2, 64, 6)
+    assert loaded.source == "tactip" and loaded.tokenizer_hash == "abc"
+    torch.testing.assert_close(loaded(z), head(z))
+    with pytest.raises(CheckpointError):
+        ForceHead.from_pretrained("unheard-of")
