@@ -27,7 +27,7 @@ class PretrainSettings:
     model: TokenizerConfig = field(default_factory=TokenizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     data: PairCacheConfig = field(default_factory=PairCacheConfig)
-    steps: int = 2500  # optimiser steps
+    steps: int = 2600  # optimiser steps
     units_per_batch: int = 4  # units (references) in a batch
     pairs_per_unit: int = 8  # contacts of each: 4 × 8 = 32 pairs
     learning_rate: float = 1e-3  # peak, AdamW

@@ -27,6 +27,7 @@ def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> P
         save_file(tensors, Path(scratch) / WEIGHTS)
         (Path(scratch) / CONFIG).write_text(json.dumps(config, indent=1, sort_keys=True) + "\n")
         for name in (WEIGHTS, CONFIG):
+            (Path(scratch) / name).chmod(0o644)  # safetensors makes them private; a package is for everyone
             (Path(scratch) / name).replace(folder / name)
     return folder
 
