@@ -62,21 +62,23 @@ class TinyPaliGemmaWithExpert(stock.PaliGemmaWithExpertModel):
                 attention_mask, position_ids, past_key_values, streams, use_cache=use_cache, adarms_cond=cond
             )
         both = [self.paligemma.model.language_model, self.gemma_expert.model]
-        models = both if streams[0] is not None else both[1:]
-        first = len(both) - len(models)
-        streams = _run(models, streams[first:], attention_mask, position_ids, cond[first:], past_key_values)
-        return [None] * first + streams, None
+        first = 0 if streams[0] is not None else 1
+        suffix = _run(
+            both[first:], streams[first:], attention_mask, position_ids, cond[first:], past_key_values
+        )
+        return [None, suffix], None  # LeRobot reads the prefix for its cache alone
 
 
 def _run(
     models: list[nn.Module], streams: list[Tensor], mask: Tensor, positions: Tensor, cond: list, cache: Any
-) -> list[Tensor]:
+) -> Tensor:
     rotary = models[0].rotary_emb(streams[0], positions)
-    for depth, layers in enumerate(zip(*(model.layers for model in models), strict=True)):
+    depths = list(zip(*(model.layers for model in models), strict=True))
+    for depth, layers in enumerate(depths):
         past = None if cache is None else (cache.layers[depth].keys, cache.layers[depth].values)
-        streams = joint_layer(streams, list(layers), mask, rotary, cond, past)
-    ends = zip(models, streams, cond, strict=True)
-    return [stock.layernorm_forward(model.norm, x, c)[0] for model, x, c in ends]
+        last = depth == len(depths) - 1
+        streams = joint_layer(streams, list(layers), mask, rotary, cond, past, last)
+    return stock.layernorm_forward(models[-1].norm, streams[-1], cond[-1])[0]
 
 
 def _vocabulary() -> int:

@@ -1,0 +1,96 @@
+"""The network: LeRobot's π0.5 whose prefix also holds a state token and force tokens."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+from torch import Tensor, nn
+
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens, StateToken, wrench_rms
+from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
+from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
+from lerobot_policy_pi05_uniforce.touch_input import WRENCH_SIZE
+from uniforce_vtla.keys import STATE
+
+
+class PI05UniforcePytorch(stock.PI05Pytorch):
+    """π0.5's network with touch: extra prefix tokens ride behind the cameras in the images list."""
+
+    def __init__(self, config: PI05UniforceConfig, rtc_processor: Any = None) -> None:
+        if config.size == "base":
+            super().__init__(config, rtc_processor=rtc_processor)
+        else:
+            self._init_tiny(config, rtc_processor)
+        self.tactile_encoder = _make_encoder(config)
+        self.force_tokens = self._make_force_tokens(config)
+        self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
+
+    def _init_tiny(self, config: PI05UniforceConfig, rtc_processor: Any) -> None:
+        nn.Module.__init__(self)  # the parent would build the 4 B model
+        self.config, self.rtc_processor = config, rtc_processor
+        self.gradient_checkpointing_enabled = False
+        self.paligemma_with_expert = TinyPaliGemmaWithExpert(config)
+        width = config.tiny_width
+        self.action_in_proj = nn.Linear(config.max_action_dim, width)
+        self.action_out_proj = nn.Linear(width, config.max_action_dim)
+        self.time_mlp_in = nn.Linear(width, width)
+        self.time_mlp_out = nn.Linear(width, width)
+
+    def _make_force_tokens(self, config: PI05UniforceConfig) -> ForceTokens | None:
+        if not config.slots:
+            return None
+        size = WRENCH_SIZE if config.touch_input == "wrench" else config.latent_size
+        tokens = ForceTokens(
+            size, config.tokens_per_slot, len(config.slots), self.vlm_width, config.force_token_scale
+        )
+        if config.touch_input == "wrench":
+            tokens.input_rms.copy_(wrench_rms())
+        return tokens
+
+    @property
+    def vlm_width(self) -> int:
+        """D, the width of prefix tokens."""
+        return self.paligemma_with_expert.paligemma.config.text_config.hidden_size
+
+    def embed_prefix(
+        self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Embed cameras and text as π0.5 does, then append state and force tokens to the same block.
+
+        ``images`` holds (B, 3, H, W) cameras first, then (B, 1, S) state if used, then (B, K, ·) per slot.
+        Appended last, they leave image and text positions as they were; a masked token changes nothing.
+        """
+        cameras = sum(image.ndim == 4 for image in images)
+        embs, pads, atts = super().embed_prefix(
+            images[:cameras], img_masks[:cameras], tokens, masks, *args, **kwargs
+        )
+        extra, extra_masks = self._embed_extra(images[cameras:]), img_masks[cameras:]
+        for embedded, mask in zip(extra, extra_masks, strict=True):
+            count = embedded.shape[1]
+            embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
+            pads = torch.cat([pads, mask[:, None].expand(-1, count)], dim=1)
+            atts = torch.cat([atts, atts.new_zeros(embedded.shape[:2])], dim=1)  # 0: sees the whole prefix
+        return embs, pads, atts
+
+    def _embed_extra(self, extra: list[Tensor]) -> list[Tensor]:
+        embedded = []
+        if self.state_token is not None and extra:
+            embedded.append(self.state_token(extra[0]))
+            extra = extra[1:]
+        if self.force_tokens is not None:
+            embedded += [self.force_tokens(touch, slot) for slot, touch in enumerate(extra)]
+        return embedded
+
+
+def state_size(config: PI05UniforceConfig) -> int:
+    """Return the number of state axes."""
+    return config.input_features[STATE].shape[0]
+
+
+def _make_encoder(config: PI05UniforceConfig) -> TactileEncoder | None:
+    if not config.slots or config.touch_input != "latent":
+        return None
+    return build_encoder(config)
