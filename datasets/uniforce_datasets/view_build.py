@@ -33,7 +33,7 @@ DEFAULT_SLOTS = {"touch0": "right", "touch1": "left"}
 def build_view(
     roots: str | Path | Sequence[str | Path],
     out: str | Path,
-    image_side: int = 84,
+    image_side: int = 56,
     latent_grid: int = 4,
     slots: Mapping[str, str] | None = None,
     tokenizer: Tokenizer | str | Path | None = None,

@@ -38,7 +38,7 @@ class PI05UniforceConfig(PI05Config):
     # Shapes that follow the size
     chunk_size: int = _BY_SIZE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
     n_action_steps: int = _BY_SIZE  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
-    image_resolution: tuple[int, int] = _BY_SIZE  # [px] tiny 84² = 36 patches of 14² per camera; base 224²
+    image_resolution: tuple[int, int] = _BY_SIZE  # [px] tiny 56² = 16 patches of 14² per camera; base 224²
     max_action_dim: int = _BY_SIZE  # tiny 8 (5 axes, padded); base 32, as the published weights
     max_state_dim: int = _BY_SIZE  # tiny 8; base 32
     tokenizer_max_length: int = _BY_SIZE  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
@@ -75,7 +75,7 @@ class PI05UniforceConfig(PI05Config):
     # Action
     action_form: str = _BY_SIZE  # "target_delta" (tiny) | "absolute" (base); see action_form.py
     # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
-    delta_scale: list[float] = field(default_factory=lambda: [0.03, 0.03, 0.012, 0.15, 0.01])
+    delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
 
     normalization_mapping: dict[str, NormalizationMode] = (
         field(  # only state and absolute actions are normalised

@@ -14,7 +14,7 @@ logger = logging.getLogger(__name__)
 TINY: dict[str, Any] = {
     "chunk_size": 16,
     "n_action_steps": 6,
-    "image_resolution": (84, 84),
+    "image_resolution": (56, 56),  # 16 patches of 14² per camera
     "max_action_dim": 8,
     "max_state_dim": 8,
     "tokenizer_max_length": 64,

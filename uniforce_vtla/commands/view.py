@@ -22,7 +22,7 @@ class ViewConfig:
 
     roots: str = "outputs/demos"  # dataset folders, joined in order; comma between them
     out: str = "outputs/view"  # the view's folder: give it to uniforce-train as dataset.root
-    image_side: int = 84  # px per side of the stored camera images; the tiny policy's size
+    image_side: int = 56  # px per side of the stored camera images; the tiny policy's size
     latent_grid: int = 4  # latents pooled to 4×4; the policy's latent_grid must match
     slots: str = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
     tokenizer: str = ""  # folder of a tokenizer; empty = the shipped one
