@@ -14,6 +14,7 @@ import torch
 
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.labelled_set import FROZEN, SENSORS, LabelledSet, set_facts, within
@@ -71,8 +72,14 @@ def encode_set(tokenizer: Tokenizer, labelled: LabelledSet) -> torch.Tensor:
 
 
 def descriptor_features(labelled: LabelledSet) -> torch.Tensor:
-    """Return the hand descriptor as a map of one region, (n, T, 1, 6)."""
-    return torch.from_numpy(labelled.descriptor)[:, :, None]
+    """Return the hand descriptor in natural units as a map of one region, (n, T, 1, 6)."""
+    return torch.from_numpy(labelled.descriptor / np.asarray(NATURAL_UNITS, np.float32))[:, :, None]
+
+
+def descriptor_row(table: Table, seeds: int) -> Cells:
+    """Return the hand descriptor's row: the same head, no spread below one natural unit taken for signal."""
+    head = replace(table.head, smallest_spread=1.0)
+    return learnt_row(replace(table, head=head), descriptor_features, seeds, grid=1)
 
 
 def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], seeds: int, grid: int) -> Cells:
