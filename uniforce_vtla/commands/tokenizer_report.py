@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import torch
 from tqdm import tqdm
 
 from uniforce_vtla.commands.arguments import parse
-from uniforce_vtla.errors import DatasetError, UniForceError
+from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
@@ -32,7 +33,7 @@ from uniforce_vtla.tokenizer.zero_shot import (
     Cells,
     Table,
     check_frozen,
-    descriptor_features,
+    descriptor_row,
     encode_set,
     learnt_row,
     mean_row,
@@ -59,6 +60,7 @@ class TokenizerReportCommand:
     seeds: int = 3  # heads per cell
     freeze: bool = False  # only draw the set and write its hash
     ship_heads: bool = False  # also train one head per sensor and put it into the package
+    only: str = ""  # re-measure one row by name, keep the others from the committed table
     replay: int = 0  # only re-measure so many cells from the shipped heads and compare
 
 
@@ -77,12 +79,14 @@ def measure(command: TokenizerReportCommand, tokenizer: Tokenizer) -> dict[str, 
         ship_heads(table, tokenizer)
     untrained = Tokenizer.random(tokenizer.config)
     seeds = command.seeds
-    rows: dict[str, Cells] = {
-        "UniForce": learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL),
-        "hand descriptor": learnt_row(table, descriptor_features, seeds, grid=1),
-        "random encoder": learnt_row(table, lambda s: encode_set(untrained, s), seeds, POOL),
-        "mean": mean_row(table),
+    makers: dict[str, Callable[[], Cells]] = {
+        "UniForce": lambda: learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL),
+        "hand descriptor": lambda: descriptor_row(table, seeds),
+        "random encoder": lambda: learnt_row(table, lambda s: encode_set(untrained, s), seeds, POOL),
+        "mean": lambda: mean_row(table),
     }
+    kept = _committed_rows(command, facts, tokenizer) if command.only else {}
+    rows = {name: kept[name] if name in kept else make() for name, make in tqdm(makers.items(), desc="rows")}
     return {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
         "set": facts["set"],
@@ -93,6 +97,18 @@ def measure(command: TokenizerReportCommand, tokenizer: Tokenizer) -> dict[str, 
         "rows": rows,
         "shipped_heads": shipped_row(tokenizer, table.frozen, len(transfers())),
     } | provenance()
+
+
+def _committed_rows(
+    command: TokenizerReportCommand, facts: dict[str, Any], tokenizer: Tokenizer
+) -> dict[str, Cells]:
+    """Return the committed table's rows other than ``only``, if set, seeds and tokenizer are the same."""
+    table = json.loads((Path(command.results) / TABLE_FILE).read_text())
+    came = (table["set_hash"], table["tokenizer_hash"], table["seeds"])
+    wanted = (facts["set_hash"], tokenizer.hash, command.seeds)
+    if came != wanted or command.only not in table["rows"]:
+        raise DatasetError(expected("committed table", wanted, came, "Measure all rows: leave out only=."))
+    return {name: row for name, row in table["rows"].items() if name != command.only}
 
 
 def ship_heads(table: Table, tokenizer: Tokenizer) -> None:

@@ -14,6 +14,7 @@ from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, expected
 
 DESCRIPTOR_NAMES = ("dx", "dy", "divergence", "curl", "area_change", "count")
+NATURAL_UNITS = (1.0, 1.0, 0.01, 0.01, 0.05, 0.05)  # of the above: what is worth telling apart, px or ratios
 MIN_BLOB_PX = 4  # smaller specks are no markers
 MIN_MATCHES = 3  # an affine fit needs as many
 
@@ -28,7 +29,7 @@ class Blobs(NamedTuple):
 def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
     """Return (T, 6) float32 descriptors of (T, H, W) images against one (H, W) reference.
 
-    Mean motion in px, divergence and curl of an affine fit to it, mean relative growth of markers, share of
+    Mean motion in px, divergence and curl of an affine fit to it, mean log growth of markers' areas, share of
     markers found again.
 
     Raises:
@@ -79,7 +80,7 @@ def _describe_one(before: Blobs, after: Blobs, reach_px: float) -> np.ndarray:
     position = before.centre_px[i] - before.centre_px[i].mean(axis=0)
     motion = after.centre_px[j] - before.centre_px[i]  # (M, 2) px
     slope, *_ = np.linalg.lstsq(position, motion - motion.mean(axis=0), rcond=None)  # (2, 2): d motion / d xy
-    growth = (after.area_px[j] / before.area_px[i] - 1).mean()
+    growth = np.log(after.area_px[j] / before.area_px[i]).mean()  # a log: uSkin's dots grow many times over
     dx, dy = motion.mean(axis=0)
     divergence, curl = slope[0, 0] + slope[1, 1], slope[0, 1] - slope[1, 0]
     return np.array([dx, dy, divergence, curl, growth, found], np.float32)

@@ -22,6 +22,9 @@ class HeadTrainingConfig:
     batch: int = 64  # sequences per step
     learning_rate: float = 3e-3  # AdamW, cosine to zero
     weight_decay: float = 0.05  # AdamW; keeps to what many cells agree on
+    smallest_spread: float = (
+        1e-6  # of an input; a channel constant on the source would else explode elsewhere
+    )
     input_noise: float = 0.1  # of the standardised input: a source's fine print doesn't transfer
 
 
@@ -35,7 +38,7 @@ def train_head(z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig,
         torch.manual_seed(seed)
         head = ForceRegressor(config.head)
         target = torch.from_numpy(force_N).float()
-        _standardise(head, z, target)
+        _standardise(head, z, target, config.smallest_spread)
         optimizer = torch.optim.AdamW(
             head.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
@@ -52,13 +55,13 @@ def train_head(z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig,
     return head.eval()
 
 
-def _standardise(head: ForceRegressor, z: torch.Tensor, force_N: torch.Tensor) -> None:
+def _standardise(head: ForceRegressor, z: torch.Tensor, force_N: torch.Tensor, smallest: float) -> None:
     """Store the source's mean and spread per cell, and its force scale, inside the head."""
     maps = head.maps(z.flatten(0, 1))  # (n·T, L, g, g)
     std = maps.std(dim=0)
     channel = std.square().mean(dim=(1, 2), keepdim=True).sqrt()
     head.input_mean.copy_(maps.mean(dim=0))
-    head.input_std.copy_(torch.maximum(std, STD_FLOOR * channel).clamp_min(1e-6))
+    head.input_std.copy_(torch.maximum(std, STD_FLOOR * channel).clamp_min(smallest))
     head.force_scale.copy_(force_N.flatten(0, 1).std(dim=0))
 
 
