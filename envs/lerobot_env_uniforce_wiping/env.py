@@ -33,7 +33,7 @@ class WipeEnv(gymnasium.Env):
         level: name of a locked level.
         left_sensor: sensor worn by the left finger.
         right_sensor: sensor worn by the right finger.
-        renderer: "painter" (OpenCV, no GL) or "egl".
+        renderer: "painter" (OpenCV, no GL), so far the only one.
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
         limits: what counts as residual, slip and excess force.
         max_steps: cut episodes earlier or later than the level does.
@@ -196,13 +196,7 @@ class WipeEnv(gymnasium.Env):
 def _make_renderer(name: str) -> Painter:
     if name == "painter":
         return Painter()
-    if name == "egl":
-        from lerobot_env_uniforce_wiping.egl import EglRenderer
-
-        return EglRenderer()
-    raise ContractError(
-        expected("renderer", "painter | egl", repr(name), "Use painter where there is no GL.")
-    )
+    raise ContractError(expected("renderer", "painter", repr(name), "It is the one that runs everywhere."))
 
 
 def _flat(result: EpisodeResult) -> dict[str, float]:

@@ -108,12 +108,12 @@ PAPER = Level(
     word_offset_m=0.004,
     camera_shift_m=0.005,
     camera_turn_rad=0.015,
-    **_HIDDEN,  # type: ignore[arg-type]
+    **(_HIDDEN | {"stiffness_scale": (0.45, 1.55), "gripper_gain": (0.45, 1.55)}),  # type: ignore[arg-type]
 )
 HARD = replace(
     PAPER,
     name="hard",
-    stiffness_scale=(0.45, 1.55),
+    stiffness_scale=(0.4, 1.6),
     board_offset_m=(-0.008, 0.008),
     board_tilt_rad=(-0.022, 0.022),
     pad_friction=(0.48, 0.80),

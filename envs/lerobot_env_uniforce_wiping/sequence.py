@@ -68,10 +68,13 @@ class WipeSequence:
 
     def _move(self, goal: dict[int, float]) -> bool:
         """Slew the target towards the goal; True once every coordinate is near."""
-        for axis, value in goal.items():
+        speed = {axis: APPROACH_GAIN * (value - self.target[axis]) for axis, value in goal.items()}
+        sideways = np.hypot(speed.get(X, 0.0), speed.get(Y, 0.0))
+        slower = min(1.0, self.pace.horizontal_m_s / max(sideways, 1e-9))  # along the straight line
+        for axis, wanted in speed.items():
             limit = self.pace.vertical_m_s if axis == Z else self.pace.horizontal_m_s
-            speed = np.clip(APPROACH_GAIN * (value - self.target[axis]), -limit, limit)
-            self.target[axis] += speed / CONTROL_HZ
+            step = wanted * slower if axis in (X, Y) else np.clip(wanted, -limit, limit)
+            self.target[axis] += step / CONTROL_HZ
         return all(abs(self.target[axis] - value) < NEAR_m for axis, value in goal.items())
 
     def _descend(self, measured: np.ndarray) -> bool:

@@ -10,7 +10,7 @@ from lerobot_env_uniforce_wiping import LEVELS, draw_scene, level_hash
 from lerobot_env_uniforce_wiping.sweep import Sweep
 from uniforce_vtla.errors import ContractError
 
-LOCKED = {"easy": "038b574a2e52", "paper": "d5d2d6207169", "hard": "9e085aae3d85"}
+LOCKED = {"easy": "038b574a2e52", "paper": "fb7787e1fd11", "hard": "c73e379e7c22"}
 
 
 def test_levels_are_locked() -> None:
