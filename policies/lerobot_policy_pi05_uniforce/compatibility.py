@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, expected
 
 if TYPE_CHECKING:
@@ -44,7 +46,7 @@ def check_same(saved: TouchFacts, running: TouchFacts) -> None:
         raise CheckpointError(expected("touch settings", wanted, came, do))
 
 
-def check_sensors(config: PI05UniforceConfig, mounted: dict[str, str]) -> list[str]:
+def check_sensors(config: PI05UniforceConfig, mounted: Mapping[Finger, str]) -> list[str]:
     """Compare the sensors a robot or environment wears with those the policy was trained on.
 
     Args:

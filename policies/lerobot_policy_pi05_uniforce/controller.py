@@ -15,8 +15,10 @@ from lerobot.configs import PreTrainedConfig
 from lerobot.envs.utils import preprocess_observation
 from lerobot.policies.factory import make_pre_post_processors
 
+from lerobot_policy_pi05_uniforce.compatibility import check_sensors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import wrench_key
 
@@ -35,10 +37,27 @@ def shipped_checkpoint() -> Path:
 
 
 class PolicyController:
-    """Drive one environment with a ``pi05_uniforce`` checkpoint."""
+    """Drive one environment with a ``pi05_uniforce`` checkpoint.
+
+    Args:
+        checkpoint: folder with config, weights and processors.
+        mounted: finger → kind of sensor the robot or scene wears.
+        swap: which finger fills a slot instead, e.g. ``touch0:left``.
+        asked: finger → kind the user named; only a named kind may differ from the trained one.
+
+    Attributes:
+        notes: one line per slot that runs on another kind of sensor than it was trained on.
+
+    Raises:
+        CheckpointError: weights that don't fit, or a sensor that differs though nobody asked for it.
+    """
 
     def __init__(
-        self, checkpoint: Path, swap: str = "", left_sensor: str = "", right_sensor: str = ""
+        self,
+        checkpoint: Path,
+        mounted: dict[Finger, str],
+        swap: str = "",
+        asked: dict[Finger, str] | None = None,
     ) -> None:
         config = PreTrainedConfig.from_pretrained(checkpoint)
         if not isinstance(config, PI05UniforceConfig):
@@ -48,8 +67,9 @@ class PolicyController:
         config.device = "cpu"
         config.pretrained_path = Path(checkpoint)
         config.swap = swap or config.swap
-        config.left_sensor = left_sensor or config.left_sensor
-        config.right_sensor = right_sensor or config.right_sensor
+        for finger, sensor in (asked or {}).items():
+            setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))
+        self.notes = check_sensors(config, mounted)
         self.policy = PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
         self.config: PI05UniforceConfig = self.policy.config
         self._before, self._after = make_pre_post_processors(config, pretrained_path=str(checkpoint))

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.image import imread
 
 from uniforce_vtla.contact.indenters import gap_map
 from uniforce_vtla.contact.simulator import TactileSimulator
-from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.contracts import ContactState, MarkerPair
 from uniforce_vtla.evaluation.arms import ArmReport
 from uniforce_vtla.evaluation.pictures import draw_outcomes, save_figure
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
@@ -24,7 +24,8 @@ PRESS_N = (1.5, 1.0, 6.0)  # the one force all three sensors are shown under
 def draw_demo_page(reports: Sequence[ArmReport], sheet: Path, path: Path) -> Path:
     """Draw the page; ``sheet`` is the filmed episode's picture."""
     figure = Figure(figsize=(16, 13))
-    top, bottom = figure.subfigures(2, 1, height_ratios=[1, 1.35])
+    grid = figure.add_gridspec(2, 1, height_ratios=[1, 1.35])
+    top, bottom = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
     _draw_sensors(top)
     left, right = bottom.subplots(1, 2, width_ratios=[1.7, 1])
     left.imshow(imread(sheet))
@@ -34,30 +35,31 @@ def draw_demo_page(reports: Sequence[ArmReport], sheet: Path, path: Path) -> Pat
     return save_figure(figure, path)
 
 
-def _draw_sensors(figure: Figure) -> None:
+def _draw_sensors(figure: SubFigure) -> None:
     tokenizer = Tokenizer.from_pretrained()
     columns = figure.subplots(2, len(list_sensors()))
+    head = ForceHead.from_pretrained("tactip")
     for (above, below), sensor in zip(columns.T, list_sensors(), strict=True):
-        reference, current = _press(sensor)
-        above.imshow(np.stack([current, reference, reference], axis=-1))
-        force = ForceHead.from_pretrained("tactip")(tokenizer.encode(reference, current, finger="left"))[0]
-        felt = ", ".join(f"{value:+.1f}" for value in force.tolist())
+        pair = _press(sensor)
+        latent = tokenizer.encode(pair)  # (1, P, 6)
+        felt = ", ".join(f"{value:+.1f}" for value in head(latent)[0].tolist())
+        above.imshow(np.stack([pair.current, pair.reference, pair.reference], axis=-1))
         above.set_title(
             f"{sensor}: reference cyan, current red\nhead trained on TacTip only: ({felt}) N", fontsize=9
         )
-        latent = tokenizer.encode(reference, current, finger="left")[0].numpy()
-        side = int(np.sqrt(len(latent)))
-        below.imshow(np.hstack(list(latent.T.reshape(-1, side, side))), cmap="RdBu", aspect="equal")
+        side = int(np.sqrt(latent.shape[1]))
+        below.imshow(np.hstack(list(latent[0].numpy().T.reshape(-1, side, side))), cmap="RdBu")
         below.set_title("latent force, six channels", fontsize=9)
         above.axis("off")
         below.axis("off")
     figure.suptitle(f"one contact, true force {PRESS_N} N (simulated), as each sensor shows it", fontsize=11)
 
 
-def _press(sensor: str) -> tuple[np.ndarray, np.ndarray]:
-    gap_mm = gap_map("sphere", center_mm=(0.0, 0.0))[None]
+def _press(sensor: str) -> MarkerPair:
+    """Press one sensor and read it the way a real one is read: raw frames through the canonicaliser."""
+    gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
     contact = ContactState(gap_mm, np.array([PRESS_N], np.float32), np.zeros(1, np.float32))
     simulator = TactileSimulator(sensor)
-    canonicalizer = Canonicalizer(sensor)
-    pair = canonicalizer.pair(simulator.raw_reference(), simulator.raw_frames(contact)[0], finger="left")
-    return pair.reference[None], pair.current[None]
+    return Canonicalizer(sensor).pair(
+        simulator.raw_reference(), simulator.raw_frames(contact)[0], finger="left"
+    )

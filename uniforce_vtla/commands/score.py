@@ -14,6 +14,7 @@ from typing import Any
 from tqdm import tqdm
 
 from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.evaluation.arms import (
     ArmReport,
@@ -36,8 +37,8 @@ class ScoreConfig:
     policy: str = "shipped"  # checkpoint folder; "shipped" = the tiny V+T policy in the package; or "expert"
     arm: str = "V+T"  # name of this arm in the table
     level: str = "easy"  # easy | paper | hard, locked in the environment package
-    left_sensor: str = "gelsight"  # gelsight | tactip | uskin
-    right_sensor: str = "tactip"  # gelsight | tactip | uskin
+    left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
+    right_sensor: str = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: str = ""  # e.g. touch0:left — which finger fills which slot
     rollouts: int = 20  # 20 for parity with the paper, ≥ 200 for claims
     first_seed: int = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
@@ -81,8 +82,13 @@ def _score_one(job: tuple[ScoreConfig, Path, int]) -> EpisodeRow:
     return next(iter(score_seeds(config, out, [seed])))
 
 
+def mounted_sensors(config: ScoreConfig) -> dict[Finger, str]:
+    """Finger → sensor of the scene scored."""
+    return {"left": config.left_sensor or "gelsight", "right": config.right_sensor or "tactip"}
+
+
 def _rig(config: ScoreConfig) -> str:
-    return f"{config.left_sensor}+{config.right_sensor}"
+    return "+".join(mounted_sensors(config).values())
 
 
 def _folder(config: ScoreConfig) -> str:

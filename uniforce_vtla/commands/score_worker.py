@@ -12,9 +12,11 @@ import torch
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController, ScriptController, shipped_checkpoint
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet, write_video
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
+from uniforce_vtla.results_file import write_json
 
 if TYPE_CHECKING:
     from uniforce_vtla.commands.score import ScoreConfig
@@ -26,6 +28,7 @@ def score_seeds(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterator[Ep
     env, controller = _build(
         config.policy, config.level, config.left_sensor, config.right_sensor, config.swap
     )
+    write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     for seed in seeds:
         film = seed < config.first_seed + config.videos
         torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
@@ -37,13 +40,12 @@ def score_seeds(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterator[Ep
 
 @functools.lru_cache(maxsize=1)
 def _build(policy: str, level: str, left: str, right: str, swap: str) -> tuple[WipeEnv, Controller]:
+    mounted: dict[Finger, str] = {"left": left or "gelsight", "right": right or "tactip"}
     if policy == "expert":
-        return WipeEnv(level=level, left_sensor=left, right_sensor=right), ScriptController(WipeExpert())
+        return WipeEnv(level, mounted["left"], mounted["right"]), ScriptController(WipeExpert())
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
-    controller = PolicyController(path, swap=swap, left_sensor=left, right_sensor=right)
-    env = WipeEnv(
-        level=level, left_sensor=left, right_sensor=right, expose_wrench=controller.needs_true_wrench
-    )
+    controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
+    env = WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=controller.needs_true_wrench)
     return env, controller
 
 
