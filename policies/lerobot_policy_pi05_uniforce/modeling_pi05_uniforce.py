@@ -9,6 +9,7 @@ import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_deltas, to_targets
@@ -112,13 +113,25 @@ class PI05UniforcePolicy(stock.PI05Policy):
             self.touch.reset()
 
     def _preprocess_images(self, batch: dict[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-        images, masks = super()._preprocess_images(batch)  # cameras only: see config.image_features
+        images, masks = super()._preprocess_images(
+            self._shrunk(batch)
+        )  # cameras only: see config.image_features
         if self.model.state_token is not None:
             state = batch[STATE].to(images[0].device, torch.float32)
             images.append(state[:, None])  # (B, 1, S)
             masks.append(torch.ones(len(state), dtype=torch.bool, device=state.device))
         touches, touch_masks = self.touch.gather(batch, images[0].device, self.training)
         return images + touches, masks + touch_masks
+
+    def _shrunk(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Area-resize larger camera frames, as training views do; base keeps π0.5's own bilinear resize."""
+        if self.config.size == "base":
+            return batch
+        size = self.config.image_resolution
+        cameras = {
+            k: batch[k] for k in self.config.image_features if k in batch and batch[k].shape[-1] > size[1]
+        }
+        return {**batch, **{k: F.interpolate(image, size, mode="area") for k, image in cameras.items()}}
 
     def _text(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return text tokens and mask, (B, L); tiny drops the padding no prompt of the batch uses."""
@@ -171,10 +184,16 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Return (B, chunk, A) actions for the postprocessor: absolute targets whatever the action form."""
         tokens, mask = self._text(batch)
         batch = {**batch, LANGUAGE[0]: tokens, LANGUAGE[1]: mask}
+        kwargs.setdefault("noise", self._start_noise(len(tokens), tokens.device))
         chunk = super().predict_action_chunk(batch, **kwargs)
         if self.config.action_form == "absolute":
             return chunk
         return to_targets(chunk, self.issued.base(self._measured(batch)), self.delta_scale)
+
+    def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
+        """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""
+        shape = (batch_size, self.config.chunk_size, self.config.max_action_dim)
+        return self.config.sampling_noise * self.model.sample_noise(shape, device)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
