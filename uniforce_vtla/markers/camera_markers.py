@@ -90,7 +90,7 @@ def segment(
         do = "Is the gel torn, unlit, or without markers?"
         raise SensorError(expected("camera frame", "markers on the gel", came, do))
     mask = np.concatenate([[0], np.where(keep, 255, 0)]).astype(np.uint8)[blobs.labels]
-    image, offset = centre_on_canvas(grow_mask(mask, blobs.centres[keep], settings))
+    image, offset = centre_on_canvas(grow_mask(mask, blobs.foot, blobs.centres[keep], settings))
     return Segmentation(image, (blobs.centres[keep] + offset).astype(np.float32), chosen)
 
 

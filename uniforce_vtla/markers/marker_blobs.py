@@ -16,7 +16,10 @@ class SegmentationSettings:
     version: str = "camera-dog-1"
     backgrounds_px: tuple[int, ...] = (19, 39, 79)  # box widths: from 331 pins to 25 large squares
     smooth_fraction: float = 0.08  # of the background width: 3, 3 and 7 px, below the markers each is for
-    peak_fraction: float = 0.5  # a marker's edge lies at half its own peak
+    peak_fraction: float = (
+        0.5  # two blobs are apart where the response between them falls below this peak share
+    )
+    edge_fraction: float = 0.08  # and its skirt is followed down to this share, which blurred markers need
     floor_fraction: float = 0.25  # of the typical peak: weaker blobs aren't markers
     ceiling_fraction: float = 0.5  # of the typical peak: keeps a reflection from hiding the markers beside it
     close_score: float = 0.8  # of the best: among plans this good the narrowest background wins
@@ -31,7 +34,7 @@ class SegmentationSettings:
     cut_fraction: float = 0.4  # of the least area: the image border cuts markers
     cut_side_max: float = 2.0  # of the median marker's side: a cut marker is no longer than a whole one
     min_extent: float = 0.5  # of the median share of its box a blob fills: slanted streaks go
-    grow_px: int = 2  # the masks people publish are grown past half height, and so are these
+    grow_px: int = 2  # farthest that edge may lie outside the half-height contour
     grow_spacing_px: float = 11.0  # one px of growth per this much spacing, so that neighbours don't merge
     isolation_max: float = 2.6  # of the median neighbour distance: lone blobs go
     min_inliers: float = 0.5  # share of blobs that agree: pure noise reaches 0.46, patterns 0.75 and more
@@ -59,6 +62,7 @@ class Blobs:
         centres: (N, 2) float64, x, y.
         typical: amplitude of a typical marker, grey levels.
         leftover: mean response outside all blobs, grey levels.
+        foot: (h, w) uint8, 255 where the response exceeds the edge fraction of the peak nearby.
     """
 
     labels: np.ndarray
@@ -66,6 +70,7 @@ class Blobs:
     centres: np.ndarray
     typical: float
     leftover: float
+    foot: np.ndarray
 
 
 def channel_image(frame: np.ndarray, channel: str) -> np.ndarray:
@@ -103,9 +108,13 @@ def find_blobs(
     floor, ceiling = settings.floor_fraction * typical, settings.ceiling_fraction * typical
     threshold = np.clip(np.arange(256) * settings.peak_fraction, floor, ceiling).astype(np.uint8)
     mask = cv2.compare(response, cv2.LUT(nearby, threshold), cv2.CMP_GT)
+    edge = np.clip(np.arange(256) * settings.edge_fraction, settings.edge_fraction * floor, ceiling).astype(
+        np.uint8
+    )
+    foot = cv2.compare(response, cv2.LUT(nearby, edge), cv2.CMP_GT)
     count, labels, boxes, centres = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=cv2.CV_16U)
     leftover = cv2.mean(response, cv2.bitwise_not(mask))[0]
-    return Blobs(labels, boxes[1:], centres[1:], typical, leftover) if count > 1 else None
+    return Blobs(labels, boxes[1:], centres[1:], typical, leftover, foot) if count > 1 else None
 
 
 def keep_markers(blobs: Blobs, settings: SegmentationSettings) -> np.ndarray:
@@ -130,13 +139,20 @@ def keep_markers(blobs: Blobs, settings: SegmentationSettings) -> np.ndarray:
     return keep & _has_neighbours(blobs.centres, keep, settings)
 
 
-def grow_mask(mask: np.ndarray, centres: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
-    """Return an (h, w) mask grown by up to ``grow_px``, less where (M, 2) markers stand close."""
+def grow_mask(
+    mask: np.ndarray, foot: np.ndarray, centres: np.ndarray, settings: SegmentationSettings
+) -> np.ndarray:
+    """Return an (h, w) mask grown out to the markers' edges.
+
+    ``foot`` holds every pixel above the edge fraction; growth stays inside it and within ``grow_px``, less where
+    (M, 2) markers stand close. So blurred markers gain their skirts and sharp ones keep their size.
+    """
     spacing = float(np.median(cKDTree(centres).query(centres, k=2)[0][:, 1]))
     grow = min(settings.grow_px, int(spacing / settings.grow_spacing_px))
     if grow == 0:
         return mask
-    return cv2.dilate(mask, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow + 1, 2 * grow + 1)))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow + 1, 2 * grow + 1))
+    return cv2.bitwise_or(mask, cv2.bitwise_and(foot, cv2.dilate(mask, kernel)))
 
 
 def _response(smooth: np.ndarray, background: np.ndarray, polarity: int) -> np.ndarray:
