@@ -26,9 +26,19 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     record(RecordConfig(episodes=1, level="easy", root=str(folder / "demos"), seed=3))
     make_view(ViewConfig(roots=str(folder / "demos"), out=str(folder / "view"), keep_failures=True))
     train(
-        ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", "dataset.repo_id=local/view", *TINY]
-        + [f"dataset.root={folder / 'view'}", "steps=2", "batch_size=2", "num_workers=0", "save_freq=2"]
-        + [f"output_dir={folder / 'train'}"]
+        [
+            "policy=pi05_uniforce",
+            "policy.size=tiny",
+            "policy.device=cpu",
+            "dataset.repo_id=local/view",
+            *TINY,
+            f"dataset.root={folder / 'view'}",
+            "steps=2",
+            "batch_size=2",
+            "num_workers=0",
+            "save_freq=2",
+            f"output_dir={folder / 'train'}",
+        ]
     )
     return folder / "train" / "checkpoints" / "last" / "pretrained_model"
 
