@@ -25,21 +25,9 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("line")
     record(RecordConfig(episodes=1, level="easy", root=str(folder / "demos"), seed=3))
     make_view(ViewConfig(roots=str(folder / "demos"), out=str(folder / "view"), keep_failures=True))
-    train(
-        [
-            "policy=pi05_uniforce",
-            "policy.size=tiny",
-            "policy.device=cpu",
-            "dataset.repo_id=local/view",
-            *TINY,
-            f"dataset.root={folder / 'view'}",
-            "steps=2",
-            "batch_size=2",
-            "num_workers=0",
-            "save_freq=2",
-            f"output_dir={folder / 'train'}",
-        ]
-    )
+    policy = ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *TINY]
+    data = ["dataset.repo_id=local/view", f"dataset.root={folder / 'view'}", "batch_size=2", "num_workers=0"]
+    train([*policy, *data, "steps=2", "save_freq=2", f"output_dir={folder / 'train'}"])
     return folder / "train" / "checkpoints" / "last" / "pretrained_model"
 
 
