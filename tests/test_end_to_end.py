@@ -11,7 +11,8 @@ from lerobot.scripts import lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 
 from uniforce_vtla.commands.record import RecordConfig, record
-from uniforce_vtla.commands.score import ScoreConfig, score
+from uniforce_vtla.commands.score import score
+from uniforce_vtla.commands.score_config import ScoreConfig
 from uniforce_vtla.commands.train import main as train
 from uniforce_vtla.commands.view import ViewConfig, make_view
 

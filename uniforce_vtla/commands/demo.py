@@ -45,7 +45,8 @@ def run(config: DemoConfig) -> Path:
     """Run the demo; return the picture page's path."""
     from uniforce_vtla.commands.demo_page import draw_demo_page
     from uniforce_vtla.commands.record import RecordConfig, record
-    from uniforce_vtla.commands.score import ScoreConfig, score
+    from uniforce_vtla.commands.score import score
+    from uniforce_vtla.commands.score_config import ScoreConfig
     from uniforce_vtla.commands.train import main as train
     from uniforce_vtla.commands.view import ViewConfig, make_view
     from uniforce_vtla.evaluation.arms import table

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,8 @@ from typing import Any
 from tqdm import tqdm
 
 from uniforce_vtla.commands.arguments import parse
-from uniforce_vtla.contracts import Finger
+from uniforce_vtla.commands.score_config import ScoreConfig, mounted_sensors
+from uniforce_vtla.commands.score_worker import score_seeds
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.evaluation.arms import (
     ArmReport,
@@ -25,27 +26,6 @@ from uniforce_vtla.evaluation.arms import (
     write_row,
 )
 from uniforce_vtla.results_file import provenance, write_json
-
-
-@dataclass
-class ScoreConfig:
-    """Roll a checkpoint out and score it from simulator truth.
-
-    Example: uniforce-score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
-    """
-
-    policy: str = "shipped"  # checkpoint folder; "shipped" = the tiny V+T policy in the package; or "expert"
-    arm: str = "V+T"  # name of this arm in the table
-    level: str = "easy"  # easy | paper | hard, locked in the environment package
-    left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
-    right_sensor: str = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
-    swap: str = ""  # e.g. touch0:left — which finger fills which slot
-    rollouts: int = 20  # 20 for parity with the paper, ≥ 200 for claims
-    first_seed: int = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
-    workers: int = 2  # processes, one torch thread each
-    videos: int = 1  # episodes filmed, the first ones
-    resume: bool = True  # keep episodes already scored in `out`
-    out: str = "outputs/score"  # rows, table, picture and videos go here
 
 
 def score(config: ScoreConfig) -> ArmReport:
@@ -65,8 +45,6 @@ def score(config: ScoreConfig) -> ArmReport:
 
 
 def _episodes(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterable[EpisodeRow]:
-    from uniforce_vtla.commands.score_worker import score_seeds
-
     workers = max(1, min(config.workers, len(seeds)))
     if workers == 1:
         yield from score_seeds(config, out, seeds)
@@ -76,19 +54,12 @@ def _episodes(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterable[Epis
 
 
 def _score_one(job: tuple[ScoreConfig, Path, int]) -> EpisodeRow:
-    from uniforce_vtla.commands.score_worker import score_seeds
-
     config, out, seed = job
     return next(iter(score_seeds(config, out, [seed])))
 
 
-def mounted_sensors(config: ScoreConfig) -> dict[Finger, str]:
-    """Finger → sensor of the scene scored."""
-    return {"left": config.left_sensor or "gelsight", "right": config.right_sensor or "tactip"}
-
-
 def _rig(config: ScoreConfig) -> str:
-    return "+".join(mounted_sensors(config).values())
+    return "+".join(mounted_sensors(config.left_sensor, config.right_sensor).values())
 
 
 def _folder(config: ScoreConfig) -> str:

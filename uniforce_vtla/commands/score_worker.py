@@ -5,21 +5,17 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import torch
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController, ScriptController, shipped_checkpoint
-from uniforce_vtla.contracts import Finger
+from uniforce_vtla.commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet, write_video
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.results_file import write_json
-
-if TYPE_CHECKING:
-    from uniforce_vtla.commands.score import ScoreConfig
 
 
 def score_seeds(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterator[EpisodeRow]:
@@ -40,7 +36,7 @@ def score_seeds(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterator[Ep
 
 @functools.lru_cache(maxsize=1)
 def _build(policy: str, level: str, left: str, right: str, swap: str) -> tuple[WipeEnv, Controller]:
-    mounted: dict[Finger, str] = {"left": left or "gelsight", "right": right or "tactip"}
+    mounted = mounted_sensors(left, right)
     if policy == "expert":
         return WipeEnv(level, mounted["left"], mounted["right"]), ScriptController(WipeExpert())
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)

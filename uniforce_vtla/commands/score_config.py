@@ -1,0 +1,33 @@
+"""What to score: one arm of the wiping task."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uniforce_vtla.contracts import Finger
+
+
+@dataclass
+class ScoreConfig:
+    """Roll a checkpoint out and score it from simulator truth.
+
+    Example: uniforce-score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
+    """
+
+    policy: str = "shipped"  # checkpoint folder; "shipped" = the tiny V+T policy in the package; or "expert"
+    arm: str = "V+T"  # name of this arm in the table
+    level: str = "easy"  # easy | paper | hard, locked in the environment package
+    left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
+    right_sensor: str = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
+    swap: str = ""  # e.g. touch0:left — which finger fills which slot
+    rollouts: int = 20  # 20 for parity with the paper, ≥ 200 for claims
+    first_seed: int = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
+    workers: int = 2  # processes, one torch thread each
+    videos: int = 1  # episodes filmed, the first ones
+    resume: bool = True  # keep episodes already scored in `out`
+    out: str = "outputs/score"  # rows, table, picture and videos go here
+
+
+def mounted_sensors(left: str = "", right: str = "") -> dict[Finger, str]:
+    """Finger → sensor of the scene scored; the usual rig where none is named."""
+    return {"left": left or "gelsight", "right": right or "tactip"}
