@@ -35,8 +35,8 @@ def test_samples_equal_stock_lerobot(demos: Path, view: Path) -> None:
         for camera in ("front", "wrist"):
             picture = wanted[camera_key(camera)].permute(1, 2, 0).numpy()
             small = came[camera_key(camera)].permute(1, 2, 0).numpy()
-            assert small.shape == (84, 84, 3) and small.dtype == np.uint8
-            assert np.array_equal(small, resize(picture, 84))
+            assert small.shape == (56, 56, 3) and small.dtype == np.uint8
+            assert np.array_equal(small, resize(picture, 56))
 
 
 def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
@@ -80,7 +80,7 @@ def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:
     sampler = EpisodeAwareSampler(*bounds, episode_indices_to_use=made.episodes, shuffle=True)
     assert {int(made[i]["episode_index"]) for i in sampler} == {0, 2}
     policy = dataset_to_policy_features(made.meta.features)
-    assert policy[camera_key("front")].shape == (3, 84, 84) and policy[latent_key("touch0")].shape == (96,)
+    assert policy[camera_key("front")].shape == (3, 56, 56) and policy[latent_key("touch0")].shape == (96,)
     whole, stored = TrainingView(view).meta.stats, json.loads((demos / "meta" / "stats.json").read_text())
     for name in ("q01", "q99", "mean", "std"):
         np.testing.assert_allclose(whole[STATE][name], stored[STATE][name], rtol=1e-9)
