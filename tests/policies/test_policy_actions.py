@@ -12,7 +12,7 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import SPAN_FLOOR, floor_quantiles
 from uniforce_vtla.errors import ContractError, RolloutError
 
-SCALE = torch.tensor([0.03, 0.03, 0.012, 0.15, 0.01])
+SCALE = torch.tensor([0.004, 0.02, 0.01, 0.05, 0.003])  # the default delta_scale
 
 
 @given(seed=st.integers(0, 10_000), size=st.integers(1, 4), steps=st.integers(1, 8))
@@ -175,3 +175,24 @@ def test_a_cut_prompt_is_said(make_config, stats, caplog):
     before, _ = make_pi05_uniforce_pre_post_processors(make_config(), stats)
     before({"observation.state": torch.tensor([0.5, 0.0, 0.1, 0.0, 0.04]), "task": "x" * 100})
     assert any("may be cut" in r.message for r in caplog.records)
+
+
+def test_tiny_samples_from_the_centre_and_is_repeatable(make_policy, make_batch):
+    policy = make_policy(touch_input="none")
+    batch = make_batch(policy)
+    first = policy.predict_action_chunk(batch)
+    assert torch.equal(policy.predict_action_chunk(batch), first)
+    policy.config.sampling_noise = 1.0
+    assert not torch.allclose(policy.predict_action_chunk(batch), first)
+
+
+def test_larger_camera_frames_shrink_as_training_views_do(make_policy, make_batch):
+    policy = make_policy(touch_input="none")
+    batch = make_batch(policy)
+    key = next(iter(policy.config.image_features))
+    side = policy.config.image_resolution[0]
+    large = torch.rand(len(batch[key]), 3, 4 * side, 4 * side)
+    shrunk = policy._shrunk({**batch, key: large})[key]
+    assert torch.allclose(
+        shrunk, large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5)), atol=1e-6
+    )
