@@ -6,6 +6,7 @@ out on unseen scenes. Minutes, not hours: run it after any change to the scene, 
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -94,7 +95,7 @@ class Clone(nn.Module):
         self.centre, self.spread = self.inputs.mean(0), self.inputs.std(0) + 1e-4
         self.middle, self.scale = self.targets.mean((0, 1)), self.targets.std((0, 1)) + 1e-6
         sizes = (self.inputs.shape[1], 256, 256, 256)
-        hidden = [m for a, b in zip(sizes, sizes[1:], strict=False) for m in (nn.Linear(a, b), nn.GELU())]
+        hidden = [m for a, b in itertools.pairwise(sizes) for m in (nn.Linear(a, b), nn.GELU())]
         self.layers = nn.Sequential(*hidden, nn.Linear(256, chunk * 5))
 
     def _inputs(self, state: np.ndarray, wrench: np.ndarray) -> np.ndarray:
@@ -151,9 +152,8 @@ def run(config: TouchCheckConfig) -> dict[str, dict]:
         )
         test = mcnemar(felt, blind)
         rows[form] = {"n": len(felt), "touch": sum(felt), "no_touch": sum(blind), "mcnemar_p": test.p_value}
-        print(
-            f"{form}: touch {wilson(sum(felt), len(felt))}; no touch {wilson(sum(blind), len(blind))}; p {test.p_value:.1g}"
-        )
+        shares = [str(wilson(sum(clean), len(clean))) for clean in (felt, blind)]
+        print(f"{form}: touch {shares[0]}; no touch {shares[1]}; McNemar p {test.p_value:.1g}")
     return rows
 
 
