@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import logging
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from multiprocessing import get_context
@@ -13,6 +15,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_vtla.commands.score_worker import score_seeds
@@ -25,6 +28,8 @@ from uniforce_vtla.evaluation.arms import (
     table,
     write_row,
 )
+from uniforce_vtla.evaluation.pictures import draw_arms
+from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.results_file import provenance, write_json
 
 
@@ -67,15 +72,38 @@ def _folder(config: ScoreConfig) -> str:
     return f"{config.arm.replace('+', '')}_{_rig(config)}_{config.level}{swap}"
 
 
-def write_report(config: ScoreConfig, reports: list[ArmReport]) -> dict[str, Any]:
-    """Write ``wiping.json`` and ``wiping.png`` for the arms scored; return what was written."""
-    from uniforce_vtla.evaluation.pictures import draw_arms
+def scored_arms(out: Path, level: str) -> list[ArmReport]:
+    """Return every arm scored so far into ``out`` at ``level``, in the order of their folders."""
+    reports = []
+    for file in sorted(out.glob("*/config.json")):
+        settings = json.loads(file.read_text())
+        rows = read_rows(file.parent / "episodes.jsonl")
+        if settings["level"] == level and rows:
+            reports.append(summarise(settings["arm"], [rows[seed] for seed in sorted(rows)]))
+    return reports
 
+
+def paired_tests(reports: Sequence[ArmReport]) -> list[dict[str, Any]]:
+    """Return the exact McNemar test of clean success for every two arms, on the seeds they share."""
+    tests = []
+    for first, second in itertools.combinations(reports, 2):
+        one, two = ({row.seed: row.clean for row in report.rows} for report in (first, second))
+        seeds = sorted(one.keys() & two.keys())
+        if seeds:
+            test = mcnemar([one[s] for s in seeds], [two[s] for s in seeds])
+            tests.append({"arms": [first.arm, second.arm], "n": len(seeds), **asdict(test)})
+    return tests
+
+
+def write_report(config: ScoreConfig) -> list[ArmReport]:
+    """Write ``wiping.json`` and ``wiping.png`` over all arms scored into ``config.out``; return them."""
     out = Path(config.out)
-    content = {"level": config.level, "arms": {r.arm: r.as_dict() for r in reports}, **provenance()}
-    write_json(out / "wiping.json", content)
+    reports = scored_arms(out, config.level)
+    arms = {report.arm: report.as_dict() for report in reports}
+    content = {"level": config.level, "level_hash": level_hash(LEVELS[config.level]), "arms": arms}
+    write_json(out / "wiping.json", content | {"tests": paired_tests(reports)} | provenance())
     draw_arms(reports, out / "wiping.png", title=f"wiping, level {config.level}, simulated")
-    return content
+    return reports
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -84,11 +112,10 @@ def main(argv: list[str] | None = None) -> int:
     config = parse(ScoreConfig, argv)
     start = time.perf_counter()
     try:
-        report = score(config)
+        score(config)
     except UniForceError as error:
         print(f"score: {error}")
         return 2
-    write_report(config, [report])
-    print(table([report]))
+    print(table(write_report(config)))
     print(f"{config.rollouts} rollouts in {time.perf_counter() - start:.0f} s; results in {config.out}")
     return 0
