@@ -33,7 +33,7 @@ ci: test
 	bash scripts/check_wheel.sh
 
 lock:
-	.venv/bin/uv pip compile --python-version 3.12 --no-annotate --no-header --no-emit-index-url --no-emit-find-links \
+	$$(command -v uv || echo .venv-uv/bin/uv) pip compile --python-version 3.12 --no-annotate --no-header --no-emit-index-url --no-emit-find-links \
 	  --override scripts/lock_overrides.txt --group dev --generate-hashes pyproject.toml -o requirements.lock
 
 clean:

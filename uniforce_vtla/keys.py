@@ -16,6 +16,8 @@ CAMERAS = ("front", "wrist")
 AXES = ("x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos")  # m, m, m, rad, m in the robot base frame
 SLOTS = ("touch0", "touch1")
 
+VIEW_MARKER = "uniforce_view.json"  # written last: a folder with it is a whole training view
+
 OUTCOME_NAMES = ("aborted", "failed_grasp", "residual", "success")  # in order of precedence
 
 

@@ -15,7 +15,7 @@ from torch.utils.data import Dataset
 
 from uniforce_datasets.features import WRENCH_AXES
 from uniforce_datasets.pooled_quantiles import pooled_stats
-from uniforce_datasets.view_build import VIEW_MARKER, build_view
+from uniforce_datasets.view_build import build_view
 from uniforce_datasets.view_plan import FORMAT
 from uniforce_vtla.contracts import FINGERS, check_finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
@@ -24,6 +24,7 @@ from uniforce_vtla.keys import (
     AXES,
     CAMERAS,
     STATE,
+    VIEW_MARKER,
     camera_key,
     latent_key,
     truth_wrench_key,

@@ -20,11 +20,10 @@ from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_datasets.view_plan import EpisodeFacts, ViewPlan, ViewSettings, plan_view
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.keys import CAMERAS, camera_key, tactile_key
+from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer import Tokenizer
 
-VIEW_MARKER = "uniforce_view.json"  # written last: a folder with it is a whole view
 PROGRESS = "progress.json"
 BATCH = 32  # frames encoded at once: 10 MB of marker images
 DEFAULT_SLOTS = {"touch0": "right", "touch1": "left"}

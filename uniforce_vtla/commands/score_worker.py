@@ -22,9 +22,8 @@ def score_seeds(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterator[Ep
     """Yield one scored row per seed."""
     torch.set_num_threads(1)  # processes share the cores; more threads each only fight
     env, controller = _build(
-        config.policy, config.level, config.left_sensor, config.right_sensor, config.swap
+        config.policy, config.level, config.left_sensor, config.right_sensor, config.swap, out
     )
-    write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     for seed in seeds:
         film = seed < config.first_seed + config.videos
         torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
@@ -35,7 +34,16 @@ def score_seeds(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterator[Ep
 
 
 @functools.lru_cache(maxsize=1)
-def _build(policy: str, level: str, left: str, right: str, swap: str) -> tuple[WipeEnv, Controller]:
+def _build(
+    policy: str, level: str, left: str, right: str, swap: str, out: Path
+) -> tuple[WipeEnv, Controller]:
+    """Build both once per process and store which sensors they run on."""
+    env, controller = _make(policy, level, left, right, swap)
+    write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
+    return env, controller
+
+
+def _make(policy: str, level: str, left: str, right: str, swap: str) -> tuple[WipeEnv, Controller]:
     mounted = mounted_sensors(left, right)
     if policy == "expert":
         return WipeEnv(level, mounted["left"], mounted["right"]), ScriptController(WipeExpert())

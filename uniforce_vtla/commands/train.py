@@ -13,6 +13,7 @@ from lerobot.scripts import lerobot_train
 from lerobot.utils.import_utils import register_third_party_plugins
 
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.keys import VIEW_MARKER
 
 HELP = """\
 Train a policy with LeRobot's trainer; everything after the script's name is a setting of lerobot-train.
@@ -31,7 +32,6 @@ Added unless given: policy.push_to_hub=false, wandb.enable=false.  A dataset roo
 """
 
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
-VIEW_MARKER = "uniforce_view.json"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
 
 

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 class SegmentationSettings:
     """Every threshold of the marker finder; lengths in px of the canonical image, the rest relative."""
 
-    version: str = "camera-dog-1"
+    version: str = "camera-dog-2"
     backgrounds_px: tuple[int, ...] = (19, 39, 79)  # box widths: from 331 pins to 25 large squares
     smooth_fraction: float = 0.08  # of the background width: 3, 3 and 7 px, below the markers each is for
     peak_fraction: float = (
