@@ -40,6 +40,7 @@ class RecordConfig:
     root: str = "outputs/demos"  # the dataset's folder
     repo_id: str = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
     seed: int = 0  # scene of the first episode; the next ones count up
+    nudge: float = 1.3  # hidden push on the executed target, so that demos hold recoveries; 0 = none
     keep_failures: bool = True  # failed demos are kept, labelled; training views leave them out
 
 
@@ -74,7 +75,7 @@ def _fill(config: RecordConfig, env: WipeEnv, recorder: EpisodeRecorder) -> None
         while recorder.num_episodes < config.episodes and attempts > 0:
             attempts -= 1
             seed = next(seeds)
-            result = record_episode(env, recorder, seed)
+            result = record_episode(env, recorder, seed, config.nudge)
             _keep(config, recorder, result, seed)
             bar.update(recorder.num_episodes - bar.n)
             bar.set_postfix_str(f"seed {seed}: {'clean ' if result.clean else ''}{result.outcome}")
@@ -94,17 +95,21 @@ def _next_seed(config: RecordConfig, have: int) -> int:
     return int(read_source(config.root).columns((SEED,))[SEED].max()) + 1
 
 
-def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int) -> EpisodeResult:
-    """Let the expert do one episode; its frames wait in the recorder.  Row t: observation and command at t."""
-    from lerobot_env_uniforce_wiping import WipeExpert
+def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int, nudge: float) -> EpisodeResult:
+    """Let the expert do one episode; its frames wait in the recorder.
 
-    expert = WipeExpert()
+    Row t: observation and command at t, the command without the nudge that was added to it.
+    """
+    from lerobot_env_uniforce_wiping import WipeExpert
+    from lerobot_env_uniforce_wiping.disturbance import Nudge
+
+    expert, push = WipeExpert(), Nudge(seed, nudge)
     observation, _ = env.reset(seed=seed)
     expert.reset(env)
     for step in _until_done():
         action = np.asarray(expert.act(env), dtype=np.float32)
         recorder.add(_frame(env, observation, action, step), env.task)
-        observation, _, terminated, truncated, _ = env.step(action)
+        observation, _, terminated, truncated, _ = env.step(push.apply(action))
         if terminated or truncated:
             break
     return env.result()
@@ -142,6 +147,8 @@ def _check(config: RecordConfig) -> None:
     if config.teleop != "expert":
         do = "Other teleoperators come with the real robots."
         raise ContractError(expected("teleop", "expert", repr(config.teleop), do))
+    if config.nudge < 0:
+        raise ContractError(expected("nudge", "≥ 0", config.nudge, "0 records an undisturbed expert."))
     if config.episodes < 1:
         raise ContractError(expected("episodes", "≥ 1", config.episodes, "Ask for some."))
 

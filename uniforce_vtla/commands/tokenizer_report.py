@@ -1,4 +1,4 @@
-"""Zero-shot force table of the tokenizer: six transfers on the frozen set, rows that keep it honest."""
+"""Zero-shot force tables of the tokenizer on frozen sets, with rows that keep it honest."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import torch
 from tqdm import tqdm
 
@@ -18,15 +19,8 @@ from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.labelled_set import (
-    FROZEN,
-    HEAD_TRAINING,
-    SENSORS,
-    LabelledSet,
-    SetConfig,
-    draw_labelled,
-    set_facts,
-)
+from uniforce_vtla.tokenizer.labelled_set import LabelledSet
+from uniforce_vtla.tokenizer.report_sets import ReportSet, get_report_set
 from uniforce_vtla.tokenizer.weights import ASSETS
 from uniforce_vtla.tokenizer.zero_shot import (
     POOL,
@@ -37,43 +31,48 @@ from uniforce_vtla.tokenizer.zero_shot import (
     encode_set,
     learnt_row,
     mean_row,
+    set_facts_of,
     shipped_cell,
     summary,
     transfer_name,
-    transfers,
 )
 from uniforce_vtla.tokenizer.zero_shot_figure import draw_table
 
-SET_FILE, TABLE_FILE = "zero_shot_set.json", "zero_shot_force.json"
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
+SHIPPED_HEADS_SET = (
+    "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
+)
 
 
 @dataclass
 class TokenizerReportCommand:
-    """Measure zero-shot force, or freeze the set, train the shipped heads, or replay the committed table.
+    """Measure zero-shot force on a frozen set, or freeze it, train the shipped heads, replay a committed table.
 
-    Example: uniforce-tokenizer-report replay=2 results=docs/results
+    Example: uniforce-tokenizer-report set=hetero_hard_v1 seeds=3
     """
 
+    set: str = "hetero_hard_v1"  # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 | heldout_hidden_v1
     tokenizer: str = ""  # checkpoint folder; empty = shipped
-    results: str = "docs/results"  # the set, the table and its figure
+    results: str = "docs/results"  # the sets' facts, the tables and their figures
+    cache: str = "outputs/labelled"  # drawn sets, kept for the next run; delete it after changing contact/
     seeds: int = 3  # heads per cell
     freeze: bool = False  # only draw the set and write its hash
-    ship_heads: bool = False  # also train one head per sensor and put it into the package
+    ship_heads: bool = False  # also train one head per registry sensor into the package (set=zero_shot_v1)
     only: str = ""  # re-measure one row by name, keep the others from the committed table
-    replay: int = 0  # only re-measure so many cells from the shipped heads and compare
+    replay: int = 0  # only re-measure so many cells of the UniForce row, or of the shipped heads, and compare
 
 
-def freeze(results: Path) -> Path:
-    """Write the frozen set's recipe and hash."""
-    digests = {s: draw_labelled(FROZEN, s, side=8).digest for s in SENSORS}
-    return write_json(results / SET_FILE, set_facts(FROZEN, digests) | provenance())
+def freeze(command: TokenizerReportCommand, report_set: ReportSet, side: int) -> Path:
+    """Write a frozen set's recipe and hash."""
+    frozen = report_set.draw(report_set.frozen, report_set.targets(), side, Path(command.cache))
+    facts = set_facts_of(report_set.frozen, frozen)
+    return write_json(Path(command.results) / report_set.facts_file, facts | provenance())
 
 
-def measure(command: TokenizerReportCommand, tokenizer: Tokenizer) -> dict[str, Any]:
+def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> dict[str, Any]:
     """Return the table's content; every learnt row is trained here, on the source sensor alone."""
-    facts = json.loads((Path(command.results) / SET_FILE).read_text())
-    table = Table(_draw(HEAD_TRAINING, tokenizer), _draw(FROZEN, tokenizer))
+    facts = _facts(command, report_set)
+    table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     check_frozen(facts, table.frozen)
     if command.ship_heads:
         ship_heads(table, tokenizer)
@@ -85,25 +84,41 @@ def measure(command: TokenizerReportCommand, tokenizer: Tokenizer) -> dict[str, 
         "random encoder": lambda: learnt_row(table, lambda s: encode_set(untrained, s), seeds, POOL),
         "mean": lambda: mean_row(table),
     }
-    kept = _committed_rows(command, facts, tokenizer) if command.only else {}
+    kept = _committed_rows(command, report_set, facts, tokenizer) if command.only else {}
     rows = {name: kept[name] if name in kept else make() for name, make in tqdm(makers.items(), desc="rows")}
-    return {
+    content = {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
         "set": facts["set"],
         "set_hash": facts["set_hash"],
         "seeds": seeds,
         "tokenizer_hash": tokenizer.hash,
-        "summary": {name: summary(row) for name, row in rows.items()},
+        "summary": {name: summary(row, table.transfers()) for name, row in rows.items()},
         "rows": rows,
-        "shipped_heads": shipped_row(tokenizer, table.frozen, len(transfers())),
-    } | provenance()
+    }
+    if report_set.name == SHIPPED_HEADS_SET:
+        content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
+    return content | provenance()
+
+
+def draw_sets(report_set: ReportSet, side: int, cache: Path) -> Table:
+    """Return the table's sets: sources with seen indenters, targets with unseen ones."""
+    training = report_set.draw(report_set.training, report_set.sources(), side, cache)
+    return Table(training, report_set.draw(report_set.frozen, report_set.targets(), side, cache))
+
+
+def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, Any]:
+    path = Path(command.results) / report_set.facts_file
+    if not path.exists():
+        do = f"Freeze it first: uniforce-tokenizer-report set={report_set.name} freeze=true"
+        raise DatasetError(expected(str(path), "the frozen set's recipe and hash", "no such file", do))
+    return dict(json.loads(path.read_text()))
 
 
 def _committed_rows(
-    command: TokenizerReportCommand, facts: dict[str, Any], tokenizer: Tokenizer
+    command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any], tokenizer: Tokenizer
 ) -> dict[str, Cells]:
     """Return the committed table's rows other than ``only``, if set, seeds and tokenizer are the same."""
-    table = json.loads((Path(command.results) / TABLE_FILE).read_text())
+    table = json.loads((Path(command.results) / report_set.table).read_text())
     came = (table["set_hash"], table["tokenizer_hash"], table["seeds"])
     wanted = (facts["set_hash"], tokenizer.hash, command.seeds)
     if came != wanted or command.only not in table["rows"]:
@@ -113,60 +128,64 @@ def _committed_rows(
 
 def ship_heads(table: Table, tokenizer: Tokenizer) -> None:
     """Train one head per source sensor and write it into the package."""
-    for source in tqdm(SENSORS, desc="shipped heads"):
-        labelled = table.training[source]
+    for source, labelled in tqdm(table.training.items(), desc="shipped heads"):
         model = train_head(encode_set(tokenizer, labelled), labelled.force_N, HeadTrainingConfig(), seed=0)
         ForceHead(model, source, tokenizer.hash).save(ASSETS / f"force_head_{source}")
 
 
-def shipped_row(tokenizer: Tokenizer, frozen: dict[str, LabelledSet], count: int) -> Cells:
+def shipped_row(tokenizer: Tokenizer, table: Table, count: int) -> Cells:
     """Return the first ``count`` transfers as the shipped heads do them."""
     cells = {}
-    for source, target in transfers()[:count]:
+    for source, target in table.transfers()[:count]:
         head = ForceHead.from_pretrained(source)
-        cells[transfer_name(source, target)] = shipped_cell(head, tokenizer, frozen[target])
+        cells[transfer_name(source, target)] = shipped_cell(head, tokenizer, table.frozen[target])
     return cells
 
 
-def replay(command: TokenizerReportCommand, tokenizer: Tokenizer) -> float:
-    """Re-measure cells from the shipped weights; return the largest difference of R² to the committed table."""
-    results = Path(command.results)
-    frozen = _draw(FROZEN, tokenizer)
-    _say_if_redrawn(results, frozen)
-    committed = json.loads((results / TABLE_FILE).read_text())["shipped_heads"]
-    again = shipped_row(tokenizer, frozen, command.replay)
+def replay(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> float:
+    """Re-measure cells from the shipped weights; return the largest difference of R² to the committed table.
+
+    ``zero_shot_v1`` replays the shipped heads; the other sets train their heads again from the same seeds.
+    """
+    table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+    _say_if_redrawn(command, report_set, table.frozen)
+    committed = json.loads((Path(command.results) / report_set.table).read_text())
+    if report_set.name == SHIPPED_HEADS_SET:
+        again, before = shipped_row(tokenizer, table, command.replay), committed["shipped_heads"]
+    else:
+        again = learnt_row(table, lambda s: encode_set(tokenizer, s), committed["seeds"], POOL)
+        names = [transfer_name(a, b) for a, b in table.transfers()[: command.replay]]
+        again, before = {name: again[name] for name in names}, committed["rows"]["UniForce"]
     return max(
-        abs(x - y) for name in again for x, y in zip(again[name]["r2"], committed[name]["r2"], strict=True)
+        abs(x - y) for name in again for x, y in zip(again[name]["r2"], before[name]["r2"], strict=True)
     )
 
 
-def _say_if_redrawn(results: Path, frozen: dict[str, LabelledSet]) -> None:
+def _say_if_redrawn(
+    command: TokenizerReportCommand, report_set: ReportSet, frozen: dict[str, LabelledSet]
+) -> None:
     """Another CPU may round a marker's edge otherwise: the numbers must still agree, so go on, but say so."""
     try:
-        check_frozen(json.loads((results / SET_FILE).read_text()), frozen)
+        check_frozen(_facts(command, report_set), frozen)
     except DatasetError as error:
         print(f"note: {error}")
 
 
-def _draw(config: SetConfig, tokenizer: Tokenizer) -> dict[str, LabelledSet]:
-    side = tokenizer.config.side
-    return {s: draw_labelled(config, s, side) for s in tqdm(SENSORS, desc=f"drawing {config.name}")}
-
-
 def _report(command: TokenizerReportCommand) -> str:
-    results = Path(command.results)
-    if command.freeze:
-        return f"set frozen in {freeze(results)}"
+    results, report_set = Path(command.results), get_report_set(command.set)
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
+    if command.freeze:
+        return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
     if command.replay:
-        worst = replay(command, tokenizer)
+        worst = replay(command, report_set, tokenizer)
         verdict = "agrees with" if worst <= REPLAY_TOLERANCE else "DIFFERS FROM"
-        return f"replay of {command.replay} cells {verdict} {results / TABLE_FILE}: largest difference {worst:.4f}"
-    content = measure(command, tokenizer)
-    write_json(results / TABLE_FILE, content)
-    draw_table(content, results / "zero_shot_force.png")
+        path = results / report_set.table
+        return f"replay of {command.replay} cells {verdict} {path}: largest difference {worst:.4f}"
+    content = measure(command, report_set, tokenizer)
+    path = write_json(results / report_set.table, content)
+    draw_table(content, path.with_suffix(".png"))
     lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
-    return "\n".join([*lines, f"table and figure in {results}"])
+    return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])
 
 
 def _numbers(values: dict[str, float]) -> str:
@@ -178,6 +197,7 @@ def main(argv: list[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO)
     command = parse(TokenizerReportCommand, argv)
     torch.set_num_threads(1)
+    cv2.setNumThreads(1)
     try:
         print(_report(command))
     except UniForceError as error:

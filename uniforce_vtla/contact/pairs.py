@@ -11,7 +11,9 @@ from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.mirror import mirrored
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
+from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.views import Transform, draw_simulator, images_of, rows_of, slices
+from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.contracts import ContactState
 
 
@@ -46,6 +48,9 @@ class PairSettings:
         unit_strength: unit-to-unit variation; 0 for drawings only.
         pairs_per_unit: pairs felt by the same two units before others take over.
         options: terms of the contact model.
+        look: how freely cameras differ from unit to unit; None leaves only the units' own tolerance.
+        misaligned_cells: fingers that don't face each other: the right contact moves by up to so many mm.
+        imbalance: broken equilibrium: the right finger's force is off by up to this share of the normal force.
     """
 
     force_range: ForceRange = field(default_factory=ForceRange)
@@ -53,13 +58,16 @@ class PairSettings:
     unit_strength: float = 1.0
     pairs_per_unit: int = 64  # building a unit takes as long as some twenty images
     options: ContactOptions = field(default_factory=ContactOptions)
+    look: Look | None = None
+    misaligned_cells: int = 0
+    imbalance: float = 0.0
 
 
 def equilibrium_pairs(
     rng: np.random.Generator,
     n: int,
-    left_sensor: str,
-    right_sensor: str,
+    left_sensor: str | VirtualSensor,
+    right_sensor: str | VirtualSensor,
     indenters: Sequence[str] = PRETRAIN,
     force_range: ForceRange | None = None,
     settings: PairSettings | None = None,
@@ -70,8 +78,8 @@ def equilibrium_pairs(
     Args:
         rng: draws units, objects, loads and noise.
         n: number of pairs; each full-size image takes 300 kB.
-        left_sensor: registry name of the left finger's sensor.
-        right_sensor: registry name of the right finger's.
+        left_sensor: registry name of the left finger's sensor, or a virtual one.
+        right_sensor: the right finger's.
         indenters: names to draw from.
         force_range: bounds of the loads; overrides ``settings``.
         settings: everything else.
@@ -82,15 +90,15 @@ def equilibrium_pairs(
     force, torsion = sample_loads(rng, n, force_range or settings.force_range)
     contact = ContactState(objects.gap_mm, force, torsion)
     left = _views(rng, left_sensor, contact, settings, transform)
-    right = _views(rng, right_sensor, mirrored(contact), settings, transform)
+    right = _views(rng, right_sensor, mirrored(_disturbed(rng, contact, settings)), settings, transform)
     return PairBatch(*left, *right, force, torsion, objects.names)
 
 
 def pair_batches(
     rng: np.random.Generator,
     batch: int,
-    left_sensor: str,
-    right_sensor: str,
+    left_sensor: str | VirtualSensor,
+    right_sensor: str | VirtualSensor,
     indenters: Sequence[str] = PRETRAIN,
     settings: PairSettings | None = None,
     transform: Transform | None = None,
@@ -102,9 +110,31 @@ def pair_batches(
         )
 
 
+def _disturbed(rng: np.random.Generator, contact: ContactState, settings: PairSettings) -> ContactState:
+    """Return the contact as the other finger gets it: the same, but for misalignment and imbalance asked for."""
+    gap, force = contact.gap_mm, contact.force_N
+    if settings.misaligned_cells:
+        shifts = rng.integers(-settings.misaligned_cells, settings.misaligned_cells + 1, (len(gap), 2))
+        gap = np.stack([_moved(g, int(x), int(y)) for g, (x, y) in zip(gap, shifts, strict=True)])
+    if settings.imbalance:
+        off = rng.uniform(-1, 1, force.shape) * settings.imbalance * force[:, 2:]
+        force = force + off
+        room = settings.force_range.friction * force[:, 2] / np.maximum(np.hypot(*force[:, :2].T), 1e-9)
+        force[:, :2] *= np.minimum(1, room)[:, None]  # stays within friction
+    return ContactState(gap, force.astype(np.float32), contact.torsion_Nmm)
+
+
+def _moved(gap: np.ndarray, x: int, y: int) -> np.ndarray:
+    """Return a (G, G) gap moved by whole cells; what comes in at the edge holds no object."""
+    padded = np.pad(gap, max(abs(x), abs(y)), constant_values=np.inf)
+    reach = max(abs(x), abs(y))
+    rows, columns = gap.shape
+    return padded[reach - y : reach - y + rows, reach - x : reach - x + columns]
+
+
 def _views(
     rng: np.random.Generator,
-    sensor: str,
+    sensor: str | VirtualSensor,
     contact: ContactState,
     settings: PairSettings,
     transform: Transform | None,
@@ -112,7 +142,7 @@ def _views(
     """Return (n, …) references and currents of one finger, a fresh unit every ``pairs_per_unit`` pairs."""
     references, currents = [], []
     for part in slices(len(contact.gap_mm), settings.pairs_per_unit):
-        simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options)
+        simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options, settings.look)
         currents.append(images_of(simulator, rows_of(contact, part), transform))
         reference = simulator.reference()[None]
         kept = transform(reference) if transform else reference

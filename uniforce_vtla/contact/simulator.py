@@ -6,7 +6,7 @@ import numpy as np
 
 from uniforce_vtla.contact.camera_response import CameraResponse
 from uniforce_vtla.contact.grid import GRID_CELLS
-from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial, get_material
+from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pads import build_pad
 from uniforce_vtla.contact.pressure import Pressure, build_foundation, solve_pressure
@@ -15,10 +15,11 @@ from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
 from uniforce_vtla.contact.taxel_response import TaxelResponse, taxel_positions_mm
 from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
 from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
-from uniforce_vtla.sensors import get_sensor
+from uniforce_vtla.sensors.spec import DASH_ASPECT
 
 _SCALES = TaxelScales()
 
@@ -27,7 +28,7 @@ class TactileSimulator:
     """One unit of a sensor. Same seed and same calls, same output.
 
     Args:
-        sensor: registry name.
+        sensor: registry name, or a virtual sensor.
         unit: how this unit differs from the drawing; None for the drawing itself.
         options: which terms are on.
         seed: draws the noise.
@@ -35,16 +36,17 @@ class TactileSimulator:
 
     def __init__(
         self,
-        sensor: str,
+        sensor: str | VirtualSensor,
         unit: UnitVariation | None = None,
         options: ContactOptions | None = None,
         seed: int = 0,
     ) -> None:
-        self.spec = get_sensor(sensor)
+        drawing = as_virtual(sensor)
+        self.spec = drawing.spec
         self.unit = unit or UnitVariation()
         self.options = options or ContactOptions()
         self._rng = np.random.default_rng(seed)
-        self._material = get_material(sensor)
+        self._material = drawing.material
         self.pad = build_pad(self.spec)
         self._foundation = build_foundation(
             self.pad,
@@ -102,7 +104,7 @@ class TactileSimulator:
         if isinstance(self._respond, TaxelResponse):
             return (self._baseline + self._counts(contact, self.options.noise)).astype(np.int32)
         images = self.marker_images(contact)
-        if self.spec.marker_shape == "disc":
+        if self.spec.dome_radius_mm is not None:
             return tactip_frames(images, self._rng)
         return gelsight_frames(images, self._indentation_mm(contact), self.spec.px_per_mm[0], self._rng)
 
@@ -132,14 +134,17 @@ class TactileSimulator:
             discs = self._discs(contact, noise)
             return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
         motion = self._respond(self._traction(contact), self.options)
-        size = self.spec.marker_size_mm * self.spec.px_per_mm[0] * self.unit.view_scale * motion.growth
+        mm = self.spec.marker_size_mm * self.unit.marker_size * self.unit.view_scale
+        size = mm * self.spec.px_per_mm[0] * motion.growth
         return self._disturbed(self._project(self._rest_mm + motion.shift_mm), noise), size
 
     def _project(self, point_mm: np.ndarray) -> np.ndarray:
-        """Return (B, M, 2) pixels of points on the pad: scale, and the lens's compression towards the rim."""
+        """Return (B, M, 2) pixels of points on the pad: scale, a tilted camera, the lens's compression at the rim."""
         assert isinstance(self._material, PadMaterial)
-        rim2 = (max(self.spec.pad_size_mm) / 2) ** 2
-        squeeze = 1 - self._material.fisheye * (point_mm**2).sum(axis=-1, keepdims=True) / rim2
+        rim_mm = max(self.spec.pad_size_mm) / 2
+        squeeze = 1 - self._material.fisheye * (point_mm**2).sum(axis=-1, keepdims=True) / rim_mm**2
+        if any(self.unit.tilt):
+            squeeze = squeeze * (1 + (point_mm @ np.asarray(self.unit.tilt))[..., None] / rim_mm)
         scale = np.asarray(self.spec.px_per_mm) * self.unit.view_scale
         return CENTRE_PX + point_mm * squeeze * scale
 
@@ -169,9 +174,14 @@ class TactileSimulator:
         if isinstance(self._respond, TaxelResponse):
             return np.stack([draw_discs(discs) for discs in self._discs(contact, noise)])
         centre_px, size_px = self._markers(contact, noise)
-        if self.spec.marker_shape == "square":
-            return fill_squares(centre_px, size_px, self.unit.rotation_rad)
-        return fill_discs(centre_px, size_px)
+        turn = self.unit.rotation_rad
+        if self.spec.marker_shape == "disc":
+            return fill_discs(centre_px, size_px)
+        if self.spec.marker_shape == "dash":
+            return fill_squares(centre_px, size_px, turn, DASH_ASPECT)
+        return fill_squares(
+            centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0)
+        )
 
     # -- building ---------------------------------------------------------------------------------------
 

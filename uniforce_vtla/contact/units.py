@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from uniforce_vtla.sensors import get_sensor
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 
 
 @dataclass(frozen=True)
@@ -24,6 +24,8 @@ class UnitVariation:
         stiffness: factor on the foundation.
         gain: factor on marker motion, or on counts.
         seed: draws the jitter and, for taxels, baseline and gain per channel.
+        marker_size: factor on the size of every marker: print, threshold and light decide it (cameras).
+        tilt: relative magnification gained at the pad's right and lower rim, by a camera that isn't square on.
     """
 
     offset_mm: tuple[float, float] = (0.0, 0.0)
@@ -33,11 +35,15 @@ class UnitVariation:
     stiffness: float = 1.0
     gain: float = 1.0
     seed: int = 0
+    marker_size: float = 1.0
+    tilt: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, sensor: str, strength: float = 1.0) -> UnitVariation:
+    def draw(
+        cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0
+    ) -> UnitVariation:
         """Return a random unit of ``sensor``; ``strength`` 0 gives the drawing, 1 the usual spread."""
-        taxel = get_sensor(sensor).signal == "taxel"
+        taxel = as_virtual(sensor).spec.signal == "taxel"
         shift_mm = (0.3 if taxel else 0.6) * strength  # moulding tolerance; ViTac 2024 draws ±1 mm
         turn_rad = (0.0 if taxel else 0.03) * strength  # about 2°; ViTac 2024 draws ±.1 rad
         x, y = rng.uniform(-shift_mm, shift_mm, 2)
@@ -50,3 +56,27 @@ class UnitVariation:
             gain=float(1 + rng.uniform(-0.1, 0.1) * strength),
             seed=int(rng.integers(2**31)),
         )
+
+    def seen_through(self, rng: np.random.Generator, look: Look) -> UnitVariation:
+        """Return this unit seen by a random camera: everything a reference image shows may vary freely."""
+        turn = float(rng.uniform(-1, 1) * look.turn_rad)
+        x, y = rng.uniform(-1, 1, 2) * look.shift_mm
+        return replace(
+            self,
+            offset_mm=(self.offset_mm[0] + float(x), self.offset_mm[1] + float(y)),
+            rotation_rad=self.rotation_rad + turn,
+            view_scale=self.view_scale * float(1 + rng.uniform(-1, 1) * look.zoom),
+            marker_size=float(rng.uniform(*look.marker_size)),
+            tilt=tuple(float(t) for t in rng.uniform(-1, 1, 2) * look.tilt),  # type: ignore[arg-type]
+        )
+
+
+@dataclass(frozen=True)
+class Look:
+    """How freely a camera's view of one unit varies; all of it shows in the reference image."""
+
+    shift_mm: float = 1.0  # the pattern's place, ViTac 2024 draws ±1 mm
+    turn_rad: float = 0.10  # ViTac 2024
+    zoom: float = 0.06  # another lens distance
+    marker_size: tuple[float, float] = (0.85, 1.30)  # our own canonicaliser draws 12 to 32 % larger areas
+    tilt: float = 0.05  # magnification at the rim of a camera about 3° off

@@ -8,7 +8,8 @@ import numpy as np
 
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.simulator import TactileSimulator
-from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contact.units import Look, UnitVariation
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 
 Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
@@ -17,10 +18,16 @@ _CHUNK = 16  # images drawn at once: 5 MB, stays in cache
 
 
 def draw_simulator(
-    rng: np.random.Generator, sensor: str, unit_strength: float, options: ContactOptions
+    rng: np.random.Generator,
+    sensor: str | VirtualSensor,
+    unit_strength: float,
+    options: ContactOptions,
+    look: Look | None = None,
 ) -> TactileSimulator:
-    """Return a simulator of a random unit of ``sensor``."""
+    """Return a simulator of a random unit of ``sensor``, seen by a random camera where a ``look`` is given."""
     unit = UnitVariation.draw(rng, sensor, unit_strength)
+    if look is not None and as_virtual(sensor).spec.signal == "camera":
+        unit = unit.seen_through(rng, look)
     return TactileSimulator(sensor, unit, options, seed=int(rng.integers(2**31)))
 
 

@@ -74,15 +74,20 @@ def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
     )
 
 
-def set_facts(config: SetConfig, digests: dict[str, str]) -> dict[str, Any]:
+def set_facts(config: Any, digests: dict[str, str]) -> dict[str, Any]:
     """Return what is committed before training: the set's recipe and one hash over all sensors."""
-    joined = "".join(f"{sensor} {digests[sensor]}\n" for sensor in sorted(digests))
     return {
         "recipe": asdict(config),
         "digests": digests,
         "set": config.name,
-        "set_hash": hashlib.sha256(joined.encode()).hexdigest(),
+        "set_hash": set_hash(digests),
     }
+
+
+def set_hash(digests: dict[str, str]) -> str:
+    """Return one hash over all sensors' digests."""
+    joined = "".join(f"{sensor} {digests[sensor]}\n" for sensor in sorted(digests))
+    return hashlib.sha256(joined.encode()).hexdigest()
 
 
 def within(force_N: np.ndarray, bounds: ForceRange = PAPER_RANGE) -> np.ndarray:

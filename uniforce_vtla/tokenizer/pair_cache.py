@@ -1,24 +1,30 @@
-"""Pretraining data on disk: equilibrium pairs drawn once, area-resized, as uint8 shards.
+"""Pretraining data: equilibrium pairs drawn once, area-resized, as uint8 shards; or drawn anew for every step.
 
-⟨GelSight, TacTip⟩ and ⟨uSkin, TacTip⟩, TacTip on the right finger (UniForce paper, "Data Collection Protocol").
+⟨GelSight, TacTip⟩ and ⟨uSkin, TacTip⟩, TacTip on the right finger (UniForce paper, "Data Collection Protocol"); a share
+of the cameras may be procedural instead (contact/family.py), always paired by equal traction.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from uniforce_vtla.contact.pairs import PairBatch, equilibrium_pairs
+from uniforce_vtla.contact.family import draw_dome, draw_flat
+from uniforce_vtla.contact.options import ContactOptions
+from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
+from uniforce_vtla.contact.units import Look
+from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.tokenizer.entry import letterbox
 
 RIGS = (("gelsight", "tactip"), ("uskin", "tactip"))
+FAMILIES = {"gelsight": draw_flat, "tactip": draw_dome}
 NAMES = ("left_reference", "right_reference", "left_current", "right_current")
 
 
@@ -31,6 +37,11 @@ class PairCacheConfig:
     pairs_per_unit: int = 16  # contacts felt by one unit: they share a reference
     units_per_shard: int = 64  # one file per so many units; a killed run continues at the next shard
     seed: int = 1  # of everything drawn
+    family_share: float = 0.0  # share of cameras drawn from the procedural family; 0 = the paper's three sensors
+    free_look: bool = False  # every camera with a pose, zoom and marker size of its own
+    marker_loss: float = 0.0  # chance per marker and frame, in half of the units
+    misaligned_cells: int = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
+    imbalance: float = 0.0  # the right finger's force is off by up to this share; 0 = perfect equilibrium
 
 
 @dataclass(frozen=True)
@@ -67,6 +78,25 @@ class PairCache:
         return Pairs(left, _mirrored(right), _ready(current[0]), _mirrored(_ready(current[1])))
 
 
+class LivePairs:
+    """Draws every batch anew: no unit and no contact is ever seen twice, nothing lies on disk.
+
+    About a fifth of a training step on one core; the run's log holds the measured share.
+    """
+
+    def __init__(self, config: PairCacheConfig) -> None:
+        self.config = config
+
+    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
+        """Return ``units`` fresh units with ``pairs`` contacts each, the rigs taking turns at random."""
+        config = replace(self.config, pairs_per_unit=pairs)
+        batches = [_draw_unit(rng, config, RIGS[int(rng.integers(len(RIGS)))]) for _ in range(units)]
+        reference = [np.stack([getattr(b, name)[0] for b in batches]) for name in NAMES[:2]]
+        current = [np.stack([getattr(b, name) for b in batches]) for name in NAMES[2:]]
+        left, right = (_ready(a) for a in reference)
+        return Pairs(left, _mirrored(right), _ready(current[0]), _mirrored(_ready(current[1])))
+
+
 def build_cache(folder: Path, config: PairCacheConfig) -> None:
     """Draw the shards that are not there yet.
 
@@ -88,15 +118,35 @@ def shrink(images: np.ndarray, side: int) -> np.ndarray:
 
 def _draw_shard(config: PairCacheConfig, number: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng([config.seed, number])
-    left, right = RIGS[number % len(RIGS)]
-    batches = [_draw_unit(rng, config, left, right) for _ in range(config.units_per_shard)]
+    rig = RIGS[number % len(RIGS)]
+    batches = [_draw_unit(rng, config, rig) for _ in range(config.units_per_shard)]
     references = {name: np.stack([getattr(b, name)[0] for b in batches]) for name in NAMES[:2]}
     return references | {name: np.stack([getattr(b, name) for b in batches]) for name in NAMES[2:]}
 
 
-def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, left: str, right: str) -> PairBatch:
+def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]) -> PairBatch:
+    left, right = (draw_finger(rng, sensor, config.family_share) for sensor in rig)
+    settings = _pair_settings(rng, config)
+    pairs = config.pairs_per_unit
     return equilibrium_pairs(
-        rng, config.pairs_per_unit, left, right, transform=lambda images: shrink(images, config.side)
+        rng, pairs, left, right, settings=settings, transform=lambda images: shrink(images, config.side)
+    )
+
+
+def draw_finger(rng: np.random.Generator, sensor: str, family_share: float) -> str | VirtualSensor:
+    """Return ``sensor``, or with probability ``family_share`` a procedural one of its kind (cameras only)."""
+    if sensor not in FAMILIES or family_share <= 0 or rng.random() >= family_share:
+        return sensor
+    return FAMILIES[sensor](rng)
+
+
+def _pair_settings(rng: np.random.Generator, config: PairCacheConfig) -> PairSettings:
+    lossy = config.marker_loss > 0 and rng.random() < 0.5
+    return PairSettings(
+        options=ContactOptions(marker_loss=lossy, loss_probability=config.marker_loss),
+        look=Look() if config.free_look else None,
+        misaligned_cells=config.misaligned_cells,
+        imbalance=config.imbalance,
     )
 
 

@@ -1,6 +1,6 @@
-"""Zero-shot force: train a head on one sensor, read another through the same tokenizer. Six transfers.
+"""Zero-shot force: train a head on one sensor, read another through the same tokenizer.
 
-The set is frozen: it must draw to the hash committed before the shipped checkpoint was trained.
+Sets are frozen: they must draw to the hash committed before the shipped checkpoint was trained.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.labelled_set import FROZEN, SENSORS, LabelledSet, set_facts, within
+from uniforce_vtla.tokenizer.labelled_set import SENSORS, LabelledSet, set_facts, set_hash, within
 from uniforce_vtla.tokenizer.pooling import pool_latent
 
-LETTER = {"gelsight": "G", "tactip": "T", "uskin": "U"}  # as in the paper's table
+LETTER = {"gelsight": "G", "gelsight_d": "G", "tactip": "T", "uskin": "U"}  # as in the paper's table
 POOL = 4  # regions per side kept of a latent map: what the policy sees too
 
 Features = dict[str, torch.Tensor]  # sensor → (n, T, P, L)
@@ -34,7 +34,7 @@ def transfers() -> list[tuple[str, str]]:
 
 def transfer_name(source: str, target: str) -> str:
     """Return a transfer's name in the table, e.g. ``G->T``."""
-    return f"{LETTER[source]}->{LETTER[target]}"
+    return f"{LETTER.get(source, source)}->{LETTER.get(target, target)}"
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,10 @@ class Table:
     frozen: dict[str, LabelledSet]
     head: HeadTrainingConfig = field(default_factory=HeadTrainingConfig)
 
+    def transfers(self) -> list[tuple[str, str]]:
+        """Return the ordered pairs (source, target) of different sensors."""
+        return [(source, target) for source in self.training for target in self.frozen if source != target]
+
     def forces(self, sensor: str) -> np.ndarray:
         """Return the frozen set's true forces, (n, T, 3) N."""
         return self.frozen[sensor].force_N
@@ -52,13 +56,18 @@ class Table:
 
 def check_frozen(facts: dict[str, Any], frozen: dict[str, LabelledSet]) -> None:
     """Raise DatasetError unless the set just drawn is the one that was committed."""
-    drawn = set_facts(FROZEN, {sensor: labelled.digest for sensor, labelled in frozen.items()})["set_hash"]
+    drawn = set_hash({sensor: labelled.digest for sensor, labelled in frozen.items()})
     if drawn != facts["set_hash"]:
         raise DatasetError(
             expected(
                 "frozen zero-shot set", facts["set_hash"], drawn, "The contact model changed: freeze anew."
             )
         )
+
+
+def set_facts_of(recipe: Any, frozen: dict[str, LabelledSet]) -> dict[str, Any]:
+    """Return what is committed before training: a set's recipe, digests and hash."""
+    return set_facts(recipe, {sensor: labelled.digest for sensor, labelled in frozen.items()})
 
 
 @torch.no_grad()
@@ -84,13 +93,13 @@ def descriptor_row(table: Table, seeds: int) -> Cells:
 
 def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], seeds: int, grid: int) -> Cells:
     """Return a row of the table: per transfer the mean over ``seeds`` heads."""
-    frozen = {sensor: features(table.frozen[sensor]) for sensor in SENSORS}
+    frozen = {sensor: features(labelled) for sensor, labelled in table.frozen.items()}
     cells: dict[str, list[dict[str, list[float]]]] = {}
-    for source in SENSORS:
+    for source in table.training:
         z = features(table.training[source])
         for seed in range(seeds):
             head = train_head(z, table.training[source].force_N, _sized(table.head, z, grid), seed)
-            for target in SENSORS:
+            for target in table.frozen:
                 cell = score(table.forces(target), predict(head, frozen[target]))
                 cells.setdefault(transfer_name(source, target), []).append(cell)
     return {name: _mean(scores) for name, scores in cells.items()}
@@ -99,7 +108,7 @@ def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], se
 def mean_row(table: Table) -> Cells:
     """Return the row that always says the source's mean force."""
     row: Cells = {}
-    for source, target in transfers():
+    for source, target in table.transfers():
         mean = table.training[source].force_N.reshape(-1, 3).mean(axis=0)
         truth = table.forces(target)
         row[transfer_name(source, target)] = score(truth, np.broadcast_to(mean, truth.shape))
@@ -123,15 +132,20 @@ def score(truth_N: np.ndarray, said_N: np.ndarray) -> dict[str, list[float]]:
     }
 
 
-def summary(row: Cells) -> dict[str, float]:
-    """Return what the bars ask of a row: means and worst cells over the six transfers."""
-    r2 = np.array([row[transfer_name(a, b)]["r2"] for a, b in transfers()])  # (6, 3)
+def summary(row: Cells, pairs: list[tuple[str, str]] | None = None) -> dict[str, float]:
+    """Return what the bars ask of a row: means and worst cells over transfers between different sensors."""
+    names = [transfer_name(a, b) for a, b in (pairs or transfers())]
+    r2 = np.array([row[name]["r2"] for name in names])  # (transfers, 3)
+    mae = np.array([row[name]["mae_N_paper_range"] for name in names]).mean(axis=0)
     return {
         "fz_mean": float(r2[:, 2].mean()),
         "fz_worst": float(r2[:, 2].min()),
         "shear_mean": float(r2[:, :2].mean()),
         "shear_worst": float(r2[:, :2].min()),
         "mean": float(r2.mean()),
+        "mae_fx_N": float(mae[0]),
+        "mae_fy_N": float(mae[1]),
+        "mae_fz_N": float(mae[2]),
     }
 
 
