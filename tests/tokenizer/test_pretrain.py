@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from accelerate.state import AcceleratorState
 
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.tokenizer.losses import (
@@ -15,11 +17,18 @@ from uniforce_vtla.tokenizer.losses import (
     gradient_pyramid,
     kl,
     perceptual,
+    quality_weights,
     reconstruction,
 )
 from uniforce_vtla.tokenizer.model import Posterior, TokenizerConfig, build_model
 from uniforce_vtla.tokenizer.pair_cache import PairCache, PairCacheConfig, build_cache
-from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, learning_rate, pair_loss
+from uniforce_vtla.tokenizer.pretrain import (
+    Pretraining,
+    PretrainSettings,
+    learning_rate,
+    open_source,
+    pair_loss,
+)
 
 SMALL_DATA = PairCacheConfig(side=32, units=2, pairs_per_unit=4, units_per_shard=1)
 
@@ -130,3 +139,41 @@ def test_absent_or_unknown_perceptual_terms_raise() -> None:
         perceptual(LossConfig(perceptual="lpips"))
     with pytest.raises(ContractError):
         perceptual(LossConfig(perceptual="else"))  # type: ignore[arg-type]
+
+
+def test_live_pairs_train_and_the_log_says_what_data_cost(settings: PretrainSettings, tmp_path: Path) -> None:
+    live = replace(settings, source="live", strips_every=2, steps=2)
+    run = Pretraining(live, tmp_path, open_source(live, tmp_path / "unused"))
+    run.run()
+    header = (tmp_path / "log.csv").read_text().splitlines()[0]
+    assert "data_share" in header and not (tmp_path / "unused").exists()
+    assert [p.name for p in (tmp_path / "strips").iterdir()] == ["step_000002.png"]
+
+
+def test_free_bits_and_warm_up_of_kl() -> None:
+    quiet = Posterior(torch.zeros(2, 4, 3), torch.zeros(2, 4, 3))
+    loud = Posterior(torch.ones(2, 4, 3) * 3, torch.zeros(2, 4, 3))
+    assert kl(quiet, 0.5) == pytest.approx(0.5) and kl(quiet) == 0
+    assert kl(loud, 0.5) == kl(loud)
+
+
+def test_quality_weights_let_go_of_a_broken_pair() -> None:
+    error = torch.tensor([1.0, 1.1, 0.9, 1.0, 50.0])
+    weights = quality_weights(error, 3.0)
+    assert weights[:4].min() > 0.7 and weights[4] < 0.02
+    assert torch.equal(quality_weights(error, 0.0), torch.ones(5))
+
+
+@pytest.fixture
+def fresh_accelerator() -> Iterator[None]:
+    """One process has one precision: forget it before and after."""
+    AcceleratorState._reset_state(reset_partial_state=True)
+    yield
+    AcceleratorState._reset_state(reset_partial_state=True)
+
+
+def test_bf16_trains(
+    settings: PretrainSettings, data: PairCache, tmp_path: Path, fresh_accelerator: None
+) -> None:
+    report = Pretraining(replace(settings, mixed_precision="bf16"), tmp_path, data).train_step()
+    assert np.isfinite(report["loss"])

@@ -10,8 +10,7 @@ import torch
 
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.errors import UniForceError
-from uniforce_vtla.tokenizer.pair_cache import PairCache
-from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings
+from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source
 
 
 @dataclass
@@ -33,7 +32,7 @@ def main(argv: list[str] | None = None) -> int:
     command = parse(PretrainCommand, argv)
     torch.set_num_threads(command.threads)
     try:
-        data = PairCache(Path(command.cache), command.run.data)
+        data = open_source(command.run, Path(command.cache))
         tokenizer = Pretraining(command.run, Path(command.out), data).run()
     except UniForceError as error:
         print(f"pretrain: {error}")

@@ -28,11 +28,14 @@ class LossConfig:
     )
     perceptual_weight: float = 0.1  # λ of the perceptual term
     kl_weight: float = 1e-2  # λ of the KL term, per latent number
+    kl_warmup_steps: int = 0  # it rises linearly over so many steps; 0 = full weight from the start (paper)
+    free_bits: float = 0.0  # nats per latent number the KL term leaves free; 0 = none (paper)
     equilibrium_weight: float = 4.0  # λ of the equilibrium term
     equilibrium_warmup_steps: int = 300  # it rises linearly: at full weight from the start, z learns to be 0
     equilibrium: Literal["patch", "pooled", "both"] = (
         "patch"  # patch is the paper's; real totals balance better
     )
+    pair_quality: float = 0.0  # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
     pooled_grid: int = 4  # regions per side for the pooled variant
     changed_pixel_weight: float = 10.0  # extra weight where current differs from reference; 0 = plain L1
     pyramid_levels: int = 3  # scales of the gradient pyramid
@@ -68,13 +71,17 @@ def objective(
     for (i, j), image in zip(branches, drawn.chunk(4), strict=True):
         parts[f"recon_{i}{j}"] = reconstruction(image, sides[j], config)
     recon = torch.stack(list(parts.values())).sum()
-    parts["kl"] = kl(left.posterior) + kl(right.posterior)
+    parts["kl"] = kl(left.posterior, config.free_bits) + kl(right.posterior, config.free_bits)
     parts["equilibrium"] = equilibrium(z["L"], z["R"], config)
     with torch.no_grad():
         parts["copied"] = 2 * sum(reconstruction(s.reference, s, config) for s in (left, right))  # type: ignore
-    rise = min(1.0, (step + 1) / max(1, config.equilibrium_warmup_steps))
-    total = recon + config.kl_weight * parts["kl"] + rise * config.equilibrium_weight * parts["equilibrium"]
-    return total, parts
+    kl_weight = config.kl_weight * _rise(step, config.kl_warmup_steps)
+    pull = config.equilibrium_weight * _rise(step, config.equilibrium_warmup_steps)
+    return recon + kl_weight * parts["kl"] + pull * parts["equilibrium"], parts
+
+
+def _rise(step: int, warmup_steps: int) -> float:
+    return min(1.0, (step + 1) / max(1, warmup_steps))
 
 
 def reconstruction(drawn: torch.Tensor, truth: Side, config: LossConfig) -> torch.Tensor:
@@ -89,20 +96,31 @@ def reconstruction(drawn: torch.Tensor, truth: Side, config: LossConfig) -> torc
     return per_pixel * config.pixels_per_patch
 
 
-def kl(posterior: Posterior) -> torch.Tensor:
-    """Return KL(q ‖ N(0, 1)), mean over the latent's numbers."""
+def kl(posterior: Posterior, free_bits: float = 0.0) -> torch.Tensor:
+    """Return KL(q ‖ N(0, 1)), mean over the latent's numbers; what lies below ``free_bits`` costs nothing."""
     mean, log_variance = posterior
-    return 0.5 * (mean**2 + log_variance.exp() - 1 - log_variance).mean()
+    per_number = 0.5 * (mean**2 + log_variance.exp() - 1 - log_variance).mean(dim=(0, 1))  # (latent,)
+    return per_number.clamp_min(free_bits).mean() if free_bits else per_number.mean()
 
 
 def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig) -> torch.Tensor:
     """Return ‖z_L − z_R‖² / P by patch (paper), on the pooled map, or both added."""
-    by_patch = (z_left - z_right).square().sum(-1).mean()
-    if config.equilibrium == "patch":
-        return by_patch
+    by_patch = (z_left - z_right).square().sum(-1).mean(1)  # (B,)
     gap = pool_latent(z_left, config.pooled_grid) - pool_latent(z_right, config.pooled_grid)
-    pooled = gap.square().sum(-1).mean()
-    return pooled if config.equilibrium == "pooled" else by_patch + pooled
+    pooled = gap.square().sum(-1).mean(1)
+    error = {"patch": by_patch, "pooled": pooled, "both": by_patch + pooled}[config.equilibrium]
+    return (error * quality_weights(error.detach(), config.pair_quality)).mean()
+
+
+def quality_weights(error: torch.Tensor, tolerance: float) -> torch.Tensor:
+    """Return (B,) weights of pairs by how well they balance: 1 for most, falling off beyond the batch's median.
+
+    A broken pair (a third hand touched the object, fingers not facing each other) pulls z towards what no sensor
+    can agree on; Geman and McClure's weights let go of it.  ``tolerance`` 0 weighs all alike.
+    """
+    if tolerance <= 0:
+        return torch.ones_like(error)
+    return 1 / (1 + (error / (tolerance * error.median()).clamp_min(1e-9)) ** 2) ** 2
 
 
 def perceptual(config: LossConfig) -> Perceptual:

@@ -1,4 +1,8 @@
-"""Pretraining: equilibrium pairs in, tokenizer checkpoint out. Resumable, seeded, without force labels."""
+"""Pretraining: equilibrium pairs in, tokenizer checkpoint out. Resumable, seeded, without force labels.
+
+The same command runs on one CPU or, through ``accelerate launch``, on many GPUs and nodes (never run on more than
+one process so far).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import torch
@@ -17,7 +21,8 @@ from tqdm import tqdm
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
 from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, TokenizerConfig, build_model
-from uniforce_vtla.tokenizer.pair_cache import PairCache, PairCacheConfig, Pairs
+from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs
+from uniforce_vtla.tokenizer.strips import draw_strips
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,24 @@ class PretrainSettings:
     clip_norm: float = 1.0  # of the gradient
     seed: int = 0  # weights, batches, latent noise
     save_every: int = 100  # steps between checkpoints a killed run continues from
+    source: Literal["cache", "live"] = "cache"  # pairs from disk, or every batch drawn anew
+    mixed_precision: Literal["no", "bf16", "fp16"] = "no"  # accelerate's; float32 is fastest on most CPUs
+    tracker: Literal["", "wandb", "tensorboard"] = (
+        ""  # accelerate's, beside log.csv; tensorboard: not installed
+    )
+    strips_every: int = 500  # steps between pictures of reconstructions (strips/); 0 = none
+
+
+class PairSource(Protocol):
+    """Where batches come from."""
+
+    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
+        """Return a batch that depends on ``rng`` alone."""
+
+
+def open_source(settings: PretrainSettings, cache: Path) -> PairSource:
+    """Return the batches' source: the cache in ``cache`` (drawn where it isn't yet), or live drawing."""
+    return PairCache(cache, settings.data) if settings.source == "cache" else LivePairs(settings.data)
 
 
 def learning_rate(step: int, settings: PretrainSettings) -> float:
@@ -52,9 +75,15 @@ class Pretraining:
     Every step draws its batch and noise from (seed, step), so that a resumed run equals an uninterrupted one.
     """
 
-    def __init__(self, settings: PretrainSettings, folder: Path, data: PairCache) -> None:
+    def __init__(self, settings: PretrainSettings, folder: Path, data: PairSource) -> None:
         self.settings, self.folder, self.data = settings, folder, data
-        self.accelerator = Accelerator()
+        self.accelerator = Accelerator(
+            mixed_precision=settings.mixed_precision,
+            log_with=settings.tracker or None,
+            project_dir=folder if settings.tracker else None,
+        )
+        if settings.tracker:
+            self.accelerator.init_trackers("uniforce_tokenizer")
         model = build_model(settings.model, settings.seed)
         optimizer = torch.optim.AdamW(
             model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
@@ -77,6 +106,8 @@ class Pretraining:
             self._log(report | {"seconds": time.monotonic() - start})
             if self.step % self.settings.save_every == 0 or self.step == last:
                 self.save()
+            if self.settings.strips_every and self.step % self.settings.strips_every == 0:
+                self._draw_strips()
         return self.tokenizer()
 
     def train_step(self) -> dict[str, float]:
@@ -84,21 +115,33 @@ class Pretraining:
         process = self.accelerator.process_index
         rng = np.random.default_rng([self.settings.seed, self.step, process])
         torch.manual_seed(int(rng.integers(2**62)))  # the latent's noise
-        pairs = self._to_device(
-            self.data.draw(rng, self.settings.units_per_batch, self.settings.pairs_per_unit)
-        )
+        start = time.monotonic()
+        pairs = self._draw(rng)
+        loaded = time.monotonic()
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(self.step, self.settings)
-        loss, parts, spread = pair_loss(self._bare(), pairs, self.settings.loss, self.step)
+        with self.accelerator.autocast():
+            loss, parts, spread = pair_loss(self._bare(), pairs, self.settings.loss, self.step)
         self.optimizer.zero_grad()
         self.accelerator.backward(loss)
         self._average_gradients()
         self.accelerator.clip_grad_norm_(self.model.parameters(), self.settings.clip_norm)
         self.optimizer.step()
         self.step += 1
-        return {"step": self.step, "loss": loss.item(), "latent_std": spread.item()} | {
-            name: part.item() for name, part in parts.items()
-        }
+        report = {"step": self.step, "loss": loss.item(), "latent_std": spread.item()}
+        share = (loaded - start) / max(time.monotonic() - start, 1e-9)  # of this step, spent waiting for data
+        return report | {name: part.item() for name, part in parts.items()} | {"data_share": share}
+
+    def _draw(self, rng: np.random.Generator) -> Pairs:
+        return self._to_device(
+            self.data.draw(rng, self.settings.units_per_batch, self.settings.pairs_per_unit)
+        )
+
+    def _draw_strips(self) -> None:
+        """Draw the same few pairs at every call: what the decoder makes of them shows whether it learns."""
+        if self.accelerator.is_main_process:
+            pairs = self.data.draw(np.random.default_rng([self.settings.seed, 2**31]), 4, 2)
+            draw_strips(self.tokenizer().model, pairs, self.folder / "strips" / f"step_{self.step:06d}.png")
 
     def tokenizer(self) -> Tokenizer:
         """Return a frozen copy of the model as it stands."""
@@ -145,6 +188,8 @@ class Pretraining:
     def _log(self, report: dict[str, float]) -> None:
         if not self.accelerator.is_main_process:
             return
+        if self.settings.tracker:
+            self.accelerator.log(report, step=self.step)
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / "log.csv"
         fresh = not path.exists()
