@@ -98,7 +98,7 @@ def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], se
     for source in table.training:
         z = features(table.training[source])
         for seed in range(seeds):
-            head = train_head(z, table.training[source].force_N, _sized(table.head, z, grid), seed)
+            head = train_head(z, table.training[source].force_N, sized_head(table.head, z, grid), seed)
             for target in table.frozen:
                 cell = score(table.forces(target), predict(head, frozen[target]))
                 cells.setdefault(transfer_name(source, target), []).append(cell)
@@ -154,7 +154,8 @@ def shipped_cell(head: ForceHead, tokenizer: Tokenizer, labelled: LabelledSet) -
     return score(labelled.force_N, predict(head.model, encode_set(tokenizer, labelled)))
 
 
-def _sized(config: HeadTrainingConfig, z: torch.Tensor, grid: int) -> HeadTrainingConfig:
+def sized_head(config: HeadTrainingConfig, z: torch.Tensor, grid: int) -> HeadTrainingConfig:
+    """Return ``config`` with the head's input sized for features (n, T, P, L) on grid × grid regions."""
     head: HeadConfig = replace(config.head, channels=z.shape[-1], grid=grid)
     return replace(config, head=head)
 

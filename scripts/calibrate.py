@@ -1,0 +1,3 @@
+from uniforce_vtla.commands.calibrate import main
+
+raise SystemExit(main())

@@ -1,0 +1,206 @@
+"""Label-free calibration: a sensor nobody has pretrained on learns the known one's latent by feeling the same things.
+
+Both fingers grasp an externally held object for about a minute.  Their forces are equal, so their latents should be:
+a small adapter on the new sensor's latent is fitted until they are.  No force is ever measured.  It corrects what a
+reference image can't show: stiffness and gain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.pooling import as_map
+from uniforce_vtla.tokenizer.weights import load_weights, read_config, save_checkpoint
+
+
+@dataclass(frozen=True)
+class CalibrationConfig:
+    """How an adapter is fitted."""
+
+    hidden: int = 32  # units that bend the latent; 0 leaves it an affine map
+    steps: int = 800  # of Adam, cosine to zero; seconds on one core
+    batch: int = 64  # pairs per step
+    learning_rate: float = 5e-3  # peak
+    identity_pull: float = 1e-3  # keeps weights the grasps don't decide where they started: at the identity
+    held_out: float = 0.2  # share of the grasps that only judge
+    min_pairs: int = 50  # fewer can't decide some hundred numbers
+    seed: int = 0  # split and batches
+
+
+class LatentAdapter(nn.Module):
+    """z' = z + affine(z) + bend(z, mean of z over the pad); starts as the identity.
+
+    The same for every patch: stiffness and gain belong to the sensor, not to a place on it.
+    """
+
+    spread: torch.Tensor
+
+    def __init__(self, latent: int, hidden: int) -> None:
+        super().__init__()
+        self.register_buffer("spread", torch.ones(latent))
+        self.affine = nn.Linear(latent, latent)
+        self.bend = nn.Sequential(nn.Linear(2 * latent, hidden), nn.Tanh(), nn.Linear(hidden, latent))
+        for layer in (self.affine, self.bend[2]):
+            nn.init.zeros_(layer.weight)
+            nn.init.zeros_(layer.bias)
+
+    def forward(self, z: torch.Tensor) -> torch.Tensor:
+        """Return adapted latents (B, P, latent)."""
+        unit = z / self.spread
+        around = unit.mean(dim=1, keepdim=True).expand_as(unit)
+        return z + self.spread * (self.affine(unit) + self.bend(torch.cat([unit, around], dim=-1)))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A fitted adapter and how well the fingers agree on held-out grasps, before and after.
+
+    Attributes:
+        adapter: the network, in eval mode.
+        tokenizer_hash: the tokenizer whose latents it adapts.
+        imbalance_before: ‖z_new − z_anchor‖² over ‖z_anchor − mean‖², held-out grasps, total latent of the pad.
+        imbalance_after: the same with the adapter.
+    """
+
+    adapter: LatentAdapter
+    tokenizer_hash: str
+    new: str
+    anchor: str
+    imbalance_before: float
+    imbalance_after: float
+
+    @torch.no_grad()
+    def __call__(self, z: torch.Tensor) -> torch.Tensor:
+        """Return the latents (B, P, latent) the anchor would have felt."""
+        return self.adapter(z)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the adapter and its facts to a folder ``load`` reads."""
+        latent, hidden = self.adapter.affine.in_features, self.adapter.bend[0].out_features
+        facts = {
+            "latent": latent,
+            "hidden": hidden,
+            "tokenizer_hash": self.tokenizer_hash,
+            "new": self.new,
+            "anchor": self.anchor,
+            "imbalance_before": self.imbalance_before,
+            "imbalance_after": self.imbalance_after,
+        }
+        return save_checkpoint(Path(path), self.adapter, facts)
+
+    @classmethod
+    def load(cls, path: str | Path, tokenizer_hash: str) -> Calibration:
+        """Load a calibration made for the tokenizer with this hash.
+
+        Raises:
+            CheckpointError: damaged, or made for another tokenizer.
+        """
+        folder = Path(path)
+        facts = read_config(folder)
+        if facts.get("tokenizer_hash") != tokenizer_hash:
+            came = facts.get("tokenizer_hash")
+            raise CheckpointError(
+                expected(
+                    f"tokenizer of {folder}", tokenizer_hash, came, "Calibrate again with this tokenizer."
+                )
+            )
+        adapter = LatentAdapter(int(facts["latent"]), int(facts["hidden"]))
+        load_weights(folder, adapter)
+        names = ("new", "anchor", "imbalance_before", "imbalance_after")
+        return cls(adapter.eval(), tokenizer_hash, *(facts[name] for name in names))
+
+
+def calibrate(
+    z_new: torch.Tensor,
+    z_anchor: torch.Tensor,
+    tokenizer_hash: str,
+    new: str,
+    anchor: str,
+    config: CalibrationConfig | None = None,
+) -> Calibration:
+    """Fit an adapter to paired latents of the same grasps.
+
+    Args:
+        z_new: (n, P, latent) of the sensor to calibrate, canonical frame.
+        z_anchor: (n, P, latent) of the known sensor on the other finger.
+        tokenizer_hash: of the tokenizer both came from.
+        new: name of the sensor to calibrate.
+        anchor: name of the known one.
+        config: sizes and steps.
+
+    Raises:
+        ContractError: too few grasps, different shapes, NaN, or grasps that never load the sensors.
+    """
+    config = config or CalibrationConfig()
+    _check(z_new, z_anchor, config)
+    order = np.random.default_rng(config.seed).permutation(len(z_new))
+    judge, fit = np.split(order, [max(1, int(config.held_out * len(order)))])
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        adapter = _fit(z_new[fit], z_anchor[fit], config)
+    with torch.no_grad():
+        before = imbalance(z_new[judge], z_anchor[judge])
+        after = imbalance(adapter(z_new[judge]), z_anchor[judge])
+    return Calibration(adapter, tokenizer_hash, new, anchor, before, after)
+
+
+def imbalance(z_new: torch.Tensor, z_anchor: torch.Tensor) -> float:
+    """Return the disagreement of the pads' total latents over the anchor's own variance; 0 is equilibrium."""
+    new, anchor = z_new.mean(dim=1), z_anchor.mean(dim=1)  # (n, latent)
+    spread = (anchor - anchor.mean(dim=0)).square().sum()
+    return float((new - anchor).square().sum() / spread.clamp_min(1e-12))
+
+
+def _fit(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfig) -> LatentAdapter:
+    adapter = LatentAdapter(z_new.shape[-1], config.hidden)
+    adapter.spread.copy_(z_anchor.flatten(0, 1).std(dim=0).clamp_min(1e-6))
+    optimizer = torch.optim.AdamW(
+        adapter.parameters(), lr=config.learning_rate, weight_decay=config.identity_pull
+    )
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
+    for _ in range(config.steps):
+        rows = torch.randint(len(z_new), (config.batch,))
+        loss = _disagreement(adapter(z_new[rows]), z_anchor[rows], adapter.spread)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+    return adapter.eval()
+
+
+def _disagreement(z: torch.Tensor, anchor: torch.Tensor, spread: torch.Tensor) -> torch.Tensor:
+    """Return the error of totals, and with less weight of regions: fingers balance in total, maps only loosely."""
+    gap = (z - anchor) / spread
+    regions = as_map(gap).unfold(2, 2, 2).unfold(3, 2, 2).mean(dim=(-1, -2))  # 2×2 patches at a time
+    return gap.mean(dim=1).square().mean() * 10 + regions.square().mean()
+
+
+def _check(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfig) -> None:
+    if z_new.shape != z_anchor.shape or z_new.ndim != 3:
+        came = f"{tuple(z_new.shape)} and {tuple(z_anchor.shape)}"
+        raise ContractError(expected("paired latents", "(n, P, latent) twice", came, "Pair them by frame."))
+    if len(z_new) < config.min_pairs:
+        do = "Grasp for a minute, with every force from light to strong."
+        raise ContractError(expected("grasps", f"at least {config.min_pairs}", len(z_new), do))
+    if not bool(z_new.isfinite().all() and z_anchor.isfinite().all()):
+        raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the recordings."))
+    if float(z_anchor.mean(dim=1).std(dim=0).max()) < 1e-6:
+        do = "Hold the object from outside and squeeze, push and twist it."
+        raise ContractError(expected("grasps", "changing forces", "the same latent throughout", do))
+
+
+def calibration_facts(calibration: Calibration, config: CalibrationConfig) -> dict[str, object]:
+    """Return what a report says of a calibration."""
+    return {
+        "new": calibration.new,
+        "anchor": calibration.anchor,
+        "imbalance_before": calibration.imbalance_before,
+        "imbalance_after": calibration.imbalance_after,
+        "config": asdict(config),
+    }
