@@ -37,7 +37,9 @@ class PairCacheConfig:
     pairs_per_unit: int = 16  # contacts felt by one unit: they share a reference
     units_per_shard: int = 64  # one file per so many units; a killed run continues at the next shard
     seed: int = 1  # of everything drawn
-    family_share: float = 0.0  # share of cameras drawn from the procedural family; 0 = the paper's three sensors
+    family_share: float = (
+        0.0  # share of cameras drawn from the procedural family; 0 = the paper's three sensors
+    )
     free_look: bool = False  # every camera with a pose, zoom and marker size of its own
     marker_loss: float = 0.0  # chance per marker and frame, in half of the units
     misaligned_cells: int = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
