@@ -14,6 +14,7 @@ MAY_IMPORT = {
     "markers": {"sensors"},
     "contact": {"sensors", "markers"},
     "tokenizer": {"sensors", "markers", "contact"},
+    "peers": {"sensors", "markers", "contact", "tokenizer"},
     "evaluation": set(),
 }
 
@@ -35,7 +36,7 @@ def test_stage_imports_only_from_its_left(stage: str) -> None:
         assert not foreign, f"{file.relative_to(ROOT)} imports {foreign}"
 
 
-@pytest.mark.parametrize("package", ["sensors", "markers", "contact", "tokenizer", "evaluation"])
+@pytest.mark.parametrize("package", ["sensors", "markers", "contact", "tokenizer", "peers", "evaluation"])
 def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -> None:
     forbidden = (
         "lerobot",

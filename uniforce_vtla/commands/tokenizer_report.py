@@ -1,4 +1,4 @@
-"""Zero-shot force tables of the tokenizer on frozen sets, with rows that keep it honest."""
+"""What the tokenizer is worth: zero-shot force on frozen sets, correlation, reconstructions, real recordings."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ import cv2
 import torch
 from tqdm import tqdm
 
+from uniforce_vtla.commands import peer_rows
+from uniforce_vtla.commands import tokenizer_questions as questions
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.results_file import provenance, write_json
@@ -46,11 +48,16 @@ SHIPPED_HEADS_SET = (
 
 @dataclass
 class TokenizerReportCommand:
-    """Measure zero-shot force on a frozen set, or freeze it, train the shipped heads, replay a committed table.
+    """Answer one question about a tokenizer; or freeze a set, train the shipped heads, replay a committed table.
 
-    Example: uniforce-tokenizer-report set=hetero_hard_v1 seeds=3
+    Example: uniforce-tokenizer-report question=force set=hetero_hard_v1 seeds=3
     """
 
+    question: str = "force"  # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real recordings)
+    data: str = (
+        ""  # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
+    )
+    recordings: str = ""  # question=slip: folder of the bilateral uSkin trials
     set: str = "hetero_hard_v1"  # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 | heldout_hidden_v1
     tokenizer: str = ""  # checkpoint folder; empty = shipped
     results: str = "docs/results"  # the sets' facts, the tables and their figures
@@ -58,7 +65,15 @@ class TokenizerReportCommand:
     seeds: int = 3  # heads per cell
     freeze: bool = False  # only draw the set and write its hash
     ship_heads: bool = False  # also train one head per registry sensor into the package (set=zero_shot_v1)
-    only: str = ""  # re-measure one row by name, keep the others from the committed table
+    peers: bool = (
+        False  # also the rows that train networks of their own: hours on two cores, one row at a time
+    )
+    twin_steps: int = 6000  # of the objective twins; the shipped checkpoint's own number
+    anytouch: str = ""  # official checkpoint file; empty = row n/a
+    t3: str = ""  # folder with encoders/ and trunk.pth; empty = row n/a
+    t3_encoder: str = ""  # which of T3's encoders reads our sensors; must be named
+    unit: str = ""  # official checkpoint file; empty = row n/a
+    only: str = ""  # measure just these rows (comma between them), keep the others from the committed table
     replay: int = 0  # only re-measure so many cells of the UniForce row, or of the shipped heads, and compare
 
 
@@ -84,8 +99,11 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "random encoder": lambda: learnt_row(table, lambda s: encode_set(untrained, s), seeds, POOL),
         "mean": lambda: mean_row(table),
     }
-    kept = _committed_rows(command, report_set, facts, tokenizer) if command.only else {}
-    rows = {name: kept[name] if name in kept else make() for name, make in tqdm(makers.items(), desc="rows")}
+    if command.peers:
+        makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps)
+    chosen = peer_rows.choose(makers, command.only)
+    rows = _committed_rows(command, report_set, facts, tokenizer) if command.only else {}
+    rows |= {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
     content = {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
         "set": facts["set"],
@@ -95,6 +113,9 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "summary": {name: summary(row, table.transfers()) for name, row in rows.items()},
         "rows": rows,
     }
+    if command.peers:
+        paths = {"anytouch": command.anytouch, "t3": command.t3, "unit": command.unit}
+        content |= peer_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
     if report_set.name == SHIPPED_HEADS_SET:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
     return content | provenance()
@@ -117,13 +138,16 @@ def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, 
 def _committed_rows(
     command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any], tokenizer: Tokenizer
 ) -> dict[str, Cells]:
-    """Return the committed table's rows other than ``only``, if set, seeds and tokenizer are the same."""
-    table = json.loads((Path(command.results) / report_set.table).read_text())
+    """Return the committed table's rows, if set, seeds and tokenizer are the same; none where there is no table."""
+    path = Path(command.results) / report_set.table
+    if not path.exists():
+        return {}
+    table = json.loads(path.read_text())
     came = (table["set_hash"], table["tokenizer_hash"], table["seeds"])
     wanted = (facts["set_hash"], tokenizer.hash, command.seeds)
-    if came != wanted or command.only not in table["rows"]:
+    if came != wanted:
         raise DatasetError(expected("committed table", wanted, came, "Measure all rows: leave out only=."))
-    return {name: row for name, row in table["rows"].items() if name != command.only}
+    return dict(table["rows"])
 
 
 def ship_heads(table: Table, tokenizer: Tokenizer) -> None:
@@ -181,11 +205,27 @@ def _report(command: TokenizerReportCommand) -> str:
         verdict = "agrees with" if worst <= REPLAY_TOLERANCE else "DIFFERS FROM"
         path = results / report_set.table
         return f"replay of {command.replay} cells {verdict} {path}: largest difference {worst:.4f}"
+    if command.data:
+        return questions.user_data(tokenizer, command.data, command.seeds, results)
+    if command.question != "force":
+        return _other_question(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)
     path = write_json(results / report_set.table, content)
     draw_table(content, path.with_suffix(".png"))
     lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
     return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])
+
+
+def _other_question(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
+    results = Path(command.results)
+    if command.question == "reconstructions":
+        return questions.reconstructions(tokenizer, results)
+    if command.question not in ("correlation", "slip"):
+        raise questions.unknown(command.question)
+    table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+    if command.question == "correlation":
+        return questions.correlation(tokenizer, report_set, table, results)
+    return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
 
 
 def _numbers(values: dict[str, float]) -> str:

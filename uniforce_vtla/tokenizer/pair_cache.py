@@ -46,6 +46,9 @@ class PairCacheConfig:
     imbalance: float = 0.0  # the right finger's force is off by up to this share; 0 = perfect equilibrium
 
 
+FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
+
+
 @dataclass(frozen=True)
 class Pairs:
     """A batch of pairs in the canonical frame, ready for the model.

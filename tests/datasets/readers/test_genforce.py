@@ -1,0 +1,264 @@
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from uniforce_datasets.readers import ForceAxes, GenForceConfig, ReadOptions, force_set, read_genforce
+from uniforce_datasets.readers.genforce import read_packed
+from uniforce_vtla.errors import ContractError, DatasetError
+
+
+def hetero(release: Path) -> Path:
+    return release / "dataset" / "training" / "hetero"
+
+
+def image_folder(release: Path, sensor: str = "gelsight") -> Path:
+    return hetero(release) / "img" / sensor / "sphere" / "1"
+
+
+def force_file(release: Path) -> Path:
+    return hetero(release) / "force" / "gelsight" / "sphere" / "1" / "ft.csv"
+
+
+def edit_forces(release: Path, edit: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+    edit(pd.read_csv(force_file(release))).to_csv(force_file(release), index=False)
+
+
+@pytest.mark.parametrize("below", ["", "dataset/training/hetero"])
+def test_images_and_forces_come_back_exactly(genforce: Path, marker_trials: Any, below: str) -> None:
+    found = {(r.sensor, r.indenter): r for r in read_genforce(genforce / below)}
+    assert len(found) == len(marker_trials) == 6
+    for trial in marker_trials:
+        recording = found[trial.sensor, trial.indenter]
+        assert np.array_equal(recording.frames, trial.frames)
+        assert np.array_equal(recording.reference, trial.frames[0])
+        assert np.array_equal(
+            recording.force_N, trial.force_N
+        )  # Fz was written negative: z comes out positive
+        assert (recording.trial, recording.first_frame) == ("1", 0)
+    assert max(r.force_N[:, 2].max() for r in found.values()) > 0.5
+
+
+def test_splits_and_sensors(genforce: Path) -> None:
+    unseen = GenForceConfig(sensors=("tactip",), split="unseen")
+    assert [str(r) for r in read_genforce(genforce, unseen)] == ["tactip/wave/1"]
+    assert {r.indenter for r in read_genforce(genforce, GenForceConfig(split="seen"))} == {"sphere"}
+    with pytest.raises(ContractError, match="split"):
+        list(read_genforce(genforce, GenForceConfig(split="some")))  # type: ignore[arg-type]
+
+
+def test_unknown_sensor_lists_those_there(genforce: Path) -> None:
+    with pytest.raises(DatasetError, match=r"gelsight \| tactip \| uskin.*digit"):
+        list(read_genforce(genforce, GenForceConfig(sensors=("digit",))))
+
+
+def test_a_long_trial_comes_in_parts(genforce: Path, marker_trials: Any) -> None:
+    config = GenForceConfig(sensors=("gelsight",), split="seen", options=ReadOptions(max_frames=4))
+    first, second = read_genforce(genforce, config)
+    assert (first.first_frame, second.first_frame) == (0, 4)
+    assert np.array_equal(np.concatenate([first.frames, second.frames]), marker_trials[0].frames)
+    assert np.array_equal(np.concatenate([first.force_N, second.force_N]), marker_trials[0].force_N)
+
+
+def test_plain_arrays_are_read_too(tmp_path: Path, marker_trials: Any) -> None:
+    image = marker_trials[0].frames[1]
+    for number, array in enumerate([image, image // 255, image > 0]):
+        np.save(tmp_path / f"{number}.npy", array)
+        assert np.array_equal(read_packed(tmp_path / f"{number}.npy"), image)
+
+
+def spoil_a_row(release: Path, value: object) -> None:
+    table = pd.read_csv(force_file(release)).astype(object)
+    table.iloc[2] = value
+    table.to_csv(force_file(release), index=False)
+
+
+# -- what can be wrong ----------------------------------------------------------------------------------
+
+
+def truncate(release: Path) -> None:
+    path = image_folder(release) / "0002.npy"
+    path.write_bytes(path.read_bytes()[:2_000])
+
+
+def empty_npy(release: Path) -> None:
+    (image_folder(release) / "0002.npy").write_bytes(b"")
+
+
+def pickled(release: Path) -> None:
+    np.save(image_folder(release) / "0002.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+
+
+def archive(release: Path) -> None:
+    with (image_folder(release) / "0002.npy").open("wb") as stream:
+        np.savez(stream, a=np.zeros(3))
+
+
+def another_size(release: Path) -> None:
+    np.save(image_folder(release) / "0002.npy", np.packbits(np.zeros(240 * 320, bool)))
+
+
+def grey_values(release: Path) -> None:
+    np.save(image_folder(release) / "0002.npy", np.full((480, 640), 7, np.uint8))
+
+
+def small_jpeg(release: Path) -> None:
+    cv2.imwrite(str(image_folder(release, "uskin") / "0002.jpg"), np.zeros((240, 320), np.uint8))
+
+
+def grey_jpeg(release: Path) -> None:
+    cv2.imwrite(str(image_folder(release, "uskin") / "0002.jpg"), np.full((480, 640), 120, np.uint8))
+
+
+def half_a_jpeg(release: Path) -> None:
+    path = image_folder(release, "uskin") / "0002.jpg"
+    path.write_bytes(path.read_bytes()[:5_000])
+
+
+def no_csv(release: Path) -> None:
+    force_file(release).unlink()
+
+
+def empty_csv(release: Path) -> None:
+    force_file(release).write_bytes(b"")
+
+
+def too_few_rows(release: Path) -> None:
+    edit_forces(release, lambda table: table[:-1])
+
+
+def too_few_columns(release: Path) -> None:
+    edit_forces(release, lambda table: table.iloc[:, :2])
+
+
+def nan_force(release: Path) -> None:
+    spoil_a_row(release, np.nan)
+
+
+def infinite_force(release: Path) -> None:
+    spoil_a_row(release, np.inf)
+
+
+def text_force(release: Path) -> None:
+    spoil_a_row(release, "none")
+
+
+def missing_frame(release: Path) -> None:
+    (image_folder(release) / "0002.npy").unlink()
+
+
+def two_kinds(release: Path) -> None:
+    (image_folder(release) / "0009.jpg").write_bytes(b"")
+
+
+def no_frames(release: Path) -> None:
+    for path in image_folder(release).glob("*.npy"):
+        path.unlink()
+
+
+def pressed_from_the_start(release: Path) -> None:
+    edit_forces(release, lambda table: table.assign(**{"Fz(N)": table["Fz(N)"] - 1.0}))
+
+
+def wrong_sign(release: Path) -> None:
+    edit_forces(release, lambda table: table.assign(**{"Fz(N)": np.linspace(0, 8, len(table))}))
+
+
+def link_outside(release: Path) -> None:
+    path = image_folder(release) / "0002.npy"
+    shutil.copy(path, release.parent / "elsewhere.npy")
+    path.unlink()
+    path.symlink_to(release.parent / "elsewhere.npy")
+
+
+def linked_forces(release: Path) -> None:
+    shutil.copy(force_file(release), release.parent / "elsewhere.csv")
+    force_file(release).unlink()
+    force_file(release).symlink_to(release.parent / "elsewhere.csv")
+
+
+def linked_folder(release: Path) -> None:
+    folder = image_folder(release)
+    shutil.move(folder, release.parent / "elsewhere")
+    folder.symlink_to(release.parent / "elsewhere")
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (truncate, r"0002\.npy.*whole \.npy"),
+        (empty_npy, r"0002\.npy.*whole \.npy"),
+        (pickled, r"0002\.npy.*allow_pickle=False"),
+        (archive, r"one array, got an archive"),
+        (another_size, r"38400 packed bytes"),
+        (grey_values, r"38400 packed bytes"),
+        (small_jpeg, r"480, 640.*240, 320"),
+        (grey_jpeg, r"black and white"),
+        (half_a_jpeg, r"truncated"),
+        (no_csv, r"ft\.csv: expected a csv file"),
+        (empty_csv, r"ft\.csv: expected a csv table"),
+        (too_few_rows, r"6 rows, one per image, got 5"),
+        (too_few_columns, r"three columns"),
+        (nan_force, r"finite forces"),
+        (infinite_force, r"finite forces"),
+        (text_force, r"finite forces"),
+        (missing_frame, r"5 rows, one per image, got 6"),
+        (two_kinds, r"one kind"),
+        (no_frames, r"got none"),
+        (pressed_from_the_start, r"gelsight/sphere/1.*free-air frame.*1\.00 N"),
+        (wrong_sign, r"8\.0 N of pull"),
+        (link_outside, r"a path inside"),
+        (linked_forces, r"a path inside"),
+        (linked_folder, r"a path inside"),
+    ],
+)
+def test_broken_sets_are_refused(genforce: Path, damage: Callable[[Path], None], says: str) -> None:
+    damage(genforce)
+    with pytest.raises(DatasetError, match=says):
+        list(read_genforce(genforce))
+
+
+def test_a_pressed_trial_can_be_left_out_by_choice(genforce: Path) -> None:
+    pressed_from_the_start(genforce)
+    options = ReadOptions(pressed_reference="skip")
+    read = [str(r) for r in read_genforce(genforce, GenForceConfig(options=options))]
+    assert len(read) == 5 and "gelsight/sphere/1" not in read
+
+
+def test_the_quietest_frame_can_be_the_reference(genforce: Path, marker_trials: Any) -> None:
+    edit_forces(
+        genforce, lambda t: t.assign(**{"Fz(N)": [-3.0, -2.0, 0.0, -2.0, -3.0, -3.0]}) * [0, 0, 1, 0, 0, 0]
+    )
+    config = GenForceConfig(("gelsight",), "seen", ForceAxes(), ReadOptions(reference="quietest"))
+    (recording,) = read_genforce(genforce, config)
+    assert np.array_equal(recording.reference, marker_trials[0].frames[2])
+
+
+def test_a_wrong_sign_can_be_turned(genforce: Path) -> None:
+    wrong_sign(genforce)
+    config = GenForceConfig(("gelsight",), "seen", ForceAxes(z="+z"))
+    (recording,) = read_genforce(genforce, config)
+    assert recording.force_N[-1, 2] == 8.0
+
+
+@pytest.mark.parametrize("content", [None, "readme.txt"])
+def test_folders_without_the_layout_are_refused(tmp_path: Path, content: str | None) -> None:
+    if content:
+        (tmp_path / content).touch()
+    with pytest.raises(DatasetError, match=r"img/ and force/"):
+        list(read_genforce(tmp_path))
+    with pytest.raises(DatasetError, match="a folder"):
+        list(read_genforce(tmp_path / "absent"))
+
+
+def test_layout_is_detected(genforce: Path) -> None:
+    found = force_set(genforce)
+    assert found.format == "genforce"
+    assert len(list(found)) == len(list(found)) == 6  # it can be read again

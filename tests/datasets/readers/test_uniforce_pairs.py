@@ -1,0 +1,220 @@
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from uniforce_datasets.readers import (
+    PairConfig,
+    PairRecording,
+    pair_set,
+    read_uniforce_pairs,
+    write_uniforce_pairs,
+)
+from uniforce_datasets.readers.uniforce_pairs import bordered
+from uniforce_vtla.errors import ContractError, DatasetError
+
+
+def pairs_of(left: Any, right: Any, indenter: str = "sphere") -> PairRecording:
+    return PairRecording(
+        (left.sensor, right.sensor), indenter, "p", left.reference, right.reference, left.frames, right.frames
+    )
+
+
+@pytest.fixture
+def recorded(tmp_path: Path, marker_trials: Any) -> Path:
+    """Six pairs each of two indenters, GelSight-D left and TacTip right."""
+    gelsight, tactip = marker_trials[0], marker_trials[2]
+    for indenter in ("moon", "sphere"):
+        whole = pairs_of(gelsight, tactip, indenter)
+        named = PairRecording(("gelsight_d", "tactip"), *list(whole.__dict__.values())[1:])
+        write_uniforce_pairs(tmp_path / "pairs", named, "Diamond1", "20260131")
+    return tmp_path / "pairs"
+
+
+def folder(root: Path) -> Path:
+    return root / "Diamond1" / "20260131" / "gelsight_d_tactip"
+
+
+def test_what_is_written_is_read_back(recorded: Path, marker_trials: Any) -> None:
+    found = list(pair_set(recorded))
+    assert [r.indenter for r in found] == ["moon", "sphere"]
+    for pairs in found:
+        assert pairs.sensors == ("gelsight_d", "tactip")
+        assert np.array_equal(pairs.left_frames, bordered(marker_trials[0].frames))
+        assert np.array_equal(pairs.right_frames, bordered(marker_trials[2].frames))
+        assert np.array_equal(pairs.left_reference, bordered(marker_trials[0].reference))
+        assert np.array_equal(pairs.right_reference, bordered(marker_trials[2].reference))
+    assert (folder(recorded) / "collection_log.txt").read_text().count("6 pairs from 000000") == 2
+    assert sorted(p.name for p in (folder(recorded) / "marker" / "tactip" / "moon").iterdir())[:2] == [
+        "000000.jpg",
+        "000001.jpg",
+    ]
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 2**32 - 1), split=st.integers(1, 3), cell=st.sampled_from([1, 3, 8, 40]))
+def test_any_binary_image_survives(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, split: int, cell: int
+) -> None:
+    """Blocks of any size, single pixels included, written in two goes."""
+    rng = np.random.default_rng(seed)
+    coarse = (rng.random((2, 5, 480 // cell + 1, 640 // cell + 1)) > 0.5) * np.uint8(255)
+    left, right = coarse.repeat(cell, axis=2).repeat(cell, axis=3)[..., :480, :640]
+    root = tmp_path_factory.mktemp("any")
+    for rows in (slice(0, split), slice(split, 4)):
+        part = PairRecording(("a", "b_c"), "cone", "p", left[4], right[4], left[rows], right[rows])
+        write_uniforce_pairs(root, part, "any", "d")
+    (read,) = read_uniforce_pairs(root)
+    assert np.array_equal(read.left_frames, bordered(left[:4]))
+    assert np.array_equal(read.right_frames, bordered(right[:4]))
+    assert read.sensors == ("a", "b_c")
+
+
+def test_many_pairs_come_in_parts(recorded: Path) -> None:
+    parts = list(read_uniforce_pairs(recorded, PairConfig(indenters=("moon",), max_frames=4)))
+    assert [(p.first_frame, len(p.left_frames)) for p in parts] == [(0, 4), (4, 2)]
+
+
+def test_a_reference_frame_must_be_named(recorded: Path, marker_trials: Any) -> None:
+    for path in recorded.rglob("reference.jpg"):
+        path.unlink()
+    with pytest.raises(DatasetError, match=r"reference\.jpg.*reference_index=0"):
+        list(read_uniforce_pairs(recorded))
+    found = next(read_uniforce_pairs(recorded, PairConfig(reference_index=1)))
+    assert np.array_equal(found.left_reference, bordered(marker_trials[0].frames[1]))
+    with pytest.raises(DatasetError, match="frame 000044"):
+        list(read_uniforce_pairs(recorded, PairConfig(reference_index=44)))
+
+
+def test_one_reference_per_sensor_serves_all_indenters(recorded: Path) -> None:
+    sensor = folder(recorded) / "marker" / "tactip"
+    shutil.copy(sensor / "moon" / "reference.jpg", sensor / "reference.jpg")
+    for indenter in ("moon", "sphere"):
+        (sensor / indenter / "reference.jpg").unlink()
+    assert len(list(read_uniforce_pairs(recorded))) == 2
+
+
+def test_unknown_indenter_lists_those_there(recorded: Path) -> None:
+    with pytest.raises(DatasetError, match=r"moon \| sphere"):
+        list(read_uniforce_pairs(recorded, PairConfig(indenters=("cone",))))
+
+
+# -- what can be wrong ----------------------------------------------------------------------------------
+
+
+def side(root: Path, sensor: str = "tactip") -> Path:
+    return folder(root) / "marker" / sensor / "sphere"
+
+
+def one_missing(root: Path) -> None:
+    (side(root) / "000003.jpg").unlink()
+
+
+def truncated(root: Path) -> None:
+    path = side(root) / "000003.jpg"
+    path.write_bytes(path.read_bytes()[:9_000])
+
+
+def wrong_size(root: Path) -> None:
+    cv2.imwrite(str(side(root) / "000003.jpg"), np.zeros((100, 100), np.uint8))
+
+
+def raw_picture(root: Path) -> None:
+    cv2.imwrite(str(side(root) / "000003.jpg"), np.full((480, 640), 128, np.uint8))
+
+
+def other_sensor(root: Path) -> None:
+    (folder(root) / "marker" / "tactip").rename(folder(root) / "marker" / "digit")
+
+
+def one_side_only(root: Path) -> None:
+    shutil.rmtree(side(root))
+
+
+def no_images(root: Path) -> None:
+    for sensor in ("tactip", "gelsight_d"):
+        for path in side(root, sensor).glob("0*.jpg"):
+            path.unlink()
+
+
+def linked_image(root: Path) -> None:
+    path = side(root) / "000003.jpg"
+    path.rename(root.parent / "elsewhere.jpg")
+    path.symlink_to(root.parent / "elsewhere.jpg")
+
+
+def linked_reference(root: Path) -> None:
+    path = side(root) / "reference.jpg"
+    path.rename(root.parent / "elsewhere.jpg")
+    path.symlink_to(root.parent / "elsewhere.jpg")
+
+
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (one_missing, "1 on one side only, e.g. 000003"),
+        (truncated, "truncated"),
+        (wrong_size, r"\(480, 640\), got \(100, 100\)"),
+        (raw_picture, "black and white"),
+        (other_sensor, r"two sensors of gelsight_d_tactip.*digit"),
+        (one_side_only, "the same indenters on both sides"),
+        (no_images, "got none"),
+        (linked_image, "a path inside"),
+        (linked_reference, "a path inside"),
+    ],
+)
+def test_broken_pairs_are_refused(recorded: Path, damage: Callable[[Path], None], says: str) -> None:
+    damage(recorded)
+    with pytest.raises(DatasetError, match=says):
+        list(read_uniforce_pairs(recorded))
+
+
+def test_folders_without_pairs_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"collection_log\.txt, got an empty folder"):
+        pair_set(tmp_path)
+    with pytest.raises(DatasetError, match=r"collection_log\.txt"):
+        list(read_uniforce_pairs(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["../up", "a/b", "", ".hidden", "__x"])
+def test_names_that_are_no_folders_are_refused(tmp_path: Path, marker_trials: Any, name: str) -> None:
+    with pytest.raises(ContractError, match="plain name"):
+        write_uniforce_pairs(tmp_path, pairs_of(marker_trials[0], marker_trials[2], name), "p", "d")
+    with pytest.raises(ContractError, match="plain name"):
+        write_uniforce_pairs(tmp_path, pairs_of(marker_trials[0], marker_trials[2]), name, "d")
+    assert not list(tmp_path.iterdir())
+
+
+def test_writer_refuses_what_it_could_not_read_back(tmp_path: Path, marker_trials: Any) -> None:
+    gelsight, tactip = marker_trials[0], marker_trials[2]
+    with pytest.raises(ContractError, match="two different names"):
+        write_uniforce_pairs(tmp_path, pairs_of(gelsight, marker_trials[1]), "p", "d")
+    small = np.zeros((48, 64), np.uint8)
+    with pytest.raises(ContractError, match="pair images"):
+        pairs = PairRecording(("a", "b"), "cone", "p", small, small, small[None], small[None])
+        write_uniforce_pairs(tmp_path, pairs, "p", "d")
+    write_uniforce_pairs(tmp_path, pairs_of(gelsight, tactip), "p", "d")
+    moved = PairRecording(
+        ("gelsight", "tactip"),
+        "sphere",
+        "p",
+        gelsight.frames[-1],
+        tactip.reference,
+        gelsight.frames,
+        tactip.frames,
+    )
+    with pytest.raises(DatasetError, match="the reference of this recording"):
+        write_uniforce_pairs(tmp_path, moved, "p", "d")
+
+
+def test_date_is_today_where_none_is_given(tmp_path: Path, marker_trials: Any) -> None:
+    written = write_uniforce_pairs(tmp_path, pairs_of(marker_trials[0], marker_trials[2]), "Array1")
+    assert written.parent.parent == tmp_path / "Array1" and len(written.parent.name) == 8

@@ -1,0 +1,73 @@
+"""Rows of other people's ideas in the force table: trained here, or read from official weights on disk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.peers.anytouch import anytouch_row
+from uniforce_vtla.peers.finetuned import finetuned_row
+from uniforce_vtla.peers.genforce_style import genforce_style_row
+from uniforce_vtla.peers.resnet import resnet_row
+from uniforce_vtla.peers.speed import speed_report
+from uniforce_vtla.peers.t3 import t3_row
+from uniforce_vtla.peers.twins import TwinConfig, train_twin, twin_row
+from uniforce_vtla.peers.unit import unit_row
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.pair_cache import FAMILY, LivePairs
+from uniforce_vtla.tokenizer.zero_shot import Cells, Table
+
+
+def trained(
+    table: Table, tokenizer: Tokenizer, seeds: int, twin_steps: int
+) -> dict[str, Callable[[], Cells]]:
+    """Return the makers of rows that train networks: name → maker.
+
+    Twins see pairs of the tokenizer's own recipe, drawn live.
+    """
+    pairs = LivePairs(replace(FAMILY, side=tokenizer.config.side))
+
+    def twin(kind: str) -> Cells:
+        config = TwinConfig(model=tokenizer.config)
+        return twin_row(table, train_twin(kind, pairs, twin_steps, 0, config), seeds)  # type: ignore[arg-type]
+
+    makers: dict[str, Callable[[], Cells]] = {
+        "UniForce (FT)": lambda: finetuned_row(table, tokenizer, seeds),
+        "ResNet": lambda: resnet_row(table, seeds),
+        "twin: MAE": lambda: twin("mae"),
+        "twin: VQ-VAE": lambda: twin("vqvae"),
+    }
+    if set(table.frozen) <= set(table.training):  # a translator needs pictures of its target
+        makers["translation (own, after GenForce)"] = lambda: genforce_style_row(table, 1)
+    return makers
+
+
+def choose(makers: dict[str, Callable[[], Cells]], only: str) -> dict[str, Callable[[], Cells]]:
+    """Return the makers named in ``only`` (comma between them); all of them when empty.
+
+    Raises:
+        ContractError: a row nobody makes.
+    """
+    names = [name.strip() for name in only.split(",") if name.strip()] or list(makers)
+    unknown = sorted(set(names) - set(makers))
+    if unknown:
+        raise ContractError(expected("only", " | ".join(makers), unknown, "Name rows of the table."))
+    return {name: makers[name] for name in names}
+
+
+def published(
+    table: Table, tokenizer: Tokenizer, seeds: int, paths: dict[str, str], t3_encoder: str
+) -> dict[str, Any]:
+    """Return the published encoders' rows (n/a without their weights) and everyone's speed."""
+    found = {name: Path(path) if path else None for name, path in paths.items()}
+    return {
+        "published_encoders": {
+            "AnyTouch": anytouch_row(table, seeds, found["anytouch"]).as_dict(),
+            "T3": t3_row(table, seeds, found["t3"], t3_encoder).as_dict(),
+            "UniT": unit_row(table, seeds, found["unit"]).as_dict(),
+        },
+        "speed": speed_report(tokenizer)["encoders"],
+    }

@@ -1,0 +1,124 @@
+"""What else is asked of a tokenizer: correlation (Q1), reconstructions (Q2), real slip, a user's own recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from uniforce_vtla.contact.indenters import SEEN, UNSEEN
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.labelled_set import LabelledSet
+from uniforce_vtla.tokenizer.latent_correlation import (
+    fit_rotation,
+    indenters_of,
+    latent_correlation,
+    pad_latent,
+)
+from uniforce_vtla.tokenizer.latent_correlation_figure import draw_correlations
+from uniforce_vtla.tokenizer.real_slip import read_trials, real_slip
+from uniforce_vtla.tokenizer.real_slip_figure import draw_real_slip
+from uniforce_vtla.tokenizer.reconstructions import reconstruction_report
+from uniforce_vtla.tokenizer.reconstructions_figure import draw_reconstructions
+from uniforce_vtla.tokenizer.report_sets import ReportSet
+from uniforce_vtla.tokenizer.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
+
+
+def correlation(tokenizer: Tokenizer, report_set: ReportSet, table: Table, results: Path) -> str:
+    """Write Q1: |r| of rotated latents with Fx, Fy, Fz on every sensor's unseen indenters."""
+    names = indenters_of(report_set.frozen)
+    content = latent_correlation(
+        tokenizer, table.training["tactip"], table.frozen, dict.fromkeys(table.frozen, names)
+    )
+    content |= {"set": report_set.name, "tokenizer_hash": tokenizer.hash} | provenance()
+    path = write_json(results / "latent_correlation.json", content)
+    draw_correlations(content, path.with_suffix(".png"))
+    lines = [f"{sensor}: |r| Fx, Fy, Fz {_short(r)}" for sensor, r in content["best_abs_r"].items()]
+    return "\n".join([*lines, f"written to {path}"])
+
+
+def reconstructions(tokenizer: Tokenizer, results: Path) -> str:
+    """Write Q2: self and cross reconstructions, their errors and the worst cases."""
+    content, rigs = reconstruction_report(tokenizer)
+    path = write_json(
+        results / "reconstructions.json", content | {"tokenizer_hash": tokenizer.hash} | provenance()
+    )
+    draw_reconstructions(rigs, path.with_suffix(".png"))
+    return f"written to {path}"
+
+
+def slip(tokenizer: Tokenizer, uskin: LabelledSet, recordings: str, results: Path) -> str:
+    """Write what the latent says of real two-finger uSkin recordings.
+
+    Args:
+        tokenizer: encodes both fingers.
+        uskin: simulated uSkin sequences; the direction of Fz in the latent comes from them.
+        recordings: folder with the trials' CSV files.
+        results: where the report goes.
+
+    Raises:
+        DatasetError: no recordings there.
+    """
+    if not recordings or not Path(recordings).is_dir():
+        do = "Pass recordings=<folder of the bilateral uSkin trials>."
+        raise DatasetError(expected("recordings", "a folder", repr(recordings), do))
+    rotation = fit_rotation(pad_latent(tokenizer, uskin), uskin.force_N, "uskin")
+    trials = read_trials(Path(recordings))
+    content, signals, scores = real_slip(tokenizer, trials, rotation)
+    path = write_json(results / "real_slip.json", content | {"tokenizer_hash": tokenizer.hash} | provenance())
+    draw_real_slip(content, trials, signals, scores, rotation, path.with_suffix(".png"))
+    return f"written to {path}"
+
+
+def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
+    """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
+
+    Raises:
+        DatasetError: a format nobody knows, or fewer than two sensors with both kinds of indenters.
+    """
+    from uniforce_datasets.readers import (  # stays out of reach of those who bring no data
+        WindowConfig,
+        force_set,
+        of_indenters,
+        of_sensor,
+        shear_agreement,
+        to_labelled_set,
+    )
+
+    found, windows, side = force_set(folder), WindowConfig(), tokenizer.config.side
+    sensors = sorted({recording.sensor for recording in found})
+    if len(sensors) < 2:
+        do = "A transfer needs a source and a target sensor."
+        raise DatasetError(expected(folder, "two sensors or more", sensors, do))
+
+    def sets(indenters: tuple[str, ...]) -> dict[str, LabelledSet]:
+        return {
+            s: to_labelled_set(of_indenters(of_sensor(found, s), indenters), side, windows) for s in sensors
+        }
+
+    table = Table(sets(SEEN), sets(UNSEEN))
+    content: dict[str, Any] = {
+        "what": f"{found.format} recordings in {folder}; heads trained on seen, scored on unseen indenters",
+        "tokenizer_hash": tokenizer.hash,
+        "seeds": seeds,
+        "shear_agreement": {s: shear_agreement(table.training[s]).tolist() for s in sensors},
+        "rows": {
+            "UniForce": learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL),
+            "hand descriptor": descriptor_row(table, seeds),
+            "mean": mean_row(table),
+        },
+    }
+    path = write_json(results / "force_on_data.json", content | provenance())
+    lines = [f"{name}: R² {_short(cell['r2'])}" for name, cell in content["rows"]["UniForce"].items()]
+    return "\n".join([*lines, f"written to {path}; check shear_agreement: −1 there means a wrong sign"])
+
+
+def unknown(question: str) -> ContractError:
+    """Return the error for a question nobody asks."""
+    known = "force | correlation | reconstructions | slip"
+    return ContractError(expected("question", known, repr(question), "Ask one of these."))
+
+
+def _short(values: list[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)
