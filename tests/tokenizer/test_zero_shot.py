@@ -17,6 +17,7 @@ from uniforce_vtla.tokenizer.labelled_set import (
     set_facts,
     within,
 )
+from uniforce_vtla.tokenizer.report_sets import get_report_set
 from uniforce_vtla.tokenizer.zero_shot import check_frozen, score, summary, transfer_name, transfers
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -59,10 +60,13 @@ def test_paper_range() -> None:
     assert within(force).tolist() == [True, False, True, False]
 
 
-@pytest.mark.skipif(not (RESULTS / "zero_shot_force.json").exists(), reason="no table committed")
-def test_committed_table_belongs_to_the_frozen_set_and_meets_its_form() -> None:
-    table = json.loads((RESULTS / "zero_shot_force.json").read_text())
-    frozen = json.loads((RESULTS / "zero_shot_set.json").read_text())
+@pytest.mark.parametrize("name", ["zero_shot_v1", "hetero_hard_v1"])
+def test_committed_table_belongs_to_the_frozen_set_and_meets_its_form(name: str) -> None:
+    report_set = get_report_set(name)
+    if not (RESULTS / report_set.table).exists():
+        pytest.skip(f"no table of {name} committed")
+    table = json.loads((RESULTS / report_set.table).read_text())
+    frozen = json.loads((RESULTS / report_set.facts_file).read_text())
     assert table["set_hash"] == frozen["set_hash"]
     for row in table["rows"].values():
         for source, target in transfers():

@@ -33,4 +33,5 @@ def cached(
         np.savez(scratch, digest=np.array(drawn.digest), **{a: getattr(drawn, a) for a in ARRAYS})  # type: ignore
         scratch.replace(path)
     with np.load(path) as stored:
-        return LabelledSet(*(stored[a] for a in ARRAYS), digest=str(stored["digest"]))
+        arrays = {a: stored[a] for a in ARRAYS}
+        return LabelledSet(**arrays, digest=str(stored["digest"]))
