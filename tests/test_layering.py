@@ -14,7 +14,8 @@ MAY_IMPORT = {
     "markers": {"sensors"},
     "contact": {"sensors", "markers"},
     "tokenizer": {"sensors", "markers", "contact"},
-    "peers": {"sensors", "markers", "contact", "tokenizer"},
+    "probes": {"sensors", "markers", "contact", "tokenizer"},
+    "peers": {"sensors", "markers", "contact", "tokenizer", "probes"},
     "evaluation": set(),
 }
 
@@ -36,7 +37,9 @@ def test_stage_imports_only_from_its_left(stage: str) -> None:
         assert not foreign, f"{file.relative_to(ROOT)} imports {foreign}"
 
 
-@pytest.mark.parametrize("package", ["sensors", "markers", "contact", "tokenizer", "peers", "evaluation"])
+@pytest.mark.parametrize(
+    "package", ["sensors", "markers", "contact", "tokenizer", "probes", "peers", "evaluation"]
+)
 def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -> None:
     forbidden = (
         "lerobot",

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.zero_shot import Table
 from uniforce_vtla.tokenizer.force_head import HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 from uniforce_vtla.tokenizer.pair_cache import Pairs
-from uniforce_vtla.tokenizer.zero_shot import Table
 
 torch.set_num_threads(1)
 SIDE = 32

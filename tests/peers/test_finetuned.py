@@ -12,9 +12,9 @@ from uniforce_vtla.errors import ContractError
 from uniforce_vtla.peers.end_to_end import EndToEndConfig
 from uniforce_vtla.peers.finetuned import FineTuneConfig, TokenizerEncoder, finetuned_row, fit_finetuned
 from uniforce_vtla.peers.pictures import pictures
+from uniforce_vtla.probes.zero_shot import Table, encode_set, score
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import TokenizerConfig
-from uniforce_vtla.tokenizer.zero_shot import Table, encode_set, score
 
 SHORT = EndToEndConfig(steps=3, frames_per_step=16)
 

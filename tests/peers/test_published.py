@@ -25,7 +25,7 @@ from uniforce_vtla.peers.frozen import (
 )
 from uniforce_vtla.peers.t3 import Block, T3Config, T3Encoder, load_t3, t3_row
 from uniforce_vtla.peers.unit import UniTConfig, UniTEncoder, load_unit, unit_row
-from uniforce_vtla.tokenizer.zero_shot import Table
+from uniforce_vtla.probes.zero_shot import Table
 
 T3_TINY = T3Config(image=32, patch=8, width=16, heads=2, encoder_depth=1, trunk_depth=2)
 ANYTOUCH_TINY = AnyTouchConfig(image=28, patch=7, width=16, depth=2, heads=2, mlp=32, projection=12)

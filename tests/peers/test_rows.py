@@ -19,9 +19,9 @@ from uniforce_vtla.peers.genforce_style import (
 )
 from uniforce_vtla.peers.pictures import labels, pictures
 from uniforce_vtla.peers.resnet import ResNetConfig, build_resnet, fit_resnet, resnet_row
+from uniforce_vtla.probes.zero_shot import Cells, Table, score
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import TokenizerConfig
-from uniforce_vtla.tokenizer.zero_shot import Cells, Table, score
 
 SHORT = EndToEndConfig(steps=3, frames_per_step=16)
 RESNET = ResNetConfig(width=8, blocks=(1, 1, 1), training=replace(SHORT, steps=80))

@@ -18,8 +18,8 @@ from uniforce_vtla.peers.twins import (
     train_twin_with_losses,
     twin_row,
 )
+from uniforce_vtla.probes.zero_shot import Table
 from uniforce_vtla.tokenizer.model import TokenizerConfig
-from uniforce_vtla.tokenizer.zero_shot import Table
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import torch
 
+from uniforce_vtla.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled
+from uniforce_vtla.probes.zero_shot import encode_set, predict, score, shipped_cell
 from uniforce_vtla.tokenizer.api import SHIPPED, Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled
 from uniforce_vtla.tokenizer.weights import ASSETS
-from uniforce_vtla.tokenizer.zero_shot import encode_set, predict, score, shipped_cell
 
 pytestmark = pytest.mark.skipif(not SHIPPED.exists(), reason="no checkpoint shipped yet")
 

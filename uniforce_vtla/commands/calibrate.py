@@ -18,15 +18,15 @@ from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.probes.hard_sets import hidden_sensors
+from uniforce_vtla.probes.report_sets import get_report_set
+from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, predict, score, sized_head
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration, CalibrationConfig, calibrate, calibration_facts
-from uniforce_vtla.tokenizer.hard_sets import hidden_sensors
 from uniforce_vtla.tokenizer.head_training import train_head
 from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.pooling import pool_latent
-from uniforce_vtla.tokenizer.report_sets import get_report_set
-from uniforce_vtla.tokenizer.zero_shot import POOL, Table, encode_set, predict, score, sized_head
 
 RESULT = "heldout_hidden.json"
 

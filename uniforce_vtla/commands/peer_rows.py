@@ -16,9 +16,9 @@ from uniforce_vtla.peers.speed import speed_report
 from uniforce_vtla.peers.t3 import t3_row
 from uniforce_vtla.peers.twins import TwinConfig, train_twin, twin_row
 from uniforce_vtla.peers.unit import unit_row
+from uniforce_vtla.probes.zero_shot import Cells, Table
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.pair_cache import FAMILY, LivePairs
-from uniforce_vtla.tokenizer.zero_shot import Cells, Table
 
 
 def trained(

@@ -7,22 +7,22 @@ from typing import Any
 
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
-from uniforce_vtla.tokenizer.latent_correlation import (
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.latent_correlation import (
     fit_rotation,
     indenters_of,
     latent_correlation,
     pad_latent,
 )
-from uniforce_vtla.tokenizer.latent_correlation_figure import draw_correlations
-from uniforce_vtla.tokenizer.real_slip import read_trials, real_slip
-from uniforce_vtla.tokenizer.real_slip_figure import draw_real_slip
-from uniforce_vtla.tokenizer.reconstructions import reconstruction_report
-from uniforce_vtla.tokenizer.reconstructions_figure import draw_reconstructions
-from uniforce_vtla.tokenizer.report_sets import ReportSet
-from uniforce_vtla.tokenizer.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
+from uniforce_vtla.probes.latent_correlation_figure import draw_correlations
+from uniforce_vtla.probes.real_slip import read_trials, real_slip
+from uniforce_vtla.probes.real_slip_figure import draw_real_slip
+from uniforce_vtla.probes.reconstructions import reconstruction_report
+from uniforce_vtla.probes.reconstructions_figure import draw_reconstructions
+from uniforce_vtla.probes.report_sets import ReportSet
+from uniforce_vtla.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
 
 
 def correlation(tokenizer: Tokenizer, report_set: ReportSet, table: Table, results: Path) -> str:

@@ -17,14 +17,9 @@ from uniforce_vtla.commands import peer_rows
 from uniforce_vtla.commands import tokenizer_questions as questions
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
-from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
-from uniforce_vtla.tokenizer.report_sets import ReportSet, get_report_set
-from uniforce_vtla.tokenizer.weights import ASSETS
-from uniforce_vtla.tokenizer.zero_shot import (
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.report_sets import ReportSet, get_report_set
+from uniforce_vtla.probes.zero_shot import (
     POOL,
     Cells,
     Table,
@@ -38,7 +33,12 @@ from uniforce_vtla.tokenizer.zero_shot import (
     summary,
     transfer_name,
 )
-from uniforce_vtla.tokenizer.zero_shot_figure import draw_table
+from uniforce_vtla.probes.zero_shot_figure import draw_table
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.weights import ASSETS
 
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 SHIPPED_HEADS_SET = (

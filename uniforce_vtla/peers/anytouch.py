@@ -22,7 +22,7 @@ from uniforce_vtla.peers.frozen import (
     measured_row,
     missing_row,
 )
-from uniforce_vtla.tokenizer.zero_shot import Table
+from uniforce_vtla.probes.zero_shot import Table
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 SENSOR_IDS = {"gelsight": 0, "digit": 1, "gelsight_mini": 3, "duragel": 4, "universal": -1}

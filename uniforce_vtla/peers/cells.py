@@ -8,8 +8,8 @@ import numpy as np
 
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.peers.pictures import Predictor, pictures
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
-from uniforce_vtla.tokenizer.zero_shot import Cells, Table, score, transfer_name
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.zero_shot import Cells, Table, score, transfer_name
 
 Fit = Callable[[LabelledSet, int], Predictor]  # source set, seed → predictor
 Scores = dict[str, list[dict[str, list[float]]]]  # transfer → one score per seed

@@ -11,12 +11,12 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.peers.cells import fitted_row
 from uniforce_vtla.peers.end_to_end import EndToEnd, EndToEndConfig, PairEncoder, predictor, train_end_to_end
 from uniforce_vtla.peers.pictures import Predictor, labels, pictures
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.zero_shot import POOL, Cells, Table, encode_set
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
 from uniforce_vtla.tokenizer.model import Encoder
 from uniforce_vtla.tokenizer.pooling import pool_latent
-from uniforce_vtla.tokenizer.zero_shot import POOL, Cells, Table, encode_set
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from torch.utils.flop_counter import FlopCounterMode
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.peers.cells import check_seeds
 from uniforce_vtla.peers.pictures import pictures
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
-from uniforce_vtla.tokenizer.zero_shot import POOL, Cells, Table, learnt_row
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.zero_shot import POOL, Cells, Table, learnt_row
 
 MEASURED, NOT_PRESENT = "measured", "n/a: weights not present"
 BATCH = 16  # frames encoded at once: ViT-L at 224² needs about 1 GB for them

@@ -19,8 +19,8 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.peers.cells import Scores, add_score, check_seeds, mean_cells
 from uniforce_vtla.peers.pictures import Pictures, Predictor, labels, pictures
 from uniforce_vtla.peers.resnet import ResNetConfig, fit_pictures
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
-from uniforce_vtla.tokenizer.zero_shot import Cells, Table
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.zero_shot import Cells, Table
 
 
 @dataclass(frozen=True)

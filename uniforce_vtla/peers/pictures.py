@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
+from uniforce_vtla.probes.labelled_set import LabelledSet
 
 
 @dataclass(frozen=True)

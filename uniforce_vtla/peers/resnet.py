@@ -12,9 +12,9 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.peers.cells import fitted_row
 from uniforce_vtla.peers.end_to_end import EndToEnd, EndToEndConfig, PairEncoder, predictor, train_end_to_end
 from uniforce_vtla.peers.pictures import Pictures, Predictor, labels, pictures
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.zero_shot import POOL, Cells, Table
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
-from uniforce_vtla.tokenizer.zero_shot import POOL, Cells, Table
 
 STRIDE = 32  # of the whole network, as in every ResNet
 

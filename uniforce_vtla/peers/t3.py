@@ -23,7 +23,7 @@ from uniforce_vtla.peers.frozen import (
     measured_row,
     missing_row,
 )
-from uniforce_vtla.tokenizer.zero_shot import Table
+from uniforce_vtla.probes.zero_shot import Table
 
 RESIZE_PX = 256  # shorter edge before the centre crop
 

@@ -18,13 +18,13 @@ from torch.nn import functional as F  # noqa: N812
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.peers.cells import check_seeds
 from uniforce_vtla.peers.pictures import pictures
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.zero_shot import POOL, Cells, Table, learnt_row
 from uniforce_vtla.tokenizer.attention import FeedForward, SpatialAttention, grid_code
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
 from uniforce_vtla.tokenizer.losses import gradient_pyramid
 from uniforce_vtla.tokenizer.model import MotionEmbed, PatchEmbed, TokenizerConfig
 from uniforce_vtla.tokenizer.pair_cache import Pairs
 from uniforce_vtla.tokenizer.pooling import pool_latent
-from uniforce_vtla.tokenizer.zero_shot import POOL, Cells, Table, learnt_row
 
 Kind = Literal["mae", "vqvae"]
 

@@ -21,7 +21,7 @@ from uniforce_vtla.peers.frozen import (
     measured_row,
     missing_row,
 )
-from uniforce_vtla.tokenizer.zero_shot import Table
+from uniforce_vtla.probes.zero_shot import Table
 
 GROUPS = 32  # of every group norm
 UNUSED = ("decoder.", "post_quant_conv.", "quantize.", "loss.")  # the other half of the file

@@ -11,8 +11,8 @@ import numpy as np
 
 from uniforce_datasets.readers.recording import LabelledRecording, PairRecording
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.tokenizer.descriptor import describe
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
+from uniforce_vtla.probes.descriptor import describe
+from uniforce_vtla.probes.labelled_set import LabelledSet
 from uniforce_vtla.tokenizer.pair_cache import NAMES, shrink
 
 log = logging.getLogger(__name__)

@@ -20,13 +20,13 @@ from uniforce_datasets.readers import (
 )
 from uniforce_vtla.contact import UNSEEN
 from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.probes.descriptor import describe
+from uniforce_vtla.probes.labelled_set import LabelledSet
+from uniforce_vtla.probes.zero_shot import POOL, encode_set, predict
 from uniforce_vtla.tokenizer import Tokenizer
-from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 from uniforce_vtla.tokenizer.pair_cache import shrink
-from uniforce_vtla.tokenizer.zero_shot import POOL, encode_set, predict
 
 SIDE = 32
 TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)

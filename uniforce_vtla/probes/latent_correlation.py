@@ -17,9 +17,9 @@ from scipy import stats
 
 from uniforce_vtla.contact.sampling import sample_objects
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.probes.descriptor import NATURAL_UNITS
+from uniforce_vtla.probes.labelled_set import LabelledSet
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
 
 FORCES = ("fx", "fy", "fz")
 SOURCE = "tactip"  # the sensor both pretraining rigs share

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from uniforce_vtla.tokenizer.hard_sets import HardSettings
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet, SetConfig
+from uniforce_vtla.probes.hard_sets import HardSettings
+from uniforce_vtla.probes.labelled_set import LabelledSet, SetConfig
 
 ARRAYS = tuple(f.name for f in fields(LabelledSet) if f.name != "digest")
 

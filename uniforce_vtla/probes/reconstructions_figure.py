@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from uniforce_vtla.tokenizer.reconstructions import Rig, by_cross_error, cross_error
+from uniforce_vtla.probes.reconstructions import Rig, by_cross_error, cross_error
 
 # column title → where the picture is: (attribute of Rig, its key, whose truth it is drawn over)
 COLUMNS = (

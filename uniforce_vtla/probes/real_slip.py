@@ -24,10 +24,10 @@ from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.markers.reference import capture_taxel_reference
+from uniforce_vtla.probes.descriptor import NATURAL_UNITS, describe
+from uniforce_vtla.probes.latent_correlation import Rotation
 from uniforce_vtla.sensors.uskin_csv import read_uskin_csv
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS, describe
-from uniforce_vtla.tokenizer.latent_correlation import Rotation
 from uniforce_vtla.tokenizer.pooling import pool_latent
 
 LOGS: dict[Finger, str] = {"left": "xela_sensor1.csv", "right": "xela_sensor2.csv"}

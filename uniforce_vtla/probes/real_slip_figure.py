@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from uniforce_vtla.tokenizer.latent_correlation import Rotation
-from uniforce_vtla.tokenizer.real_slip import RATE_HZ, Signals, Trial, loads
+from uniforce_vtla.probes.latent_correlation import Rotation
+from uniforce_vtla.probes.real_slip import RATE_HZ, Signals, Trial, loads
 
 NORMAL = 2  # third component of ``loads``
 SHOWN = ("latent", "raw counts")  # scores drawn over time

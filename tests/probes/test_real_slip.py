@@ -8,11 +8,8 @@ import pandas as pd
 import pytest
 
 from uniforce_vtla.errors import ContractError, DatasetError
-from uniforce_vtla.sensors.uskin_csv import COLUMNS
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.latent_correlation import Rotation
-from uniforce_vtla.tokenizer.model import TokenizerConfig
-from uniforce_vtla.tokenizer.real_slip import (
+from uniforce_vtla.probes.latent_correlation import Rotation
+from uniforce_vtla.probes.real_slip import (
     SlipConfig,
     auroc,
     balance,
@@ -23,6 +20,9 @@ from uniforce_vtla.tokenizer.real_slip import (
     real_slip,
     starts,
 )
+from uniforce_vtla.sensors.uskin_csv import COLUMNS
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.model import TokenizerConfig
 
 FOLDER = Path(__file__).parents[2].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"
 HERE = SlipConfig(lender="b")

@@ -28,9 +28,9 @@ from uniforce_vtla.contact.views import draw_simulator
 from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
+from uniforce_vtla.probes.descriptor import describe
+from uniforce_vtla.probes.labelled_set import LabelledSet
 from uniforce_vtla.sensors.layouts import rectangular, rings, scattered
-from uniforce_vtla.tokenizer.descriptor import describe
-from uniforce_vtla.tokenizer.labelled_set import LabelledSet
 from uniforce_vtla.tokenizer.pair_cache import shrink
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES, describe
+from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES, describe
 
 
 def grid(scale: float = 1.0, shift: tuple[int, int] = (0, 0), size: int = 8, turn: float = 0.0) -> np.ndarray:

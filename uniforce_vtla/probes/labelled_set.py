@@ -14,7 +14,7 @@ import numpy as np
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange
 from uniforce_vtla.contact.sequences import force_sequences
-from uniforce_vtla.tokenizer.descriptor import describe
+from uniforce_vtla.probes.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 
 SENSORS = ("gelsight", "tactip", "uskin")

@@ -7,10 +7,7 @@ import pytest
 
 from uniforce_vtla.contact.indenters import UNSEEN
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.model import TokenizerConfig
-from uniforce_vtla.tokenizer.pair_cache import shrink
-from uniforce_vtla.tokenizer.reconstructions import (
+from uniforce_vtla.probes.reconstructions import (
     BRANCHES,
     ReconstructionConfig,
     Rig,
@@ -24,6 +21,9 @@ from uniforce_vtla.tokenizer.reconstructions import (
     rig_report,
     summarise,
 )
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.pair_cache import shrink
 
 SMALL = ReconstructionConfig(rigs=(("gelsight", "tactip"),), pairs=4, pairs_per_unit=2)
 

@@ -19,8 +19,8 @@ from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pai
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.mirror import to_canonical
+from uniforce_vtla.probes.descriptor import find_blobs, marker_pitch_px, match
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.descriptor import find_blobs, marker_pitch_px, match
 from uniforce_vtla.tokenizer.entry import prepare
 from uniforce_vtla.tokenizer.losses import LossConfig, gradient_pyramid
 from uniforce_vtla.tokenizer.pair_cache import RIGS

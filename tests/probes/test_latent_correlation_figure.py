@@ -5,8 +5,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from uniforce_vtla.tokenizer.latent_correlation import correlations
-from uniforce_vtla.tokenizer.latent_correlation_figure import draw_correlations
+from uniforce_vtla.probes.latent_correlation import correlations
+from uniforce_vtla.probes.latent_correlation_figure import draw_correlations
 
 
 def content(flip: float) -> dict[str, object]:

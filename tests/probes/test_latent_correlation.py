@@ -8,9 +8,8 @@ import pytest
 from uniforce_vtla.contact.indenters import UNSEEN
 from uniforce_vtla.contact.sequences import force_sequences
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.labelled_set import FROZEN, HEAD_TRAINING, draw_labelled
-from uniforce_vtla.tokenizer.latent_correlation import (
+from uniforce_vtla.probes.labelled_set import FROZEN, HEAD_TRAINING, draw_labelled
+from uniforce_vtla.probes.latent_correlation import (
     assigned_axes,
     correlations,
     fit_rotation,
@@ -20,6 +19,7 @@ from uniforce_vtla.tokenizer.latent_correlation import (
     pearson,
     per_newton,
 )
+from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 
 SHORT = replace(FROZEN, sequences=4, length=6)

@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.tokenizer.hard_sets import (
+from uniforce_vtla.probes.hard_sets import (
     HELDOUT_HIDDEN,
     HELDOUT_VISIBLE,
     HETERO_HARD,
@@ -21,8 +21,8 @@ from uniforce_vtla.tokenizer.hard_sets import (
     hidden_sensors,
     visible_sensors,
 )
-from uniforce_vtla.tokenizer.labelled_cache import cached
-from uniforce_vtla.tokenizer.labelled_set import (
+from uniforce_vtla.probes.labelled_cache import cached
+from uniforce_vtla.probes.labelled_set import (
     FROZEN,
     HEAD_TRAINING,
     SENSORS,

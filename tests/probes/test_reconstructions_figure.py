@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from uniforce_vtla.tokenizer.reconstructions import Rig
-from uniforce_vtla.tokenizer.reconstructions_figure import draw_reconstructions
+from uniforce_vtla.probes.reconstructions import Rig
+from uniforce_vtla.probes.reconstructions_figure import draw_reconstructions
 
 
 def rig(error: float) -> Rig:

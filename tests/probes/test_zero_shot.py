@@ -9,7 +9,7 @@ import pytest
 
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.tokenizer.labelled_set import (
+from uniforce_vtla.probes.labelled_set import (
     FROZEN,
     HEAD_TRAINING,
     SENSORS,
@@ -17,8 +17,8 @@ from uniforce_vtla.tokenizer.labelled_set import (
     set_facts,
     within,
 )
-from uniforce_vtla.tokenizer.report_sets import get_report_set
-from uniforce_vtla.tokenizer.zero_shot import check_frozen, score, summary, transfer_name, transfers
+from uniforce_vtla.probes.report_sets import get_report_set
+from uniforce_vtla.probes.zero_shot import check_frozen, score, summary, transfer_name, transfers
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 SHORT = replace(FROZEN, sequences=2, length=3)

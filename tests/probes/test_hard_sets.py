@@ -12,7 +12,7 @@ from uniforce_vtla.contact.family import outside
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.hard_sets import (
+from uniforce_vtla.probes.hard_sets import (
     HELDOUT_HIDDEN,
     HELDOUT_VISIBLE,
     HETERO_HARD,
@@ -24,8 +24,8 @@ from uniforce_vtla.tokenizer.hard_sets import (
     pairs_digest,
     visible_sensors,
 )
-from uniforce_vtla.tokenizer.labelled_cache import cached
-from uniforce_vtla.tokenizer.report_sets import REPORT_SETS, get_report_set
+from uniforce_vtla.probes.labelled_cache import cached
+from uniforce_vtla.probes.report_sets import REPORT_SETS, get_report_set
 
 SHORT = replace(HETERO_HARD, sequences=2, length=4)
 
@@ -70,7 +70,7 @@ def test_the_canonicaliser_is_in_the_way() -> None:
 
 
 def test_hard_pairs_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("uniforce_vtla.tokenizer.hard_sets.HARD_PAIRS_COUNT", 3)
+    monkeypatch.setattr("uniforce_vtla.probes.hard_sets.HARD_PAIRS_COUNT", 3)
     sensors = hetero_sensors()
     digests = {pairs_digest(draw_hard_pairs(sensors["uskin"], sensors["tactip"])) for _ in range(2)}
     assert len(digests) == 1

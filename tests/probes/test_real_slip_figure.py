@@ -5,9 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from uniforce_vtla.tokenizer.latent_correlation import Rotation
-from uniforce_vtla.tokenizer.real_slip import Signals, SlipConfig, Trial, balance_report, slip_report
-from uniforce_vtla.tokenizer.real_slip_figure import draw_real_slip
+from uniforce_vtla.probes.latent_correlation import Rotation
+from uniforce_vtla.probes.real_slip import Signals, SlipConfig, Trial, balance_report, slip_report
+from uniforce_vtla.probes.real_slip_figure import draw_real_slip
 
 T = 40
 

@@ -1,0 +1,1 @@
+"""Stage: probes. What a tokenizer is worth: labelled sets, baselines, tables, figures, real recordings."""
