@@ -9,17 +9,10 @@ import pytest
 
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.probes.latent_correlation import Rotation
-from uniforce_vtla.probes.real_slip import (
-    SlipConfig,
-    auroc,
-    balance,
-    change_energy,
-    feel,
-    leave_one_out,
-    read_trials,
-    real_slip,
-    starts,
-)
+from uniforce_vtla.probes.real_balance import balance
+from uniforce_vtla.probes.real_slip import real_slip
+from uniforce_vtla.probes.real_trials import SlipConfig, feel, read_trials
+from uniforce_vtla.probes.slip_detector import auroc, change_energy, leave_one_out, starts
 from uniforce_vtla.sensors.uskin_csv import COLUMNS
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import TokenizerConfig

@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 
 from uniforce_vtla.probes.latent_correlation import Rotation
-from uniforce_vtla.probes.real_slip import Signals, SlipConfig, Trial, balance_report, slip_report
+from uniforce_vtla.probes.real_balance import balance_report
 from uniforce_vtla.probes.real_slip_figure import draw_real_slip
+from uniforce_vtla.probes.real_trials import Signals, SlipConfig, Trial
+from uniforce_vtla.probes.slip_detector import slip_report
 
 T = 40
 

@@ -15,8 +15,9 @@ from uniforce_vtla.probes.latent_correlation import (
     pad_latent,
 )
 from uniforce_vtla.probes.latent_correlation_figure import draw_correlations
-from uniforce_vtla.probes.real_slip import read_trials, real_slip
+from uniforce_vtla.probes.real_slip import real_slip
 from uniforce_vtla.probes.real_slip_figure import draw_real_slip
+from uniforce_vtla.probes.real_trials import read_trials
 from uniforce_vtla.probes.reconstructions import reconstruction_report
 from uniforce_vtla.probes.reconstructions_figure import draw_reconstructions
 from uniforce_vtla.probes.report_sets import ReportSet

@@ -12,7 +12,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uniforce_vtla.probes.latent_correlation import Rotation
-from uniforce_vtla.probes.real_slip import RATE_HZ, Signals, Trial, loads
+from uniforce_vtla.probes.real_balance import loads
+from uniforce_vtla.probes.real_trials import RATE_HZ, Signals, Trial
 
 NORMAL = 2  # third component of ``loads``
 SHOWN = ("latent", "raw counts")  # scores drawn over time
