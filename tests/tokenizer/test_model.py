@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.attention import CausalPairAttention
-from uniforce_vtla.tokenizer.model import TokenizerConfig, build_model
+from uniforce_vtla.tokenizer.model import TokenizerConfig, build_model, warped
 
 
 def images(count: int, seed: int = 0) -> torch.Tensor:
@@ -86,3 +88,19 @@ def test_same_seed_same_weights_and_global_generator_untouched(tiny: TokenizerCo
 def test_sizes_that_do_not_divide_raise(wrong: dict[str, int]) -> None:
     with pytest.raises(ContractError):
         TokenizerConfig(**wrong)
+
+
+def test_flow_moves_pixels_and_starts_at_rest(tiny: TokenizerConfig) -> None:
+    image = torch.rand(2, 1, 32, 32)
+    assert torch.allclose(warped(image, torch.zeros(2, 2, 32, 32)), image, atol=1e-5)
+    right = torch.zeros(2, 2, 32, 32)
+    right[:, 0] = -3.0  # what is seen came from three pixels to the left
+    assert torch.allclose(warped(image, right)[..., 3:], image[..., :-3], atol=1e-5)
+    model = build_model(replace(tiny, warp=True), seed=0)
+    drawn = model.decoder(image, torch.randn(2, tiny.num_patches, tiny.latent))
+    plain = build_model(tiny, seed=0).decoder
+    assert drawn.shape == image.shape and not any("flow" in name for name in plain.state_dict())
+
+
+def test_options_added_later_leave_older_hashes_alone(tiny: TokenizerConfig) -> None:
+    assert "warp" not in tiny.facts() and replace(tiny, warp=True).facts()["warp"] is True

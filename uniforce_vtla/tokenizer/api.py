@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, overload
 
@@ -67,7 +66,7 @@ class Tokenizer:
 
     def facts(self) -> dict[str, Any]:
         """Return everything but the weights that decides what z means."""
-        return {"model": asdict(self.config), "canonicaliser": self.canonicaliser}
+        return {"model": self.config.facts(), "canonicaliser": self.canonicaliser}
 
     @property
     def num_patches(self) -> int:

@@ -5,8 +5,8 @@ UniForce paper, section "Architecture". Encoder = inverse dynamics, decoder = fo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import torch
 from torch import nn
@@ -22,7 +22,9 @@ from uniforce_vtla.tokenizer.attention import (
 )
 from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels
 
+LATER = ("warp",)  # fields of TokenizerConfig that came after the first shipped checkpoint
 START_LOG_VARIANCE = -4.0  # σ ≈ 0.14
+FLOW_PX = 2.0  # shift of one unit of the flow head: about a strong shear on a GelSight at 128 px
 LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
 
 
@@ -41,6 +43,9 @@ class TokenizerConfig:
     motion_scales: int = 3  # scales of motion channels given to current tokens; 0 = none, as in the paper
     latent: int = 6  # numbers per patch (paper)
     predict_change: bool = True  # decoder adds to the reference instead of redrawing every marker
+    warp: bool = (
+        False  # decoder also moves the reference's pixels along a flow it predicts; a marker stays a marker
+    )
 
     def __post_init__(self) -> None:
         if self.side % self.patch or self.width % self.heads or self.width % 4:
@@ -48,6 +53,10 @@ class TokenizerConfig:
             raise ContractError(
                 expected("tokenizer sizes", "patch | side, heads | width, 4 | width", came, "Change one.")
             )
+
+    def facts(self) -> dict[str, Any]:
+        """Return all sizes by name; options added later only where they are on, so that older hashes stay."""
+        return {name: value for name, value in asdict(self).items() if name not in LATER or value}
 
     @property
     def grid(self) -> int:
@@ -212,13 +221,45 @@ class Decoder(nn.Module):
         self.blocks = nn.Sequential(*[DecoderBlock(config) for _ in range(config.decoder_depth)])
         self.draw = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, config.patch**2))
         nn.init.zeros_(self.draw[1].weight)  # starts from the reference itself (or from black)
+        self.flow = FlowHead(config) if config.warp else None
 
     def forward(self, reference: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
         """Return (B, 1, S, S) current images from references and latents (B, P, latent)."""
-        drawn = self.draw(self.blocks(self.embed(reference) + self.inject(z)))  # (B, P, patch²)
+        tokens = self.blocks(self.embed(reference) + self.inject(z))
+        drawn = self.draw(tokens)  # (B, P, patch²)
         size = (self.config.side, self.config.side)
         image = F.fold(drawn.transpose(1, 2), size, self.config.patch, stride=self.config.patch)
-        return reference + image if self.config.predict_change else image
+        if not self.config.predict_change:
+            return image
+        moved = reference if self.flow is None else warped(reference, self.flow(tokens))
+        return moved + image
+
+
+class FlowHead(nn.Module):
+    """Tokens → where each pixel comes from: a flow on 4-pixel cells, smoothly enlarged."""
+
+    def __init__(self, config: TokenizerConfig) -> None:
+        super().__init__()
+        self.side, self.cells, self.grid = config.side, config.patch // CELL_PX, config.grid
+        self.project = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, 2 * self.cells**2))
+        nn.init.zeros_(self.project[1].weight)  # starts without motion
+        nn.init.zeros_(self.project[1].bias)
+
+    def forward(self, tokens: torch.Tensor) -> torch.Tensor:
+        """Return (B, 2, S, S): the shift in x and y, in pixels, from a pixel to its place in the reference."""
+        cells = self.project(tokens).transpose(1, 2)  # (B, 2·cells², P)
+        size = (self.grid * self.cells, self.grid * self.cells)
+        coarse = F.fold(cells, size, self.cells, stride=self.cells)  # (B, 2, S/4, S/4)
+        return FLOW_PX * F.interpolate(coarse, (self.side, self.side), mode="bilinear", align_corners=False)
+
+
+def warped(image: torch.Tensor, flow_px: torch.Tensor) -> torch.Tensor:
+    """Return (B, 1, S, S) ``image`` sampled at each pixel's place plus ``flow_px`` (B, 2, S, S)."""
+    side = image.shape[-1]
+    axis = torch.arange(side, device=image.device, dtype=image.dtype)
+    place = torch.stack(torch.meshgrid(axis, axis, indexing="xy"))  # (2, S, S): x, y
+    unit = (place + flow_px) * (2 / side) + (1 / side - 1)  # pixel centres in [-1, 1]
+    return F.grid_sample(image, unit.permute(0, 2, 3, 1), padding_mode="zeros", align_corners=False)
 
 
 class ForceAutoencoder(nn.Module):
