@@ -93,7 +93,7 @@ class PI05UniforceConfig(PI05Config):
     # Training
     optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
     new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4
-    scheduler_warmup_steps: int = _BY_SIZE  # tiny 3 % of the decay; scaled with it when a run is shorter
+    scheduler_warmup_steps: int = _BY_SIZE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
     scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
     scheduler_decay_lr: float = _BY_SIZE  # tiny 1e-5; base 2.5e-6
 
