@@ -74,10 +74,10 @@ class PI05UniforceConfig(PI05Config):
 
     # Action
     action_form: str = _BY_SIZE  # "target_delta" (tiny) | "absolute" (base); see action_form.py
-    # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
     sampling_noise: float = (
         _BY_SIZE  # scale of the flow's starting noise: tiny 0, see docs/experiments; base 1
     )
+    # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
     delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
 
     normalization_mapping: dict[str, NormalizationMode] = (

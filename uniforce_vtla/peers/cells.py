@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.peers.pictures import Predictor, pictures
 from uniforce_vtla.probes.labelled_set import LabelledSet
-from uniforce_vtla.probes.zero_shot import Cells, Table, score, transfer_name
+from uniforce_vtla.probes.zero_shot import Cells, Table, mean_cells, score, transfer_name
 
 Fit = Callable[[LabelledSet, int], Predictor]  # source set, seed → predictor
 Scores = dict[str, list[dict[str, list[float]]]]  # transfer → one score per seed
@@ -35,14 +33,6 @@ def add_score(scores: Scores, table: Table, transfer: tuple[str, str], predict: 
     target = transfer[1]
     said = predict(pictures(table.frozen[target]))
     scores.setdefault(transfer_name(*transfer), []).append(score(table.forces(target), said))
-
-
-def mean_cells(scores: Scores) -> Cells:
-    """Return the mean over seeds of every number."""
-    return {
-        name: {key: [float(v) for v in np.mean([one[key] for one in seeds], axis=0)] for key in seeds[0]}
-        for name, seeds in scores.items()
-    }
 
 
 def check_seeds(seeds: int) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import torch
 
@@ -12,7 +12,7 @@ from uniforce_vtla.peers.cells import fitted_row
 from uniforce_vtla.peers.end_to_end import EndToEnd, EndToEndConfig, PairEncoder, predictor, train_end_to_end
 from uniforce_vtla.peers.pictures import Predictor, labels, pictures
 from uniforce_vtla.probes.labelled_set import LabelledSet
-from uniforce_vtla.probes.zero_shot import POOL, Cells, Table, encode_set
+from uniforce_vtla.probes.zero_shot import POOL, Cells, Table, encode_set, sized_head
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.model import Encoder
@@ -68,7 +68,8 @@ def fit_finetuned(
             expected("pictures", f"side {tokenizer.config.side}", shown.reference.shape, "Draw them so.")
         )
     z = encode_set(tokenizer, source)
-    sized = replace(head, head=replace(head.head, channels=z.shape[-1], grid=POOL))
-    model = EndToEnd(TokenizerEncoder(tokenizer), train_head(z, source.force_N, sized, seed))
+    model = EndToEnd(
+        TokenizerEncoder(tokenizer), train_head(z, source.force_N, sized_head(head, z, POOL), seed)
+    )
     train_end_to_end(model, shown, force_N, config.training, seed)
     return predictor(model, config.training.device)

@@ -16,11 +16,11 @@ from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.peers.cells import Scores, add_score, check_seeds, mean_cells
+from uniforce_vtla.peers.cells import Scores, add_score, check_seeds
 from uniforce_vtla.peers.pictures import Pictures, Predictor, labels, pictures
 from uniforce_vtla.peers.resnet import ResNetConfig, fit_pictures
 from uniforce_vtla.probes.labelled_set import LabelledSet
-from uniforce_vtla.probes.zero_shot import Cells, Table
+from uniforce_vtla.probes.zero_shot import Cells, Table, mean_cells
 
 
 @dataclass(frozen=True)

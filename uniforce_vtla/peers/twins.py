@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from uniforce_vtla.probes.zero_shot import POOL, Cells, Table, learnt_row
 from uniforce_vtla.tokenizer.attention import FeedForward, SpatialAttention, grid_code
 from uniforce_vtla.tokenizer.losses import gradient_pyramid
 from uniforce_vtla.tokenizer.model import MotionEmbed, PatchEmbed, TokenizerConfig
-from uniforce_vtla.tokenizer.pair_cache import Pairs
+from uniforce_vtla.tokenizer.pair_cache import PairSource
 from uniforce_vtla.tokenizer.pooling import pool_latent
 
 Kind = Literal["mae", "vqvae"]
@@ -47,13 +47,6 @@ class TwinConfig:
     warmup_steps: int = 100  # linear to the peak, then cosine to a fiftieth
     clip_norm: float = 1.0  # of the gradient
     device: str = "cpu"  # where it trains; the encoder comes back on the CPU
-
-
-class PairSource(Protocol):
-    """Where batches come from: a pair cache, or pairs drawn anew."""
-
-    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
-        """Return ``units`` units with ``pairs`` contacts each."""
 
 
 class PairTokens(nn.Module):

@@ -102,7 +102,7 @@ def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], se
             for target in table.frozen:
                 cell = score(table.forces(target), predict(head, frozen[target]))
                 cells.setdefault(transfer_name(source, target), []).append(cell)
-    return {name: _mean(scores) for name, scores in cells.items()}
+    return mean_cells(cells)
 
 
 def mean_row(table: Table) -> Cells:
@@ -170,5 +170,9 @@ def _mae(truth: np.ndarray, said: np.ndarray) -> list[float]:
     return [float(v) for v in np.abs(truth - said).mean(axis=0)]
 
 
-def _mean(scores: list[dict[str, list[float]]]) -> dict[str, list[float]]:
-    return {key: [float(v) for v in np.mean([s[key] for s in scores], axis=0)] for key in scores[0]}
+def mean_cells(scores: dict[str, list[dict[str, list[float]]]]) -> Cells:
+    """Return the mean over seeds of every number: transfer → one score per seed in, one cell out."""
+    return {
+        name: {key: [float(v) for v in np.mean([one[key] for one in seeds], axis=0)] for key in seeds[0]}
+        for name, seeds in scores.items()
+    }

@@ -114,15 +114,16 @@ class Tokenizer:
         before_count = len(images) if isinstance(images, np.ndarray) else 0
         if before_count > 1:
             _same_length(before_count, batch)
-            return self._encode_reference(images, finger)
+            return self.encode_reference(images, finger)
         key = _content_key(images, finger)
         if key not in self._references:
-            self._references[key] = self._encode_reference(images, finger)
+            self._references[key] = self.encode_reference(images, finger)
         if len(self._references) > CACHED_REFERENCES:
             self._references.pop(next(iter(self._references)))  # the oldest
         return self._references[key]
 
-    def _encode_reference(self, images: np.ndarray, finger: Finger) -> ReferenceCache:
+    def encode_reference(self, images: np.ndarray, finger: Finger) -> ReferenceCache:
+        """Return what frames need of free-air images (B, H, W), not cached; ContractError if one is all black."""
         before = prepare(images, finger, self.config.side, "reference")
         if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
             raise ContractError(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -64,6 +65,13 @@ class Pairs:
     right_current: torch.Tensor
 
 
+class PairSource(Protocol):
+    """Where batches come from: a pair cache, or pairs drawn anew."""
+
+    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
+        """Return ``units`` units with ``pairs`` contacts each; depends on ``rng`` alone."""
+
+
 class PairCache:
     """All shards in memory; draws training batches of whole units."""
 
@@ -77,10 +85,8 @@ class PairCache:
         """Return ``units`` random units with ``pairs`` random contacts each."""
         unit = rng.integers(len(self.arrays["left_reference"]), size=units)
         contact = np.stack([rng.permutation(self.pairs_per_unit)[:pairs] for _ in unit])  # (U, n)
-        reference = [self.arrays[name][unit] for name in NAMES[:2]]
-        current = [self.arrays[name][unit[:, None], contact] for name in NAMES[2:]]
-        left, right = (_ready(a) for a in reference)
-        return Pairs(left, _mirrored(right), _ready(current[0]), _mirrored(_ready(current[1])))
+        references = [self.arrays[name][unit] for name in NAMES[:2]]
+        return _canonical(*references, *(self.arrays[name][unit[:, None], contact] for name in NAMES[2:]))
 
 
 class LivePairs:
@@ -96,10 +102,7 @@ class LivePairs:
         """Return ``units`` fresh units with ``pairs`` contacts each, the rigs taking turns at random."""
         config = replace(self.config, pairs_per_unit=pairs)
         batches = [_draw_unit(rng, config, RIGS[int(rng.integers(len(RIGS)))]) for _ in range(units)]
-        reference = [np.stack([getattr(b, name)[0] for b in batches]) for name in NAMES[:2]]
-        current = [np.stack([getattr(b, name) for b in batches]) for name in NAMES[2:]]
-        left, right = (_ready(a) for a in reference)
-        return Pairs(left, _mirrored(right), _ready(current[0]), _mirrored(_ready(current[1])))
+        return _canonical(*_stacked(batches).values())
 
 
 def build_cache(folder: Path, config: PairCacheConfig) -> None:
@@ -125,8 +128,22 @@ def _draw_shard(config: PairCacheConfig, number: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng([config.seed, number])
     rig = RIGS[number % len(RIGS)]
     batches = [_draw_unit(rng, config, rig) for _ in range(config.units_per_shard)]
+    return _stacked(batches)
+
+
+def _stacked(batches: list[PairBatch]) -> dict[str, np.ndarray]:
+    """Return units' images by name: one reference (U, S, S) and all currents (U, n, S, S) of each unit."""
     references = {name: np.stack([getattr(b, name)[0] for b in batches]) for name in NAMES[:2]}
     return references | {name: np.stack([getattr(b, name) for b in batches]) for name in NAMES[2:]}
+
+
+def _canonical(
+    left_reference: np.ndarray, right_reference: np.ndarray, left: np.ndarray, right: np.ndarray
+) -> Pairs:
+    """Return a batch for the model from images as the sensors saw them."""
+    return Pairs(
+        _ready(left_reference), _mirrored(_ready(right_reference)), _ready(left), _mirrored(_ready(right))
+    )
 
 
 def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]) -> PairBatch:

@@ -11,7 +11,7 @@ import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -21,7 +21,7 @@ from tqdm import tqdm
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
 from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, TokenizerConfig, build_model
-from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs
+from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs, PairSource
 from uniforce_vtla.tokenizer.strips import draw_strips
 
 
@@ -47,13 +47,6 @@ class PretrainSettings:
         ""  # accelerate's, beside log.csv; tensorboard: not installed
     )
     strips_every: int = 500  # steps between pictures of reconstructions (strips/); 0 = none
-
-
-class PairSource(Protocol):
-    """Where batches come from."""
-
-    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
-        """Return a batch that depends on ``rng`` alone."""
 
 
 def open_source(settings: PretrainSettings, cache: Path) -> PairSource:

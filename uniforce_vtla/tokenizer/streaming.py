@@ -65,7 +65,7 @@ class StreamingEncoder:
             ContractError: not one image, NaN, or without markers.
         """
         self._reference, self._stream = None, None
-        self._reference = self._tokenizer._encode_reference(_one(image, "reference"), self.finger)
+        self._reference = self._tokenizer.encode_reference(_one(image, "reference"), self.finger)
         self._shape = image.shape
         self._stream = None if self._head is None else self._head.stream()
 
