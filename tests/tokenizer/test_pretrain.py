@@ -113,6 +113,26 @@ def test_equilibrium_variants_on_a_known_gap() -> None:
     assert equilibrium(left, right, LossConfig(equilibrium="both", pooled_grid=2)) == pytest.approx(12 / 16)
 
 
+def test_whitened_equilibrium_knows_no_unit_of_the_latent() -> None:
+    torch.manual_seed(0)
+    left = torch.randn(8, 16, 6)
+    right = left + 0.3 * torch.randn(8, 16, 6)
+    config = LossConfig(equilibrium="levels", equilibrium_scale="whitened")
+    mix = torch.linalg.qr(torch.randn(6, 6))[0]  # any rotation; a skewed mix would meet the floor
+    plain, mixed = equilibrium(left, right, config), equilibrium(left @ mix, right @ mix, config)
+    assert equilibrium(0.01 * left, 0.01 * right, config) == pytest.approx(float(plain), rel=1e-3)
+    assert mixed == pytest.approx(float(plain), rel=1e-3)
+    absolute = replace(config, equilibrium_scale="absolute")
+    assert equilibrium(0.01 * left, 0.01 * right, absolute) < 1e-3 * equilibrium(left, right, absolute)
+
+
+def test_levels_add_patches_regions_and_total() -> None:
+    left, right = torch.zeros(1, 16, 6), torch.zeros(1, 16, 6)
+    right[0, :, 2] = 0.5  # the same everywhere: every level sees it
+    one = equilibrium(left, right, LossConfig())
+    assert equilibrium(left, right, LossConfig(equilibrium="levels")) == pytest.approx(3 * float(one))
+
+
 def test_kl_is_zero_for_the_prior_only() -> None:
     prior = Posterior(torch.zeros(1, 4, 6), torch.zeros(1, 4, 6))
     assert kl(prior) == 0 and kl(Posterior(prior.mean + 1, prior.log_variance)) == pytest.approx(0.5)

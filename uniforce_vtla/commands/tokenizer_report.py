@@ -41,6 +41,7 @@ from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.weights import ASSETS
 
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
+OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
 SHIPPED_HEADS_SET = (
     "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
 )
@@ -138,16 +139,25 @@ def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, 
 def _committed_rows(
     command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any], tokenizer: Tokenizer
 ) -> dict[str, Cells]:
-    """Return the committed table's rows, if set, seeds and tokenizer are the same; none where there is no table."""
+    """Return the committed table's rows that still hold; none where there is no table.
+
+    After a new tokenizer those rows hold that never saw the old one (peers, descriptor); the others go, and are named.
+
+    Raises:
+        DatasetError: a table of another set or other seeds.
+    """
     path = Path(command.results) / report_set.table
     if not path.exists():
         return {}
     table = json.loads(path.read_text())
-    came = (table["set_hash"], table["tokenizer_hash"], table["seeds"])
-    wanted = (facts["set_hash"], tokenizer.hash, command.seeds)
+    came, wanted = (table["set_hash"], table["seeds"]), (facts["set_hash"], command.seeds)
     if came != wanted:
         raise DatasetError(expected("committed table", wanted, came, "Measure all rows: leave out only=."))
-    return dict(table["rows"])
+    if table["tokenizer_hash"] == tokenizer.hash:
+        return dict(table["rows"])
+    gone = sorted(OF_THE_TOKENIZER & set(table["rows"]))
+    print(f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}")
+    return {name: row for name, row in table["rows"].items() if name not in OF_THE_TOKENIZER}
 
 
 def ship_heads(table: Table, tokenizer: Tokenizer) -> None:

@@ -32,9 +32,11 @@ class LossConfig:
     free_bits: float = 0.0  # nats per latent number the KL term leaves free; 0 = none (paper)
     equilibrium_weight: float = 4.0  # λ of the equilibrium term
     equilibrium_warmup_steps: int = 300  # it rises linearly: at full weight from the start, z learns to be 0
-    equilibrium: Literal["patch", "pooled", "both"] = (
-        "patch"  # patch is the paper's; real totals balance better
+    equilibrium: Literal["patch", "pooled", "both", "levels"] = (
+        "patch"  # patch is the paper's; real totals balance better; levels = patch, pooled and total added
     )
+    equilibrium_scale: Literal["absolute", "whitened"] = "absolute"  # absolute is the paper's; whitened counts in
+    # units of the latent's own spread, so that shrinking z is no way out and faint directions count too
     pair_quality: float = 0.0  # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
     pooled_grid: int = 4  # regions per side for the pooled variant
     changed_pixel_weight: float = 10.0  # extra weight where current differs from reference; 0 = plain L1
@@ -104,12 +106,40 @@ def kl(posterior: Posterior, free_bits: float = 0.0) -> torch.Tensor:
 
 
 def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig) -> torch.Tensor:
-    """Return ‖z_L − z_R‖² / P by patch (paper), on the pooled map, or both added."""
-    by_patch = (z_left - z_right).square().sum(-1).mean(1)  # (B,)
-    gap = pool_latent(z_left, config.pooled_grid) - pool_latent(z_right, config.pooled_grid)
-    pooled = gap.square().sum(-1).mean(1)
-    error = {"patch": by_patch, "pooled": pooled, "both": by_patch + pooled}[config.equilibrium]
+    """Return ‖z_L − z_R‖² / P by patch (paper), on the pooled map, or several of them added."""
+    errors = []
+    for grid in _LEVELS[config.equilibrium]:
+        grid = config.pooled_grid if grid == "pooled" else grid
+        left, right = (z if grid is None else pool_latent(z, int(grid)) for z in (z_left, z_right))
+        errors.append(_imbalance(left, right, config.equilibrium_scale == "whitened"))  # (B,)
+    error = torch.stack(errors).sum(dim=0)
     return (error * quality_weights(error.detach(), config.pair_quality)).mean()
+
+
+_LEVELS: dict[str, tuple[str | int | None, ...]] = {  # regions per side; None = every patch
+    "patch": (None,),
+    "pooled": ("pooled",),
+    "both": (None, "pooled"),
+    "levels": (None, "pooled", 1),
+}
+_WHITENING_FLOOR = 0.01  # of the mean variance; below it a direction of the latent counts as silent
+
+
+def _imbalance(left: torch.Tensor, right: torch.Tensor, whitened: bool) -> torch.Tensor:
+    """Return (B,) the mean over patches of ‖left − right‖², Mahalanobis by the batch's own spread if ``whitened``.
+
+    The spread takes part in the gradient: only then is a smaller latent no better balanced one.
+    """
+    left, right = left.float(), right.float()  # a 6×6 system isn't solved in half precision
+    difference = left - right  # (B, P, L)
+    if not whitened:
+        return difference.square().sum(-1).mean(1)
+    around = torch.cat([left - left.mean(dim=0), right - right.mean(dim=0)]).flatten(0, 1)  # (2·B·P, L)
+    covariance = around.T @ around / len(around)
+    floor = _WHITENING_FLOOR * covariance.diagonal().mean() + 1e-12
+    covariance = covariance + floor * torch.eye(len(covariance), device=left.device, dtype=left.dtype)
+    in_units = torch.linalg.solve(covariance, difference.flatten(0, 1).T).T.view_as(difference)
+    return (difference * in_units).sum(-1).mean(1)
 
 
 def quality_weights(error: torch.Tensor, tolerance: float) -> torch.Tensor:
