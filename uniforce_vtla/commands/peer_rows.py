@@ -18,21 +18,22 @@ from uniforce_vtla.peers.twins import TwinConfig, train_twin, twin_row
 from uniforce_vtla.peers.unit import unit_row
 from uniforce_vtla.probes.zero_shot import Cells, Table
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.pair_cache import FAMILY, LivePairs
+from uniforce_vtla.tokenizer.pair_cache import FAMILY, LivePairs, PairCache
 
 
 def trained(
-    table: Table, tokenizer: Tokenizer, seeds: int, twin_steps: int
+    table: Table, tokenizer: Tokenizer, seeds: int, twin_steps: int, pairs: str = ""
 ) -> dict[str, Callable[[], Cells]]:
     """Return the makers of rows that train networks: name → maker.
 
-    Twins see pairs of the tokenizer's own recipe, drawn live.
+    Twins see pairs of the tokenizer's own recipe, read from the cache in ``pairs`` or drawn live.
     """
-    pairs = LivePairs(replace(FAMILY, side=tokenizer.config.side))
+    recipe = replace(FAMILY, side=tokenizer.config.side)
 
     def twin(kind: str) -> Cells:
         config = TwinConfig(model=tokenizer.config)
-        return twin_row(table, train_twin(kind, pairs, twin_steps, 0, config), seeds)  # type: ignore[arg-type]
+        source = PairCache(Path(pairs), recipe) if pairs else LivePairs(recipe)
+        return twin_row(table, train_twin(kind, source, twin_steps, 0, config), seeds)  # type: ignore[arg-type]
 
     makers: dict[str, Callable[[], Cells]] = {
         "UniForce (FT)": lambda: finetuned_row(table, tokenizer, seeds),

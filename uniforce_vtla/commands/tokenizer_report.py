@@ -70,6 +70,7 @@ class TokenizerReportCommand:
         False  # also the rows that train networks of their own: hours on two cores, one row at a time
     )
     twin_steps: int = 6000  # of the objective twins; the shipped checkpoint's own number
+    pairs: str = ""  # pair cache of the tokenizer's recipe, for the twins; empty = drawn live
     anytouch: str = ""  # official checkpoint file; empty = row n/a
     t3: str = ""  # folder with encoders/ and trunk.pth; empty = row n/a
     t3_encoder: str = ""  # which of T3's encoders reads our sensors; must be named
@@ -101,7 +102,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "mean": lambda: mean_row(table),
     }
     if command.peers:
-        makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps)
+        makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps, command.pairs)
     chosen = peer_rows.choose(makers, command.only)
     rows = _committed_rows(command, report_set, facts, tokenizer) if command.only else {}
     rows |= {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
@@ -156,7 +157,9 @@ def _committed_rows(
     if table["tokenizer_hash"] == tokenizer.hash:
         return dict(table["rows"])
     gone = sorted(OF_THE_TOKENIZER & set(table["rows"]))
-    print(f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}")
+    print(
+        f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}"
+    )
     return {name: row for name, row in table["rows"].items() if name not in OF_THE_TOKENIZER}
 
 

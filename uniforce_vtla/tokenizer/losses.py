@@ -35,7 +35,9 @@ class LossConfig:
     equilibrium: Literal["patch", "pooled", "both", "levels"] = (
         "patch"  # patch is the paper's; real totals balance better; levels = patch, pooled and total added
     )
-    equilibrium_scale: Literal["absolute", "whitened"] = "absolute"  # absolute is the paper's; whitened counts in
+    equilibrium_scale: Literal["absolute", "whitened"] = (
+        "absolute"  # absolute is the paper's; whitened counts in
+    )
     # units of the latent's own spread, so that shrinking z is no way out and faint directions count too
     pair_quality: float = 0.0  # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
     pooled_grid: int = 4  # regions per side for the pooled variant
@@ -47,11 +49,15 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class Side:
-    """One finger's prepared images, (B, 1, S, S) each, and the posterior inferred from them."""
+    """One finger's prepared images, (B, 1, S, S) each, and the posterior inferred from them.
+
+    ``material`` (B, M) is what the unit's other contacts tell of it, where the model asks for that.
+    """
 
     reference: torch.Tensor
     current: torch.Tensor
     posterior: Posterior
+    material: torch.Tensor | None = None
 
 
 def objective(
@@ -66,8 +72,11 @@ def objective(
     sides = {"L": left, "R": right}
     # All four branches i → j in one pass of the decoder.
     branches = [(i, j) for i in sides for j in sides]
+    materials = [m for _, j in branches if (m := sides[j].material) is not None]
     drawn = decoder(
-        torch.cat([sides[j].reference for _, j in branches]), torch.cat([z[i] for i, _ in branches])
+        torch.cat([sides[j].reference for _, j in branches]),
+        torch.cat([z[i] for i, _ in branches]),
+        torch.cat(materials) if materials else None,
     )
     parts: dict[str, torch.Tensor] = {}
     for (i, j), image in zip(branches, drawn.chunk(4), strict=True):

@@ -20,9 +20,10 @@ from uniforce_vtla.tokenizer.attention import (
     grid_code,
     sinusoid,
 )
+from uniforce_vtla.tokenizer.material import MaterialEncoder
 from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels
 
-LATER = ("warp",)  # fields of TokenizerConfig that came after the first shipped checkpoint
+LATER = ("warp", "material")  # fields of TokenizerConfig that came after the first shipped checkpoint
 START_LOG_VARIANCE = -4.0  # σ ≈ 0.14
 FLOW_PX = 2.0  # shift of one unit of the flow head: about a strong shear on a GelSight at 128 px
 LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
@@ -46,6 +47,7 @@ class TokenizerConfig:
     warp: bool = (
         False  # decoder also moves the reference's pixels along a flow it predicts; a marker stays a marker
     )
+    material: int = 0  # numbers per unit told to the decoder (material.py); 0 = none, as in the paper
 
     def __post_init__(self) -> None:
         if self.side % self.patch or self.width % self.heads or self.width % 4:
@@ -218,14 +220,23 @@ class Decoder(nn.Module):
         self.config = config
         self.embed = PatchEmbed(config)
         self.inject = nn.Linear(config.latent, config.width)
+        self.soften = nn.Linear(config.material, config.width, bias=False) if config.material else None
         self.blocks = nn.Sequential(*[DecoderBlock(config) for _ in range(config.decoder_depth)])
         self.draw = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, config.patch**2))
         nn.init.zeros_(self.draw[1].weight)  # starts from the reference itself (or from black)
         self.flow = FlowHead(config) if config.warp else None
 
-    def forward(self, reference: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
-        """Return (B, 1, S, S) current images from references and latents (B, P, latent)."""
-        tokens = self.blocks(self.embed(reference) + self.inject(z))
+    def forward(
+        self, reference: torch.Tensor, z: torch.Tensor, material: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """Return (B, 1, S, S) current images from references, latents (B, P, latent) and units (B, material).
+
+        Without ``material`` the unit is taken for an average one.
+        """
+        tokens = self.embed(reference) + self.inject(z)
+        if self.soften is not None and material is not None:
+            tokens = tokens + self.soften(material)[:, None]
+        tokens = self.blocks(tokens)
         drawn = self.draw(tokens)  # (B, P, patch²)
         size = (self.config.side, self.config.side)
         image = F.fold(drawn.transpose(1, 2), size, self.config.patch, stride=self.config.patch)
@@ -270,6 +281,9 @@ class ForceAutoencoder(nn.Module):
         self.config = config
         self.encoder = Encoder(config)
         self.decoder = Decoder(config)
+        self.material = (
+            MaterialEncoder(config.patch, config.latent, config.material) if config.material else None
+        )
 
     def forward(self, reference: torch.Tensor, current: torch.Tensor) -> Posterior:
         """Return the posterior over the latent force map."""

@@ -24,6 +24,8 @@ from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, 
 from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs, PairSource
 from uniforce_vtla.tokenizer.strips import draw_strips
 
+UNTOLD_SHARE = 0.25  # of units whose material variables are withheld in a step
+
 
 @dataclass(frozen=True)
 class PretrainSettings:
@@ -204,17 +206,41 @@ def pair_loss(
     posterior = encode_by_unit(model.encoder, reference, current, per_unit)
     spread = posterior.mean.std(dim=0).mean()
     references = reference.repeat_interleave(per_unit, dim=0)
+    material = _material(model, references, current, posterior.mean, per_unit)
     left, right = (
-        Side(*parts)
-        for parts in zip(
+        Side(before, after, Posterior(mean, log_variance), unit)
+        for before, after, mean, log_variance, unit in zip(
             references.chunk(2),
             current.chunk(2),
-            (Posterior(*p) for p in zip(*(x.chunk(2) for x in posterior), strict=True)),
+            posterior.mean.chunk(2),
+            posterior.log_variance.chunk(2),
+            (None, None) if material is None else material.chunk(2),
             strict=True,
         )
     )
     loss, parts = objective(model.decoder, left, right, config, step)
     return loss, parts, spread
+
+
+def _material(
+    model: ForceAutoencoder,
+    references: torch.Tensor,
+    current: torch.Tensor,
+    mean: torch.Tensor,
+    per_unit: int,
+) -> torch.Tensor | None:
+    """Return (2U·n, M) what each contact's unit is made of, an average one a quarter of the time; None if not asked.
+
+    Decoding without it must stay possible, so some units go without.
+    """
+    if model.material is None:
+        return None
+    partner = torch.cat(
+        mean.chunk(2)[::-1]
+    )  # left rows get what the right finger felt, and the other way round
+    told = model.material(references, current, partner, per_unit)
+    kept = torch.rand(len(told) // per_unit, device=told.device) >= UNTOLD_SHARE
+    return told * kept.repeat_interleave(per_unit)[:, None]
 
 
 def encode_by_unit(
