@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import draccus
+
+from uniforce_vtla.errors import ContractError, expected
 
 
 def to_flags(argv: Sequence[str]) -> list[str]:
@@ -13,10 +16,28 @@ def to_flags(argv: Sequence[str]) -> list[str]:
     return [f"--{a}" if "=" in a and not a.startswith("-") else a for a in argv]
 
 
-def parse[ConfigT](config_class: type[ConfigT], argv: Sequence[str] | None = None) -> ConfigT:
+def parse[ConfigT](
+    config_class: type[ConfigT], argv: Sequence[str] | None = None, presets: Path | None = None
+) -> ConfigT:
     """Parse ``argv`` (the process's own when None) into ``config_class``.
 
-    ``--help`` prints the class's docstring (give an example there) and every field with its comment.
+    ``--help`` prints the class's docstring (give an example there) and every field with its comment.  Where a
+    command has ``presets``, ``preset=NAME`` reads ``NAME.yaml`` there first; what else is given overrides it.
+
+    Raises:
+        ContractError: no such preset.
     """
     args = to_flags(sys.argv[1:] if argv is None else argv)
-    return draccus.parse(config_class=config_class, args=args)
+    config_path = None if presets is None else _preset_path(args, presets)
+    return draccus.parse(config_class=config_class, config_path=config_path, args=args)
+
+
+def _preset_path(args: Sequence[str], presets: Path) -> Path | None:
+    names = [a.removeprefix("--preset=") for a in args if a.startswith("--preset=") and a != "--preset="]
+    if not names:
+        return None
+    path = presets / f"{names[-1]}.yaml"
+    if not path.exists():
+        known = sorted(p.stem for p in presets.glob("*.yaml"))
+        raise ContractError(expected("preset", " | ".join(known), names[-1], "Name one, or give none."))
+    return path

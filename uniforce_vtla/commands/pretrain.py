@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import resource
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,13 +13,21 @@ from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source
 
+PRESETS = Path(__file__).parents[1] / "tokenizer" / "presets"  # one YAML file each
+
 
 @dataclass
 class PretrainCommand:
     """Draw the pairs once, then train; a killed run continues when started again.
 
-    Example: uniforce-pretrain out=outputs/pretrain run.steps=3000 run.loss.equilibrium_weight=2
+    Without a preset the objective is the paper's but for the options' defaults named below.
+
+    Example: uniforce-pretrain preset=small run.steps=3000
     """
+
+    preset: str = (
+        ""  # nano | small: the recipes of the shipped checkpoints; what else you give overrides them
+    )
 
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
     cache: str = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
@@ -29,13 +38,17 @@ class PretrainCommand:
 def main(argv: list[str] | None = None) -> int:
     """Entry of ``uniforce-pretrain``."""
     logging.basicConfig(level=logging.INFO)
-    command = parse(PretrainCommand, argv)
-    torch.set_num_threads(command.threads)
     try:
+        command = parse(PretrainCommand, argv, PRESETS)
+        torch.set_num_threads(command.threads)
         data = open_source(command.run, Path(command.cache))
         tokenizer = Pretraining(command.run, Path(command.out), data).run()
     except UniForceError as error:
         print(f"pretrain: {error}")
         return 2
-    print(f"tokenizer {tokenizer.hash[:12]} in {command.out}/tokenizer, log in {command.out}/log.csv")
+    peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
+    print(
+        f"tokenizer {tokenizer.hash[:12]} in {command.out}/tokenizer, log in {command.out}/log.csv; "
+        f"peak memory {peak_GB:.1f} GB"
+    )
     return 0

@@ -1,4 +1,4 @@
-"""The zero-shot table as a picture: R² per axis and transfer, one colour per row."""
+"""The zero-shot table as a picture: R² per row, axis and transfer, and the mean error in newtons beside it."""
 
 from __future__ import annotations
 
@@ -6,32 +6,44 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 AXES = ("Fx", "Fy", "Fz")
-LOWEST = -1.0  # bars below are cut: an R² of −1000 only says "a constant offset"
+LOWEST = -1.0  # colours end here: an R² of −1000 only says "a constant offset"
 
 
 def draw_table(content: dict[str, Any], path: Path) -> Path:
     """Draw ``content["rows"]``; transfers from a sensor to itself are left out."""
     rows = content["rows"]
-    names = [name for name in rows["mean"]]
-    figure = Figure(figsize=(11, 7))
-    for axis, axes in enumerate(figure.subplots(3, 1, sharex=True)):
-        for place, (row, cells) in enumerate(rows.items()):
-            height = np.array([cells[name]["r2"][axis] for name in names])
-            x = np.arange(len(names)) + (place - (len(rows) - 1) / 2) * 0.2
-            axes.bar(x, np.maximum(height, LOWEST), 0.2, label=row)
-        axes.axhline(0, color="black", linewidth=0.5)
-        axes.set_ylim(LOWEST, 1)
-        axes.set_ylabel(f"R² of {AXES[axis]}")
-        axes.set_xticks(range(len(names)), names)
-    figure.axes[0].set_title(
-        f"Zero-shot force, simulated, unseen indenters ({content['set']}); cut at {LOWEST}"
-    )
-    figure.axes[0].legend(frameon=False, ncols=4, loc="lower left")
+    names = list(rows["mean"])
+    figure = Figure(figsize=(16, 1.8 + 0.42 * len(rows)), layout="constrained")
+    panels = figure.subplots(1, 4, sharey=True)
+    for axis, panel in enumerate(panels[:3]):
+        r2 = np.array([[cells[name]["r2"][axis] for name in names] for cells in rows.values()])
+        _draw_r2(panel, r2, names, f"R² of {AXES[axis]}")
+    error = np.array([[cells[name]["mae_N_paper_range"] for name in names] for cells in rows.values()])
+    _draw_error(panels[3], error.mean(axis=1))
+    panels[0].set_yticks(range(len(rows)), rows)
+    figure.suptitle(f"Zero-shot force, simulated, unseen indenters ({content['set']})")
     FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=100, bbox_inches="tight")
+    figure.savefig(path, dpi=90)
     return path
+
+
+def _draw_r2(panel: Axes, r2: np.ndarray, names: list[str], title: str) -> None:
+    panel.imshow(np.maximum(r2, LOWEST), vmin=LOWEST, vmax=1, cmap="RdYlGn", aspect="auto")
+    for (row, column), value in np.ndenumerate(r2):
+        panel.text(column, row, f"{value:.2f}" if value > -10 else "< −10", ha="center", va="center", size=8)
+    panel.set_xticks(range(len(names)), names)
+    panel.set_title(title)
+
+
+def _draw_error(panel: Axes, mae_N: np.ndarray) -> None:
+    """Draw (rows, 3) errors as bars; the panel shares its rows with the others."""
+    for axis, name in enumerate(AXES):
+        panel.barh(np.arange(len(mae_N)) + 0.25 * (axis - 1), mae_N[:, axis], 0.25, label=name)
+    panel.set_title("mean absolute error over transfers, N (0–12, ±3 N)")
+    panel.legend(frameon=False)

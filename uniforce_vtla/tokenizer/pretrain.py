@@ -7,9 +7,10 @@ one process so far).
 from __future__ import annotations
 
 import csv
+import json
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,12 +19,15 @@ import torch
 from accelerate import Accelerator
 from tqdm import tqdm
 
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
 from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, TokenizerConfig, build_model
 from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs, PairSource
 from uniforce_vtla.tokenizer.strips import draw_strips
 
+RECIPE = "recipe.json"  # every setting of the run, beside its state
 UNTOLD_SHARE = 0.25  # of units whose material variables are withheld in a step
 
 
@@ -72,6 +76,7 @@ class Pretraining:
 
     def __init__(self, settings: PretrainSettings, folder: Path, data: PairSource) -> None:
         self.settings, self.folder, self.data = settings, folder, data
+        self._check_recipe()
         self.accelerator = Accelerator(
             mixed_precision=settings.mixed_precision,
             log_with=settings.tracker or None,
@@ -149,6 +154,7 @@ class Pretraining:
         if not self.accelerator.is_main_process:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
+        write_json(self.folder / RECIPE, asdict(self.settings))
         state = {
             "step": self.step,
             "model": self._bare().state_dict(),
@@ -158,6 +164,15 @@ class Pretraining:
         torch.save(state, scratch)
         scratch.replace(self.folder / "state.pt")
         self.tokenizer().save(self.folder / "tokenizer")
+
+    def _check_recipe(self) -> None:
+        """Raise DatasetError where the folder holds a run of another recipe; continuing it would be neither."""
+        path = self.folder / RECIPE
+        if path.exists() and (stored := json.loads(path.read_text())) != asdict(self.settings):
+            differs = sorted(k for k, v in asdict(self.settings).items() if stored.get(k) != v)
+            raise DatasetError(
+                expected(str(path), "the recipe now asked for", f"another {differs}", "Choose another out=.")
+            )
 
     def _resume(self) -> None:
         path = self.folder / "state.pt"

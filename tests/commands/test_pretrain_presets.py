@@ -1,0 +1,40 @@
+"""Presets: the shipped checkpoints' recipes, complete and overridable."""
+
+from __future__ import annotations
+
+import pytest
+
+from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.commands.pretrain import PRESETS, PretrainCommand
+from uniforce_vtla.commands.tokenizer_options import VARIANTS
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.tokenizer.pair_cache import FAMILY
+
+
+def test_small_draws_the_family_the_peers_see_too() -> None:
+    command = parse(PretrainCommand, ["preset=small"], PRESETS)
+    assert command.run.data == FAMILY
+    assert command.run.model.warp and command.run.loss.equilibrium_scale == "whitened"
+
+
+def test_nano_is_smaller_and_what_is_given_wins() -> None:
+    small, nano = (parse(PretrainCommand, [f"preset={n}", "run.steps=7"], PRESETS) for n in ("small", "nano"))
+    assert nano.run.model.width < small.run.model.width
+    assert nano.run.steps == small.run.steps == 7
+
+
+def test_without_a_preset_the_equilibrium_is_the_papers() -> None:
+    loss = parse(PretrainCommand, [], PRESETS).run.loss
+    assert (loss.equilibrium, loss.equilibrium_scale) == ("patch", "absolute")
+
+
+def test_unknown_preset_names_the_known_ones() -> None:
+    with pytest.raises(ContractError, match=r"nano \| small"):
+        parse(PretrainCommand, ["preset=huge"], PRESETS)
+
+
+@pytest.mark.parametrize("name", sorted(VARIANTS))
+def test_every_measured_option_exists(name: str) -> None:
+    plain = parse(PretrainCommand, ["preset=nano"], PRESETS)
+    changed = parse(PretrainCommand, ["preset=nano", *VARIANTS[name]], PRESETS)
+    assert (changed == plain) is (VARIANTS[name] == ())
