@@ -93,7 +93,7 @@ def test_resumed_run_equals_an_uninterrupted_one(
     Pretraining(settings, tmp_path / "parts", data).run(until=4)
     resumed = Pretraining(settings, tmp_path / "parts", data)
     assert resumed.step == 4
-    with pytest.raises(DatasetError, match="another .*learning_rate"):
+    with pytest.raises(DatasetError, match=r"another .*learning_rate"):
         Pretraining(replace(settings, learning_rate=0.5), tmp_path / "parts", data)
     tokenizer = resumed.run()
     for a, b in zip(whole.model.parameters(), tokenizer.model.parameters(), strict=True):
