@@ -18,6 +18,7 @@ from uniforce_vtla.probes.reconstructions import (
     image_errors,
     marker_error,
     reconstruct,
+    reconstruction_report,
     rig_report,
     summarise,
 )
@@ -128,3 +129,15 @@ def test_the_worst_pair_is_the_one_whose_cross_branches_are_worst(rig: Rig) -> N
     assert by_cross_error(replace(rig, drawn=drawn))[0] == 2
     report = rig_report(replace(rig, drawn=drawn), SMALL)
     assert report["worst"][0]["pair"] == 2
+
+
+def test_hard_pairs_hold_the_unseen_gel_and_say_how_much_worse_they_are(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("uniforce_vtla.probes.hard_sets.HARD_PAIRS_COUNT", 3)
+    tokenizer = Tokenizer.random(TokenizerConfig(side=128, width=16, depth=1, heads=2, embed_hidden=0))
+    content, shown = reconstruction_report(tokenizer, replace(SMALL, pairs=2))
+    assert set(content["hard_rigs"]) == {"gelsight_d+tactip", "uskin+tactip"} and len(shown) == 1
+    hard = content["hard_rigs"]["gelsight_d+tactip"]
+    assert hard["pairs"] == 3 and len(hard["worst"]) == 3 and len(hard["digest"]) == 64
+    assert reconstruction_report(tokenizer, replace(SMALL, pairs=2, hard=False))[0]["hard_rigs"] == {}

@@ -16,10 +16,12 @@ import torch
 
 from uniforce_vtla.contact.indenters import UNSEEN
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
+from uniforce_vtla.contact.virtual import GELSIGHT_D, as_virtual
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.probes.descriptor import find_blobs, marker_pitch_px, match
+from uniforce_vtla.probes.hard_sets import draw_hard_pairs, pairs_digest
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.entry import prepare
 from uniforce_vtla.tokenizer.losses import LossConfig, gradient_pyramid
@@ -40,6 +42,7 @@ class ReconstructionConfig:
     indenters: tuple[str, ...] = UNSEEN  # names drawn from
     threshold: float = 0.5  # of white; of .3, .4 and .5 the one that finds true images' own markers best
     pyramid_levels: int = LossConfig().pyramid_levels  # of the perceptual term, as in training
+    hard: bool = True  # also the frozen pairs that don't fit (hard_sets.py)
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,14 @@ def draw_rigs(config: ReconstructionConfig) -> list[tuple[tuple[str, str], PairB
             ),
         )
         for number, rig in enumerate(config.rigs)
+    ]
+
+
+def draw_hard_rigs() -> list[tuple[tuple[str, str], PairBatch]]:
+    """Return frozen pairs that don't fit: a gel nobody pretrained on, fingers misaligned and out of balance."""
+    tactip = as_virtual("tactip")
+    return [
+        ((left.name, "tactip"), draw_hard_pairs(left, tactip)) for left in (GELSIGHT_D, as_virtual("uskin"))
     ]
 
 
@@ -187,10 +198,14 @@ def reconstruction_report(
 
     Returns:
         ``rigs`` {"gelsight+tactip": {"branches", "copy", "finder", "cross_over_self", "worst"}}; ``worst`` are the
-        pairs with the greatest cross error, worst first.
+        pairs with the greatest cross error, worst first.  ``hard_rigs`` likewise for the frozen pairs that don't fit.
     """
     config = config or ReconstructionConfig()
     rigs = [reconstruct(tokenizer, sensors, pairs) for sensors, pairs in draw_rigs(config)]
+    hard = {}
+    for sensors, pairs in draw_hard_rigs() if config.hard else []:
+        report = rig_report(reconstruct(tokenizer, sensors, pairs), config)
+        hard["+".join(sensors)] = report | {"digest": pairs_digest(pairs), "pairs": len(pairs.force_N)}
     return {
         "what": "simulated equilibrium pairs; unseen indenters and units; px of the 640×480 image",
         "seed": config.seed,
@@ -199,6 +214,7 @@ def reconstruction_report(
         "threshold": config.threshold,
         "tokenizer_hash": tokenizer.hash,
         "rigs": {"+".join(rig.sensors): rig_report(rig, config) for rig in rigs},
+        "hard_rigs": hard,
     }, rigs
 
 
@@ -216,7 +232,7 @@ def rig_report(rig: Rig, config: ReconstructionConfig) -> dict[str, Any]:
             "L": _ratios(branches["R->L"], branches["L->L"]),
             "R": _ratios(branches["L->R"], branches["R->R"]),
         },
-        "worst": [_case(rig, index) for index in by_cross_error(rig)[:3]],
+        "worst": _worst(rig, 3),
     }
 
 
@@ -235,13 +251,17 @@ def by_cross_error(rig: Rig) -> list[int]:
     return [int(index) for index in np.argsort(-cross_error(rig), kind="stable")]
 
 
-def _case(rig: Rig, index: int) -> dict[str, Any]:
-    return {
-        "pair": index,
-        "indenter": rig.indenters[index],
-        "force_N": [float(v) for v in rig.force_N[index]],
-        "cross_error": float(cross_error(rig)[index]),
-    }
+def _worst(rig: Rig, count: int) -> list[dict[str, Any]]:
+    error = cross_error(rig)
+    return [
+        {
+            "pair": index,
+            "indenter": rig.indenters[index],
+            "force_N": [float(v) for v in rig.force_N[index]],
+            "cross_error": float(error[index]),
+        }
+        for index in by_cross_error(rig)[:count]
+    ]
 
 
 def _ratios(cross: dict[str, Any], own: dict[str, Any]) -> dict[str, float | None]:
