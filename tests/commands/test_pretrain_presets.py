@@ -12,9 +12,10 @@ from uniforce_vtla.tokenizer.pair_cache import FAMILY
 
 
 def test_small_draws_the_family_the_peers_see_too() -> None:
-    command = parse(PretrainCommand, ["preset=small"], PRESETS)
-    assert command.run.data == FAMILY
-    assert command.run.model.warp and command.run.loss.equilibrium_scale == "whitened"
+    first, second = (parse(PretrainCommand, [f"preset={n}"], PRESETS) for n in ("small_draw", "small"))
+    assert first.run.data == second.run.data == FAMILY
+    assert first.run.model == second.run.model
+    assert second.run.init == f"{first.out}/tokenizer"  # the second half starts from what the first left
 
 
 def test_nano_is_smaller_and_what_is_given_wins() -> None:

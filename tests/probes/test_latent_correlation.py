@@ -54,6 +54,16 @@ def test_one_rotation_serves_unseen_data_and_beats_no_rotation() -> None:
     np.testing.assert_allclose(per_newton(rotation(other), truth), 2, rtol=0.05)
 
 
+def test_a_faint_force_beside_loud_ones_is_found_too() -> None:
+    """Loud shear lies askew to the faint normal force: the nearest triple to the regression directions loses it."""
+    rng = np.random.default_rng(3)
+    force = rng.uniform(-3, 3, (60, 8, 3))
+    carries = np.array([[1.0, 0, 0, 0.3, 0, 0], [0, 1.0, 0, 0, 0.3, 0], [0.1, 0.1, 0.05, 0, 0, 0.01]])
+    z = force @ carries + 0.002 * rng.standard_normal((60, 8, 6))
+    turned = fit_rotation(z[:30], force[:30], "here")(z[30:])
+    assert (np.abs(pearson(turned, force[30:]).diagonal()) > 0.9).all()
+
+
 def test_rotation_fitted_to_shuffled_labels_finds_nothing() -> None:
     z, force, _ = mixed(1)
     wrong = fit_rotation(z, np.random.default_rng(0).permutation(force), "nowhere")

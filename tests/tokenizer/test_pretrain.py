@@ -102,6 +102,18 @@ def test_resumed_run_equals_an_uninterrupted_one(
     assert (tmp_path / "parts" / "tokenizer" / "model.safetensors").exists()
 
 
+def test_a_run_may_start_from_another_ones_weights(
+    data: PairCache, settings: PretrainSettings, tmp_path: Path
+) -> None:
+    first = Pretraining(settings, tmp_path / "first", data).run(until=2)
+    first.save(tmp_path / "weights")
+    warm = replace(settings, init=str(tmp_path / "weights"))
+    assert Pretraining(warm, tmp_path / "second", data).tokenizer().hash == first.hash
+    wider = replace(warm, model=replace(settings.model, width=2 * settings.model.width))
+    with pytest.raises(ContractError, match="Give it the same sizes"):
+        Pretraining(wider, tmp_path / "third", data)
+
+
 def test_learning_rate_rises_then_falls(settings: PretrainSettings) -> None:
     rates = [learning_rate(s, settings) for s in range(settings.steps + 1)]
     assert rates[0] < rates[1] == settings.learning_rate and rates[-1] == pytest.approx(2e-5)

@@ -22,7 +22,7 @@ class PretrainCommand:
 
     Without a preset the objective is the paper's but for the options' defaults named below.
 
-    Example: uniforce-pretrain preset=small run.steps=3000
+    Example: uniforce-pretrain preset=nano out=outputs/mine run.steps=3000
     """
 
     preset: str = (

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import torch
-from scipy import stats
+from scipy import optimize, stats
 
 from uniforce_vtla.contact.sampling import sample_objects
 from uniforce_vtla.errors import ContractError, expected
@@ -79,9 +79,10 @@ def pad_latent(tokenizer: Tokenizer, labelled: LabelledSet) -> np.ndarray:
 def fit_rotation(z: np.ndarray, force_N: np.ndarray, source: str) -> Rotation:
     """Return the rotation that lines the latent's axes up with force.
 
-    The three regression directions (force on latent, least squares) are made orthonormal all at once, so that none
-    is favoured: the nearest orthonormal triple (Procrustes).  What is left of the space is filled with its own
-    principal axes.
+    The first three axes are the orthonormal triple whose squared correlations with Fx, Fy, Fz sum to the most.  The
+    search starts at the nearest triple (Procrustes) to the three regression directions; that one alone would do only
+    if the latent were as wide in every direction: a little of a loud shear drowns a faint normal force.  What is left
+    of the space is filled with its own principal axes.
 
     Args:
         z: (..., L) latents of the source's training set, L ≥ 3.
@@ -99,13 +100,34 @@ def fit_rotation(z: np.ndarray, force_N: np.ndarray, source: str) -> Rotation:
         raise ContractError(
             expected("latent", "three directions that carry force", "fewer", "Train it first.")
         )
-    left, _, right = np.linalg.svd(direction / length, full_matrices=True)
-    carries, rest = left[:, :3] @ right, left[:, 3:]
+    carries = _most_correlated(centred, force - force.mean(axis=0), _orthonormal(direction / length))
+    rest = np.linalg.svd(carries, full_matrices=True)[0][:, 3:]
     _, principal = np.linalg.eigh(np.cov(centred @ rest, rowvar=False).reshape(len(rest[0]), -1))
     matrix = np.concatenate([carries, rest @ principal[:, ::-1]], axis=1)
     if matrix.shape[1] > 3 and np.linalg.det(matrix) < 0:
         matrix[:, -1] *= -1  # a rotation, not a reflection
     return Rotation(source, matrix)
+
+
+def _orthonormal(directions: np.ndarray) -> np.ndarray:
+    """Return the orthonormal columns nearest to those of (L, 3)."""
+    left, _, right = np.linalg.svd(directions, full_matrices=False)
+    return left @ right
+
+
+def _most_correlated(latent: np.ndarray, force: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Return (L, 3) orthonormal axes of the greatest Σ r² with the three forces; inputs centred, a local search."""
+    scale = np.sqrt(np.trace(latent.T @ latent) / latent.size)
+    unit = latent / scale
+    spread, shared = unit.T @ unit / len(unit), unit.T @ (force / force.std(axis=0)) / len(unit)
+
+    def lost(entries: np.ndarray) -> float:
+        axes = _orthonormal(entries.reshape(start.shape))
+        r2 = (axes * shared).sum(axis=0) ** 2 / (axes * (spread @ axes)).sum(axis=0)
+        return -float(r2.sum())
+
+    found = optimize.minimize(lost, start.ravel(), method="BFGS")
+    return _orthonormal(found.x.reshape(start.shape))
 
 
 def pearson(z: np.ndarray, force_N: np.ndarray) -> np.ndarray:

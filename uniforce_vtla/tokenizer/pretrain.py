@@ -19,7 +19,7 @@ import torch
 from accelerate import Accelerator
 from tqdm import tqdm
 
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
@@ -47,6 +47,7 @@ class PretrainSettings:
     clip_norm: float = 1.0  # of the gradient
     seed: int = 0  # weights, batches, latent noise
     save_every: int = 100  # steps between checkpoints a killed run continues from
+    init: str = ""  # tokenizer folder whose weights it starts from; empty = drawn from the seed
     source: Literal["cache", "live"] = "cache"  # pairs from disk, or every batch drawn anew
     mixed_precision: Literal["no", "bf16", "fp16"] = "no"  # accelerate's; float32 is fastest on most CPUs
     tracker: Literal["", "wandb", "tensorboard"] = (
@@ -68,6 +69,26 @@ def learning_rate(step: int, settings: PretrainSettings) -> float:
     return settings.learning_rate * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * min(1.0, done))))
 
 
+def starting_model(settings: PretrainSettings) -> ForceAutoencoder:
+    """Return the model before its first step: new, or with the weights of another run.
+
+    Raises:
+        ContractError: that run's model has other sizes.
+        CheckpointError: no tokenizer there.
+    """
+    model = build_model(settings.model, settings.seed)
+    if settings.init:
+        earlier = Tokenizer.from_pretrained(settings.init)
+        if earlier.config != settings.model:
+            raise ContractError(
+                expected(
+                    f"model of {settings.init}", settings.model, earlier.config, "Give it the same sizes."
+                )
+            )
+        model.load_state_dict(earlier.model.state_dict())
+    return model
+
+
 class Pretraining:
     """A run in ``folder``: continues where its last checkpoint stands.
 
@@ -84,7 +105,7 @@ class Pretraining:
         )
         if settings.tracker:
             self.accelerator.init_trackers("uniforce_tokenizer")
-        model = build_model(settings.model, settings.seed)
+        model = starting_model(settings)
         optimizer = torch.optim.AdamW(
             model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
         )
