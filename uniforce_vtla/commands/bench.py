@@ -22,7 +22,7 @@ class BenchConfig:
     """
 
     seconds: float = 2.0  # per measurement; timings on shared machines are noisy, longer is steadier
-    only: str = ""  # canonicalize | contact | encode | env | loader; empty = all
+    only: str = ""  # canonicalize | contact | encode | cached | stream | env | loader; empty = all
     out: str = "outputs/bench"  # bench.json goes here
 
 
@@ -31,12 +31,14 @@ def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
     from uniforce_datasets.bench import bench_loader
     from uniforce_vtla.contact.bench import bench_contact
     from uniforce_vtla.markers.bench import bench_canonicalizer
-    from uniforce_vtla.tokenizer.bench import bench_encode
+    from uniforce_vtla.tokenizer.bench import bench_cached, bench_encode, bench_stream
 
     return {
         "canonicalize": bench_canonicalizer,
         "contact": bench_contact,
         "encode": bench_encode,
+        "cached": bench_cached,
+        "stream": bench_stream,
         "env": bench_env,
         "loader": lambda seconds: bench_loader(None, seconds),
     }

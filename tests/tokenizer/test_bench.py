@@ -1,0 +1,30 @@
+"""The tokenizer's benches run, count what they say they count, and would show a leak."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uniforce_vtla.tokenizer import bench
+from uniforce_vtla.tokenizer.streaming import StreamingEncoder, StreamStep
+
+
+def test_cache_answers_as_the_full_path_does() -> None:
+    found = bench.bench_cached(0.2)
+    assert found["cached_max_abs_difference"] <= 1e-5
+    assert found["cached_times_faster"] > 1
+
+
+def test_a_leak_shows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench, "SETTLING_FRAMES", 5)
+    kept = []
+    step = StreamingEncoder.step
+
+    def leaky(self: StreamingEncoder, image: np.ndarray) -> StreamStep:
+        kept.append(np.ones((512, 512)))  # 2 MB a frame
+        return step(self, image)
+
+    assert bench.bench_stream(0.3)["stream"]["grown_MB"] < 2
+    monkeypatch.setattr(StreamingEncoder, "step", leaky)
+    found = bench.bench_stream(0.3)["stream"]
+    assert found["frames"] > 0 and found["grown_MB"] > found["frames"]
