@@ -7,6 +7,9 @@ from typing import Any
 
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.probes.hard_sets import HardSettings
+from uniforce_vtla.probes.hardness import hardness
+from uniforce_vtla.probes.hardness_figure import draw_hardness
 from uniforce_vtla.probes.labelled_set import LabelledSet
 from uniforce_vtla.probes.latent_correlation import (
     fit_rotation,
@@ -72,6 +75,31 @@ def slip(tokenizer: Tokenizer, uskin: LabelledSet, recordings: str, results: Pat
     return f"written to {path}"
 
 
+def hardness_chart(
+    tokenizer: Tokenizer, report_set: ReportSet, training: dict[str, LabelledSet], seeds: int, cache: Path
+) -> dict[str, Any]:
+    """Return what each hardness of ``hetero_hard_v1`` costs, in newtons."""
+    side = tokenizer.config.side
+
+    def draw(recipe: HardSettings) -> dict[str, LabelledSet]:
+        return report_set.draw(recipe, report_set.targets(), side, cache)
+
+    return hardness(tokenizer, training, draw, seeds)
+
+
+def write_hardness(content: dict[str, Any], tokenizer: Tokenizer, results: Path) -> str:
+    """Write the chart of what each hardness costs."""
+    content = content | {"tokenizer_hash": tokenizer.hash} | provenance()
+    path = write_json(results / "chart_hardness.json", content)
+    draw_hardness(content, path.with_suffix(".png"))
+    lines = [
+        f"without {name:14s} transfers {_short(found['transfers']['mae_N_paper_range'])} N"
+        for name, found in content["without"].items()
+    ]
+    oracle = f"oracle {_short(content['oracle']['mae_N_paper_range'])} N"
+    return "\n".join([*lines, oracle, f"written to {path}"])
+
+
 def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
     """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
 
@@ -117,7 +145,7 @@ def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> s
 
 def unknown(question: str) -> ContractError:
     """Return the error for a question nobody asks."""
-    known = "force | correlation | reconstructions | slip"
+    known = "force | correlation | reconstructions | slip | hardness"
     return ContractError(expected("question", known, repr(question), "Ask one of these."))
 
 

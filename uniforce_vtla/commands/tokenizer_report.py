@@ -54,7 +54,9 @@ class TokenizerReportCommand:
     Example: uniforce-tokenizer-report question=force set=hetero_hard_v1 seeds=3
     """
 
-    question: str = "force"  # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real recordings)
+    question: str = (
+        "force"  # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | hardness (chart)
+    )
     data: str = (
         ""  # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     )
@@ -233,8 +235,13 @@ def _other_question(command: TokenizerReportCommand, report_set: ReportSet, toke
     results = Path(command.results)
     if command.question == "reconstructions":
         return questions.reconstructions(tokenizer, results)
-    if command.question not in ("correlation", "slip"):
+    if command.question not in ("correlation", "slip", "hardness"):
         raise questions.unknown(command.question)
+    if command.question == "hardness":
+        cache = Path(command.cache)
+        training = report_set.draw(report_set.training, report_set.sources(), tokenizer.config.side, cache)
+        content = questions.hardness_chart(tokenizer, report_set, training, command.seeds, cache)
+        return questions.write_hardness(content, tokenizer, results)
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     if command.question == "correlation":
         return questions.correlation(tokenizer, report_set, table, results)
