@@ -8,12 +8,10 @@ import torch
 
 from uniforce_vtla.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled
 from uniforce_vtla.probes.zero_shot import encode_set, predict, score, shipped_cell
-from uniforce_vtla.tokenizer.api import SHIPPED, Tokenizer
+from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.weights import ASSETS
-
-pytestmark = pytest.mark.skipif(not SHIPPED.exists(), reason="no checkpoint shipped yet")
+from uniforce_vtla.tokenizer.weights import ASSETS, SIZES
 
 
 @pytest.fixture(scope="module")
@@ -22,12 +20,23 @@ def tokenizer() -> Tokenizer:
     return Tokenizer.from_pretrained()
 
 
-def test_assets_are_small_and_heads_belong_to_the_tokenizer(tokenizer: Tokenizer) -> None:
-    size = sum(file.stat().st_size for file in ASSETS.rglob("*") if file.is_file())
-    assert size <= 12e6
+def test_assets_are_small() -> None:
+    assert sum(file.stat().st_size for file in ASSETS.rglob("*") if file.is_file()) <= 12e6
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_heads_belong_to_their_tokenizer(size: str) -> None:
+    tokenizer = Tokenizer.from_pretrained(size)
     for sensor in SENSORS:
-        head = ForceHead.from_pretrained(sensor)
+        head = ForceHead.from_pretrained(sensor, size)
         assert head.source == sensor and head.tokenizer_hash == tokenizer.hash
+
+
+def test_nano_is_smaller_than_the_default(tokenizer: Tokenizer) -> None:
+    sizes = [
+        sum(p.numel() for p in t.model.parameters()) for t in (tokenizer, Tokenizer.from_pretrained("nano"))
+    ]
+    assert sizes[1] < sizes[0] / 2
 
 
 def test_cached_path_equals_full_path_with_shipped_weights(tokenizer: Tokenizer) -> None:

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from uniforce_vtla.commands import peer_rows
 from uniforce_vtla.commands import tokenizer_questions as questions
 from uniforce_vtla.commands.arguments import parse
-from uniforce_vtla.errors import DatasetError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, UniForceError, expected
 from uniforce_vtla.probes.labelled_set import LabelledSet
 from uniforce_vtla.probes.report_sets import ReportSet, get_report_set
 from uniforce_vtla.probes.zero_shot import (
@@ -38,7 +38,7 @@ from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.weights import ASSETS
+from uniforce_vtla.tokenizer.weights import SIZES, checkpoint_folder
 
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
@@ -67,7 +67,8 @@ class TokenizerReportCommand:
     cache: str = "outputs/labelled"  # drawn sets, kept for the next run; delete it after changing contact/
     seeds: int = 3  # heads per cell
     freeze: bool = False  # only draw the set and write its hash
-    ship_heads: bool = False  # also train one head per registry sensor into the package (set=zero_shot_v1)
+    ship: str = ""  # small | nano: also write tokenizer and heads into the package (set=zero_shot_v1)
+    table: str = ""  # another name for the table's file; empty = the set's own
     peers: bool = (
         False  # also the rows that train networks of their own: hours on two cores, one row at a time
     )
@@ -93,8 +94,8 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     facts = _facts(command, report_set)
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     check_frozen(facts, table.frozen)
-    if command.ship_heads:
-        ship_heads(table, tokenizer)
+    if command.ship:
+        ship(command.ship, table, tokenizer)
     untrained = Tokenizer.random(tokenizer.config)
     seeds = command.seeds
     makers: dict[str, Callable[[], Cells]] = {
@@ -106,8 +107,12 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     if command.peers:
         makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps, command.pairs)
     chosen = peer_rows.choose(makers, command.only)
-    rows = _committed_rows(command, report_set, facts, tokenizer) if command.only else {}
-    rows |= {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
+    _committed_rows(
+        command, report_set, facts, tokenizer
+    )  # refuses a table that doesn't fit before the work begins
+    rows = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
+    if command.only:  # read once more: another row may have come in meanwhile
+        rows = _committed_rows(command, report_set, facts, tokenizer) | rows
     content = {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
         "set": facts["set"],
@@ -120,7 +125,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     if command.peers:
         paths = {"anytouch": command.anytouch, "t3": command.t3, "unit": command.unit}
         content |= peer_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
-    if report_set.name == SHIPPED_HEADS_SET:
+    if report_set.name == SHIPPED_HEADS_SET and not command.table:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
     return content | provenance()
 
@@ -129,6 +134,10 @@ def draw_sets(report_set: ReportSet, side: int, cache: Path) -> Table:
     """Return the table's sets: sources with seen indenters, targets with unseen ones."""
     training = report_set.draw(report_set.training, report_set.sources(), side, cache)
     return Table(training, report_set.draw(report_set.frozen, report_set.targets(), side, cache))
+
+
+def _table_path(command: TokenizerReportCommand, report_set: ReportSet) -> Path:
+    return Path(command.results) / (command.table or report_set.table)
 
 
 def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, Any]:
@@ -149,8 +158,8 @@ def _committed_rows(
     Raises:
         DatasetError: a table of another set or other seeds.
     """
-    path = Path(command.results) / report_set.table
-    if not path.exists():
+    path = _table_path(command, report_set)
+    if not command.only or not path.exists():
         return {}
     table = json.loads(path.read_text())
     came, wanted = (table["set_hash"], table["seeds"]), (facts["set_hash"], command.seeds)
@@ -165,11 +174,18 @@ def _committed_rows(
     return {name: row for name, row in table["rows"].items() if name not in OF_THE_TOKENIZER}
 
 
-def ship_heads(table: Table, tokenizer: Tokenizer) -> None:
-    """Train one head per source sensor and write it into the package."""
+def ship(size: str, table: Table, tokenizer: Tokenizer) -> None:
+    """Write the tokenizer and one head per source sensor into the package.
+
+    Raises:
+        ContractError: the package ships no such size.
+    """
+    if size not in SIZES:
+        raise ContractError(expected("ship", " | ".join(SIZES), size, "Name one."))
+    tokenizer.save(checkpoint_folder(size, "tokenizer"))
     for source, labelled in tqdm(table.training.items(), desc="shipped heads"):
         model = train_head(encode_set(tokenizer, labelled), labelled.force_N, HeadTrainingConfig(), seed=0)
-        ForceHead(model, source, tokenizer.hash).save(ASSETS / f"force_head_{source}")
+        ForceHead(model, source, tokenizer.hash).save(checkpoint_folder(size, f"force_head_{source}"))
 
 
 def shipped_row(tokenizer: Tokenizer, table: Table, count: int) -> Cells:
@@ -188,7 +204,7 @@ def replay(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: To
     """
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     _say_if_redrawn(command, report_set, table.frozen)
-    committed = json.loads((Path(command.results) / report_set.table).read_text())
+    committed = json.loads((_table_path(command, report_set)).read_text())
     if report_set.name == SHIPPED_HEADS_SET:
         again, before = shipped_row(tokenizer, table, command.replay), committed["shipped_heads"]
     else:
@@ -218,14 +234,14 @@ def _report(command: TokenizerReportCommand) -> str:
     if command.replay:
         worst = replay(command, report_set, tokenizer)
         verdict = "agrees with" if worst <= REPLAY_TOLERANCE else "DIFFERS FROM"
-        path = results / report_set.table
+        path = _table_path(command, report_set)
         return f"replay of {command.replay} cells {verdict} {path}: largest difference {worst:.4f}"
     if command.data:
         return questions.user_data(tokenizer, command.data, command.seeds, results)
     if command.question != "force":
         return _other_question(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)
-    path = write_json(results / report_set.table, content)
+    path = write_json(_table_path(command, report_set), content)
     draw_table(content, path.with_suffix(".png"))
     lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
     return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])

@@ -14,9 +14,14 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.markers.taxel_render import TaxelScales
 from uniforce_vtla.tokenizer.entry import prepare
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, TokenizerConfig, build_model
-from uniforce_vtla.tokenizer.weights import ASSETS, content_hash, load_weights, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import (
+    checkpoint_folder,
+    content_hash,
+    load_weights,
+    read_config,
+    save_checkpoint,
+)
 
-SHIPPED = ASSETS / "tokenizer"
 CACHED_REFERENCES = 8  # two slots, a few swaps; each costs about 0.5 MB
 
 
@@ -49,12 +54,12 @@ class Tokenizer:
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> Tokenizer:
-        """Load a checkpoint folder; the one shipped with the package when ``path`` is None.
+        """Load a checkpoint folder, or one shipped with the package: ``"small"`` (None) or ``"nano"``.
 
         Raises:
             CheckpointError: missing, truncated, of another shape, or made behind another canonicaliser.
         """
-        folder = SHIPPED if path is None else Path(path)
+        folder = checkpoint_folder(path, "tokenizer")
         facts = read_config(folder)
         model = build_model(_sizes(facts, folder), seed=0)
         load_weights(folder, model)

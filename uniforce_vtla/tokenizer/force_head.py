@@ -14,7 +14,7 @@ from torch import nn
 
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.pooling import pool_latent
-from uniforce_vtla.tokenizer.weights import ASSETS, load_weights, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_weights, read_config, save_checkpoint
 
 
 @dataclass(frozen=True)
@@ -107,10 +107,12 @@ class ForceHead:
     def from_pretrained(cls, source: str = "tactip", path: str | Path | None = None) -> ForceHead:
         """Load the shipped head trained on ``source``, or any head's folder.
 
+        A head reads the latents of one tokenizer alone: pass ``"nano"`` for the smaller shipped one's.
+
         Raises:
             CheckpointError: no head for that source, or a checkpoint that doesn't fit.
         """
-        folder = ASSETS / f"force_head_{source}" if path is None else Path(path)
+        folder = checkpoint_folder(path, f"force_head_{source}")
         facts = read_config(folder)
         try:
             model = ForceRegressor(HeadConfig(**facts["head"]))

@@ -17,6 +17,14 @@ from uniforce_vtla.errors import CheckpointError, expected
 
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 ASSETS = Path(__file__).parent / "assets"  # checkpoints that come with the package
+DEFAULT_SIZE = "small"
+SIZES = (DEFAULT_SIZE, "nano")  # one folder each: tokenizer/ and force_head_SENSOR/
+
+
+def checkpoint_folder(path: str | Path | None, part: str) -> Path:
+    """Return ``path``, or the shipped ``part`` of a size named by it ("small", "nano"; None is the default)."""
+    size = DEFAULT_SIZE if path is None else str(path)
+    return ASSETS / size / part if size in SIZES else Path(size)
 
 
 def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> Path:
