@@ -17,7 +17,7 @@ LOWEST = -1.0  # colours end here: an R² of −1000 only says "a constant offse
 def draw_table(content: dict[str, Any], path: Path) -> Path:
     """Draw ``content["rows"]``; transfers from a sensor to itself are left out."""
     rows = content["rows"]
-    names = list(rows["mean"])
+    names = [name for name in next(iter(rows.values())) if len(set(name.split("->"))) == 2]
     figure = Figure(figsize=(16, 1.8 + 0.42 * len(rows)), layout="constrained")
     panels = figure.subplots(1, 4, sharey=True)
     for axis, panel in enumerate(panels[:3]):
