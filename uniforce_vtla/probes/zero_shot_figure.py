@@ -36,7 +36,8 @@ def draw_table(content: dict[str, Any], path: Path) -> Path:
 def _draw_r2(panel: Axes, r2: np.ndarray, names: list[str], title: str) -> None:
     panel.imshow(np.maximum(r2, LOWEST), vmin=LOWEST, vmax=1, cmap="RdYlGn", aspect="auto")
     for (row, column), value in np.ndenumerate(r2):
-        panel.text(column, row, f"{value:.2f}" if value > -10 else "< −10", ha="center", va="center", size=8)
+        said = f"{value + 0.0:.2f}".replace("-0.00", "0.00") if value > -10 else "< −10"
+        panel.text(column, row, said, ha="center", va="center", size=8, color="w" if value < -0.7 else "k")
     panel.set_xticks(range(len(names)), names)
     panel.set_title(title)
 
@@ -45,5 +46,6 @@ def _draw_error(panel: Axes, mae_N: np.ndarray) -> None:
     """Draw (rows, 3) errors as bars; the panel shares its rows with the others."""
     for axis, name in enumerate(AXES):
         panel.barh(np.arange(len(mae_N)) + 0.25 * (axis - 1), mae_N[:, axis], 0.25, label=name)
-    panel.set_title("mean absolute error over transfers, N (0–12, ±3 N)")
+    panel.set_xscale("log")
+    panel.set_title("mean absolute error, N (paper's range)")
     panel.legend(frameon=False)
