@@ -38,11 +38,11 @@ def trained(
     makers: dict[str, Callable[[], Cells]] = {
         "UniForce (FT)": lambda: finetuned_row(table, tokenizer, seeds),
         "ResNet": lambda: resnet_row(table, seeds),
-        "twin: MAE": lambda: twin("mae"),
-        "twin: VQ-VAE": lambda: twin("vqvae"),
+        "MAE twin": lambda: twin("mae"),
+        "VQ-VAE twin": lambda: twin("vqvae"),
     }
     if set(table.frozen) <= set(table.training):  # a translator needs pictures of its target
-        makers["translation (own, after GenForce)"] = lambda: genforce_style_row(table, 1)
+        makers["GenForce-style (ours)"] = lambda: genforce_style_row(table, 1)
     return makers
 
 

@@ -77,8 +77,7 @@ class PairCache:
 
     def __init__(self, folder: Path, config: PairCacheConfig) -> None:
         build_cache(folder, config)
-        shards = [_read(path) for path in _shard_paths(folder, config)]
-        self.arrays = {name: np.concatenate([shard[name] for shard in shards]) for name in NAMES}
+        self.arrays = _gathered(_shard_paths(folder, config))
         self.pairs_per_unit = config.pairs_per_unit
 
     def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
@@ -186,6 +185,17 @@ def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
 def _read(path: Path) -> dict[str, np.ndarray]:
     with np.load(path) as shard:
         return {name: shard[name] for name in NAMES}
+
+
+def _gathered(paths: list[Path]) -> dict[str, np.ndarray]:
+    """Return all shards one after another, without ever holding them twice."""
+    first = _read(paths[0])
+    units = len(first["left_reference"])
+    arrays = {n: np.empty((units * len(paths), *a.shape[1:]), a.dtype) for n, a in first.items()}
+    for number, path in enumerate(paths):
+        for name, part in _read(path).items():
+            arrays[name][number * units : (number + 1) * units] = part
+    return arrays
 
 
 def _check_or_write_config(path: Path, config: dict[str, object]) -> None:
