@@ -28,6 +28,7 @@ from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheCo
 from uniforce_vtla.tokenizer.strips import draw_strips
 
 RECIPE = "recipe.json"  # every setting of the run, beside its state
+MAY_CHANGE = ("steps", "save_every", "strips_every", "tracker")  # between a run and its continuation
 UNTOLD_SHARE = 0.25  # of units whose material variables are withheld in a step
 
 
@@ -189,8 +190,11 @@ class Pretraining:
     def _check_recipe(self) -> None:
         """Raise DatasetError where the folder holds a run of another recipe; continuing it would be neither."""
         path = self.folder / RECIPE
-        if path.exists() and (stored := json.loads(path.read_text())) != asdict(self.settings):
-            differs = sorted(k for k, v in asdict(self.settings).items() if stored.get(k) != v)
+        if not path.exists():
+            return
+        stored, asked = json.loads(path.read_text()), asdict(self.settings)
+        differs = sorted(k for k in asked if k not in MAY_CHANGE and stored.get(k) != asked[k])
+        if differs:
             raise DatasetError(
                 expected(str(path), "the recipe now asked for", f"another {differs}", "Choose another out=.")
             )
