@@ -17,6 +17,13 @@ from uniforce_vtla.tokenizer.model import Decoder, Posterior
 from uniforce_vtla.tokenizer.pooling import pool_latent
 
 Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+LEVELS: dict[str, tuple[str | int | None, ...]] = {  # regions per side; None = every patch
+    "patch": (None,),
+    "pooled": ("pooled",),
+    "both": (None, "pooled"),
+    "levels": (None, "pooled", 1),
+}
+WHITENING_FLOOR = 0.01  # of the mean variance; below it a direction of the latent counts as silent
 
 
 @dataclass(frozen=True)
@@ -117,21 +124,12 @@ def kl(posterior: Posterior, free_bits: float = 0.0) -> torch.Tensor:
 def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig) -> torch.Tensor:
     """Return ‖z_L − z_R‖² / P by patch (paper), on the pooled map, or several of them added."""
     errors = []
-    for grid in _LEVELS[config.equilibrium]:
+    for grid in LEVELS[config.equilibrium]:
         grid = config.pooled_grid if grid == "pooled" else grid
         left, right = (z if grid is None else pool_latent(z, int(grid)) for z in (z_left, z_right))
         errors.append(_imbalance(left, right, config.equilibrium_scale == "whitened"))  # (B,)
     error = torch.stack(errors).sum(dim=0)
     return (error * quality_weights(error.detach(), config.pair_quality)).mean()
-
-
-_LEVELS: dict[str, tuple[str | int | None, ...]] = {  # regions per side; None = every patch
-    "patch": (None,),
-    "pooled": ("pooled",),
-    "both": (None, "pooled"),
-    "levels": (None, "pooled", 1),
-}
-_WHITENING_FLOOR = 0.01  # of the mean variance; below it a direction of the latent counts as silent
 
 
 def _imbalance(left: torch.Tensor, right: torch.Tensor, whitened: bool) -> torch.Tensor:
@@ -145,7 +143,7 @@ def _imbalance(left: torch.Tensor, right: torch.Tensor, whitened: bool) -> torch
         return difference.square().sum(-1).mean(1)
     around = torch.cat([left - left.mean(dim=0), right - right.mean(dim=0)]).flatten(0, 1)  # (2·B·P, L)
     covariance = around.T @ around / len(around)
-    floor = _WHITENING_FLOOR * covariance.diagonal().mean() + 1e-12
+    floor = WHITENING_FLOOR * covariance.diagonal().mean() + 1e-12
     covariance = covariance + floor * torch.eye(len(covariance), device=left.device, dtype=left.dtype)
     in_units = torch.linalg.solve(covariance, difference.flatten(0, 1).T).T.view_as(difference)
     return (difference * in_units).sum(-1).mean(1)
