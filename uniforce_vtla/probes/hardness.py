@@ -17,7 +17,7 @@ from uniforce_vtla.contact.sequences import press_shear_release
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.probes.hard_sets import HETERO_HARD, HardSettings
 from uniforce_vtla.probes.labelled_set import LabelledSet
-from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, learnt_row, score
+from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, learnt_row, score, transfer_name
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
 
@@ -60,16 +60,32 @@ def hardness(
         seeds: heads per cell.
         head: how heads are trained.
     """
-    found = {}
-    for name, recipe in variants().items():
-        table = Table(training, draw(recipe), head or HeadTrainingConfig())
-        row = learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL)
-        own = {key for key in row if len(set(key.split("->"))) == 1}
+    drawn = {
+        (name, sensor): labelled
+        for name, recipe in variants().items()
+        for sensor, labelled in draw(recipe).items()
+    }
+    table = Table(
+        training, {_key(*place): labelled for place, labelled in drawn.items()}, head or HeadTrainingConfig()
+    )
+    row = learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL)  # every head is trained once
+    found: dict[str, Any] = {}
+    for name in variants():
+        cells = {
+            (source, sensor): row[transfer_name(source, _key(name, sensor))]
+            for source in training
+            for variant, sensor in drawn
+            if variant == name
+        }
         found[name] = {
-            "transfers": _mean([cell for key, cell in row.items() if key not in own]),
-            "self": _mean([row[key] for key in sorted(own)]),
+            "transfers": _mean([cell for (source, target), cell in cells.items() if source != target]),
+            "self": _mean([cell for (source, target), cell in cells.items() if source == target]),
         }
     return {"without": found, "oracle": oracle(HETERO_HARD), "sequences": SEQUENCES}
+
+
+def _key(variant: str, sensor: str) -> str:
+    return f"{sensor} without {variant}"
 
 
 def oracle(recipe: HardSettings, draws: int = 20) -> dict[str, list[float]]:
