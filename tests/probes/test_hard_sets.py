@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from uniforce_vtla.contact.family import outside
+from uniforce_vtla.contact.family import BOUNDS, outside
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.probes.hard_sets import (
     HELDOUT_HIDDEN,
     HELDOUT_VISIBLE,
+    HELDOUT_VISIBLE_2,
     HETERO_HARD,
     HETERO_HARD_TRAINING,
     draw_hard,
@@ -23,6 +25,7 @@ from uniforce_vtla.probes.hard_sets import (
     hidden_sensors,
     pairs_digest,
     visible_sensors,
+    visible_sensors_2,
 )
 from uniforce_vtla.probes.labelled_cache import cached
 from uniforce_vtla.probes.report_sets import REPORT_SETS, get_report_set
@@ -31,16 +34,18 @@ SHORT = replace(HETERO_HARD, sequences=2, length=4)
 
 
 def test_seeds_and_indenters_of_training_and_frozen_sets_differ() -> None:
-    frozen = (HETERO_HARD, HELDOUT_VISIBLE, HELDOUT_HIDDEN)
-    assert len({s.seed for s in (*frozen, HETERO_HARD_TRAINING)}) == 4
+    frozen = (HETERO_HARD, HELDOUT_VISIBLE, HELDOUT_VISIBLE_2, HELDOUT_HIDDEN)
+    assert len({s.seed for s in (*frozen, HETERO_HARD_TRAINING)}) == 5
     assert all(set(s.indenters) == set(UNSEEN) for s in frozen)
     assert set(HETERO_HARD_TRAINING.indenters) == set(SEEN)
 
 
 def test_no_held_out_sensor_is_in_the_pretraining_family() -> None:
     assert any(line.startswith("visible: marker_shape") for line in outside(hetero_sensors()["gelsight_d"]))
-    for sensor in visible_sensors().values():
-        found = outside(sensor)
+    for sensor, family in product(
+        (*visible_sensors().values(), *visible_sensors_2().values()), BOUNDS.values()
+    ):
+        found = outside(sensor, family)
         assert found and all(line.startswith("visible") for line in found), (sensor.name, found)
     for sensor in hidden_sensors().values():
         if sensor.spec.signal == "camera":
@@ -91,6 +96,8 @@ def test_a_cached_set_is_drawn_once(tmp_path: Path) -> None:
 
 def test_report_sets_have_names_and_files_of_their_own() -> None:
     assert all(get_report_set(name).name == name for name in REPORT_SETS)
-    assert len({s.facts_file for s in REPORT_SETS.values()} | {s.table for s in REPORT_SETS.values()}) == 8
+    assert len(
+        {s.facts_file for s in REPORT_SETS.values()} | {s.table for s in REPORT_SETS.values()}
+    ) == 2 * len(REPORT_SETS)
     with pytest.raises(ContractError, match="hetero_hard_v1"):
         get_report_set("easy")

@@ -61,7 +61,7 @@ class TokenizerReportCommand:
         ""  # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     )
     recordings: str = ""  # question=slip: folder of the bilateral uSkin trials
-    set: str = "zero_shot_v1"  # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 | heldout_hidden_v1
+    set: str = "zero_shot_v1"  # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 or _v2 | heldout_hidden_v1
     tokenizer: str = ""  # checkpoint folder; empty = shipped
     results: str = "docs/results"  # the sets' facts, the tables and their figures
     cache: str = "outputs/labelled"  # drawn sets, kept for the next run; delete it after changing contact/

@@ -4,6 +4,7 @@
 with another camera pose, light, marker size and missing markers; camera images go through raw frames and the real
 canonicaliser; rubber creeps, so pictures lag behind their labels; six unseen indenters.
 ``heldout_visible_v1``: three sensors that look unlike anything the pretraining family draws, of usual stiffness.
+``heldout_visible_v2``: three others, for the wider family v2.
 ``heldout_hidden_v1``: three that look usual and are stiffer, softer or more sensitive than the family: calibration.
 """
 
@@ -30,7 +31,7 @@ from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.probes.descriptor import describe
 from uniforce_vtla.probes.labelled_set import LabelledSet
-from uniforce_vtla.sensors.layouts import rectangular, rings, scattered
+from uniforce_vtla.sensors.layouts import hexagonal, rectangular, rings, scattered
 from uniforce_vtla.tokenizer.pair_cache import shrink
 
 
@@ -59,6 +60,9 @@ HETERO_HARD_TRAINING = HardSettings(
 )
 # Without the canonicaliser: it refuses scattered dots by design, and pressed dashes now and then (docs/design.md).
 HELDOUT_VISIBLE = replace(HETERO_HARD, name="heldout_visible_v1", seed=32_001, canonicalise=False)
+HELDOUT_VISIBLE_2 = replace(
+    HETERO_HARD, name="heldout_visible_v2", seed=32_002, canonicalise=False
+)  # for family v2
 HELDOUT_HIDDEN = replace(HETERO_HARD, name="heldout_hidden_v1", seed=33_001)
 
 
@@ -99,6 +103,38 @@ def visible_sensors() -> dict[str, VirtualSensor]:
         "dashes": VirtualSensor(dashes, gel.material, like="gelsight"),
         "speckles": VirtualSensor(speckles, gel.material, like="gelsight"),
         "circles": VirtualSensor(circles, dome.material, like="tactip"),
+    }
+
+
+def visible_sensors_2() -> dict[str, VirtualSensor]:
+    """Return three other cameras that the wider family v2 can't draw either; stiffness and gains are the usual ones."""
+    gel, dome = as_virtual("gelsight"), as_virtual("tactip")
+    drawn = {
+        "far_dashes": (
+            gel,
+            {
+                "layout_mm": hexagonal(4, 2.9),
+                "marker_shape": "dash",
+                "marker_size_mm": 1.5,
+                "px_per_mm": (14.0, 14.0),  # a still wider lens
+            },
+        ),
+        "target": (
+            gel,
+            {"layout_mm": rings((6, 12, 18, 24), 2.4), "marker_shape": "disc", "marker_size_mm": 1.1},
+        ),
+        "near_specks": (
+            dome,
+            {
+                "layout_mm": scattered(100, (15.0, 14.5), gap_mm=2.3, seed=6),
+                "marker_size_mm": 1.3,
+                "px_per_mm": (14.2, 14.2),
+            },
+        ),
+    }
+    return {
+        name: VirtualSensor(replace(base.spec, name=name, **changes), base.material, like=base.like)  # type: ignore[arg-type]
+        for name, (base, changes) in drawn.items()
     }
 
 

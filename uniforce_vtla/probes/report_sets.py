@@ -13,6 +13,7 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.probes.hard_sets import (
     HELDOUT_HIDDEN,
     HELDOUT_VISIBLE,
+    HELDOUT_VISIBLE_2,
     HETERO_HARD,
     HETERO_HARD_TRAINING,
     HardSettings,
@@ -20,6 +21,7 @@ from uniforce_vtla.probes.hard_sets import (
     hetero_sensors,
     hidden_sensors,
     visible_sensors,
+    visible_sensors_2,
 )
 from uniforce_vtla.probes.labelled_cache import cached
 from uniforce_vtla.probes.labelled_set import (
@@ -91,6 +93,9 @@ REPORT_SETS = {
     ),
     "heldout_visible_v1": ReportSet(
         HELDOUT_VISIBLE, HETERO_HARD_TRAINING, hetero_sensors, visible_sensors, "heldout_visible.json"
+    ),
+    "heldout_visible_v2": ReportSet(
+        HELDOUT_VISIBLE_2, HETERO_HARD_TRAINING, hetero_sensors, visible_sensors_2, "heldout_visible_2.json"
     ),
     "heldout_hidden_v1": ReportSet(
         HELDOUT_HIDDEN, HETERO_HARD_TRAINING, hetero_sensors, hidden_sensors, "heldout_hidden.json"

@@ -9,13 +9,13 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from uniforce_vtla.contact.family import draw_dome, draw_flat
+from uniforce_vtla.contact.family import BOUNDS, draw_dome, draw_flat
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.units import Look
@@ -41,6 +41,7 @@ class PairCacheConfig:
     family_share: float = (
         0.0  # share of cameras drawn from the procedural family; 0 = the paper's three sensors
     )
+    family: Literal["v1", "v2"] = "v1"  # bounds of that family (contact/family.py)
     free_look: bool = False  # every camera with a pose, zoom and marker size of its own
     marker_loss: float = 0.0  # chance per marker and frame, in half of the units
     misaligned_cells: int = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
@@ -111,7 +112,7 @@ def build_cache(folder: Path, config: PairCacheConfig) -> None:
         DatasetError: the folder holds a cache of another config.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    _check_or_write_config(folder / "config.json", asdict(config))
+    _check_or_write_config(folder / "config.json", config)
     for number, path in enumerate(tqdm(_shard_paths(folder, config), desc="drawing pairs")):
         if not path.exists():
             _write(path, _draw_shard(config, number))
@@ -146,7 +147,7 @@ def _canonical(
 
 
 def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]) -> PairBatch:
-    left, right = (draw_finger(rng, sensor, config.family_share) for sensor in rig)
+    left, right = (draw_finger(rng, sensor, config) for sensor in rig)
     settings = _pair_settings(rng, config)
     pairs = config.pairs_per_unit
     return equilibrium_pairs(
@@ -154,11 +155,12 @@ def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str
     )
 
 
-def draw_finger(rng: np.random.Generator, sensor: str, family_share: float) -> str | VirtualSensor:
+def draw_finger(rng: np.random.Generator, sensor: str, config: PairCacheConfig) -> str | VirtualSensor:
     """Return ``sensor``, or with probability ``family_share`` a procedural one of its kind (cameras only)."""
-    if sensor not in FAMILIES or family_share <= 0 or rng.random() >= family_share:
+    share = config.family_share
+    if sensor not in FAMILIES or share <= 0 or rng.random() >= share:
         return sensor
-    return FAMILIES[sensor](rng)
+    return FAMILIES[sensor](rng, BOUNDS[config.family])
 
 
 def _pair_settings(rng: np.random.Generator, config: PairCacheConfig) -> PairSettings:
@@ -198,11 +200,17 @@ def _gathered(paths: list[Path]) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _check_or_write_config(path: Path, config: dict[str, object]) -> None:
+def _check_or_write_config(path: Path, config: PairCacheConfig) -> None:
     if not path.exists():
-        path.write_text(json.dumps(config, indent=1))
-    elif (stored := json.loads(path.read_text())) != config:
-        raise DatasetError(expected(f"cache in {path.parent}", config, stored, "Choose another folder."))
+        path.write_text(json.dumps(asdict(config), indent=1))
+        return
+    stored = json.loads(path.read_text())
+    known = set(asdict(config)) >= set(stored)
+    if (
+        not known or replace(PairCacheConfig(), **stored) != config
+    ):  # options added later stand at their defaults
+        do = "Choose another folder."
+        raise DatasetError(expected(f"cache in {path.parent}", asdict(config), stored, do))
 
 
 def _ready(images: np.ndarray) -> torch.Tensor:
