@@ -16,7 +16,7 @@ def test_cache_answers_as_the_full_path_does() -> None:
 
 
 def test_a_leak_shows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "SETTLING_FRAMES", 5)
+    monkeypatch.setattr(bench, "SETTLING_FRAMES", 2)
     kept = []
     step = StreamingEncoder.step
 
@@ -27,5 +27,5 @@ def test_a_leak_shows(monkeypatch: pytest.MonkeyPatch) -> None:
 
     assert bench.bench_stream(0.3)["stream"]["grown_MB"] < 50
     monkeypatch.setattr(StreamingEncoder, "step", leaky)
-    found = bench.bench_stream(0.3)["stream"]
-    assert found["frames"] >= 5 and found["grown_MB"] > 4 * 46
+    found = bench.bench_stream(1.5)["stream"]
+    assert found["frames"] > 0 and found["grown_MB"] > 2 * 46
