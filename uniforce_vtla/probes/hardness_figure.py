@@ -15,7 +15,7 @@ AXES = ("Fx", "Fy", "Fz")
 def draw_hardness(content: dict[str, Any], path: Path) -> Path:
     """Draw mean absolute errors of transfers and of sensors read by their own head."""
     names = list(content["without"])
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    figure = Figure(figsize=(11, 4), layout="constrained")
     for axis, panel in enumerate(figure.subplots(1, 3)):
         for place, kind in enumerate(("transfers", "self")):
             mae_N = [content["without"][name][kind]["mae_N_paper_range"][axis] for name in names]
@@ -26,7 +26,8 @@ def draw_hardness(content: dict[str, Any], path: Path) -> Path:
         )
         panel.set_xticks(range(len(names)), names, rotation=40, ha="right")
         panel.set_title(f"{AXES[axis]}, N")
-    figure.axes[0].legend(frameon=False, fontsize=8)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, ncols=3, loc="outside lower center")
     figure.suptitle("Mean absolute error (0–12, ±3 N), simulated, by what was taken away from hetero_hard_v1")
     FigureCanvasAgg(figure)
     path.parent.mkdir(parents=True, exist_ok=True)
