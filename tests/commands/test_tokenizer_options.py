@@ -1,0 +1,39 @@
+"""What an option buys is measured by training it: one tiny variant from end to end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uniforce_vtla.commands.tokenizer_options import OptionsCommand, main, measure_variant
+from uniforce_vtla.contact.virtual import as_virtual
+from uniforce_vtla.probes.hard_sets import HETERO_HARD, draw_hard
+from uniforce_vtla.probes.zero_shot import Table
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
+
+FEW_PAIRS = (
+    "run.data.units=2",
+    "run.data.units_per_shard=1",
+    "run.data.pairs_per_unit=2",
+    "run.pairs_per_unit=2",
+)
+
+
+def test_a_variant_is_trained_read_and_summed_up(tmp_path: Path) -> None:
+    recipe = replace(HETERO_HARD, sequences=2, length=3, canonicalise=False)
+    sets = {name: draw_hard(recipe, as_virtual(name), 128) for name in ("tactip", "uskin")}
+    table = Table(sets, sets, HeadTrainingConfig(steps=2))
+    command = OptionsCommand(steps=2, out=str(tmp_path))
+    found = measure_variant(command, table, (*FEW_PAIRS, "run.model.material=2"))
+    assert set(found["row"]) == {"T->T", "T->U", "U->T", "U->U"} and len(found["worst_r2"]) == 3
+    assert np.isfinite(found["summary"]["mean"])
+    again = measure_variant(command, table, (*FEW_PAIRS, "run.model.material=2"))
+    assert again["tokenizer_hash"] == found["tokenizer_hash"]  # finished trainings are kept
+
+
+def test_unknown_options_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["only=magic", f"results={tmp_path}"]) == 2
+    assert "free bits" in capsys.readouterr().out
