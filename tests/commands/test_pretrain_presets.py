@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.commands.arguments import choose, parse
 from uniforce_vtla.commands.pretrain import PRESETS, PretrainCommand
 from uniforce_vtla.commands.tokenizer_options import VARIANTS
 from uniforce_vtla.errors import ContractError
@@ -39,3 +39,4 @@ def test_every_measured_option_exists(name: str) -> None:
     plain = parse(PretrainCommand, ["preset=nano"], PRESETS)
     changed = parse(PretrainCommand, ["preset=nano", *VARIANTS[name]], PRESETS)
     assert (changed == plain) is (VARIANTS[name] == ())
+    assert list(choose(VARIANTS, name)) == [name]  # no comma: only= can name it

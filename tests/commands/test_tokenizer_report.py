@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from uniforce_vtla.commands import peer_rows
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.commands.arguments import choose, parse
 from uniforce_vtla.commands.tokenizer_report import TokenizerReportCommand, main
 from uniforce_vtla.probes.zero_shot import Table
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -38,6 +38,6 @@ def test_every_row_can_be_named_on_the_command_line() -> None:
     tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
     makers = peer_rows.trained(Table({}, {}), tokenizer, 1, 1)
     for name in makers:
-        assert list(peer_rows.choose(makers, name)) == [name]  # and no comma
+        assert list(choose(makers, name)) == [name]  # and no comma
         assert parse(TokenizerReportCommand, [f"only=mean,{name}"]).only == f"mean,{name}"
         assert parse(TokenizerReportCommand, [f"only={name}"]).only == name  # no YAML hides in it

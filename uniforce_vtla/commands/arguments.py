@@ -32,6 +32,19 @@ def parse[ConfigT](
     return draccus.parse(config_class=config_class, config_path=config_path, args=args)
 
 
+def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
+    """Return the entries named in ``only`` (comma between them); all of them when empty.
+
+    Raises:
+        ContractError: a name nobody knows.
+    """
+    names = [name.strip() for name in only.split(",") if name.strip()] or list(known)
+    unknown = sorted(set(names) - set(known))
+    if unknown:
+        raise ContractError(expected("only", " | ".join(known), unknown, "Name rows of the table."))
+    return {name: known[name] for name in names}
+
+
 def _preset_path(args: Sequence[str], presets: Path) -> Path | None:
     names = [a.removeprefix("--preset=") for a in args if a.startswith("--preset=") and a != "--preset="]
     if not names:

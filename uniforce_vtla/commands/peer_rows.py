@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.peers.anytouch import anytouch_row
 from uniforce_vtla.peers.finetuned import finetuned_row
 from uniforce_vtla.peers.genforce_style import genforce_style_row
@@ -44,19 +43,6 @@ def trained(
     if set(table.frozen) <= set(table.training):  # a translator needs pictures of its target
         makers["GenForce-style (ours)"] = lambda: genforce_style_row(table, 1)
     return makers
-
-
-def choose(makers: dict[str, Callable[[], Cells]], only: str) -> dict[str, Callable[[], Cells]]:
-    """Return the makers named in ``only`` (comma between them); all of them when empty.
-
-    Raises:
-        ContractError: a row nobody makes.
-    """
-    names = [name.strip() for name in only.split(",") if name.strip()] or list(makers)
-    unknown = sorted(set(names) - set(makers))
-    if unknown:
-        raise ContractError(expected("only", " | ".join(makers), unknown, "Name rows of the table."))
-    return {name: makers[name] for name in names}
 
 
 def published(

@@ -25,10 +25,7 @@ class PretrainCommand:
     Example: uniforce-pretrain preset=nano out=outputs/mine run.steps=3000
     """
 
-    preset: str = (
-        ""  # nano | small: the recipes of the shipped checkpoints; what else you give overrides them
-    )
-
+    preset: str = ""  # nano | small_draw and then small: the shipped checkpoints; what else you give wins
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
     cache: str = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
     out: str = "outputs/pretrain"  # state.pt to resume from, log.csv, tokenizer/ to load

@@ -11,26 +11,25 @@ from typing import Any
 import numpy as np
 import torch
 
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.commands.arguments import choose, parse
 from uniforce_vtla.commands.pretrain import PRESETS, PretrainCommand
 from uniforce_vtla.commands.tokenizer_report import draw_sets
 from uniforce_vtla.errors import ContractError, UniForceError, expected
 from uniforce_vtla.probes.report_sets import get_report_set
 from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, learnt_row, summary, transfer_name
 from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.pair_cache import FAMILY as RECIPE
 from uniforce_vtla.tokenizer.pretrain import Pretraining, open_source
 
-FAMILY = (
-    "run.data.family_share=0.6",
-    "run.data.free_look=true",
-    "run.data.marker_loss=0.02",
-    "run.data.seed=2",
+FAMILY = tuple(
+    f"run.data.{name}={getattr(RECIPE, name)}"
+    for name in ("family_share", "free_look", "marker_loss", "seed")
 )
 BROKEN = ("run.data.imbalance=0.5", "run.data.misaligned_cells=2")  # pairs that no good bench delivers
 VARIANTS: dict[str, tuple[str, ...]] = {
     "the nano recipe": (),
     "equilibrium as the paper's": ("run.loss.equilibrium=patch", "run.loss.equilibrium_scale=absolute"),
-    "paper's, four hundred times": (
+    "paper's four hundred times": (
         "run.loss.equilibrium=patch",
         "run.loss.equilibrium_scale=absolute",
         "run.loss.equilibrium_weight=400",
@@ -46,7 +45,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "material variables": ("run.model.material=4",),
     "procedural family": FAMILY,
     "broken pairs": BROKEN,
-    "broken pairs, weighted by quality": (*BROKEN, "run.loss.pair_quality=2"),
+    "broken pairs weighted by quality": (*BROKEN, "run.loss.pair_quality=2"),
 }
 
 
@@ -85,14 +84,6 @@ def measure_variant(command: OptionsCommand, table: Table, overrides: tuple[str,
     }
 
 
-def _chosen(only: str) -> list[str]:
-    names = [name.strip() for name in only.split(",") if name.strip()] or list(VARIANTS)
-    unknown = sorted(set(names) - set(VARIANTS))
-    if unknown:
-        raise ContractError(expected("only", " | ".join(VARIANTS), unknown, "Name options of the table."))
-    return names
-
-
 def _run(command: OptionsCommand) -> str:
     path = Path(command.results) / "pretraining_options.json"
     report_set = get_report_set(command.set)
@@ -104,16 +95,17 @@ def _run(command: OptionsCommand) -> str:
             do = "Move it away, or ask for the same."
             raise ContractError(expected(str(path), wanted, came, do))
         done = before["options"]
-    names = _chosen(command.only)
-    table = draw_sets(report_set, 128, Path(command.cache))
-    for name in names:
+    chosen = choose(VARIANTS, command.only)
+    nano = parse(PretrainCommand, ["preset=nano"], PRESETS).run
+    table = draw_sets(report_set, nano.model.side, Path(command.cache))
+    for name, overrides in chosen.items():
         if name in done:
             continue
-        done[name] = measure_variant(command, table, VARIANTS[name])
+        done[name] = measure_variant(command, table, overrides)
         what = "simulated; nano recipe, one option changed at a time, one seed, one head per source"
         content = {"what": what, "set": command.set, "steps": command.steps, "options": done}
         write_json(path, content | provenance())
-    return "\n".join([*(_line(name, done[name]) for name in names), f"written to {path}"])
+    return "\n".join([*(_line(name, done[name]) for name in chosen), f"written to {path}"])
 
 
 def _line(name: str, found: dict[str, Any]) -> str:

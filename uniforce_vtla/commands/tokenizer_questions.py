@@ -76,20 +76,19 @@ def slip(tokenizer: Tokenizer, uskin: LabelledSet, recordings: str, results: Pat
 
 
 def hardness_chart(
-    tokenizer: Tokenizer, report_set: ReportSet, training: dict[str, LabelledSet], seeds: int, cache: Path
-) -> dict[str, Any]:
-    """Return what each hardness of ``hetero_hard_v1`` costs, in newtons."""
-    side = tokenizer.config.side
+    tokenizer: Tokenizer,
+    report_set: ReportSet,
+    training: dict[str, LabelledSet],
+    seeds: int,
+    cache: Path,
+    results: Path,
+) -> str:
+    """Write the chart of what each hardness of ``hetero_hard_v1`` costs, in newtons."""
 
     def draw(recipe: HardSettings) -> dict[str, LabelledSet]:
-        return report_set.draw(recipe, report_set.targets(), side, cache)
+        return report_set.draw(recipe, report_set.targets(), tokenizer.config.side, cache)
 
-    return hardness(tokenizer, training, draw, seeds)
-
-
-def write_hardness(content: dict[str, Any], tokenizer: Tokenizer, results: Path) -> str:
-    """Write the chart of what each hardness costs."""
-    content = content | {"tokenizer_hash": tokenizer.hash} | provenance()
+    content = hardness(tokenizer, training, draw, seeds) | {"tokenizer_hash": tokenizer.hash} | provenance()
     path = write_json(results / "chart_hardness.json", content)
     draw_hardness(content, path.with_suffix(".png"))
     lines = [

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from uniforce_vtla.commands import peer_rows
 from uniforce_vtla.commands import tokenizer_questions as questions
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.commands.arguments import choose, parse
 from uniforce_vtla.errors import ContractError, DatasetError, UniForceError, expected
 from uniforce_vtla.probes.labelled_set import LabelledSet
 from uniforce_vtla.probes.report_sets import ReportSet, get_report_set
@@ -106,13 +106,11 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     }
     if command.peers:
         makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps, command.pairs)
-    chosen = peer_rows.choose(makers, command.only)
-    _committed_rows(
-        command, report_set, facts, tokenizer
-    )  # refuses a table that doesn't fit before the work begins
+    chosen = choose(makers, command.only)
+    _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
     rows = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
     if command.only:  # read once more: another row may have come in meanwhile
-        rows = _committed_rows(command, report_set, facts, tokenizer) | rows
+        rows = _still_true(_committed_table(command, report_set, facts), tokenizer) | rows
     content = {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
         "set": facts["set"],
@@ -148,12 +146,10 @@ def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, 
     return dict(json.loads(path.read_text()))
 
 
-def _committed_rows(
-    command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any], tokenizer: Tokenizer
-) -> dict[str, Cells]:
-    """Return the committed table's rows that still hold; none where there is no table.
-
-    After a new tokenizer those rows hold that never saw the old one (peers, descriptor); the others go, and are named.
+def _committed_table(
+    command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the committed table whose rows ``only=`` keeps; empty where nothing is kept.
 
     Raises:
         DatasetError: a table of another set or other seeds.
@@ -165,13 +161,19 @@ def _committed_rows(
     came, wanted = (table["set_hash"], table["seeds"]), (facts["set_hash"], command.seeds)
     if came != wanted:
         raise DatasetError(expected("committed table", wanted, came, "Measure all rows: leave out only=."))
-    if table["tokenizer_hash"] == tokenizer.hash:
-        return dict(table["rows"])
-    gone = sorted(OF_THE_TOKENIZER & set(table["rows"]))
+    return dict(table)
+
+
+def _still_true(table: dict[str, Any], tokenizer: Tokenizer) -> dict[str, Cells]:
+    """Return a table's rows that hold for ``tokenizer``: after a new one, those that never saw the old one."""
+    rows = dict(table.get("rows", {}))
+    if not rows or table["tokenizer_hash"] == tokenizer.hash:
+        return rows
+    gone = sorted(OF_THE_TOKENIZER & set(rows))
     print(
         f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}"
     )
-    return {name: row for name, row in table["rows"].items() if name not in OF_THE_TOKENIZER}
+    return {name: row for name, row in rows.items() if name not in OF_THE_TOKENIZER}
 
 
 def ship(size: str, table: Table, tokenizer: Tokenizer) -> None:
@@ -256,8 +258,7 @@ def _other_question(command: TokenizerReportCommand, report_set: ReportSet, toke
     if command.question == "hardness":
         cache = Path(command.cache)
         training = report_set.draw(report_set.training, report_set.sources(), tokenizer.config.side, cache)
-        content = questions.hardness_chart(tokenizer, report_set, training, command.seeds, cache)
-        return questions.write_hardness(content, tokenizer, results)
+        return questions.hardness_chart(tokenizer, report_set, training, command.seeds, cache, results)
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     if command.question == "correlation":
         return questions.correlation(tokenizer, report_set, table, results)

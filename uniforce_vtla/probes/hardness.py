@@ -17,7 +17,15 @@ from uniforce_vtla.contact.sequences import press_shear_release
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.probes.hard_sets import HETERO_HARD, HardSettings
 from uniforce_vtla.probes.labelled_set import LabelledSet
-from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, learnt_row, score, transfer_name
+from uniforce_vtla.probes.zero_shot import (
+    POOL,
+    Table,
+    encode_set,
+    learnt_row,
+    mean_cells,
+    score,
+    transfer_name,
+)
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
 
@@ -77,10 +85,12 @@ def hardness(
             for variant, sensor in drawn
             if variant == name
         }
-        found[name] = {
-            "transfers": _mean([cell for (source, target), cell in cells.items() if source != target]),
-            "self": _mean([cell for (source, target), cell in cells.items() if source == target]),
-        }
+        found[name] = mean_cells(
+            {
+                "transfers": [cell for (source, target), cell in cells.items() if source != target],
+                "self": [cell for (source, target), cell in cells.items() if source == target],
+            }
+        )
     return {"without": found, "oracle": oracle(HETERO_HARD), "sequences": SEQUENCES}
 
 
@@ -103,7 +113,3 @@ def oracle(recipe: HardSettings, draws: int = 20) -> dict[str, list[float]]:
     said, force = np.stack(seen), np.stack(truth)
     scale = (said * force).sum(axis=(0, 1)) / (said**2).sum(axis=(0, 1))
     return score(force, scale * said)
-
-
-def _mean(cells: list[dict[str, list[float]]]) -> dict[str, list[float]]:
-    return {key: np.mean([cell[key] for cell in cells], axis=0).tolist() for key in cells[0]}

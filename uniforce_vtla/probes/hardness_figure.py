@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-AXES = ("Fx", "Fy", "Fz")
+from uniforce_vtla.probes.zero_shot_figure import AXES
 
 
 def draw_hardness(content: dict[str, Any], path: Path) -> Path:

@@ -206,9 +206,8 @@ def _check_or_write_config(path: Path, config: PairCacheConfig) -> None:
         return
     stored = json.loads(path.read_text())
     known = set(asdict(config)) >= set(stored)
-    if (
-        not known or replace(PairCacheConfig(), **stored) != config
-    ):  # options added later stand at their defaults
+    # options added after the cache was drawn stand at their defaults
+    if not known or replace(PairCacheConfig(), **stored) != config:
         do = "Choose another folder."
         raise DatasetError(expected(f"cache in {path.parent}", asdict(config), stored, do))
 

@@ -275,9 +275,7 @@ def _material(
     """
     if model.material is None:
         return None
-    partner = torch.cat(
-        mean.chunk(2)[::-1]
-    )  # left rows get what the right finger felt, and the other way round
+    partner = torch.cat(mean.chunk(2)[::-1])  # left rows get what the right finger felt, and vice versa
     told = model.material(references, current, partner, per_unit)
     kept = torch.rand(len(told) // per_unit, device=told.device) >= UNTOLD_SHARE
     return told * kept.repeat_interleave(per_unit)[:, None]
