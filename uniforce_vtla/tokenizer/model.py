@@ -99,6 +99,16 @@ class ReferenceCache(NamedTuple):
         return ReferenceCache(self.image.repeat_interleave(times, 0), kept)
 
 
+def patches(maps: torch.Tensor, side: int) -> torch.Tensor:
+    """Cut (B, C, H, W) into patches, (B, P, C·side²), row by row.
+
+    What ``F.unfold`` returns, but contiguous: a linear layer reads a transposed input at a third of the speed.
+    """
+    B, C, H, W = maps.shape
+    cut = maps.reshape(B, C, H // side, side, W // side, side).permute(0, 2, 4, 1, 3, 5)
+    return cut.reshape(B, -1, C * side**2)
+
+
 class PatchEmbed(nn.Module):
     """Cut (B, 1, S, S) into patches, project each to a token, add where it is."""
 
@@ -117,8 +127,7 @@ class PatchEmbed(nn.Module):
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Return (B, P, D)."""
-        patches = F.unfold(images, self.patch, stride=self.patch).transpose(1, 2)  # (B, P, patch²)
-        return self.project(patches) + self.position
+        return self.project(patches(images, self.patch)) + self.position
 
 
 class MotionEmbed(nn.Module):
@@ -136,7 +145,7 @@ class MotionEmbed(nn.Module):
     def forward(self, reference: torch.Tensor, current: torch.Tensor) -> torch.Tensor:
         """Return (B, P, D)."""
         maps = motion_channels(reference, current, self.scales)  # (B, 3·scales, S / 4, S / 4)
-        return self.project(F.unfold(maps, self.cells, stride=self.cells).transpose(1, 2))
+        return self.project(patches(maps, self.cells))
 
 
 class EncoderBlock(nn.Module):

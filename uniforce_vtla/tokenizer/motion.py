@@ -15,27 +15,43 @@ EDGE_FLOOR = 1e-3  # energy of edges below which a cell says nothing about motio
 
 
 def motion_channels(reference: torch.Tensor, current: torch.Tensor, scales: int) -> torch.Tensor:
-    """Return (B, 3·scales, S / 4, S / 4) from (B, 1, S, S) images; scale k looks at images halved k times."""
-    maps = []
+    """Return (B, 3·scales, S / 4, S / 4) from (B, 1, S, S) images; scale k looks at images halved k times.
+
+    Solves gain = −(shift · gradient) for the shift, one cell and its neighbours at a time. Channels of one
+    scale lie together: gain, shift in x, shift in y.
+    """
+    sums = []
     for scale in range(scales):
-        maps.append(_one_scale(reference, current, CELL_PX >> scale))
-        reference, current = F.avg_pool2d(reference, 2), F.avg_pool2d(current, 2)
-    return torch.cat(maps, dim=1)
+        if scale:
+            reference, current = F.avg_pool2d(reference, 2), F.avg_pool2d(current, 2)
+        sums.append(_cell_means(reference, current, CELL_PX >> scale))
+    gain, equations = torch.stack(sums, dim=1).split([1, 3], dim=2)  # (B, scales, 1 and 3, S / 4, S / 4)
+    products, energy = _neighbourhood_sums(equations).split([2, 1], dim=2)
+    shift = -8 * products / (energy + 9 * 16 * EDGE_FLOOR)  # edges face either axis about equally often
+    return torch.cat([gain, shift], dim=2).flatten(1, 2)
 
 
-def _one_scale(reference: torch.Tensor, current: torch.Tensor, cell: int) -> torch.Tensor:
-    """Solve gain = −(shift · gradient) for the shift, one cell and its neighbours at a time."""
+def _cell_means(reference: torch.Tensor, current: torch.Tensor, cell: int) -> torch.Tensor:
+    """Return (B, 4, S / cell, S / cell): gain, gain × gradient in x and in y, and the gradient's energy.
+
+    The gradient is that of the mean of both images. Taken here is four times that (two images, two pixels
+    apart), so products are 4 × and the energy 16 × what they are called: powers of two, undone at the end.
+    """
     gain = current - reference
-    gx, gy = _gradients((current + reference) / 2)
-    sums = torch.cat([gain, gain * gx, gain * gy, gx * gx + gy * gy], dim=1)  # (B, 4, S, S)
-    sums = F.avg_pool2d(sums, cell) if cell > 1 else sums  # (B, 4, S / 4, S / 4)
-    around = F.avg_pool2d(sums[:, 1:], 3, stride=1, padding=1)
-    shift = -2 * around[:, :2] / (around[:, 2:] + EDGE_FLOOR)  # edges face either axis about equally often
-    return torch.cat([sums[:, :1], shift], dim=1)
+    gx, gy = _differences(current + reference)
+    means = torch.cat([gain, gain * gx, gain * gy, torch.addcmul(gx * gx, gy, gy)], dim=1)  # (B, 4, S, S)
+    return F.avg_pool2d(means, cell) if cell > 1 else means
 
 
-def _gradients(image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return central differences along x and y, zero at the rim."""
-    gx = F.pad((image[..., 2:] - image[..., :-2]) / 2, (1, 1))
-    gy = F.pad((image[..., 2:, :] - image[..., :-2, :]) / 2, (0, 0, 1, 1))
+def _differences(image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the difference of a pixel's two neighbours along x and along y, zero at the rim."""
+    gx = F.pad(image[..., 2:] - image[..., :-2], (1, 1))
+    gy = F.pad(image[..., 2:, :] - image[..., :-2, :], (0, 0, 1, 1))
     return gx, gy
+
+
+def _neighbourhood_sums(maps: torch.Tensor) -> torch.Tensor:
+    """Return (..., H, W) sums over 3 × 3 cells, nothing beyond the rim; a pooling kernel takes three times as long."""
+    wide = F.pad(maps, (1, 1, 1, 1))
+    rows = wide[..., :-2, :] + wide[..., 1:-1, :] + wide[..., 2:, :]
+    return rows[..., :-2] + rows[..., 1:-1] + rows[..., 2:]
