@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -112,6 +113,9 @@ def test_a_run_may_start_from_another_ones_weights(
     wider = replace(warm, model=replace(settings.model, width=2 * settings.model.width))
     with pytest.raises(ContractError, match="Give it the same sizes"):
         Pretraining(wider, tmp_path / "third", data)
+    Pretraining(warm, tmp_path / "second", data).run(until=1)
+    shutil.rmtree(tmp_path / "weights")  # what it started from is no longer needed
+    assert Pretraining(warm, tmp_path / "second", data).step == 1
 
 
 def test_learning_rate_rises_then_falls(settings: PretrainSettings) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,7 @@ from uniforce_vtla.tokenizer.weights import SIZES, checkpoint_folder
 
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
+OF_THE_PEERS = ("published_encoders", "speed")  # parts of the table that ``peers=true`` measures
 SHIPPED_HEADS_SET = (
     "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
 )
@@ -108,9 +109,12 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps, command.pairs)
     chosen = choose(makers, command.only)
     _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
-    rows = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
-    if command.only:  # read once more: another row may have come in meanwhile
-        rows = _still_true(_committed_table(command, report_set, facts), tokenizer) | rows
+    measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
+    committed = _committed_table(
+        command, report_set, facts
+    )  # once more: another row may have come in meanwhile
+    rows = _still_true(committed, tokenizer) | measured
+    origin = provenance()
     content = {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
         "set": facts["set"],
@@ -119,13 +123,23 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "tokenizer_hash": tokenizer.hash,
         "summary": {name: summary(row, table.transfers()) for name, row in rows.items()},
         "rows": rows,
+        "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
     }
+    content |= {part: committed[part] for part in OF_THE_PEERS if part in committed}
     if command.peers:
         paths = {"anytouch": command.anytouch, "t3": command.t3, "unit": command.unit}
         content |= peer_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
     if report_set.name == SHIPPED_HEADS_SET and not command.table:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
-    return content | provenance()
+    return content | origin
+
+
+def kept_origins(committed: dict[str, Any], rows: Mapping[str, Cells]) -> dict[str, Any]:
+    """Return which command measured each row taken over from a committed table, and when.
+
+    A table written before rows had origins of their own says so only once, for the last of them.
+    """
+    return {name: origin for name, origin in committed.get("measured_by", {}).items() if name in rows}
 
 
 def draw_sets(report_set: ReportSet, side: int, cache: Path) -> Table:

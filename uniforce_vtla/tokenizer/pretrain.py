@@ -10,7 +10,7 @@ import csv
 import json
 import math
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,6 +27,7 @@ from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, 
 from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs, PairSource
 from uniforce_vtla.tokenizer.strips import draw_strips
 
+STATE = "state.pt"  # weights, optimiser and step
 RECIPE = "recipe.json"  # every setting of the run, beside its state
 MAY_CHANGE = ("steps", "save_every", "strips_every", "tracker")  # between a run and its continuation
 UNTOLD_SHARE = 0.25  # of units whose material variables are withheld in a step
@@ -106,7 +107,8 @@ class Pretraining:
         )
         if settings.tracker:
             self.accelerator.init_trackers("uniforce_tokenizer")
-        model = starting_model(settings)
+        resumes = (folder / STATE).exists()  # then ``init`` is history, and may be gone
+        model = starting_model(replace(settings, init="") if resumes else settings)
         optimizer = torch.optim.AdamW(
             model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
         )
@@ -184,7 +186,7 @@ class Pretraining:
         }
         scratch = self.folder / "state.tmp"
         torch.save(state, scratch)
-        scratch.replace(self.folder / "state.pt")
+        scratch.replace(self.folder / STATE)
         self.tokenizer().save(self.folder / "tokenizer")
 
     def _check_recipe(self) -> None:
@@ -200,7 +202,7 @@ class Pretraining:
             )
 
     def _resume(self) -> None:
-        path = self.folder / "state.pt"
+        path = self.folder / STATE
         if path.exists():
             state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
             self._bare().load_state_dict(state["model"])
