@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy import stats
+import numpy as np
+from scipy import optimize, special, stats
 
 from uniforce_vtla.errors import ContractError, expected
 
@@ -51,12 +53,131 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> PairedTest:
     Raises:
         ContractError: the two arms do not have the same number of seeds.
     """
+    only_first, only_second = discordant(first, second)
+    total = only_first + only_second
+    p_value = float(stats.binomtest(only_first, total).pvalue) if total else 1.0
+    return PairedTest(only_first, only_second, p_value)
+
+
+def discordant(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int]:
+    """Return on how many seeds only the first, and only the second, succeeded.
+
+    Raises:
+        ContractError: the two arms do not have the same number of seeds.
+    """
     if len(first) != len(second):
         raise ContractError(
             expected("paired arms", f"{len(first)} seeds", f"{len(second)} seeds", "Use the same seeds.")
         )
-    only_first = sum(a and not b for a, b in zip(first, second, strict=True))
-    only_second = sum(b and not a for a, b in zip(first, second, strict=True))
-    discordant = only_first + only_second
-    p_value = float(stats.binomtest(only_first, discordant).pvalue) if discordant else 1.0
-    return PairedTest(only_first, only_second, p_value)
+    pairs = list(zip(first, second, strict=True))
+    return sum(a and not b for a, b in pairs), sum(b and not a for a, b in pairs)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values adjusted so that the chance of any false claim in the family stays below α (Holm 1979)."""
+    order = np.argsort(p_values, kind="stable")
+    factors = len(p_values) - np.arange(len(p_values))
+    adjusted = np.minimum(np.maximum.accumulate(np.asarray(p_values)[order] * factors), 1.0)
+    result = np.empty(len(p_values))
+    result[order] = adjusted
+    return [float(p) for p in result]
+
+
+@dataclass(frozen=True)
+class AnytimeTest:
+    """A test that may be looked at after every seed.
+
+    Attributes:
+        evidence: e-value now: a fair bettor's wealth against "the first arm is no better", from 1.
+        p_value: 1 / (the largest wealth so far), at most 1: valid whenever one stops looking.
+        decided_after: seeds after which p first fell to α; None if it never did.
+    """
+
+    evidence: float
+    p_value: float
+    decided_after: int | None
+
+
+def anytime(first: Sequence[bool], second: Sequence[bool], alpha: float = 0.05) -> AnytimeTest:
+    """Test "the first arm succeeds more often" on paired seeds, in their order, at any time.
+
+    Under the null a seed on which the arms differ favours the first with probability θ ≤ ½. The bet is the
+    likelihood ratio of a uniform mixture over θ in (½, 1) to θ = ½: a nonnegative supermartingale for every
+    θ ≤ ½, so by Ville's inequality its maximum exceeds 1/α with probability at most α (Ville 1939; betting as in
+    Waudby-Smith & Ramdas 2024). Seeds on which both agree bet nothing.
+
+    Raises:
+        ContractError: the two arms do not have the same number of seeds.
+    """
+    discordant(first, second)  # refuses unequal lengths
+    wins = losses = 0
+    log_wealth = highest = 0.0
+    decided_after = None
+    for seed, (a, b) in enumerate(zip(first, second, strict=True), start=1):
+        wins, losses = wins + (a and not b), losses + (b and not a)
+        log_wealth = _log_wealth(wins, losses)
+        highest = max(highest, log_wealth)
+        if decided_after is None and highest >= -math.log(alpha):
+            decided_after = seed
+    return AnytimeTest(math.exp(log_wealth), math.exp(-highest), decided_after)
+
+
+def _log_wealth(wins: int, losses: int) -> float:
+    """Log of 2 ∫_{½}^{1} θ^wins (1 − θ)^losses dθ · 2^(wins + losses)."""
+    a, b = wins + 1.0, losses + 1.0
+    upper = max(special.betainc(b, a, 0.5), 1e-300)  # mass of Beta(a, b) above ½
+    return float(special.betaln(a, b) + math.log(upper) + (wins + losses + 1) * math.log(2))
+
+
+@dataclass(frozen=True)
+class NonInferiority:
+    """Whether an arm is at most ``margin`` worse than its reference.
+
+    ``difference`` is new − reference; ``lower`` its one-sided 95 % bound; ``p_value`` of "worse by the margin".
+    """
+
+    difference: float
+    lower: float
+    margin: float
+    p_value: float
+
+    @property
+    def shown(self) -> bool:
+        """The bound lies above −margin."""
+        return self.lower > -self.margin
+
+
+def non_inferior(
+    new: Sequence[bool], reference: Sequence[bool], margin: float, confidence: float = 0.95
+) -> NonInferiority:
+    """Return the paired score test of non-inferiority and its one-sided bound (Tango 1998).
+
+    Raises:
+        ContractError: no seed, unequal numbers of seeds, or a margin outside (0, 1).
+    """
+    only_new, only_reference = discordant(new, reference)
+    n = len(new)
+    if n == 0 or not 0 < margin < 1:
+        came = f"{n} seeds, margin {margin}"
+        raise ContractError(expected("non-inferiority", "1+ seeds, margin in (0, 1)", came, "Adapt."))
+    quantile = float(stats.norm.ppf(confidence))
+
+    def excess(delta: float) -> float:
+        return _tango(only_new, only_reference, n, delta) - quantile
+
+    ends = -1 + 1e-9, 1 - 1e-9
+    lower = -1.0 if excess(ends[0]) < 0 else float(optimize.brentq(excess, *ends))
+    z = _tango(only_new, only_reference, n, -margin)
+    return NonInferiority((only_new - only_reference) / n, lower, margin, float(stats.norm.sf(z)))
+
+
+def _tango(only_new: int, only_reference: int, n: int, delta: float) -> float:
+    """Return the score statistic for a true difference ``delta``; at 0 it is McNemar's z (Tango 1998, eq. 14)."""
+    b = -only_new - only_reference + (2 * n - only_new + only_reference) * delta
+    c = -only_reference * delta * (1 - delta)
+    q = (math.sqrt(max(b * b - 8 * n * c, 0.0)) - b) / (4 * n)
+    variance = n * (2 * q + delta * (1 - delta))
+    shift = only_new - only_reference - n * delta
+    return (
+        shift / math.sqrt(variance) if variance > 1e-12 else math.copysign(math.inf, shift) if shift else 0.0
+    )
