@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
+from lerobot_env_uniforce_wiping.solver import SolverSettings
 from uniforce_vtla.sensors import get_sensor
 
 # Modified DH of the Franka arm (published): a m, d m, alpha rad of each joint's frame in the one before.
@@ -45,7 +46,6 @@ HAND_m = 0.107  # flange to hand
 TCP_m = 0.1034  # hand to the point between the pads
 FELT_m = 0.010  # felt thickness
 
-TIMESTEP_s = 1 / 480  # 16 of them are one 30 Hz step
 STIFFNESS_N_m = (2000.0, 2000.0, 800.0)  # nominal Cartesian stiffness, x y z
 ROTATION_Nm_rad = 60.0  # stiffness about each axis
 DAMPING_RATIO = 0.8  # of the Cartesian impedance at nominal stiffness
@@ -171,7 +171,7 @@ def _actuators(scene: SceneParams) -> str:
     return text
 
 
-def build_mjcf(scene: SceneParams, left_sensor: str, right_sensor: str) -> str:
+def build_mjcf(scene: SceneParams, left_sensor: str, right_sensor: str, solver: SolverSettings) -> str:
     """Return the MJCF of a scene wearing the two named sensors."""
     opening, closing = _arm(scene)
     layout = scene.level.layout
@@ -179,8 +179,8 @@ def build_mjcf(scene: SceneParams, left_sensor: str, right_sensor: str) -> str:
     return f"""
 <mujoco model="uniforce_wiping">
   <compiler angle="radian" autolimits="true"/>
-  <option timestep="{TIMESTEP_s}" integrator="implicitfast" cone="elliptic" impratio="10" jacobian="dense"
-          solver="Newton" noslip_iterations="8"/>
+  <option timestep="{solver.timestep_s}" integrator="implicitfast" cone="elliptic" impratio="10" jacobian="dense"
+          solver="Newton" noslip_iterations="{solver.noslip_iterations}"/>
   <visual><quality shadowsize="0" offsamples="0"/><global offwidth="448" offheight="448"/></visual>
   <default><default class="visual"><geom contype="0" conaffinity="0" group="1"/></default></default>
   <worldbody>

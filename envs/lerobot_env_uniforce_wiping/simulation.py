@@ -11,12 +11,10 @@ from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.kinematics import solve_arm
 from lerobot_env_uniforce_wiping.mjcf import TOOL_DOWN, build_mjcf
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
+from lerobot_env_uniforce_wiping.solver import CONTROL_HZ, READS, SolverSettings
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.sensors import get_sensor
 
-CONTROL_HZ = 30.0
-READS = 4  # force samples averaged over a step
-SUBSTEPS = 4  # physics steps per sample; READS · SUBSTEPS · timestep = 1 / CONTROL_HZ
 LEASH_m = 0.018  # targets stay this close to the measured tool: bounds the force of any command
 LEASH_rad = 0.20
 SPEED_LIMITS = np.array([0.15, 0.15, 0.10, 1.0, 0.15])  # m/s, m/s, m/s, rad/s, m/s of the inner target
@@ -42,10 +40,12 @@ class PadTruth:
 class WipeSimulation:
     """One compiled scene. Frames: everything is in the robot base frame unless named otherwise."""
 
-    def __init__(self, scene: SceneParams, left_sensor: str, right_sensor: str) -> None:
-        self.scene = scene
+    def __init__(
+        self, scene: SceneParams, left_sensor: str, right_sensor: str, solver: SolverSettings | None = None
+    ) -> None:
+        self.scene, self.solver = scene, solver or SolverSettings()
         self.sensors = {"left": left_sensor, "right": right_sensor}
-        self.model = mujoco.MjModel.from_xml_string(build_mjcf(scene, left_sensor, right_sensor))
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(scene, left_sensor, right_sensor, self.solver))
         self.data = mujoco.MjData(self.model)
         self.ink = InkField(scene)
         self._find_ids()
@@ -121,7 +121,7 @@ class WipeSimulation:
         forces = {f: np.zeros(5) for f in FINGERS}  # fx, fy, fz, torsion, depth
         press = np.zeros(3)
         for _ in range(READS):
-            mujoco.mj_step(self.model, self.data, SUBSTEPS)
+            mujoco.mj_step(self.model, self.data, self.solver.substeps)
             self._read_contacts(forces, press)
         for finger in FINGERS:
             mean = forces[finger] / READS

@@ -1,0 +1,170 @@
+"""A test rig inside the scene: nothing hidden, the eraser held or pressed as asked, one number read off.
+
+What a laboratory would measure on the real pads before trusting them: stiffness, slip load, creep, wear, and how
+much of it hangs on the time step.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from lerobot_env_uniforce_wiping.ink import InkField
+from lerobot_env_uniforce_wiping.scene_params import SceneParams, draw_scene
+from lerobot_env_uniforce_wiping.simulation import WipeSimulation
+from lerobot_env_uniforce_wiping.solver import CONTROL_HZ, SolverSettings
+from uniforce_vtla.contracts import FINGERS
+
+GRAVITY_m_s2 = 9.81
+OPEN_m = 0.050  # gripper before the grasp
+CARRY_m = 0.075  # tool height out of reach of the board
+GRASP_m = 0.030  # tool height over the eraser's felt
+SLIDING_mm = 3.0  # in-hand motion that is no longer the gel's own shear
+STROKE_m, STROKE_m_s = 0.11, 0.078  # length and pace of a stroke
+STARTING_STEPS = 10  # control steps until the stroke runs evenly
+LOAD_STEP_N = 0.02  # added per control step while a load ramps up: 0.6 N/s, slow against the gel
+
+
+def quiet_scene(seed: int = 3, level: str = "easy", **changes: object) -> SceneParams:
+    """Return a scene with nothing hidden in the way of a measurement; ``changes`` are fields of SceneParams."""
+    calm = {
+        "stiffness_scale": 1.0,
+        "stiction_Nm": 0.0,
+        "gripper_gain": 1.0,
+        "gripper_dead_band_m": 0.0,
+        "board_tilt_rad": (0.0, 0.0),
+        "gel_scale": (1.0, 1.0),
+        "pad_friction": (0.8, 0.8),
+        "eraser_offset_m": (0.0, 0.0),
+        "start_offset_m": (0.0, 0.0, 0.0),
+    }
+    return replace(draw_scene(seed, level), **(calm | changes))
+
+
+def hold(sim: WipeSimulation, target: list[float] | np.ndarray, steps: int) -> None:
+    """Command one absolute target (5,) for so many control steps."""
+    for _ in range(steps):
+        sim.command(np.asarray(target, dtype=float))
+        sim.step()
+
+
+def grasped(
+    width_m: float = 0.022, solver: SolverSettings | None = None, **changes: object
+) -> WipeSimulation:
+    """Return a simulation that holds the eraser in the air, the gripper commanded to ``width_m``."""
+    sim = WipeSimulation(quiet_scene(**changes), "gelsight", "tactip", solver)
+    x, y = sim.scene.level.layout.tray_m
+    hold(sim, [x, y, GRASP_m, 0.0, OPEN_m], 25)
+    hold(sim, [x, y, GRASP_m, 0.0, width_m], 35)
+    hold(sim, [x, y, CARRY_m, 0.0, width_m], 40)
+    return sim
+
+
+def pressed(depth_m: float, solver: SolverSettings | None = None, **changes: object) -> WipeSimulation:
+    """Return a simulation that presses the eraser on the board, the target ``depth_m`` below first contact."""
+    sim = grasped(solver=solver, **changes)
+    x, y = sim.scene.level.layout.board_center_m
+    width = sim.target[4]
+    hold(sim, [x, y - 0.05, CARRY_m, 0.0, width], 60)
+    hold(sim, [x, y - 0.05, sim.scene.board_height_m + GRASP_m - depth_m, 0.0, width], 45)
+    return sim
+
+
+@dataclass(frozen=True)
+class Squeeze:
+    """A settled grasp: force N and indentation mm, (left, right)."""
+
+    force_N: tuple[float, float]
+    depth_mm: tuple[float, float]
+
+
+def squeeze(width_m: float, **changes: object) -> Squeeze:
+    """Grasp at a commanded width and read both pads."""
+    pads = grasped(width_m, **changes).pads
+    left, right = (pads[finger] for finger in FINGERS)
+    return Squeeze((float(left.wrench[2]), float(right.wrench[2])), (left.depth_mm, right.depth_mm))
+
+
+@dataclass(frozen=True)
+class SlipLoad:
+    """A load hung on the held eraser until it slides: what Coulomb allows (2 μ F) and what it took, N."""
+
+    coulomb_N: float
+    measured_N: float
+
+
+def slip_load(friction: float, width_m: float = 0.022) -> SlipLoad:
+    """Hang a slowly growing load on the eraser and return the load at which it slides."""
+    sim = grasped(width_m, pad_friction=(friction, friction))
+    eraser = sim.model.body("eraser").id
+    weight_N = sim.scene.eraser_mass_kg * GRAVITY_m_s2
+    grip = float(np.mean([sim.pads[f].wrench[2] for f in FINGERS]))
+    coulomb = 2 * friction * grip
+    load = 0.5 * coulomb - weight_N  # ramp from half of it
+    start = sim.eraser_in_tool()[2]
+    while (sim.eraser_in_tool()[2] - start) * 1000 < SLIDING_mm and load < 2 * coulomb:
+        load += LOAD_STEP_N
+        sim.data.xfrc_applied[eraser, 2] = -load
+        hold(sim, sim.target, 1)
+    return SlipLoad(coulomb, load + weight_N)
+
+
+def creep_mm_s(
+    share: float, friction: float = 0.6, seconds: float = 2.0, solver: SolverSettings | None = None
+) -> float:
+    """Return how fast the held eraser sinks under a load of ``share`` of its slip load, once settled."""
+    sim = grasped(solver=solver, pad_friction=(friction, friction))
+    grip = float(np.mean([sim.pads[f].wrench[2] for f in FINGERS]))
+    load = share * 2 * friction * grip - sim.scene.eraser_mass_kg * GRAVITY_m_s2
+    sim.data.xfrc_applied[sim.model.body("eraser").id, 2] = -load
+    hold(sim, sim.target, 30)  # the gel's own shear comes to rest
+    start = sim.eraser_in_tool()[2]
+    hold(sim, sim.target, round(seconds * CONTROL_HZ))
+    return float(sim.eraser_in_tool()[2] - start) * 1000 / seconds
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One stroke under press: its mean press N, the ink it left (share), and simulated seconds per CPU second."""
+
+    press_N: float
+    residual: float
+    times_real_time: float
+
+
+def stroke(depth_m: float, solver: SolverSettings | None = None, **changes: object) -> Stroke:
+    """Press and draw the eraser once along the word at the expert's pace."""
+    sim = pressed(depth_m, solver, **changes)
+    target, presses = sim.target.copy(), []
+    steps = round(STROKE_m / STROKE_m_s * CONTROL_HZ)
+    begin = time.process_time()
+    for _ in range(steps):
+        target[1] += STROKE_m_s / CONTROL_HZ
+        hold(sim, target, 1)
+        presses.append(sim.press_N)
+    took = time.process_time() - begin
+    settled = presses[STARTING_STEPS:]
+    return Stroke(float(np.mean(settled)), sim.ink.residual, steps / CONTROL_HZ / took)
+
+
+def residual_after(press_N: float, passes: int = 2, seed: int = 3, level: str = "easy") -> float:
+    """Return the share of ink left by exactly ``press_N``, spread evenly, drawn ``passes`` times over the word."""
+    scene = draw_scene(seed, level)
+    ink = InkField(scene)
+    size = np.array([scene.level.layout.eraser_width_m, scene.level.layout.eraser_length_m])
+    load = np.array([press_N, 0.0, 0.0])
+    ys = np.linspace(-scene.level.word_length_m / 2, scene.level.word_length_m / 2, 80)
+    rows = np.linspace(-0.5, 0.5, passes) * (scene.level.letter_height_m - 0.010)
+    for x in rows:
+        for y in ys:
+            ink.wipe(np.array([x, y]), 0.0, size, load, float(ys[1] - ys[0]))
+    return ink.residual
+
+
+def warnings(sim: WipeSimulation) -> int:
+    """Return how often MuJoCo found a state it had to reset."""
+    kinds = (mujoco.mjtWarning.mjWARN_BADQACC, mujoco.mjtWarning.mjWARN_BADQPOS)
+    return int(sum(sim.data.warning[k].number for k in kinds))
