@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,9 +29,9 @@ STARTING_STEPS = 10  # control steps until the stroke runs evenly
 LOAD_STEP_N = 0.02  # added per control step while a load ramps up: 0.6 N/s, slow against the gel
 
 
-def quiet_scene(seed: int = 3, level: str = "easy", **changes: object) -> SceneParams:
+def quiet_scene(seed: int = 3, level: str = "easy", **changes: Any) -> SceneParams:
     """Return a scene with nothing hidden in the way of a measurement; ``changes`` are fields of SceneParams."""
-    calm = {
+    calm: dict[str, Any] = {
         "stiffness_scale": 1.0,
         "stiction_Nm": 0.0,
         "gripper_gain": 1.0,
@@ -52,7 +53,7 @@ def hold(sim: WipeSimulation, target: list[float] | np.ndarray, steps: int) -> N
 
 
 def grasped(
-    width_m: float = 0.022, solver: SolverSettings | None = None, **changes: object
+    width_m: float = 0.022, solver: SolverSettings | None = None, **changes: Any
 ) -> WipeSimulation:
     """Return a simulation that holds the eraser in the air, the gripper commanded to ``width_m``."""
     sim = WipeSimulation(quiet_scene(**changes), "gelsight", "tactip", solver)
@@ -63,7 +64,7 @@ def grasped(
     return sim
 
 
-def pressed(depth_m: float, solver: SolverSettings | None = None, **changes: object) -> WipeSimulation:
+def pressed(depth_m: float, solver: SolverSettings | None = None, **changes: Any) -> WipeSimulation:
     """Return a simulation that presses the eraser on the board, the target ``depth_m`` below first contact."""
     sim = grasped(solver=solver, **changes)
     x, y = sim.scene.level.layout.board_center_m
@@ -81,7 +82,7 @@ class Squeeze:
     depth_mm: tuple[float, float]
 
 
-def squeeze(width_m: float, **changes: object) -> Squeeze:
+def squeeze(width_m: float, **changes: Any) -> Squeeze:
     """Grasp at a commanded width and read both pads."""
     pads = grasped(width_m, **changes).pads
     left, right = (pads[finger] for finger in FINGERS)
@@ -135,7 +136,7 @@ class Stroke:
     times_real_time: float
 
 
-def stroke(depth_m: float, solver: SolverSettings | None = None, **changes: object) -> Stroke:
+def stroke(depth_m: float, solver: SolverSettings | None = None, **changes: Any) -> Stroke:
     """Press and draw the eraser once along the word at the expert's pace."""
     sim = pressed(depth_m, solver, **changes)
     target, presses = sim.target.copy(), []
