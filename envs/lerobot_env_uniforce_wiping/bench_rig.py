@@ -41,6 +41,10 @@ def quiet_scene(seed: int = 3, level: str = "easy", **changes: Any) -> ScenePara
         "pad_friction": (0.8, 0.8),
         "eraser_offset_m": (0.0, 0.0),
         "start_offset_m": (0.0, 0.0, 0.0),
+        "board_shift_m": (0.0, 0.0),
+        "board_turn_rad": 0.0,
+        "eraser_turn_rad": 0.0,
+        "letter_scale": 1.0,
     }
     return replace(draw_scene(seed, level), **(calm | changes))
 
@@ -52,9 +56,7 @@ def hold(sim: WipeSimulation, target: list[float] | np.ndarray, steps: int) -> N
         sim.step()
 
 
-def grasped(
-    width_m: float = 0.022, solver: SolverSettings | None = None, **changes: Any
-) -> WipeSimulation:
+def grasped(width_m: float = 0.022, solver: SolverSettings | None = None, **changes: Any) -> WipeSimulation:
     """Return a simulation that holds the eraser in the air, the gripper commanded to ``width_m``."""
     sim = WipeSimulation(quiet_scene(**changes), "gelsight", "tactip", solver)
     x, y = sim.scene.level.layout.tray_m
@@ -155,7 +157,8 @@ def residual_after(press_N: float, passes: int = 2, seed: int = 3, level: str = 
     """Return the share of ink left by exactly ``press_N``, spread evenly, drawn ``passes`` times over the word."""
     scene = draw_scene(seed, level)
     ink = InkField(scene)
-    size = np.array([scene.level.layout.eraser_width_m, scene.level.layout.eraser_length_m])
+    layout = scene.level.layout
+    size = np.array([layout.eraser_width_m, layout.eraser_length_m])
     load = np.array([press_N, 0.0, 0.0])
     ys = np.linspace(-scene.level.word_length_m / 2, scene.level.word_length_m / 2, 80)
     rows = np.linspace(-0.5, 0.5, passes) * (scene.level.letter_height_m - 0.010)

@@ -42,7 +42,7 @@ def look_at(position_m: np.ndarray, target_m: np.ndarray, up: np.ndarray) -> np.
     return np.stack([right, np.cross(forward, right), forward])
 
 
-def _jitter(turn_rad: tuple[float, ...]) -> np.ndarray:
+def rotation(turn_rad: tuple[float, ...]) -> np.ndarray:
     """Return (3, 3) rotation of a rotation vector."""
     quaternion, matrix = np.zeros(4), np.zeros(9)
     angle = float(np.linalg.norm(turn_rad))
@@ -55,9 +55,9 @@ def _mounted(
     scene: SceneParams, index: int, position_m: np.ndarray, look_m: np.ndarray, up_z: float
 ) -> Camera:
     shift = np.array(scene.camera_shift_m[index])
-    rotation = look_at(position_m + shift, look_m + shift, np.array([0.0, 0.0, up_z]))
+    pointing = look_at(position_m + shift, look_m + shift, np.array([0.0, 0.0, up_z]))
     focal = CAMERA_PX / 2 / float(np.tan(FOV_rad[CAMERAS[index]] / 2))
-    return Camera(position_m + shift, _jitter(scene.camera_turn_rad[index]) @ rotation, focal)
+    return Camera(position_m + shift, rotation(scene.camera_turn_rad[index]) @ pointing, focal)
 
 
 def front_camera(scene: SceneParams) -> Camera:

@@ -48,7 +48,8 @@ class InkField:
 
     def _written(self, scene: SceneParams) -> np.ndarray:
         level = scene.level
-        rows, columns = round(level.letter_height_m / PIXEL_m), round(level.word_length_m / PIXEL_m)
+        size = scene.letter_scale * np.array([level.letter_height_m, level.word_length_m])
+        rows, columns = (round(float(extent) / PIXEL_m) for extent in size)
         top = round(self.rows / 2 - rows / 2 + scene.word_offset_m[0] / PIXEL_m)
         left = round(self.columns / 2 - columns / 2 + scene.word_offset_m[1] / PIXEL_m)
         ink = np.zeros((self.rows, self.columns), np.float32)

@@ -25,6 +25,7 @@ class InkView:
         x0 = (self._rows.start + 0.5 - sim.ink.rows / 2) * PIXEL_m
         y0 = (self._columns.start + 0.5 - sim.ink.columns / 2) * PIXEL_m
         self._to_board = np.array([[0, PIXEL_m, x0], [PIXEL_m, 0, y0], [0, 0, 0]])  # (column, row, 1) → board
+        self._colour = np.minimum(INK_COLOUR * np.array(sim.scene.light_gain, dtype=np.float32), 255)
         self._version = -1
         self._cover: np.ndarray = np.zeros((1, 1), np.uint8)
 
@@ -52,7 +53,7 @@ class InkView:
         part = picture[low[1] : high[1], low[0] : high[0]]
         rows, columns = np.nonzero(patch)
         alpha = (patch[rows, columns] / 255)[:, None]
-        part[rows, columns] = part[rows, columns] * (1 - alpha) + INK_COLOUR * alpha
+        part[rows, columns] = part[rows, columns] * (1 - alpha) + self._colour * alpha
 
     def _homography(self, camera: Camera) -> np.ndarray:
         axes = self._data.xmat[self._board].reshape(3, 3)

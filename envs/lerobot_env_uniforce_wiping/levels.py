@@ -59,6 +59,17 @@ class Level:
     camera_shift_m: float  # ± camera position jitter
     camera_turn_rad: float  # ± camera rotation jitter
     layout: Layout = Layout()
+    letter_scale: Range = (
+        1.0,
+        1.0,
+    )  # size of the writing over its full box; a smaller word lies anywhere in it
+    board_shift_m: float = 0.0  # ± board in x and y, writing and all
+    board_turn_rad: float = 0.0  # ± board about the vertical
+    eraser_turn_rad: float = 0.0  # ± resting eraser about the vertical; closing pads square it up
+    eraser_length_offset_m: Range = (0.0, 0.0)
+    light_gain: Range = (1.0, 1.0)  # brightness of the cameras' pictures
+    light_tint: float = 0.0  # ± gain of each colour
+    light_turn_rad: float = 0.0  # ± direction the light comes from, about each axis
 
 
 _HIDDEN = {
@@ -76,8 +87,26 @@ _HIDDEN = {
     "gel_scale": (0.94, 1.06),
 }
 
-EASY = Level(
-    name="easy",
+WORDS = (
+    *("hi", "ok", "go", "abc", "VLA", "2+2", "tea", "map"),
+    *(
+        "robot",
+        "touch",
+        "wipe",
+        "force",
+        "hello",
+        "chalk",
+        "Monday",
+        "42 km",
+        "x = 7",
+        "to do",
+        "Room 5",
+        "latent",
+    ),
+)
+
+EASY_V1 = Level(
+    name="easy_v1",
     time_limit_s=12.0,
     rows=2,
     row_pitch_m=0.020,
@@ -93,6 +122,19 @@ EASY = Level(
     camera_turn_rad=0.01,
     **_HIDDEN,  # type: ignore[arg-type]
 )
+EASY = replace(
+    EASY_V1,
+    name="easy",
+    words=WORDS[:8],
+    letter_scale=(0.8, 1.0),
+    board_shift_m=0.002,
+    board_turn_rad=0.015,
+    eraser_turn_rad=0.03,
+    eraser_length_offset_m=(-0.002, 0.002),
+    light_gain=(0.85, 1.1),
+    light_tint=0.03,
+    light_turn_rad=0.2,
+)
 PAPER = Level(
     name="paper",
     time_limit_s=30.0,
@@ -101,13 +143,21 @@ PAPER = Level(
     stroke_m=0.140,
     letter_height_m=0.048,
     word_length_m=0.100,
-    words=("robot", "touch", "wipe", "force", "hello"),
+    words=WORDS,
     wear_per_kPa_m=9.5,
     adhesion_sigma=0.15,
     placement_m=0.004,
     word_offset_m=0.004,
     camera_shift_m=0.005,
     camera_turn_rad=0.015,
+    letter_scale=(0.7, 1.0),
+    board_shift_m=0.004,
+    board_turn_rad=0.03,
+    eraser_turn_rad=0.05,
+    eraser_length_offset_m=(-0.004, 0.004),
+    light_gain=(0.75, 1.15),
+    light_tint=0.05,
+    light_turn_rad=0.4,
     **(_HIDDEN | {"stiffness_scale": (0.45, 1.55), "gripper_gain": (0.45, 1.55)}),  # type: ignore[arg-type]
 )
 HARD = replace(
@@ -119,8 +169,14 @@ HARD = replace(
     pad_friction=(0.48, 0.80),
     placement_m=0.005,
     camera_shift_m=0.008,
+    letter_scale=(0.6, 1.0),
+    board_turn_rad=0.05,
+    eraser_turn_rad=0.08,
+    light_gain=(0.6, 1.25),
+    light_tint=0.08,
 )
-LEVELS: dict[str, Level] = {level.name: level for level in (EASY, PAPER, HARD)}
+# easy_v1 is what the shipped policy was trained at: no variety of light, board place and letter size yet.
+LEVELS: dict[str, Level] = {level.name: level for level in (EASY, PAPER, HARD, EASY_V1)}
 
 
 def get_level(name: str) -> Level:

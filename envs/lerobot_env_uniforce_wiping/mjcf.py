@@ -124,13 +124,13 @@ def _tool(scene: SceneParams, sensors: tuple[str, str]) -> str:
 
 def _eraser(scene: SceneParams) -> str:
     layout = scene.level.layout
-    half_x, half_y = scene.eraser_width_m / 2, layout.eraser_length_m / 2
+    half_x, half_y = scene.eraser_width_m / 2, scene.eraser_length_m / 2
     half_z = (layout.eraser_height_m - FELT_m) / 2
     x = layout.tray_m[0] + scene.eraser_offset_m[0]
     y = layout.tray_m[1] + scene.eraser_offset_m[1]
     mass = scene.eraser_mass_kg
     return (
-        f'<body name="eraser" pos="{x} {y} 0.0002"><freejoint name="eraser"/>'
+        f'<body name="eraser" pos="{x} {y} 0.0002" euler="0 0 {scene.eraser_turn_rad}"><freejoint name="eraser"/>'
         f'<geom name="block" type="box" size="{half_x} {half_y} {half_z}" pos="0 0 {FELT_m + half_z}"'
         f' mass="{0.8 * mass}" contype="0" conaffinity="1" rgba=".15 .30 .75 1"/>'
         f'<geom name="felt" type="box" size="{half_x} {half_y} {FELT_m / 2}" pos="0 0 {FELT_m / 2}"'
@@ -139,12 +139,12 @@ def _eraser(scene: SceneParams) -> str:
 
 
 def _board(scene: SceneParams) -> str:
-    x, y = scene.level.layout.board_center_m
+    x, y = np.add(scene.level.layout.board_center_m, scene.board_shift_m)
     tilt_x, tilt_y = scene.board_tilt_rad
     friction = f'friction="{scene.board_friction} 0.005 0.0001" priority="1"'
     soft = 'solref="-20000 -250" solimp="0.5 0.5 0.001"'  # felt: some tenths of a mm at wiping force
     return (
-        f'<body name="board" pos="{x} {y} {scene.board_height_m}" euler="{tilt_x} {tilt_y} 0">'
+        f'<body name="board" pos="{x} {y} {scene.board_height_m}" euler="{tilt_x} {tilt_y} {scene.board_turn_rad}">'
         f'<geom name="board" type="box" size="0.085 0.115 0.005" pos="0 0 -0.005" contype="0" conaffinity="2"'
         f' {friction} {soft} condim="3" rgba=".96 .97 .96 1"/></body>'
         f'<geom name="table" type="box" size="0.40 0.50 0.01" pos="0.5 0 -0.01" contype="0" conaffinity="2"'

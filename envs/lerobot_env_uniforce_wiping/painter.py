@@ -10,12 +10,19 @@ import cv2
 import mujoco
 import numpy as np
 
-from lerobot_env_uniforce_wiping.cameras import CAMERA_PX, Camera, carried, front_camera, wrist_camera
+from lerobot_env_uniforce_wiping.cameras import (
+    CAMERA_PX,
+    Camera,
+    carried,
+    front_camera,
+    rotation,
+    wrist_camera,
+)
 from lerobot_env_uniforce_wiping.ink_view import InkView
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 
-BACKGROUND = np.full((CAMERA_PX, CAMERA_PX, 3), (206, 212, 218), np.uint8)
-LIGHT = np.array([0.45, 0.25, 0.86])  # direction towards the light, world frame
+BACKGROUND = np.array([206.0, 212.0, 218.0])  # RGB under plain light
+LIGHT = np.array([0.45, 0.25, 0.86])  # direction towards the light, world frame, unless a scene turns it
 ROUND_NORMAL = np.array([0.6, 0.0, 0.8])  # capsules are shaded flat, as if facing this way
 AMBIENT = 0.62
 NEAR_m = 0.012  # nothing closer is painted
@@ -37,13 +44,16 @@ class Painter:
         model = sim.model
         self._data, self._hand = sim.data, model.body("hand").id
         self._front, self._wrist = front_camera(sim.scene), wrist_camera(sim.scene)
+        gain = np.array(sim.scene.light_gain)
+        self._light = rotation(sim.scene.light_turn_rad) @ LIGHT
+        self._background = np.full((CAMERA_PX, CAMERA_PX, 3), np.minimum(BACKGROUND * gain, 255), np.uint8)
         self._ink = InkView(sim)
         shown = np.flatnonzero(model.geom_group != HIDDEN_GROUP)
         is_box = model.geom_type[shown] == mujoco.mjtGeom.mjGEOM_BOX
         self._boxes, self._rounds = shown[is_box], shown[~is_box]
         self._corners = CORNERS * model.geom_size[self._boxes][:, None]  # (boxes, 8, 3)
         self._radius, self._half = model.geom_size[self._rounds][:, :2].T
-        self._colours = model.geom_rgba[:, :3].astype(np.float64) * 255
+        self._colours = model.geom_rgba[:, :3].astype(np.float64) * 255 * gain
         ground = {model.geom("table").id: 2, model.geom("board").id: 1}
         self._layer = np.array([ground.get(int(g), 0) for g in (*self._boxes, *self._rounds)])
 
@@ -56,7 +66,7 @@ class Painter:
         """Nothing to free."""
 
     def _paint(self, camera: Camera) -> np.ndarray:
-        picture = BACKGROUND.copy()
+        picture = self._background.copy()
         polygons = [*self._box_polygons(camera), *self._round_polygons(camera)]
         centers = self._data.geom_xpos[np.concatenate([self._boxes, self._rounds])]
         away = np.linalg.norm(centers - camera.position_m, axis=1) + 100.0 * self._layer  # ground first
@@ -69,6 +79,9 @@ class Painter:
                 cv2.fillConvexPoly(picture, corners, colour, cv2.LINE_AA, SUBPIXEL)
         return picture
 
+    def _brightness(self, normals: np.ndarray) -> np.ndarray:
+        return AMBIENT + (1 - AMBIENT) * np.maximum(normals @ self._light, 0)
+
     def _box_polygons(self, camera: Camera) -> list[list[tuple[np.ndarray, tuple[float, ...]]]]:
         """Per box, the faces turned towards the camera."""
         axes = self._data.geom_xmat[self._boxes].reshape(-1, 3, 3)
@@ -77,7 +90,7 @@ class Painter:
         normals = NORMALS @ axes.transpose(0, 2, 1)  # (boxes, 6, 3)
         towards = corners[:, FACES[:, 0]] - camera.position_m
         seen = (normals * towards).sum(-1) < 0
-        bright = _brightness(normals)
+        bright = self._brightness(normals)
         local = camera.to_camera(corners.reshape(-1, 3)).reshape(corners.shape)
         pixels = _fixed(camera.to_pixels(_before(local).reshape(-1, 3))).reshape(*corners.shape[:2], 2)
         near = local[..., 2].min(axis=1) < NEAR_m
@@ -99,15 +112,11 @@ class Painter:
         rings = local[:, :, None] + RING * self._radius[:, None, None, None]
         pixels = _fixed(camera.to_pixels(_before(rings).reshape(-1, 3))).reshape(len(ends), -1, 2)
         seen = local[..., 2].min(axis=1) > self._radius + NEAR_m
-        bright = float(_brightness(ROUND_NORMAL))
+        bright = float(self._brightness(ROUND_NORMAL))
         return [
             [(cv2.convexHull(pixels[i]), tuple(self._colours[geom] * bright))] if seen[i] else []
             for i, geom in enumerate(self._rounds)
         ]
-
-
-def _brightness(normals: np.ndarray) -> np.ndarray:
-    return AMBIENT + (1 - AMBIENT) * np.maximum(normals @ LIGHT, 0)
 
 
 def _before(local: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -41,6 +41,13 @@ class SceneParams:
     camera_shift_m: tuple[tuple[float, ...], ...]  # per camera (x, y, z)
     camera_turn_rad: tuple[tuple[float, ...], ...]  # per camera rotation vector
     task: str
+    letter_scale: float  # of the writing over its full box
+    board_shift_m: tuple[float, float]  # x, y
+    board_turn_rad: float  # about the vertical
+    eraser_turn_rad: float  # likewise, at rest
+    eraser_length_m: float
+    light_gain: tuple[float, float, float]  # red, green, blue
+    light_turn_rad: tuple[float, ...]  # rotation vector of the light's direction
 
 
 def draw_scene(seed: int, level_name: str) -> SceneParams:
@@ -56,7 +63,7 @@ def draw_scene(seed: int, level_name: str) -> SceneParams:
 
     friction = uniform(level.pad_friction)
     place = spread(level.placement_m, 2)
-    return SceneParams(
+    scene = SceneParams(
         seed=seed,
         level=level,
         stiffness_scale=uniform(level.stiffness_scale),
@@ -78,4 +85,33 @@ def draw_scene(seed: int, level_name: str) -> SceneParams:
         camera_shift_m=tuple(spread(level.camera_shift_m, 3) for _ in range(2)),
         camera_turn_rad=tuple(spread(level.camera_turn_rad, 3) for _ in range(2)),
         task=str(rng.choice(TASK_TEXTS)),
+        letter_scale=1.0,
+        board_shift_m=(0.0, 0.0),
+        board_turn_rad=0.0,
+        eraser_turn_rad=0.0,
+        eraser_length_m=level.layout.eraser_length_m,
+        light_gain=(1.0, 1.0, 1.0),
+        light_turn_rad=(0.0, 0.0, 0.0),
+    )
+    return _varied(scene, rng)
+
+
+def _varied(scene: SceneParams, rng: np.random.Generator) -> SceneParams:
+    """Return the scene with its later variety, drawn last: what was drawn before stays as it was."""
+    level = scene.level
+    scale = float(rng.uniform(*level.letter_scale))
+    room = (1 - scale) / 2 * np.array([level.letter_height_m, level.word_length_m])
+    offset = np.array(scene.word_offset_m) + room * rng.uniform(-1, 1, 2)
+    shift = level.board_shift_m * rng.uniform(-1, 1, 2)
+    gain = rng.uniform(*level.light_gain) * (1 + level.light_tint * rng.uniform(-1, 1, 3))
+    return replace(
+        scene,
+        letter_scale=scale,
+        word_offset_m=(float(offset[0]), float(offset[1])),
+        board_shift_m=(float(shift[0]), float(shift[1])),
+        board_turn_rad=float(level.board_turn_rad * rng.uniform(-1, 1)),
+        eraser_turn_rad=float(level.eraser_turn_rad * rng.uniform(-1, 1)),
+        eraser_length_m=scene.eraser_length_m + float(rng.uniform(*level.eraser_length_offset_m)),
+        light_gain=tuple(float(g) for g in gain),  # type: ignore[arg-type]
+        light_turn_rad=tuple(float(v) for v in level.light_turn_rad * rng.uniform(-1, 1, 3)),
     )

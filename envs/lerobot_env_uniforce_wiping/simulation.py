@@ -184,7 +184,7 @@ class WipeSimulation:
         self._felt_before = (center, yaw)
         if press[0] <= 0:
             return
-        size = np.array([self.scene.eraser_width_m, self.scene.level.layout.eraser_length_m])
+        size = np.array([self.scene.eraser_width_m, self.scene.eraser_length_m])
         mean = np.array([press[0] / READS, press[1] / press[0], press[2] / press[0]])
         self.ink.wipe((center + before) / 2, yaw, size, mean, float(np.linalg.norm(center - before)))
 

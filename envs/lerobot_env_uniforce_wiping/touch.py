@@ -51,7 +51,7 @@ def eraser_gap(sim: WipeSimulation, finger: Finger) -> np.ndarray:
     mirror = 1.0 if finger == "left" else -1.0
     layout = sim.scene.level.layout
     center, axes = sim.block_from_pad(finger)  # tool frame: x closes, y = world −y, z down
-    size = np.array([[layout.eraser_length_m, layout.eraser_height_m - FELT_m]]) * 1000
+    size = np.array([[sim.scene.eraser_length_m, layout.eraser_height_m - FELT_m]]) * 1000
     along, across = axes[:, 1], axes[:, 0]  # the eraser's long axis; the normal of its side faces
     angle = np.arctan2(-mirror * along[2], along[1])
     tilt = np.array([[across[1], -mirror * across[2]]]) / across[0]

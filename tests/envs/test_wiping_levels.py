@@ -1,16 +1,23 @@
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_env_uniforce_wiping import LEVELS, draw_scene, level_hash
+from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, draw_scene, level_hash
+from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.sweep import Sweep
 from uniforce_vtla.errors import ContractError
 
-LOCKED = {"easy": "038b574a2e52", "paper": "fb7787e1fd11", "hard": "c73e379e7c22"}
+LOCKED = {
+    "easy": "814f8f06f806",
+    "paper": "ee1bb59905f8",
+    "hard": "2292f656a0fa",
+    "easy_v1": "a98edbcb4ded",
+}
 
 
 def test_levels_are_locked() -> None:
@@ -45,3 +52,47 @@ def test_serpentine_is_readable_from_position_alone(name: str) -> None:
         assert (stop[1] > start[1]) == (k % 2 == 0)
     narrowest = level.layout.eraser_width_m + level.eraser_width_offset_m[0]
     assert level.row_pitch_m < narrowest
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31 - 1))
+def test_the_first_levels_scenes_know_no_later_variety(seed: int) -> None:
+    scene = draw_scene(seed, "easy_v1")
+    assert scene.light_gain == (1.0, 1.0, 1.0) and scene.letter_scale == 1.0
+    assert scene.board_shift_m == (0.0, 0.0) and scene.eraser_length_m == scene.level.layout.eraser_length_m
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**31 - 1), st.sampled_from(["easy", "paper", "hard"]))
+def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed: int, name: str) -> None:
+    """Every cell of the word is under the swept band, whatever the board's place and turn."""
+    scene, level = draw_scene(seed, name), LEVELS[name]
+    ink = InkField(scene)
+    rows, columns = np.nonzero(ink.ink)
+    x, y = ink.x_m[rows, columns], ink.y_m[rows, columns]
+    c, s = np.cos(scene.board_turn_rad), np.sin(scene.board_turn_rad)
+    shift = scene.board_shift_m
+    away_x, away_y = np.abs(c * x - s * y + shift[0]), np.abs(s * x + c * y + shift[1])
+    half_band = (level.rows - 1) * level.row_pitch_m / 2 + scene.eraser_width_m / 2
+    assert away_x.max() < half_band
+    assert away_y.max() < level.stroke_m / 2  # under the whole length of the eraser
+
+
+def test_paper_varies_what_a_camera_sees() -> None:
+    scenes = [draw_scene(seed, "paper") for seed in range(40)]
+    assert len({scene.word for scene in scenes}) > 10
+    for name in ("letter_scale", "board_turn_rad", "eraser_turn_rad", "eraser_length_m", "light_gain"):
+        assert len({getattr(scene, name) for scene in scenes}) == len(scenes)
+
+
+def test_light_changes_the_picture_and_nothing_else() -> None:
+    dim, bright = WipeEnv("paper"), WipeEnv("paper")
+    for env, gain in ((dim, 0.7), (bright, 1.0)):
+        env.start(1)
+        env.sim.scene = replace(env.sim.scene, light_gain=(gain, gain, gain), light_turn_rad=(0.0, 0.0, 0.0))
+        env._renderer.reset(env.sim)
+    dark, light = dim.observe(), bright.observe()
+    ratio = dark["pixels"]["front"].mean() / light["pixels"]["front"].mean()
+    assert ratio == pytest.approx(0.7, abs=0.03)
+    assert np.array_equal(dark["pixels"]["tactile_left"], light["pixels"]["tactile_left"])
+    assert np.array_equal(dark["agent_pos"], light["agent_pos"])
