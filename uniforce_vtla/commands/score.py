@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import logging
+import re
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
@@ -18,7 +19,7 @@ from tqdm import tqdm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.commands.score_config import ScoreConfig, mounted_sensors
-from uniforce_vtla.commands.score_worker import score_seeds
+from uniforce_vtla.commands.score_worker import Job, score_job
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.evaluation.arms import (
     ArmReport,
@@ -32,44 +33,77 @@ from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.results_file import provenance, write_json
 
+ROWS = "episodes.jsonl"
+
 
 def score(config: ScoreConfig) -> ArmReport:
     """Score ``config.rollouts`` seeds; finished episodes survive a kill and are not repeated."""
-    out = Path(config.out) / _folder(config)
-    write_json(out / "config.json", asdict(config) | {"provenance": provenance()})
-    rows_file = out / "episodes.jsonl"
+    return score_arms([config], config.workers)[0]
+
+
+def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
+    """Score several arms in turns, seed by seed, so that a killed run has paired seeds of all of them.
+
+    Each episode is forced to disk when it ends; the next call goes on with what is missing.
+    """
+    done = [_start(config) for config in configs]
+    jobs = _missing(configs, done)
+    label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"
+    for index, row in tqdm(_episodes(jobs, workers), total=len(jobs), desc=label, unit="episode"):
+        write_row(_folder(configs[index]) / ROWS, row)
+        done[index][row.seed] = row
+    return [
+        summarise(config.arm, [rows[seed] for seed in _seeds(config)])
+        for config, rows in zip(configs, done, strict=True)
+    ]
+
+
+def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
+    """Write the arm's settings and return the episodes it has already."""
+    folder = _folder(config)
+    write_json(folder / "config.json", asdict(config) | {"provenance": provenance()})
     if not config.resume:
-        rows_file.unlink(missing_ok=True)
-    done = read_rows(rows_file)
-    seeds = range(config.first_seed, config.first_seed + config.rollouts)
-    todo = [seed for seed in seeds if seed not in done]
-    for row in tqdm(_episodes(config, out, todo), total=len(todo), desc=f"{config.arm} on {_rig(config)}"):
-        write_row(rows_file, row)
-        done[row.seed] = row
-    return summarise(config.arm, [done[seed] for seed in seeds])
+        (folder / ROWS).unlink(missing_ok=True)
+    return read_rows(folder / ROWS)
 
 
-def _episodes(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterable[EpisodeRow]:
-    workers = max(1, min(config.workers, len(seeds)))
+def _seeds(config: ScoreConfig) -> range:
+    return range(config.first_seed, config.first_seed + config.rollouts)
+
+
+def _missing(configs: Sequence[ScoreConfig], done: Sequence[dict[int, EpisodeRow]]) -> list[Job]:
+    """Return what is left to do, all arms' first seeds first."""
+    jobs = [
+        (seed, index)
+        for index, (config, rows) in enumerate(zip(configs, done, strict=True))
+        for seed in _seeds(config)
+        if seed not in rows
+    ]
+    return [Job(index, configs[index], _folder(configs[index]), seed) for seed, index in sorted(jobs)]
+
+
+def _episodes(jobs: list[Job], workers: int) -> Iterable[tuple[int, EpisodeRow]]:
+    workers = max(1, min(workers, len(jobs)))
     if workers == 1:
-        yield from score_seeds(config, out, seeds)
+        yield from map(score_job, jobs)
         return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_score_one, [(config, out, seed) for seed in seeds])
-
-
-def _score_one(job: tuple[ScoreConfig, Path, int]) -> EpisodeRow:
-    config, out, seed = job
-    return next(iter(score_seeds(config, out, [seed])))
+        pending = [pool.submit(score_job, job) for job in jobs]
+        try:
+            for finished in as_completed(pending):
+                yield finished.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _rig(config: ScoreConfig) -> str:
     return "+".join(mounted_sensors(config.left_sensor, config.right_sensor).values())
 
 
-def _folder(config: ScoreConfig) -> str:
+def _folder(config: ScoreConfig) -> Path:
     swap = f"_{config.swap.replace(':', '-')}" if config.swap else ""
-    return f"{config.arm.replace('+', '')}_{_rig(config)}_{config.level}{swap}"
+    arm = re.sub(r"\W+", "-", config.arm.replace("+", "")).strip("-")
+    return Path(config.out) / f"{arm}_{_rig(config)}_{config.level}{swap}"
 
 
 def scored_arms(out: Path, level: str) -> list[ArmReport]:
@@ -77,7 +111,7 @@ def scored_arms(out: Path, level: str) -> list[ArmReport]:
     reports = []
     for file in sorted(out.glob("*/config.json")):
         settings = json.loads(file.read_text())
-        rows = read_rows(file.parent / "episodes.jsonl")
+        rows = read_rows(file.parent / ROWS)
         if settings["level"] == level and rows:
             reports.append(summarise(settings["arm"], [rows[seed] for seed in sorted(rows)]))
     return reports

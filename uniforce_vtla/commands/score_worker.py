@@ -1,9 +1,9 @@
-"""One process of the scorer: builds environment and controller once, then scores seeds."""
+"""One process of the scorer: builds each arm's environment and controller once, then scores seeds."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -18,22 +18,32 @@ from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.results_file import write_json
 
 
-def score_seeds(config: ScoreConfig, out: Path, seeds: list[int]) -> Iterator[EpisodeRow]:
-    """Yield one scored row per seed."""
+@dataclass(frozen=True)
+class Job:
+    """One episode of one arm; ``index`` tells whose answer it is."""
+
+    index: int
+    config: ScoreConfig
+    folder: Path
+    seed: int
+
+
+def score_job(job: Job) -> tuple[int, EpisodeRow]:
+    """Roll one episode out and return its row."""
     torch.set_num_threads(1)  # processes share the cores; more threads each only fight
+    config, seed = job.config, job.seed
     env, controller = _build(
-        config.policy, config.level, config.left_sensor, config.right_sensor, config.swap, out
+        config.policy, config.level, config.left_sensor, config.right_sensor, config.swap, job.folder
     )
-    for seed in seeds:
-        film = seed < config.first_seed + config.videos
-        torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
-        rollout = roll_out(env, controller, seed, keep_frames=film)
-        if film:
-            _keep(rollout, out, config.arm)
-        yield row_of(rollout)
+    film = seed < config.first_seed + config.videos
+    torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
+    rollout = roll_out(env, controller, seed, keep_frames=film)
+    if film:
+        _keep(rollout, job.folder, config.arm)
+    return job.index, row_of(rollout)
 
 
-@functools.lru_cache(maxsize=1)
+@functools.lru_cache(maxsize=16)  # arms take turns
 def _build(
     policy: str, level: str, left: str, right: str, swap: str, out: Path
 ) -> tuple[WipeEnv, Controller]:

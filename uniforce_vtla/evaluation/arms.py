@@ -11,9 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from uniforce_vtla.evaluation.episode import EpisodeTrace
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 
+PROFILE_POINTS = 60
+WIPING_PHASE = 2  # of EpisodeTrace.phase
 OUTCOMES = ("success", "failed_grasp", "residual", "aborted")
 
 
@@ -32,6 +35,14 @@ class EpisodeRow:
     seconds: float
     think_p50_ms: float
     think_p95_ms: float
+    z_profile_mm: tuple[
+        float, ...
+    ] = ()  # tool height while wiping, at PROFILE_POINTS even shares of that time
+
+    @property
+    def code(self) -> str:
+        """One letter: C clean success, s success with an event, f failed grasp, r residual, a aborted."""
+        return "C" if self.clean else self.outcome[0]
 
 
 def row_of(rollout: Rollout) -> EpisodeRow:
@@ -51,7 +62,17 @@ def row_of(rollout: Rollout) -> EpisodeRow:
         seconds=float(np.asarray(trace.time_s)[-1]),
         think_p50_ms=float(np.percentile(rollout.think_ms, 50)),
         think_p95_ms=float(np.percentile(rollout.think_ms, 95)),
+        z_profile_mm=_z_profile(trace),
     )
+
+
+def _z_profile(trace: EpisodeTrace) -> tuple[float, ...]:
+    """Return the tool's height while wiping, or nothing where it never wiped."""
+    height = trace.tool_z_mm[trace.phase == WIPING_PHASE]
+    if len(height) < 2:
+        return ()
+    at = np.linspace(0, len(height) - 1, PROFILE_POINTS)
+    return tuple(round(float(z), 2) for z in np.interp(at, np.arange(len(height)), height))
 
 
 def write_row(path: Path, row: EpisodeRow) -> None:
@@ -68,7 +89,11 @@ def read_rows(path: Path) -> dict[int, EpisodeRow]:
     if not path.exists():
         return {}
     complete = path.read_text().split("\n")[:-1]
-    rows = [EpisodeRow(**json.loads(line)) for line in complete if line]
+    contents = [json.loads(line) for line in complete if line]
+    rows = [
+        EpisodeRow(**content | {"z_profile_mm": tuple(content.get("z_profile_mm", ()))})
+        for content in contents
+    ]
     return {row.seed: row for row in rows}
 
 
@@ -96,7 +121,11 @@ class ArmReport:
         counts: dict[str, Any] = {"n": self.n, **{name: self.count(name) for name in names}}
         interval = wilson(self.count("clean"), self.n)
         seeds = [row.seed for row in self.rows]
-        return counts | {"clean_wilson_95": [interval.low, interval.high], "seeds": [seeds[0], seeds[-1]]}
+        return counts | {
+            "clean_wilson_95": [interval.low, interval.high],
+            "seeds": [seeds[0], seeds[-1]],
+            "by_seed": "".join(row.code for row in self.rows),
+        }
 
 
 def summarise(arm: str, rows: Sequence[EpisodeRow]) -> ArmReport:

@@ -57,6 +57,27 @@ def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
         bottom += share
 
 
+def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
+    """Draw each arm's tool height over the wipe: median, and the middle half of all rollouts as a band.
+
+    A board's height and tilt differ between scenes, so every profile is taken against its own mean.
+    """
+    shown = [r for r in reports if any(row.z_profile_mm for row in r.rows)]
+    figure = Figure(figsize=(1.0 + 2.3 * max(len(shown), 1), 3.0), layout="constrained")
+    panels = np.atleast_1d(figure.subplots(1, max(len(shown), 1), sharey=True))
+    for panel, report in zip(panels, shown, strict=False):
+        height = np.array([row.z_profile_mm for row in report.rows if row.z_profile_mm])
+        height -= height.mean(axis=1, keepdims=True)
+        share = np.linspace(0, 100, height.shape[1])
+        low, middle, high = np.percentile(height, [25, 50, 75], axis=0)
+        panel.fill_between(share, low, high, alpha=0.25, color="#2a9d8f")
+        panel.plot(share, middle, color="#2a9d8f")
+        panel.set_title(f"{report.arm}\nsd {height.std():.2f} mm", fontsize=9)
+        panel.set_xlabel("% of the wipe", fontsize=8)
+    panels[0].set_ylabel("tool height about its mean, mm")
+    return save_figure(figure, path)
+
+
 def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     """Draw an episode: thumbnails, press and grip, height, residual."""
     figure = Figure(figsize=(9, 7))

@@ -1,0 +1,64 @@
+"""The benchmark with the one arm that needs no checkpoint, and what it says where checkpoints are missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from uniforce_vtla.commands.benchmark import BenchmarkConfig, configs, main
+from uniforce_vtla.commands.score import score_arms
+from uniforce_vtla.commands.score_config import ScoreConfig
+from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.evaluation.plan import ARMS
+
+
+def test_arms_without_a_checkpoint_are_named_and_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "vt").mkdir()
+    (tmp_path / "vt" / "config.json").write_text("{}")
+    found = configs(BenchmarkConfig(checkpoints=str(tmp_path)), rollouts=3)
+    assert {c.arm for c in found} == {a.name for a in ARMS if a.checkpoint in ("vt", "expert")}
+    assert {c.swap for c in found if c.arm in ("V+G", "V+U")} == {"touch0:left"}
+    assert "left out: V+T+G" in capsys.readouterr().out
+    with pytest.raises(DatasetError, match="Train the arms"):
+        configs(BenchmarkConfig(checkpoints=str(tmp_path), only="V"), rollouts=3)
+
+
+def test_arms_take_turns_and_a_second_run_does_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from uniforce_vtla.commands import score as module
+    from uniforce_vtla.evaluation.arms import EpisodeRow
+
+    order = []
+
+    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
+        order.append((job.seed, job.config.arm))
+        return job.index, EpisodeRow(job.seed, "success", True, False, False, 0, 0, 0, 0, 0, 0)
+
+    monkeypatch.setattr(module, "score_job", fake)
+    arms = [ScoreConfig(arm=name, rollouts=2, first_seed=5, out=str(tmp_path)) for name in ("V", "V+T")]
+    reports = score_arms(arms, workers=1)
+    assert order == [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
+    assert [r.count("clean") for r in reports] == [2, 2]
+    score_arms(arms, workers=1)
+    assert len(order) == 4
+
+
+@pytest.mark.slow
+def test_the_expert_is_scored_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    where = [f"out={tmp_path / 'out'}", f"results={tmp_path}", "only=expert", "videos=0", "workers=1"]
+    assert main([*where, "rollouts=1"]) == 0
+    written = json.loads((tmp_path / "wiping.json").read_text())
+    assert written["arms"]["expert"]["n"] == 1 and written["level"] == "paper" and written["tests"] == []
+    assert (tmp_path / "wiping_z.png").exists()
+    assert main([*where, "replay=1"]) == 0
+    assert "0 of 1 episodes differ" in capsys.readouterr().out
+
+
+def test_nothing_to_replay_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([f"results={tmp_path}", "replay=2"]) == 2
+    assert "Run the benchmark first" in capsys.readouterr().out

@@ -1,0 +1,149 @@
+"""The wiping benchmark: all arms on paired seeds, in turns, with the plan's tests; or a replay of its table."""
+
+from __future__ import annotations
+
+import json
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot_env_uniforce_wiping import LEVELS, level_hash
+from uniforce_vtla.commands.arguments import choose, parse
+from uniforce_vtla.commands.score import score_arms
+from uniforce_vtla.commands.score_config import ScoreConfig
+from uniforce_vtla.errors import DatasetError, UniForceError, expected
+from uniforce_vtla.evaluation.arms import ArmReport, table
+from uniforce_vtla.evaluation.comparison import as_good, better
+from uniforce_vtla.evaluation.pictures import draw_arms, draw_z_profiles
+from uniforce_vtla.evaluation.plan import ARMS, Arm
+from uniforce_vtla.results_file import provenance, write_json
+
+
+@dataclass
+class BenchmarkConfig:
+    """Score every arm of the plan whose checkpoint is there; a killed run goes on with what is missing.
+
+    Example: uniforce-benchmark checkpoints=outputs/arms rollouts=200
+    """
+
+    checkpoints: str = "outputs/arms"  # holds a folder per checkpoint: v, vt, vtg, vtu
+    level: str = "paper"  # locked level
+    only: str = ""  # names of arms (comma between them); empty = all that have a checkpoint
+    rollouts: int = 200  # paired seeds per arm; ≥ 200 for claims
+    first_seed: int = 10_000  # never recorded from
+    workers: int = 2  # processes, one torch thread each
+    videos: int = 1  # episodes filmed per arm, the first ones
+    out: str = "outputs/benchmark"  # an episode per line and arm, sheets and videos
+    results: str = "docs/results"  # wiping.json and its pictures
+    replay: int = 0  # only roll so many seeds out again and compare them with the committed table
+
+
+def configs(command: BenchmarkConfig, rollouts: int) -> list[ScoreConfig]:
+    """Return what to score, in the plan's order.
+
+    Raises:
+        ContractError: an unknown arm.
+        DatasetError: none of the arms has a checkpoint.
+    """
+    arms = choose({arm.name: arm for arm in ARMS}, command.only).values()
+    present = [arm for arm in arms if _policy(command, arm)]
+    for arm in arms:
+        if arm not in present:
+            print(f"left out: {arm.name} (no checkpoint {Path(command.checkpoints) / arm.checkpoint})")
+    if not present:
+        do = "Train the arms, or name their folder with checkpoints=."
+        raise DatasetError(expected(command.checkpoints, "a checkpoint of the plan", "none", do))
+    return [_config(command, arm, rollouts) for arm in present]
+
+
+def _policy(command: BenchmarkConfig, arm: Arm) -> str:
+    """Return what the scorer calls the arm's policy; empty where there is none."""
+    if arm.checkpoint == "expert":
+        return "expert"
+    folder = Path(command.checkpoints) / arm.checkpoint
+    return str(folder) if (folder / "config.json").exists() else ""
+
+
+def _config(command: BenchmarkConfig, arm: Arm, rollouts: int) -> ScoreConfig:
+    return ScoreConfig(
+        policy=_policy(command, arm),
+        arm=arm.name,
+        level=command.level,
+        left_sensor=arm.left,
+        right_sensor=arm.right,
+        swap=arm.swap,
+        rollouts=rollouts,
+        first_seed=command.first_seed,
+        videos=command.videos,
+        out=command.out,
+    )
+
+
+def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: float) -> Path:
+    """Write the table, the plan's tests and the pictures; other keys of an earlier table are kept."""
+    path = Path(command.results) / "wiping.json"
+    by_name = {r.arm: r for r in reports}
+    earlier = json.loads(path.read_text()) if path.exists() else {}
+    kept = {"blind_scripts": earlier["blind_scripts"]} if _same_level(earlier, command.level) else {}
+    content: dict[str, Any] = {
+        "what": "simulated; clean success = success without slippage or excess force",
+        "level": command.level,
+        "level_hash": level_hash(LEVELS[command.level]),
+        "arms": {r.arm: r.as_dict() for r in reports},
+        "tests": better(by_name),
+        "swaps": as_good(by_name),
+        "seconds": seconds,
+    }
+    write_json(path, kept | content | provenance())
+    draw_arms(reports, path.with_suffix(".png"), title=f"wiping, level {command.level}, simulated")
+    draw_z_profiles(reports, path.with_name("wiping_z.png"))
+    return path
+
+
+def _same_level(earlier: dict[str, Any], level: str) -> bool:
+    return "blind_scripts" in earlier and earlier.get("level_hash") == level_hash(LEVELS[level])
+
+
+def replay(command: BenchmarkConfig) -> str:
+    """Roll the first seeds out again into a folder of their own; say on how many the outcome differs."""
+    path = Path(command.results) / "wiping.json"
+    if not path.exists():
+        raise DatasetError(
+            expected(str(path), "a committed table", "no such file", "Run the benchmark first.")
+        )
+    committed = json.loads(path.read_text())
+    command.out, command.level = f"{command.out}_replay", committed["level"]
+    wanted = [c for c in configs(command, command.replay) if c.arm in committed["arms"]]
+    for config in wanted:
+        config.resume = False  # an earlier replay proves nothing about this one
+    differing, lines = 0, []
+    for again in score_arms(wanted, command.workers):
+        before = committed["arms"][again.arm]["by_seed"][: command.replay]
+        now = "".join(row.code for row in again.rows)
+        differing += sum(a != b for a, b in zip(before, now, strict=True))
+        lines.append(f"{again.arm:24s} committed {before}  now {now}")
+    verdict = f"{differing} of {len(wanted) * command.replay} episodes differ from {path}"
+    return "\n".join([*lines, verdict])
+
+
+def _run(command: BenchmarkConfig) -> str:
+    if command.replay:
+        return replay(command)
+    start = time.perf_counter()
+    reports = score_arms(configs(command, command.rollouts), command.workers)
+    path = report(command, reports, time.perf_counter() - start)
+    return f"{table(reports)}\ntable, tests and figures: {path}"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-benchmark``."""
+    logging.basicConfig(level=logging.WARNING)
+    try:
+        print(_run(parse(BenchmarkConfig, argv)))
+    except UniForceError as error:
+        print(f"benchmark: {error}")
+        return 2
+    return 0

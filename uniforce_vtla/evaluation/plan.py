@@ -1,0 +1,58 @@
+"""The benchmark's arms and the questions asked of them, fixed before any of them is scored.
+
+Two rigs, the same right finger: GelSight left or uSkin left, TacTip right. V and V+T learn from both rigs' demos,
+V+T+G and V+T+U from their own. V+G and V+U are the V+T checkpoint, its one slot filled by the other finger.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from uniforce_vtla.contracts import Finger
+
+GELSIGHT_RIG: dict[Finger, str] = {"left": "gelsight", "right": "tactip"}
+USKIN_RIG: dict[Finger, str] = {"left": "uskin", "right": "tactip"}
+SWAP_MARGIN = 0.10  # clean success a swapped sensor may cost and still count as "as good"
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One line of the table: which checkpoint, on which rig, and what was changed at rollout time.
+
+    ``checkpoint`` is the name of a folder of checkpoints, or "expert".
+    """
+
+    name: str
+    checkpoint: str
+    left: str
+    right: str = "tactip"
+    swap: str = ""
+
+
+ARMS = (
+    Arm("expert", "expert", "gelsight"),
+    Arm("V", "v", "gelsight"),
+    Arm("V+T", "vt", "gelsight"),
+    Arm("V+G", "vt", "gelsight", swap="touch0:left"),
+    Arm("V+T+G", "vtg", "gelsight"),
+    Arm("V (uSkin rig)", "v", "uskin"),
+    Arm("V+T (uSkin rig)", "vt", "uskin"),
+    Arm("V+U", "vt", "uskin", swap="touch0:left"),
+    Arm("V+T+U", "vtu", "uskin"),
+    Arm("V+T+G on the uSkin rig", "vtg", "uskin"),
+)
+# first succeeds more often than second; one family for Holm's correction
+BETTER = (
+    ("V+T", "V"),
+    ("V+T (uSkin rig)", "V (uSkin rig)"),
+    ("V+G", "V"),
+    ("V+U", "V (uSkin rig)"),
+    ("V+T+G", "V"),
+    ("V+T+U", "V (uSkin rig)"),
+)
+# first is at most SWAP_MARGIN worse than second: a sensor swapped, nothing trained
+AS_GOOD = (
+    ("V+G", "V+T"),
+    ("V+U", "V+T (uSkin rig)"),
+    ("V+T+G on the uSkin rig", "V+T+G"),
+)
