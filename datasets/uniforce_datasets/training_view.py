@@ -16,7 +16,7 @@ from torch.utils.data import Dataset
 from uniforce_datasets.features import WRENCH_AXES
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
-from uniforce_datasets.view_plan import FORMAT
+from uniforce_datasets.view_plan import FORMAT, TOUCH_STREAMS, touch_stream
 from uniforce_vtla.contracts import FINGERS, check_finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import (
@@ -26,14 +26,17 @@ from uniforce_vtla.keys import (
     STATE,
     VIEW_MARKER,
     camera_key,
+    descriptor_key,
     latent_key,
+    marker_pair_key,
     truth_wrench_key,
     wrench_key,
 )
 
 __all__ = ["VIEW_MARKER", "TrainingView", "ViewMetadata", "build_view", "make_training_dataset"]
 
-TOUCH = ("latent", "wrench", "none")
+TOUCH = ("latent", "wrench", "descriptor", "marker_pair", "none")
+STREAM_KEYS = {"latent": latent_key, "descriptor": descriptor_key, "marker_pair": marker_pair_key}
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class TrainingView(Dataset):
         root: folder written by ``build_view``.
         action_deltas: frames of the action relative to the sample; −1 is the command before it.
         slots: which finger fills which slot; None takes the view's own.
-        touch: "latent" | "wrench" (the true one, a ceiling control) | "none".
+        touch: "latent" | "none", or a control: "wrench" (the true one) | "descriptor" | "marker_pair".
         episodes: numbers of the episodes to sample from; None is all.
         image_transforms: applied to each camera image.
 
@@ -159,8 +162,9 @@ class TrainingView(Dataset):
         if touch == "wrench" and not self.marker["wrench"]:
             do = "Only simulated demos know it: use touch latents."
             raise DatasetError(expected(str(self.root), "the true wrench", "none", do))
-        if touch == "latent":
-            return {latent_key(slot): f"latent_{finger}" for slot, finger in slots.items()}
+        if touch in STREAM_KEYS:
+            key = STREAM_KEYS[touch]
+            return {key(slot): touch_stream(touch, check_finger(finger)) for slot, finger in slots.items()}
         if touch == "wrench":
             return {
                 wrench_key(slot): truth_wrench_key(check_finger(finger)) for slot, finger in slots.items()
@@ -170,6 +174,7 @@ class TrainingView(Dataset):
     def _metadata(self) -> ViewMetadata:
         vectors = {STATE: STATE, ACTION: ACTION, **self._touch}  # feature key → array name
         used = self._used_frames()
+        vectors = {key: name for key, name in vectors.items() if self._arrays[name].ndim == 2}  # no pictures
         stats = {key: pooled_stats(self._arrays[name][used]) for key, name in vectors.items()}
         starts, ends = self._starts[:-1].tolist(), self._starts[1:].tolist()
         return ViewMetadata(
@@ -204,6 +209,10 @@ class TrainingView(Dataset):
         features |= {key: _vector(AXES) for key in (STATE, ACTION)}
         for key, name in self._touch.items():
             size = self._arrays[name].shape[1]
+            if self._arrays[name].ndim > 2:
+                shape = self._arrays[name].shape[1:]
+                features[key] = {"dtype": "uint8", "shape": shape, "names": ["pair", "height", "width"]}
+                continue
             features[key] = _vector(
                 WRENCH_AXES if size == len(WRENCH_AXES) else [f"z{i}" for i in range(size)]
             )
@@ -220,7 +229,8 @@ def read_marker(root: Path) -> dict[str, Any]:
     if not file.is_file():
         raise DatasetError(expected(str(root), VIEW_MARKER, "none", "Build the view with uniforce-view."))
     marker = json.loads(file.read_text())
-    names = (*CAMERAS, STATE, ACTION, *(f"latent_{finger}" for finger in FINGERS))
+    touch = (touch_stream(name, finger) for name in TOUCH_STREAMS for finger in FINGERS)
+    names = (*CAMERAS, STATE, ACTION, *touch)
     missing = [name for name in names if not (root / f"{name}.npy").is_file()]
     if marker.get("format") != FORMAT or missing:
         came = f"format {marker.get('format')}, missing {missing}"

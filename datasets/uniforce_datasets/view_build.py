@@ -17,10 +17,18 @@ from tqdm import tqdm
 
 from uniforce_datasets.latent_encoder import LatentEncoder, pooled_tokenizer
 from uniforce_datasets.source import Episode, Source, episode_frames
-from uniforce_datasets.view_plan import EpisodeFacts, ViewPlan, ViewSettings, plan_view
+from uniforce_datasets.view_plan import (
+    TOUCH_STREAMS,
+    EpisodeFacts,
+    ViewPlan,
+    ViewSettings,
+    plan_view,
+    touch_stream,
+)
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
+from uniforce_vtla.probes.plain_touch import descriptors, marker_pairs
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer import Tokenizer
 
@@ -134,7 +142,7 @@ def _episode_blocks(
         frames = episode_frames(span, episode.length, source.fps)
         yield camera, np.stack([resize(frame, side) for frame in frames])
     for finger in FINGERS:
-        yield f"latent_{finger}", _latents(source, episode, finger, encoder)
+        yield from _touch(source, episode, finger, encoder).items()
 
 
 def resize(image: np.ndarray, side: int) -> np.ndarray:
@@ -144,12 +152,15 @@ def resize(image: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
 
 
-def _latents(source: Source, episode: Episode, finger: Finger, encoder: LatentEncoder) -> np.ndarray:
+def _touch(source: Source, episode: Episode, finger: Finger, encoder: LatentEncoder) -> dict[str, np.ndarray]:
+    """Return a finger's latents (length, K·latent), and the two controls: descriptors and small image pairs."""
     spans = episode.videos[tactile_key(finger, reference=True)], episode.videos[tactile_key(finger)]
     reference = next(episode_frames(spans[0], episode.length, source.fps))[..., 0]
     current = episode_frames(spans[1], episode.length, source.fps)
-    parts = []
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in TOUCH_STREAMS}
     for frames in batched(current, BATCH):
         images = np.stack([check_marker_image(frame[..., 0], tactile_key(finger)) for frame in frames])
-        parts.append(encoder(reference, images, finger).astype(np.float32))
-    return np.concatenate(parts)  # (length, K·latent)
+        parts["latent"].append(encoder(reference, images, finger).astype(np.float32))
+        parts["descriptor"].append(descriptors(reference, images, finger))
+        parts["marker_pair"].append(marker_pairs(reference, images, finger))
+    return {touch_stream(name, finger): np.concatenate(blocks) for name, blocks in parts.items()}

@@ -13,7 +13,7 @@ import numpy as np
 
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.source import Episode, Source
-from uniforce_vtla.contracts import FINGERS, check_finger
+from uniforce_vtla.contracts import FINGERS, Finger, check_finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import (
     ACTION,
@@ -31,7 +31,13 @@ from uniforce_vtla.keys import (
 )
 from uniforce_vtla.sensors import list_sensors
 
-FORMAT = 1  # of the view folder; a view of another format is built anew
+FORMAT = 2  # of the view folder; a view of another format is built anew
+TOUCH_STREAMS = ("latent", "descriptor", "marker_pair")  # arrays per finger; the last two feed controls
+
+
+def touch_stream(name: str, finger: Finger) -> str:
+    """Name of a finger's array in a view."""
+    return f"{name}_{finger}"
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,10 @@ from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 
 _BY_SIZE: Any = None  # "take the size's default"; never left after __post_init__
 
+TWO_SLOT_DROPOUT = 0.3  # DESIGN §8: V+T+G also rolls out with a finger less
 CHOICES = {
     "size": ("tiny", "base"),
-    "touch_input": ("latent", "wrench", "none"),
+    "touch_input": ("latent", "wrench", "descriptor", "marker_pair", "none"),
     "action_form": ("target_delta", "absolute"),
     "on_sensor_loss": ("error", "mask"),
 }
@@ -55,7 +56,8 @@ class PI05UniforceConfig(PI05Config):
     # Touch
     # slot → finger; {} = none
     touch_slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
-    touch_input: str = "latent"  # "latent" | "wrench" (true wrench, a ceiling control) | "none" (plain π0.5)
+    # "latent" | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair" (CNN)
+    touch_input: str = "latent"
     swap: str = ""  # "touch0:left" lets another finger fill a slot at rollout; weights don't change
     left_sensor: str = ""  # kind mounted on the left finger; provenance, "" = not stated
     right_sensor: str = ""  # kind mounted on the right finger
@@ -64,7 +66,9 @@ class PI05UniforceConfig(PI05Config):
     latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
     token_site: str = "prefix"  # "suffix" comes later
     force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
-    touch_dropout: float = 0.3  # chance to hide a slot for a sample; only where two slots are trained
+    touch_dropout: float | None = (
+        None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
+    )
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
     tokenizer_config: dict[str, Any] | None = None  # filled from that tokenizer, rebuilds it on load
@@ -154,6 +158,13 @@ class PI05UniforceConfig(PI05Config):
     def mounted_sensors(self) -> dict[str, str]:
         """Finger → kind of sensor stated in this config ("" where not stated)."""
         return dict(zip(FINGERS, (self.left_sensor, self.right_sensor), strict=True))
+
+    @property
+    def hidden_share(self) -> float:
+        """Chance that training hides a slot: one checkpoint then serves with and without it."""
+        if self.touch_dropout is not None:
+            return self.touch_dropout
+        return TWO_SLOT_DROPOUT if len(self.slots) > 1 else 0.0
 
     @property
     def tokens_per_slot(self) -> int:

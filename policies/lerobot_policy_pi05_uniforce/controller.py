@@ -103,7 +103,7 @@ class PolicyController:
         return wanted | {"pixels": {k: pixels[k] for k in pixels if k in keep}}
 
     def _tactile_names(self) -> set[str]:
-        if self.config.touch_input != "latent":
+        if self.config.touch_input in ("wrench", "none"):
             return set()
         fingers = self.config.finger_by_slot().values()
         return {f"tactile_{finger}{suffix}" for finger in fingers for suffix in ("", "_ref")}

@@ -1,4 +1,4 @@
-"""What a policy learns about its touch input from the training data: latent scale, and whose latents they are."""
+"""What a policy learns about its touch input from the training data: its scale, and whose latents they are."""
 
 from __future__ import annotations
 
@@ -9,25 +9,28 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from lerobot_policy_pi05_uniforce.force_tokens import latent_rms
+from lerobot_policy_pi05_uniforce.force_tokens import channel_rms
+from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.keys import latent_key
+from uniforce_vtla.keys import descriptor_key, latent_key
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
+SCALED = {
+    "latent": latent_key,
+    "descriptor": descriptor_key,
+}  # inputs divided by their RMS in the training data
 VIEW_MARKER = "uniforce_view.json"  # a training view says here which tokenizer made its latents
 
 
-def read_latent_rms(stats: dict[str, dict[str, Any]], config: PI05UniforceConfig) -> Tensor | None:
-    """Return the (latent,) RMS over all slots' cached latents, or None where the data holds none."""
-    if config.touch_input != "latent":
+def read_touch_rms(stats: dict[str, dict[str, Any]], config: PI05UniforceConfig) -> Tensor | None:
+    """Return the (size,) RMS of the touch input's channels over all slots, or None where the data holds none."""
+    if config.touch_input not in SCALED:
         return None
-    rows = [stats[latent_key(slot)] for slot in config.slots if latent_key(slot) in stats]
-    scales = [
-        latent_rms(torch.as_tensor(row["mean"]), torch.as_tensor(row["std"]), config.latent_size)
-        for row in rows
-    ]
+    key, size = SCALED[config.touch_input], touch_shape(config)[1]
+    rows = [stats[key(slot)] for slot in config.slots if key(slot) in stats]
+    scales = [channel_rms(torch.as_tensor(row["mean"]), torch.as_tensor(row["std"]), size) for row in rows]
     return torch.stack(scales).square().mean(dim=0).sqrt() if scales else None
 
 

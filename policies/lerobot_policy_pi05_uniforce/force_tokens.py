@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 
@@ -39,6 +42,35 @@ class ForceTokens(nn.Module):
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
 
 
+class MarkerPairTokens(nn.Module):
+    """Control: marker images through a small CNN learnt with the policy, instead of the frozen tokenizer.
+
+    Args:
+        grid: K = grid² tokens.
+        num_slots: how many slots the policy has.
+        width: VLM width D.
+        scale: initial RMS of a token.
+    """
+
+    def __init__(self, grid: int, num_slots: int, width: int, scale: float) -> None:
+        super().__init__()
+        sizes = (2, 32, 64, width)
+        layers: list[nn.Module] = []
+        for before, after in pairwise(sizes):
+            layers += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.GELU()]
+        self.cnn = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(grid), nn.Conv2d(width, width, 1))
+        self.cell_embedding = nn.Parameter(0.5 * torch.randn(grid**2, width))
+        self.slot_embedding = nn.Parameter(0.5 * torch.randn(num_slots, width))
+        self.gain = nn.Parameter(torch.tensor(scale))
+
+    def forward(self, pair: Tensor, slot: int) -> Tensor:
+        """Map (B, 2, S²) reference and current in [0, 1] to (B, K, D)."""
+        side = math.isqrt(pair.shape[-1])
+        hidden = self.cnn(pair.unflatten(-1, (side, side))).flatten(2).transpose(1, 2)  # (B, K, D)
+        hidden = hidden + self.cell_embedding + self.slot_embedding[slot]
+        return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
+
+
 class StateToken(nn.Module):
     """The continuous normalised state as one prefix token: text bins are too coarse to learn from few demos."""
 
@@ -57,7 +89,7 @@ def wrench_rms(device: torch.device | str = "cpu") -> Tensor:
     return torch.tensor(WRENCH_SCALE, device=device)
 
 
-def latent_rms(mean: Tensor, std: Tensor, latent_size: int) -> Tensor:
-    """Return the (latent_size,) RMS of each latent channel from a dataset's per-number mean and std (K·latent,)."""
-    power = (mean.float() ** 2 + std.float() ** 2).reshape(-1, latent_size).mean(dim=0)
+def channel_rms(mean: Tensor, std: Tensor, size: int) -> Tensor:
+    """Return the (size,) RMS of each input channel from a dataset's per-number mean and std (rows·size,)."""
+    power = (mean.float() ** 2 + std.float() ** 2).reshape(-1, size).mean(dim=0)
     return power.sqrt().clamp_min(1e-3)  # a channel the tokenizer never uses must not explode

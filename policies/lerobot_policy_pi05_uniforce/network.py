@@ -9,10 +9,15 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens, StateToken, wrench_rms
+from lerobot_policy_pi05_uniforce.force_tokens import (
+    ForceTokens,
+    MarkerPairTokens,
+    StateToken,
+    wrench_rms,
+)
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
-from lerobot_policy_pi05_uniforce.touch_input import WRENCH_SIZE
+from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from uniforce_vtla.keys import STATE
 
 
@@ -39,13 +44,14 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.time_mlp_in = nn.Linear(width, width)
         self.time_mlp_out = nn.Linear(width, width)
 
-    def _make_force_tokens(self, config: PI05UniforceConfig) -> ForceTokens | None:
+    def _make_force_tokens(self, config: PI05UniforceConfig) -> ForceTokens | MarkerPairTokens | None:
         if not config.slots:
             return None
-        size = WRENCH_SIZE if config.touch_input == "wrench" else config.latent_size
-        tokens = ForceTokens(
-            size, config.tokens_per_slot, len(config.slots), self.vlm_width, config.force_token_scale
-        )
+        slots, scale = len(config.slots), config.force_token_scale
+        if config.touch_input == "marker_pair":
+            return MarkerPairTokens(config.latent_grid, slots, self.vlm_width, scale)
+        size = touch_shape(config)[1]
+        tokens = ForceTokens(size, config.tokens_per_slot, slots, self.vlm_width, scale)
         if config.touch_input == "wrench":
             tokens.input_rms.copy_(wrench_rms())
         return tokens

@@ -1,15 +1,17 @@
-"""What each touch slot feels, gathered from a batch: cached latents, marker images, or the true wrench."""
+"""What each touch slot feels, gathered from a batch: cached latents, marker images, or a control in their place."""
 
 from __future__ import annotations
 
 import logging
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from uniforce_vtla.errors import RolloutError, expected
-from uniforce_vtla.keys import latent_key, tactile_key, wrench_key
+from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key, wrench_key
+from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -18,10 +20,24 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 WRENCH_SIZE = 4  # fx, fy, fz in N, torsion in Nmm
+PLAIN = {
+    "descriptor": (descriptor_key, descriptors),
+    "marker_pair": (marker_pair_key, marker_pairs),
+}  # controls
+
+
+def touch_shape(config: PI05UniforceConfig) -> tuple[int, int]:
+    """Return rows and numbers per row of a slot's input."""
+    shapes = {
+        "wrench": (1, WRENCH_SIZE),
+        "descriptor": (1, DESCRIPTOR_SIZE),
+        "marker_pair": (2, PAIR_SIDE**2),  # flat: what has four axes counts as a camera
+    }
+    return shapes.get(config.touch_input, (config.tokens_per_slot, config.latent_size))
 
 
 class TouchInput:
-    """Turn a batch into one (B, K or 1, input_size) tensor and one (B,) mask per slot.
+    """Turn a batch into one (B, rows, numbers) tensor (``touch_shape``) and one (B,) mask per slot.
 
     Args:
         config: slots, fingers after swap, what to do on sensor loss, dropout.
@@ -31,6 +47,7 @@ class TouchInput:
     def __init__(self, config: PI05UniforceConfig, encoder: TactileEncoder | None) -> None:
         self.config = config
         self.encoder = encoder
+        self.muted = False  # every slot masked: the control that takes touch away from a trained policy
         self._logged: set[str] = set()
 
     def reset(self) -> None:
@@ -54,23 +71,49 @@ class TouchInput:
             else:
                 masks.append(self._present(slot, touch))
             touches.append(touch.nan_to_num())
+        if self.muted:
+            masks = [torch.zeros_like(mask) for mask in masks]
         return touches, self._dropout(masks) if training else masks
 
     def _feel(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor | None:
         if self.config.touch_input == "wrench":
             value = self._take(batch, wrench_key(slot))
             return None if value is None else value.to(device, torch.float32)[:, None]  # (B, 1, 4)
+        if self.config.touch_input in PLAIN:
+            return self._plain(batch, slot, device)
         if latent_key(slot) in batch:
             latent = batch[latent_key(slot)].to(device, torch.float32)
             return latent.reshape(len(latent), -1, self.config.latent_size)  # (B, K, latent)
         return self._encode(batch, slot, device)
 
-    def _encode(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor | None:
+    def _plain(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor | None:
+        """Return a control's input, (B, rows, numbers): cached, or computed from the marker images."""
+        key, compute = PLAIN[self.config.touch_input]
+        value = batch.get(key(slot))
+        if value is None:
+            pair = self._pair(batch, slot)
+            if pair is None:
+                return None
+            finger = self.config.finger_by_slot()[slot]
+            reference, current = (_grey(images) for images in pair)
+            rows = [compute(b, c[None], finger) for b, c in zip(reference, current, strict=True)]
+            value = torch.from_numpy(np.concatenate(rows))
+        scale = 255 if value.dtype == torch.uint8 else 1
+        return (value.to(device, torch.float32) / scale).reshape(len(value), *touch_shape(self.config))
+
+    def _pair(self, batch: dict[str, Tensor], slot: str) -> tuple[Tensor, Tensor] | None:
+        """Return a slot's reference and current marker images, or None where one is lost."""
         finger = self.config.finger_by_slot()[slot]
         reference = self._take(batch, tactile_key(finger, reference=True))
         current = self._take(batch, tactile_key(finger))
-        if reference is None or current is None or self.encoder is None:
+        return None if reference is None or current is None else (reference, current)
+
+    def _encode(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor | None:
+        pair = self._pair(batch, slot)
+        if pair is None or self.encoder is None:
             return None
+        reference, current = pair
+        finger = self.config.finger_by_slot()[slot]
         return self.encoder.feel(slot, finger, reference.to(device), current.to(device))  # (B, K, latent)
 
     def _take(self, batch: dict[str, Tensor], key: str) -> Tensor | None:
@@ -93,15 +136,17 @@ class TouchInput:
             logger.warning("on_sensor_loss=mask: going on without touch. %s", message)
 
     def _nothing(self, size: int, device: torch.device) -> Tensor:
-        width = WRENCH_SIZE if self.config.touch_input == "wrench" else self.config.latent_size
-        return torch.zeros(size, self.config.tokens_per_slot, width, device=device)
+        return torch.zeros(size, *touch_shape(self.config), device=device)
 
     def _dropout(self, masks: list[Tensor]) -> list[Tensor]:
-        if len(masks) < 2 or self.config.touch_dropout <= 0:
-            return masks
-        return [
-            mask & (torch.rand_like(mask, dtype=torch.float32) >= self.config.touch_dropout) for mask in masks
-        ]
+        share = self.config.hidden_share
+        return [mask & (torch.rand_like(mask, dtype=torch.float32) >= share) for mask in masks]
+
+
+def _grey(images: Tensor) -> np.ndarray:
+    """Return (B, H, W) uint8 from (B, 3, H, W) or (B, H, W) marker images in [0, 1]."""
+    grey = images[:, 0] if images.ndim == 4 else images
+    return (grey.detach().cpu() * 255).round().to(torch.uint8).numpy()
 
 
 def _batch_size(batch: dict[str, Tensor]) -> int:

@@ -2,13 +2,15 @@ from __future__ import annotations
 
 import logging
 
+import numpy as np
 import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import LANGUAGE
 from uniforce_vtla.errors import ContractError, RolloutError
-from uniforce_vtla.keys import latent_key, tactile_key
+from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
+from uniforce_vtla.probes.plain_touch import descriptors, marker_pairs
 
 
 class PlainNetwork(stock.PI05Pytorch):
@@ -192,9 +194,10 @@ def test_nan_wrench_is_lost_touch(make_policy, make_batch):
         policy.predict_action_chunk(batch)
 
 
-def test_touch_dropout_only_with_two_slots_in_training(make_policy, make_batch):
-    for slots, hidden in (({"touch0": "right"}, False), ({"touch0": "right", "touch1": "left"}, True)):
-        policy = make_policy(touch_slots=slots, touch_dropout=0.5)
+def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, make_batch):
+    one, two = {"touch0": "right"}, {"touch0": "right", "touch1": "left"}
+    for slots, asked, hidden in ((one, None, False), (one, 0.5, True), (two, None, True), (two, 0.0, False)):
+        policy = make_policy(touch_slots=slots, touch_dropout=asked)
         batch = make_batch(policy, size=32)
         policy.train()
         _, masks = policy._preprocess_images(batch)
@@ -220,3 +223,65 @@ def test_touch_dropout_only_with_two_slots_in_training(make_policy, make_batch):
 def test_bad_settings_say_what_is_wrong(make_config, settings, said):
     with pytest.raises(ContractError, match=said):
         make_config(**settings)
+
+
+def with_dots(batch):
+    """Marker images that show markers: a grid per finger, moved by a pixel or two in the current frame."""
+    shown = dict(batch)
+    for index, finger in enumerate(("left", "right")):
+        grid = torch.zeros(len(batch[tactile_key(finger)]), 3, 48, 64)
+        for row in range(4, 40, 8):
+            for column in range(4, 56, 8 + index):
+                grid[..., row : row + 3, column : column + 3] = 1
+        shown[tactile_key(finger, True)] = grid
+        shown[tactile_key(finger)] = grid.roll((1 + index, 2), dims=(-2, -1))
+    return shown
+
+
+@pytest.mark.parametrize("kind", ["descriptor", "marker_pair"])
+def test_controls_feel_the_same_cached_or_live(make_policy, make_batch, kind):
+    policy = make_policy(touch_input=kind)
+    batch = with_dots(make_batch(policy))
+    live, _ = policy.touch.gather(batch, torch.device("cpu"), training=False)
+    assert policy.model.tactile_encoder is None
+    compute = {"descriptor": descriptors, "marker_pair": marker_pairs}[kind]
+    key = {"descriptor": descriptor_key, "marker_pair": marker_pair_key}[kind]
+    cached = dict(batch)
+    for slot, finger in policy.config.finger_by_slot().items():
+        before, after = (
+            (batch[tactile_key(finger, r)][:, 0] * 255).round().to(torch.uint8).numpy() for r in (True, False)
+        )
+        values = [compute(b, a[None], finger) for b, a in zip(before, after, strict=True)]
+        cached[key(slot)] = torch.from_numpy(np.concatenate(values))
+        del cached[tactile_key(finger)]  # the cache is enough
+    stored, _ = policy.touch.gather(cached, torch.device("cpu"), training=False)
+    for a, b in zip(live, stored, strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+    images, _ = policy._preprocess_images(cached)
+    tokens = policy.model._embed_extra(images[2:])
+    assert [t.shape[1] for t in tokens] == [1, 16, 16]
+
+
+@pytest.mark.parametrize("kind", ["descriptor", "marker_pair"])
+def test_controls_act_on_what_they_feel_and_mirror_the_right_finger(make_policy, make_batch, kind):
+    policy = make_policy(touch_input=kind, touch_slots={"touch0": "right"}, sampling_noise=0.0)
+    batch = with_dots(make_batch(policy))
+    first = policy.predict_action_chunk(batch)
+    other = {**batch, tactile_key("right"): batch[tactile_key("left")]}
+    assert not torch.equal(first, policy.predict_action_chunk(other))
+    flipped = {
+        tactile_key("left", r): batch[tactile_key("right", r)].flip(-1) for r in (True, False)
+    }  # a left finger would have seen it so
+    policy.config.swap = "touch0:left"
+    torch.testing.assert_close(policy.predict_action_chunk({**batch, **flipped}), first)
+
+
+def test_a_muted_policy_feels_nothing(make_policy, make_batch):
+    policy = make_policy(sampling_noise=0.0)
+    batch = make_batch(policy)
+    felt = policy.predict_action_chunk(batch)
+    policy.touch.muted = True
+    other = {**batch, tactile_key("right"): batch[tactile_key("left")]}
+    muted = policy.predict_action_chunk(batch)
+    torch.testing.assert_close(muted, policy.predict_action_chunk(other))
+    assert not torch.equal(muted, felt)
