@@ -29,7 +29,9 @@ class BenchmarkConfig:
     Example: uniforce-benchmark checkpoints=outputs/arms rollouts=200
     """
 
-    checkpoints: str = "outputs/arms"  # holds a folder per checkpoint: v, vt, vtg, vtu
+    checkpoints: str = (
+        "outputs/arms"  # holds a folder per checkpoint: v, vt, vtg, vtu; controls: wrench, descriptor, images
+    )
     level: str = "paper"  # locked level
     only: str = ""  # names of arms (comma between them); empty = all that have a checkpoint
     rollouts: int = 200  # paired seeds per arm; ≥ 200 for claims
@@ -75,6 +77,7 @@ def _config(command: BenchmarkConfig, arm: Arm, rollouts: int) -> ScoreConfig:
         left_sensor=arm.left,
         right_sensor=arm.right,
         swap=arm.swap,
+        control=arm.control,
         rollouts=rollouts,
         first_seed=command.first_seed,
         videos=command.videos,

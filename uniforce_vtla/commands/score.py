@@ -103,7 +103,8 @@ def _rig(config: ScoreConfig) -> str:
 def _folder(config: ScoreConfig) -> Path:
     swap = f"_{config.swap.replace(':', '-')}" if config.swap else ""
     arm = re.sub(r"\W+", "-", config.arm.replace("+", "")).strip("-")
-    return Path(config.out) / f"{arm}_{_rig(config)}_{config.level}{swap}"
+    control = f"_{config.control}" if config.control else ""
+    return Path(config.out) / f"{arm}_{_rig(config)}_{config.level}{swap}{control}"
 
 
 def scored_arms(out: Path, level: str) -> list[ArmReport]:

@@ -20,6 +20,7 @@ class ScoreConfig:
     left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
     right_sensor: str = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: str = ""  # e.g. touch0:left — which finger fills which slot
+    control: str = ""  # masked (touch taken away) | shuffled (another scene's touch, same phase); "" = none
     rollouts: int = 20  # 20 for parity with the paper, ≥ 200 for claims
     first_seed: int = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
     workers: int = 2  # processes, one torch thread each

@@ -12,6 +12,8 @@ import torch
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController, ScriptController, shipped_checkpoint
 from uniforce_vtla.commands.score_config import ScoreConfig, mounted_sensors
+from uniforce_vtla.commands.score_controls import controlled
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet, write_video
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
@@ -32,9 +34,7 @@ def score_job(job: Job) -> tuple[int, EpisodeRow]:
     """Roll one episode out and return its row."""
     torch.set_num_threads(1)  # processes share the cores; more threads each only fight
     config, seed = job.config, job.seed
-    env, controller = _build(
-        config.policy, config.level, config.left_sensor, config.right_sensor, config.swap, job.folder
-    )
+    env, controller = _build(_Setup.of(config), job.folder)
     film = seed < config.first_seed + config.videos
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
     rollout = roll_out(env, controller, seed, keep_frames=film)
@@ -43,24 +43,43 @@ def score_job(job: Job) -> tuple[int, EpisodeRow]:
     return job.index, row_of(rollout)
 
 
+@dataclass(frozen=True)
+class _Setup:
+    """What decides environment and controller."""
+
+    policy: str
+    level: str
+    left: str
+    right: str
+    swap: str
+    control: str
+
+    @classmethod
+    def of(cls, config: ScoreConfig) -> _Setup:
+        sensors = config.left_sensor, config.right_sensor
+        return cls(config.policy, config.level, *sensors, config.swap, config.control)
+
+
 @functools.lru_cache(maxsize=16)  # arms take turns
-def _build(
-    policy: str, level: str, left: str, right: str, swap: str, out: Path
-) -> tuple[WipeEnv, Controller]:
+def _build(setup: _Setup, out: Path) -> tuple[WipeEnv, Controller]:
     """Build both once per process and store which sensors they run on."""
-    env, controller = _make(policy, level, left, right, swap)
+    env, controller = _make(setup)
     write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     return env, controller
 
 
-def _make(policy: str, level: str, left: str, right: str, swap: str) -> tuple[WipeEnv, Controller]:
-    mounted = mounted_sensors(left, right)
-    if policy == "expert":
-        return WipeEnv(level, mounted["left"], mounted["right"]), ScriptController(WipeExpert())
-    path = shipped_checkpoint() if policy == "shipped" else Path(policy)
-    controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
-    env = WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=controller.needs_true_wrench)
-    return env, controller
+def _make(setup: _Setup) -> tuple[WipeEnv, Controller]:
+    mounted = mounted_sensors(setup.left, setup.right)
+    if setup.policy == "expert":
+        if setup.control:
+            do = "Controls are for policies."
+            raise ContractError(expected("control of the expert", "none", setup.control, do))
+        return WipeEnv(setup.level, mounted["left"], mounted["right"]), ScriptController(WipeExpert())
+    path = shipped_checkpoint() if setup.policy == "shipped" else Path(setup.policy)
+    controller = PolicyController(path, mounted, setup.swap, asked={"left": setup.left, "right": setup.right})
+    truth = controller.needs_true_wrench
+    env = WipeEnv(setup.level, mounted["left"], mounted["right"], expose_wrench=truth)
+    return env, controlled(controller, setup.control, env)
 
 
 def _keep(rollout: Rollout, out: Path, arm: str) -> None:

@@ -27,6 +27,7 @@ class Arm:
     left: str
     right: str = "tactip"
     swap: str = ""
+    control: str = ""
 
 
 ARMS = (
@@ -40,6 +41,13 @@ ARMS = (
     Arm("V+U", "vt", "uskin", swap="touch0:left"),
     Arm("V+T+U", "vtu", "uskin"),
     Arm("V+T+G on the uSkin rig", "vtg", "uskin"),
+    Arm("V+T masked", "vt", "gelsight", control="masked"),
+    Arm("V+T shuffled", "vt", "gelsight", control="shuffled"),
+    Arm("true wrench", "wrench", "gelsight"),
+    Arm("descriptor tokens", "descriptor", "gelsight"),
+    Arm("descriptor tokens swapped", "descriptor", "gelsight", swap="touch0:left"),
+    Arm("raw images", "images", "gelsight"),
+    Arm("raw images swapped", "images", "gelsight", swap="touch0:left"),
 )
 # first succeeds more often than second; one family for Holm's correction
 BETTER = (
@@ -49,6 +57,7 @@ BETTER = (
     ("V+U", "V (uSkin rig)"),
     ("V+T+G", "V"),
     ("V+T+U", "V (uSkin rig)"),
+    ("raw images", "raw images swapped"),
 )
 # first is at most SWAP_MARGIN worse than second: a sensor swapped, nothing trained
 AS_GOOD = (

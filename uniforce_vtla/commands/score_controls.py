@@ -1,0 +1,95 @@
+"""Controls at rollout time: the same checkpoint with its touch taken away, or with somebody else's.
+
+Both ask whether the policy uses what it feels: masked touch says nothing, shuffled touch says something plausible
+for the phase of the task but about another scene.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_policy_pi05_uniforce.controller import PolicyController
+from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.evaluation.rollout import Controller
+from uniforce_vtla.keys import tactile_name
+
+CONTROLS = ("", "masked", "shuffled")
+DONOR_SEED = 50_000  # scenes nobody trains on or scores
+DONORS = 6  # expert episodes that lend their touch
+EVERY = 5  # steps between two frames kept of a donor
+STREAMS = tuple(tactile_name(finger, reference) for finger in FINGERS for reference in (False, True))
+
+Donated = dict[str, np.ndarray]  # stream → (H, W) bool, packed along the last axis
+
+
+def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Controller:
+    """Return the controller under a control; "" leaves it as it is.
+
+    Raises:
+        ContractError: an unknown control.
+    """
+    if control not in CONTROLS:
+        known = " | ".join(repr(name) for name in CONTROLS)
+        raise ContractError(expected("control", known, repr(control), "Name one."))
+    if control == "masked":
+        controller.policy.touch.muted = True
+    if control == "shuffled":
+        return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors))
+    return controller
+
+
+def donated_touch(level: str, sensors: dict[str, str], donors: int = DONORS) -> dict[int, list[Donated]]:
+    """Return marker images of expert episodes on other scenes, by phase of the task."""
+    env, expert = WipeEnv(level, sensors["left"], sensors["right"]), WipeExpert()
+    bank: dict[int, list[Donated]] = {}
+    for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch"):
+        env.start(seed)
+        expert.reset(env)
+        done, step = False, 0
+        while not done:
+            done, step = env.advance(expert.act(env)), step + 1
+            if step % EVERY == 0 or phase_of(env) not in bank:
+                bank.setdefault(phase_of(env), []).append(_packed(env.observe()["pixels"]))
+    return bank
+
+
+def phase_of(env: Any) -> int:
+    """Return the phase the task is in: 0 before the lift, 1 carrying, 2 wiping, 3 lifted off."""
+    phase = env.trace.phase
+    return int(phase[-1]) if len(phase) else 0
+
+
+class ShuffledTouch:
+    """A controller that feels, at every look, a random moment of another scene in the same phase."""
+
+    def __init__(self, inner: Controller, bank: dict[int, list[Donated]]) -> None:
+        self._inner, self._bank = inner, bank
+        self._env: Any = None
+
+    def reset(self, env: Any) -> None:
+        """Start an episode; the scene's seed decides whose touch it gets."""
+        self._env = env
+        self._rng = np.random.default_rng([env.scene.seed, 31])
+        self._inner.reset(env)
+
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        """Return the inner controller's chunk for this observation with touch exchanged."""
+        bank = self._bank[max(phase for phase in self._bank if phase <= phase_of(self._env))]
+        donated = bank[int(self._rng.integers(len(bank)))]
+        pixels = observation["pixels"] | {name: _unpacked(image) for name, image in donated.items()}
+        return self._inner.chunk(observation | {"pixels": pixels}, task)
+
+
+def _packed(pixels: dict[str, np.ndarray]) -> Donated:
+    return {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in STREAMS}
+
+
+def _unpacked(image: np.ndarray) -> np.ndarray:
+    """Return (H, W, 3) uint8 in {0, 255}."""
+    grey = np.unpackbits(image, axis=-1) * np.uint8(255)
+    return np.repeat(grey[..., None], 3, axis=-1)
