@@ -50,8 +50,8 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
         assert any(all(np.array_equal(packed[n], donor[n]) for n in STREAMS) for donor in bank[phase])
         assert np.array_equal(seen["pixels"]["front"], observation["pixels"]["front"])
         assert np.array_equal(seen["agent_pos"], observation["agent_pos"])
-    in_free_air = np.array_equal(images["tactile_left"], observation["pixels"]["tactile_left"])
-    assert in_free_air == (phase == 0)
+    if phase == 2:  # pressed on the board there, in free air here
+        assert not np.array_equal(images["tactile_left"], observation["pixels"]["tactile_left"])
 
 
 def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
