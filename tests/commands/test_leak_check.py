@@ -1,0 +1,46 @@
+"""The leak check on made-up samples whose answer is known, and on two real scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from uniforce_vtla.commands.leak_check import HISTORY, LeakConfig, Samples, collect, measure, verdict
+from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE
+
+
+def made_up(leaky: bool) -> Samples:
+    """Forty scenes whose touch tells the press; the state does only where the scene leaks."""
+    rng = np.random.default_rng(0)
+    n = 600
+    press = rng.uniform(3, 12, n)
+    state = rng.standard_normal((n, 5 * HISTORY))
+    if leaky:
+        state[:, 2] = press + 0.1 * rng.standard_normal(n)
+    touch = rng.standard_normal((n, 2 * DESCRIPTOR_SIZE))
+    touch[:, 1] = press + 0.1 * rng.standard_normal(n)
+    cameras = rng.integers(0, 255, (n, 18, 8, 8)).astype(np.uint8)
+    return Samples(state, state.copy(), touch, cameras, press, np.arange(n) % 40)
+
+
+def test_a_leak_is_found_and_no_leak_is_not() -> None:
+    leak, tight = (measure(made_up(leaky), cnn_steps=5) for leaky in (True, False))
+    assert leak["state"] > 0.9 and verdict(leak).startswith("LEAK")
+    assert tight["state"] < 0.1 < 0.9 < tight["touch"] and verdict(tight).startswith("no leak")
+
+
+def test_a_check_that_touch_fails_too_proves_nothing() -> None:
+    assert verdict({"state": 0.0, "cameras and state": 0.0, "touch and state": 0.5}).startswith(
+        "proves nothing"
+    )
+
+
+@pytest.mark.slow
+def test_samples_are_moments_of_wiping_with_their_past() -> None:
+    samples = collect(LeakConfig(level="easy", scenes=2, image_side=28))
+    n = len(samples.press_N)
+    assert n > 10 and set(samples.scene) == {0, 1}
+    assert samples.state.shape == (n, 5 * HISTORY) and samples.cameras.shape == (n, 6 * HISTORY, 28, 28)
+    assert (samples.press_N > 0.5).mean() > 0.9  # wiping
+    moved = samples.state[:, 1] - samples.state[:, -4]  # y, first frame against the last
+    assert np.abs(moved).max() > 0.005
