@@ -86,11 +86,22 @@ class PolicyController:
     @torch.no_grad()
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the next (n_action_steps, 5) absolute targets [m, m, m, rad, m]."""
-        batch = preprocess_observation(self._wanted(observation))
-        batch["task"] = [task]
-        batch = self._before(batch)
+        batch = self._batch(observation, task)
         steps = [self._after(self.policy.select_action(batch)) for _ in range(self.config.n_action_steps)]
         return torch.cat(steps).numpy()
+
+    @torch.no_grad()
+    def predict(self, observation: dict[str, Any], task: str, noise: torch.Tensor) -> np.ndarray:
+        """Return the whole chunk (chunk_size, 5) for given starting noise; nothing is remembered.
+
+        ``noise`` is (1, chunk_size, max_action_dim), as the flow takes it.
+        """
+        chunk = self.policy.predict_action_chunk(self._batch(observation, task), noise=noise)
+        return self._after(chunk)[0].numpy()
+
+    def _batch(self, observation: dict[str, Any], task: str) -> dict[str, Any]:
+        batch = preprocess_observation(self._wanted(observation))
+        return self._before(batch | {"task": [task]})
 
     def _wanted(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Leave out marker images no slot reads; name the true wrench by slot for the ceiling control."""
