@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uniforce_vtla.commands.tokenizer_options import OptionsCommand, main, measure_variant
+from uniforce_vtla.commands.tokenizer_options import VARIANTS, OptionsCommand, _short, main, measure_variant
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.probes.hard_sets import HETERO_HARD, draw_hard
 from uniforce_vtla.probes.zero_shot import Table
@@ -37,3 +37,8 @@ def test_a_variant_is_trained_read_and_summed_up(tmp_path: Path) -> None:
 def test_unknown_options_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["only=magic", f"results={tmp_path}"]) == 2
     assert "free bits" in capsys.readouterr().out
+
+
+def test_no_two_options_share_a_folder() -> None:
+    names = ["_".join(map(_short, overrides)) for overrides in VARIANTS.values()]
+    assert len(set(names)) == len(names) and _short("run.loss.kl_weight=0.3") == "kl_weight-0.3"

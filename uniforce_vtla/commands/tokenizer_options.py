@@ -44,6 +44,10 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "KL × 30": ("run.loss.kl_weight=0.3",),
     "material variables": ("run.model.material=4",),
     "procedural family": FAMILY,
+    "a quarter of the units": ("run.data.units=192",),
+    "latent of three": ("run.model.latent=3",),
+    "latent of twelve": ("run.model.latent=12",),
+    "patches of 32 px": ("run.model.patch=32",),
     "broken pairs": BROKEN,
     "broken pairs weighted by quality": (*BROKEN, "run.loss.pair_quality=2"),
 }
@@ -70,7 +74,7 @@ def measure_variant(command: OptionsCommand, table: Table, overrides: tuple[str,
     short = [f"run.steps={command.steps}", f"cache={command.out}/{pairs}", "preset=nano"]
     warmup = f"run.loss.equilibrium_warmup_steps={command.steps // 4}"
     variant = parse(PretrainCommand, [*short, warmup, *overrides], PRESETS)
-    name = "_".join(o.split(".")[-1].replace("=", "-") for o in overrides) or "nano"
+    name = "_".join(_short(override) for override in overrides) or "nano"
     folder = Path(command.out) / name
     tokenizer = Pretraining(variant.run, folder, open_source(variant.run, Path(variant.cache))).run()
     row = learnt_row(table, lambda s: encode_set(tokenizer, s), 1, POOL)
@@ -82,6 +86,12 @@ def measure_variant(command: OptionsCommand, table: Table, overrides: tuple[str,
         "worst_r2": worst.tolist(),
         "row": row,
     }
+
+
+def _short(override: str) -> str:
+    """Return ``run.loss.kl_weight=0.3`` as ``kl_weight-0.3``."""
+    setting, _, value = override.partition("=")
+    return f"{setting.rsplit('.', 1)[-1]}-{value}"
 
 
 def _run(command: OptionsCommand) -> str:
