@@ -26,7 +26,7 @@ from uniforce_vtla.results_file import provenance, write_json
 class BenchmarkConfig:
     """Score every arm of the plan whose checkpoint is there; a killed run goes on with what is missing.
 
-    Example: uniforce-benchmark checkpoints=outputs/arms rollouts=200
+    Example: uniforce-benchmark checkpoints=outputs/arms/seed0 rollouts=200
     """
 
     checkpoints: str = (

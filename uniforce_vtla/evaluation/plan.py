@@ -30,6 +30,31 @@ class Arm:
     control: str = ""
 
 
+@dataclass(frozen=True)
+class Recipe:
+    """How a checkpoint of the plan is trained: what it feels, with which fingers, on which rigs' demos.
+
+    ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default.
+    """
+
+    touch_input: str
+    slots: tuple[tuple[str, Finger], ...] = (("touch0", "right"),)
+    rigs: tuple[str, ...] = ("gelsight", "uskin")
+    touch_dropout: float | None = None
+
+
+_BOTH: tuple[tuple[str, Finger], ...] = (("touch0", "right"), ("touch1", "left"))
+# V+T hides its touch in a tenth of the samples, so that the masked control asks it nothing it never met.
+RECIPES = {
+    "v": Recipe("none"),
+    "vt": Recipe("latent", touch_dropout=0.1),
+    "vtg": Recipe("latent", _BOTH, ("gelsight",)),
+    "vtu": Recipe("latent", _BOTH, ("uskin",)),
+    "wrench": Recipe("wrench", _BOTH),
+    "descriptor": Recipe("descriptor"),
+    "images": Recipe("marker_pair"),
+}
+
 ARMS = (
     Arm("expert", "expert", "gelsight"),
     Arm("V", "v", "gelsight"),

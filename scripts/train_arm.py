@@ -1,0 +1,8 @@
+"""See uniforce_vtla/commands/train_arm.py."""
+
+import sys
+
+from uniforce_vtla.commands.train_arm import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,69 @@
+"""Every recipe of the plan becomes a training run; the plan's arms find their checkpoints."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from uniforce_vtla.commands import train_arm as module
+from uniforce_vtla.commands.train_arm import TrainArmConfig, arguments, main, train_arm
+from uniforce_vtla.evaluation.plan import ARMS, RECIPES
+from uniforce_vtla.keys import VIEW_MARKER
+
+
+@pytest.fixture
+def view(tmp_path: Path) -> Path:
+    folder = tmp_path / "view"
+    folder.mkdir()
+    episodes = [{"left_sensor": rig} for rig in ("gelsight", "uskin", "gelsight", "uskin", "uskin")]
+    (folder / VIEW_MARKER).write_text(json.dumps({"episodes": episodes}))
+    return folder
+
+
+def test_every_arm_has_a_recipe_and_every_recipe_an_arm() -> None:
+    assert {arm.checkpoint for arm in ARMS} - {"expert"} == set(RECIPES)
+
+
+@pytest.mark.parametrize("name", sorted(RECIPES))
+def test_a_recipe_trains_on_its_rigs_demos(name: str, view: Path, tmp_path: Path) -> None:
+    given = arguments(TrainArmConfig(name=name, view=str(view)), RECIPES[name], tmp_path / "run")
+    wanted = {"vtg": [0, 2], "vtu": [1, 3, 4]}.get(name, [0, 1, 2, 3, 4])
+    assert f"dataset.episodes={wanted}" in given
+    assert f"policy.touch_input={RECIPES[name].touch_input}" in given
+    assert ("policy.touch_dropout=0.1" in given) == (name == "vt")
+
+
+def test_a_run_is_resumed_and_a_finished_one_left_alone(
+    view: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[list[str]] = []
+    last = tmp_path / "runs" / "vt_seed1" / "checkpoints" / "000002" / "pretrained_model"
+
+    def fake(argv: list[str]) -> None:
+        calls.append(argv)
+        last.mkdir(parents=True, exist_ok=True)
+        link = last.parent.parent / "last"
+        if not link.exists():
+            link.symlink_to(last.parent.name)
+        (last / "train_config.json").write_text("{}")
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(module.train, "main", fake)
+    config = TrainArmConfig(view=str(view), seed=1, out=str(tmp_path))
+    with pytest.raises(KeyboardInterrupt):
+        train_arm(config)
+    done = train_arm(config)
+    assert "resume=true" in calls[1] and done == tmp_path / "seed1" / "vt"
+    assert (done / "train_config.json").exists()
+    assert train_arm(config) == done and len(calls) == 2
+
+
+@pytest.mark.parametrize(("given", "says"), [(["name=x"], "vtg"), (["view=/nowhere"], "Record both rigs")])
+def test_bad_input_is_a_plain_message(
+    given: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*given, f"out={tmp_path}"]) == 2
+    assert says in capsys.readouterr().out
