@@ -11,6 +11,7 @@ import pytest
 from uniforce_vtla.commands.tokenizer_options import VARIANTS, OptionsCommand, _short, main, measure_variant
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.probes.hard_sets import HETERO_HARD, draw_hard
+from uniforce_vtla.probes.options_figure import draw_options
 from uniforce_vtla.probes.zero_shot import Table
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
 
@@ -42,3 +43,10 @@ def test_unknown_options_are_named(capsys: pytest.CaptureFixture[str], tmp_path:
 def test_no_two_options_share_a_folder() -> None:
     names = ["_".join(map(_short, overrides)) for overrides in VARIANTS.values()]
     assert len(set(names)) == len(names) and _short("run.loss.kl_weight=0.3") == "kl_weight-0.3"
+
+
+def test_options_are_drawn_from_their_file(tmp_path: Path) -> None:
+    summary = {"shear_worst": 0.5, "shear_mean": 0.6, "fz_mean": -9.0, "mae_fz_N": 2.0}
+    options = {"the nano recipe": {"summary": summary}, "worse": {"summary": summary | {"shear_worst": -3.0}}}
+    path = draw_options({"steps": 5, "set": "s", "options": options}, tmp_path / "options.png")
+    assert path.stat().st_size > 1000

@@ -15,6 +15,7 @@ from uniforce_vtla.commands.arguments import choose, parse
 from uniforce_vtla.commands.pretrain import PRESETS, PretrainCommand
 from uniforce_vtla.commands.tokenizer_report import draw_sets
 from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.probes.options_figure import draw_options
 from uniforce_vtla.probes.report_sets import get_report_set
 from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, learnt_row, summary, transfer_name
 from uniforce_vtla.results_file import provenance, write_json
@@ -64,7 +65,7 @@ class OptionsCommand:
     set: str = "hetero_hard_v1"  # frozen set that is read
     only: str = ""  # names of options (comma between them); empty = all
     out: str = "outputs/options"  # trainings and pair caches
-    results: str = "docs/results"  # pretraining_options.json
+    results: str = "docs/results"  # pretraining_options.json and its figure
     cache: str = "outputs/labelled"  # drawn sets
 
 
@@ -115,6 +116,8 @@ def _run(command: OptionsCommand) -> str:
         what = "simulated; nano recipe, one option changed at a time, one seed, one head per source"
         content = {"what": what, "set": command.set, "steps": command.steps, "options": done}
         write_json(path, content | provenance())
+    if done:
+        draw_options(json.loads(path.read_text()), path.with_suffix(".png"))
     return "\n".join([*(_line(name, done[name]) for name in chosen), f"written to {path}"])
 
 
