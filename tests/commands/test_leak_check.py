@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uniforce_vtla.commands.leak_check import HISTORY, LeakConfig, Samples, collect, measure, verdict
+from uniforce_vtla.commands.leak_check import HISTORY, LeakConfig, collect
+from uniforce_vtla.evaluation.leak import Samples, measure, verdict
 from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE
 
 
