@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from uniforce_vtla.contracts import Finger, MarkerPair, check_finger
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.camera_markers import (
     Segmentation,
@@ -18,6 +18,12 @@ from uniforce_vtla.markers.camera_markers import (
 )
 from uniforce_vtla.markers.marker_blobs import MarkerPlan, SegmentationSettings
 from uniforce_vtla.markers.marker_plan import choose_plan
+from uniforce_vtla.markers.nominal_scale import (
+    is_nominal,
+    nominal_zoom,
+    points_to_nominal_scale,
+    to_nominal_scale,
+)
 from uniforce_vtla.markers.reference import NoContactCheck, refuse_pressed_reference
 from uniforce_vtla.markers.taxel_render import (
     Saturation,
@@ -35,7 +41,8 @@ class Canonicalizer:
     """Turns one sensor's raw signal into marker images, as the sensor sees them (never flipped).
 
     Cameras: the way to see the markers (channel, polarity, scale) is found in a frame and kept for the frames that
-    look like it; once there is a reference, its way is used. Taxels: counts are drawn relative to the reference.
+    look like it; once there is a reference, its way is used, and the image is brought to nominal scale by the spec's
+    px/mm. Taxels: counts are drawn relative to the reference.
 
     Attributes:
         sensor: registry name.
@@ -68,7 +75,10 @@ class Canonicalizer:
     @property
     def scales(self) -> dict[str, object]:
         """Every number the image depends on, by name, for storing and hashing."""
-        return self._taxel_scales.as_dict() if self._is_taxel else asdict(self._segmentation)
+        if self._is_taxel:
+            return self._taxel_scales.as_dict()
+        zoom = {} if is_nominal(self.spec) else {"nominal_zoom": nominal_zoom(self.spec)}
+        return asdict(self._segmentation) | zoom
 
     def set_reference(self, raw: np.ndarray) -> None:
         """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.
@@ -112,7 +122,7 @@ class Canonicalizer:
             SensorError: no markers, dark or dead.
         """
         if not self._is_taxel:
-            return self._segment(raw, self._plan_for(raw)).image
+            return to_nominal_scale(self._segment(raw, self._plan_for(raw)).image, self.spec)
         discs = self._discs(raw, self._known_reference())
         self.saturation.add(discs)
         return draw_discs(discs)
@@ -125,7 +135,8 @@ class Canonicalizer:
             SensorError: as ``marker_image``.
         """
         if not self._is_taxel:
-            return self._segment(raw, self._plan_for(raw)).centres_px
+            centres_px = self._segment(raw, self._plan_for(raw)).centres_px
+            return points_to_nominal_scale(centres_px, self.spec, MARKER_IMAGE_SHAPE)
         return self._discs(raw, self._known_reference()).centres_px
 
     @property
@@ -154,7 +165,8 @@ class Canonicalizer:
         if shapes[0] != shapes[1]:
             do = "Use one camera setting for both."
             raise ContractError(expected("current frame", shapes[0], shapes[1], do))
-        return reference.image, self._segment(current_raw, reference.plan).image
+        current = self._segment(current_raw, reference.plan)
+        return to_nominal_scale(reference.image, self.spec), to_nominal_scale(current.image, self.spec)
 
     def _segment_reference(self, raw: np.ndarray) -> Segmentation:
         """Segment a reference once: a stream pairs every frame with the same one."""

@@ -29,6 +29,7 @@ from uniforce_vtla.contact.views import draw_simulator
 from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
+from uniforce_vtla.markers.nominal_scale import to_nominal_scale
 from uniforce_vtla.probes.descriptor import describe
 from uniforce_vtla.probes.labelled_set import LabelledSet
 from uniforce_vtla.sensors.layouts import hexagonal, rectangular, rings, scattered
@@ -173,6 +174,8 @@ def _renamed(base: str, name: str, material: PadMaterial | TaxelMaterial) -> Vir
 def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> LabelledSet:
     """Return one sensor's sequences.  Contacts and forces are the same for every sensor of a recipe.
 
+    The digest is that of the sensor's own images; what is read are those at nominal scale.
+
     Raises:
         SensorError: the canonicaliser finds no markers; nothing is skipped.
     """
@@ -194,6 +197,7 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
         contact = ContactState(np.repeat(gap[None], len(felt), axis=0), felt, np.zeros(len(felt), np.float32))
         before, after = unit.images(contact)
         digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes())
+        before, after = (to_nominal_scale(images, sensor.spec) for images in (before, after))
         rows.append((shrink(before[None], side)[0], shrink(after, side), describe(before, after)))
     force_N = np.stack(loads)
     digest.update(np.ascontiguousarray(force_N).tobytes())

@@ -17,13 +17,20 @@ ARRAYS = tuple(f.name for f in fields(LabelledSet) if f.name != "digest")
 
 
 def cached(
-    folder: Path, settings: SetConfig | HardSettings, sensor: str, side: int, draw: Callable[[], LabelledSet]
+    folder: Path,
+    settings: SetConfig | HardSettings,
+    sensor: str,
+    side: int,
+    draw: Callable[[], LabelledSet],
+    zoom: tuple[float, float] = (1.0, 1.0),
 ) -> LabelledSet:
     """Return ``draw()``'s set from ``folder`` if an equal recipe was drawn before, else draw and keep it.
 
-    Only the recipe is compared: after a change of the contact model or the canonicaliser use another folder.
+    Only the recipe and the zoom to nominal scale are compared: after a change of the contact model or the
+    canonicaliser use another folder.
     """
-    recipe = json.dumps([asdict(settings), sensor, side], sort_keys=True)
+    zoomed = [] if zoom == (1.0, 1.0) else [zoom]
+    recipe = json.dumps([asdict(settings), sensor, side, *zoomed], sort_keys=True)
     name = f"{settings.name}_{sensor}_{hashlib.sha256(recipe.encode()).hexdigest()[:12]}.npz"
     path = folder / name
     if not path.exists():

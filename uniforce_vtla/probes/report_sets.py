@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.nominal_scale import nominal_zoom
 from uniforce_vtla.probes.hard_sets import (
     HELDOUT_HIDDEN,
     HELDOUT_VISIBLE,
@@ -67,10 +68,14 @@ class ReportSet:
     def draw(self, recipe: SetConfig | HardSettings, sensors: Sensors, side: int, folder: Path) -> dict:
         """Return name → LabelledSet, drawn once and kept in ``folder``."""
         bar = tqdm(sensors.items(), desc=f"drawing {recipe.name}")
-        return {
-            name: cached(folder, recipe, name, side, lambda s=sensor: draw(recipe, s, side))  # type: ignore
-            for name, sensor in bar
-        }
+        return {name: self._one(recipe, name, sensor, side, folder) for name, sensor in bar}
+
+    @staticmethod
+    def _one(
+        recipe: SetConfig | HardSettings, name: str, sensor: VirtualSensor, side: int, folder: Path
+    ) -> LabelledSet:
+        zoom = nominal_zoom(sensor.spec)
+        return cached(folder, recipe, name, side, lambda: draw(recipe, sensor, side), zoom)
 
 
 def draw(recipe: SetConfig | HardSettings, sensor: VirtualSensor, side: int) -> LabelledSet:

@@ -25,9 +25,7 @@ class HeadTrainingConfig:
     smallest_spread: float = (
         1e-6  # of an input; a channel constant on the source would else explode elsewhere
     )
-    # Of the standardised input: a source's fine print doesn't transfer. Chosen among .1, .4, .8, 1.2 by reading the
-    # other sensors' *training* sequences (hetero_hard_v1, never the scored ones): 1.04, .99, .96, .99 N of Fz.
-    input_noise: float = 0.8
+    input_noise: float = 0.1  # of the standardised input: a source's fine print doesn't transfer
 
 
 def train_head(z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig, seed: int) -> ForceRegressor:

@@ -1,0 +1,55 @@
+"""One scale for every camera: a lens's px/mm, known from the data sheet, is taken out of its marker images.
+
+A wider lens shrinks every motion, and a picture alone doesn't tell a near small gel from a far large one: a tokenizer
+misreads the newtons behind a lens it never saw (docs/experiments/tokenizer_family.md). The scale of a camera on its
+pad is known without any recording, so marker images of flat gels and of domes come at the scale of the GelSight and
+the TacTip that pretraining is centred on. Taxels are rendered, not seen, and keep their own.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from uniforce_vtla.sensors import SensorSpec, get_sensor
+
+FLAT, DOME = "gelsight", "tactip"  # whose scale the others are brought to
+SAME = 1e-3  # zooms closer to 1 than this leave the image untouched
+
+
+def nominal_zoom(spec: SensorSpec) -> tuple[float, float]:
+    """Return the (x, y) factors that bring a sensor's marker images to nominal scale; (1, 1) for taxels."""
+    if spec.signal == "taxel":
+        return 1.0, 1.0
+    nominal = get_sensor(FLAT if spec.dome_radius_mm is None else DOME).px_per_mm
+    return nominal[0] / spec.px_per_mm[0], nominal[1] / spec.px_per_mm[1]
+
+
+def is_nominal(spec: SensorSpec) -> bool:
+    """Return whether the sensor's images are at nominal scale as they are."""
+    return all(abs(factor - 1) < SAME for factor in nominal_zoom(spec))
+
+
+def to_nominal_scale(images: np.ndarray, spec: SensorSpec) -> np.ndarray:
+    """Return (..., H, W) uint8 marker images in {0, 255} at nominal scale, zoomed about their centre.
+
+    What leaves the frame is cut, what enters is black; the images come back as they are where nothing changes.
+    """
+    if is_nominal(spec):
+        return images
+    flat = images.reshape(-1, *images.shape[-2:])
+    return np.stack([_zoomed(image, *nominal_zoom(spec)) for image in flat]).reshape(images.shape)
+
+
+def points_to_nominal_scale(points_px: np.ndarray, spec: SensorSpec, size_px: tuple[int, int]) -> np.ndarray:
+    """Return (M, 2) image points, x right and y down, where ``to_nominal_scale`` puts them; size is (H, W)."""
+    centre = (np.array(size_px[::-1]) - 1) / 2
+    return ((points_px - centre) * np.array(nominal_zoom(spec)) + centre).astype(points_px.dtype)
+
+
+def _zoomed(image: np.ndarray, zoom_x: float, zoom_y: float) -> np.ndarray:
+    height, width = image.shape
+    centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
+    matrix = np.array([[zoom_x, 0, centre_x * (1 - zoom_x)], [0, zoom_y, centre_y * (1 - zoom_y)]])
+    smooth = cv2.warpAffine(image, matrix, (width, height), flags=cv2.INTER_LINEAR)
+    return np.where(smooth >= 128, 255, 0).astype(np.uint8)  # an edge stays an edge
