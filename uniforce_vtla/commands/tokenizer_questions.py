@@ -24,6 +24,8 @@ from uniforce_vtla.probes.real_trials import read_trials
 from uniforce_vtla.probes.reconstructions import reconstruction_report
 from uniforce_vtla.probes.reconstructions_figure import draw_reconstructions
 from uniforce_vtla.probes.report_sets import ReportSet
+from uniforce_vtla.probes.scale_error import scale_error
+from uniforce_vtla.probes.scale_error_figure import draw_scale_error
 from uniforce_vtla.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -99,6 +101,15 @@ def hardness_chart(
     return "\n".join([*lines, oracle, f"written to {path}"])
 
 
+def scale_chart(tokenizer: Tokenizer, report_set: ReportSet, table: Table, seeds: int, results: Path) -> str:
+    """Write the chart of what a misstated px/mm costs on a set's sensors."""
+    content = scale_error(tokenizer, table, seeds)
+    content |= {"set": report_set.name, "tokenizer_hash": tokenizer.hash, "seeds": seeds} | provenance()
+    path = write_json(results / "chart_scale.json", content)
+    draw_scale_error(content, path.with_suffix(".png"))
+    return f"written to {path}"
+
+
 def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
     """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
 
@@ -144,7 +155,7 @@ def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> s
 
 def unknown(question: str) -> ContractError:
     """Return the error for a question nobody asks."""
-    known = "force | correlation | reconstructions | slip | hardness"
+    known = "force | correlation | reconstructions | slip | hardness | scale"
     return ContractError(expected("question", known, repr(question), "Ask one of these."))
 
 

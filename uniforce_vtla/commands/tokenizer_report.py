@@ -55,9 +55,7 @@ class TokenizerReportCommand:
     Example: uniforce-tokenizer-report question=force set=hetero_hard_v1 seeds=3
     """
 
-    question: str = (
-        "force"  # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | hardness (chart)
-    )
+    question: str = "force"  # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | hardness, scale (charts)
     data: str = (
         ""  # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     )
@@ -267,13 +265,15 @@ def _other_question(command: TokenizerReportCommand, report_set: ReportSet, toke
     results = Path(command.results)
     if command.question == "reconstructions":
         return questions.reconstructions(tokenizer, results)
-    if command.question not in ("correlation", "slip", "hardness"):
+    if command.question not in ("correlation", "slip", "hardness", "scale"):
         raise questions.unknown(command.question)
     if command.question == "hardness":
         cache = Path(command.cache)
         training = report_set.draw(report_set.training, report_set.sources(), tokenizer.config.side, cache)
         return questions.hardness_chart(tokenizer, report_set, training, command.seeds, cache, results)
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+    if command.question == "scale":
+        return questions.scale_chart(tokenizer, report_set, table, command.seeds, results)
     if command.question == "correlation":
         return questions.correlation(tokenizer, report_set, table, results)
     return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
