@@ -55,7 +55,8 @@ class TokenizerReportCommand:
     Example: uniforce-tokenizer-report question=force set=hetero_hard_v1 seeds=3
     """
 
-    question: str = "force"  # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | hardness, scale (charts)
+    # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | charts: hardness, scale
+    question: str = "force"
     data: str = (
         ""  # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     )
