@@ -55,6 +55,7 @@ class FamilyBounds:
 
 # v2 is wider than v1 in lens, stretch, pitch and size: chosen after v1's tokenizer misread gels behind a wider lens
 # (docs/experiments/tokenizer_family.md), so it is judged by heldout_visible_v2, which was frozen before it was used.
+# v3 is narrower in lens alone: images come at nominal scale (markers/nominal_scale.py), give or take a ruler's error.
 BOUNDS = {
     "v1": FamilyBounds(),
     "v2": FamilyBounds(
@@ -63,6 +64,7 @@ BOUNDS = {
         ),
         DomeFamily(rings=(3, 9), reach_mm=(14.5, 19.5), size_mm=(0.7, 1.8), px_per_mm=(8.5, 13.0)),
     ),
+    "v3": FamilyBounds(FlatFamily(px_per_mm=(22.0, 26.0)), DomeFamily(px_per_mm=(11.0, 13.0))),
 }
 HIDDEN = ("dilation_per_N", "dilation_radius_mm", "drag_mm_per_N", "area_per_N", "skin_blur_mm")
 

@@ -41,7 +41,7 @@ class PairCacheConfig:
     family_share: float = (
         0.0  # share of cameras drawn from the procedural family; 0 = the paper's three sensors
     )
-    family: Literal["v1", "v2"] = "v1"  # bounds of that family (contact/family.py)
+    family: Literal["v1", "v2", "v3"] = "v1"  # bounds of that family (contact/family.py)
     free_look: bool = False  # every camera with a pose, zoom and marker size of its own
     marker_loss: float = 0.0  # chance per marker and frame, in half of the units
     misaligned_cells: int = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
