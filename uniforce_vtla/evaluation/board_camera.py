@@ -1,0 +1,103 @@
+"""How much ink is left, from a camera that sees the board: the residual of a real rollout, an estimate.
+
+The simulator knows its ink; a robot has pictures. Four corners of the board give a homography to a top view; what
+was ink in the first picture is looked up in the last one. Cells hidden by the arm or the eraser are left out, not
+guessed, and the estimate says how many it could judge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+
+TOP_VIEW_px = (170, 230)  # rows, columns of the board seen from above: 1 mm cells of the simulated board
+RIM_share = 0.04  # of the board left out along its edges: blur and shadow
+
+
+@dataclass(frozen=True)
+class BoardSettings:
+    """When a cell of the top view counts as ink, as bare board, or as neither."""
+
+    ink_contrast: float = 0.35  # darker than the bare board by this share of its brightness
+    faded: float = 0.25  # of its first strength: fainter is no ink, as in the simulator's own count
+    # colour distance from the way bare → ink, over the bare board's brightness: further off it is neither
+    alike: float = 0.15
+    smallest_word: int = 40  # cells; fewer are noise
+    least_judged: float = 0.5  # of the first picture's ink; with less in view there is no estimate
+
+
+@dataclass(frozen=True)
+class ResidualEstimate:
+    """``residual`` is ink left over ink at the start, among the cells that could be judged (``judged``, a share)."""
+
+    residual: float
+    judged: float
+
+
+def estimate_residual(
+    first: np.ndarray, last: np.ndarray, corners_px: np.ndarray, settings: BoardSettings | None = None
+) -> ResidualEstimate:
+    """Estimate the ink left between two pictures of one camera.
+
+    Args:
+        first: (H, W, 3) uint8 RGB before the wipe, the writing in view.
+        last: the same camera after it.
+        corners_px: (4, 2) image points x, y of the board's corners, in order around it.
+        settings: thresholds.
+
+    Raises:
+        ContractError: pictures of different shape, or corners that are no quadrilateral.
+        DatasetError: no writing in the first picture, or too little of it in view in the last.
+    """
+    settings = settings or BoardSettings()
+    before, after = (_top_view(image, corners_px) for image in _checked(first, last, corners_px))
+    bare = np.median(before.reshape(-1, 3), axis=0)  # most of a board is bare
+    brightness = float(bare.mean())
+    ink = brightness - before.mean(axis=-1) > settings.ink_contrast * brightness
+    if ink.sum() < settings.smallest_word:
+        do = "Take the first picture before the wipe, the arm out of the way; check the corners."
+        raise DatasetError(expected("writing on the board", "dark cells", int(ink.sum()), do))
+    ink_colour = np.percentile(before[ink], 25, axis=0)  # strokes are thin: most cells are mixed with board
+    strength, _ = _on_the_way(before, bare, ink_colour)
+    now_bare = np.median(after[~ink], axis=0)  # light may have changed
+    now, off_the_way = _on_the_way(after, now_bare, ink_colour)
+    judgeable = off_the_way < settings.alike * brightness
+    seen = ink & judgeable
+    judged = float(seen.sum() / ink.sum())
+    if judged < settings.least_judged:
+        do = "Move the arm away before the last picture."
+        raise DatasetError(expected("writing in view", f"≥ {settings.least_judged:.0%}", f"{judged:.0%}", do))
+    left = seen & (now > settings.faded * strength)
+    return ResidualEstimate(float(left.sum() / seen.sum()), judged)
+
+
+def _on_the_way(view: np.ndarray, bare: np.ndarray, ink: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far each cell's colour lies from bare (0) to ink (1), and its distance from that straight way."""
+    way = ink - bare
+    share = np.clip((view - bare) @ way / (way @ way), 0, 1)
+    return share, np.linalg.norm(view - bare - share[..., None] * way, axis=-1)
+
+
+def _checked(first: np.ndarray, last: np.ndarray, corners_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    if first.shape != last.shape or first.ndim != 3 or first.shape[2] != 3:
+        came = f"{first.shape}, {last.shape}"
+        raise ContractError(expected("pictures", "two (H, W, 3)", came, "Use one camera."))
+    area = abs(cv2.contourArea(corners_px.astype(np.float32))) if corners_px.shape == (4, 2) else 0.0
+    if area < 100 or not cv2.isContourConvex(corners_px.astype(np.float32)):
+        do = "Name the board's corners in order around it."
+        raise ContractError(expected("corners_px", "(4, 2), a convex quadrilateral", corners_px.tolist(), do))
+    return first, last
+
+
+def _top_view(image: np.ndarray, corners_px: np.ndarray) -> np.ndarray:
+    """Return the board from above without its rim, (rows, columns, 3) float32."""
+    rows, columns = TOP_VIEW_px
+    target = np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]], np.float32)
+    homography = cv2.getPerspectiveTransform(corners_px.astype(np.float32), target)
+    view = cv2.warpPerspective(image, homography, (columns, rows), flags=cv2.INTER_LINEAR)
+    r, c = round(RIM_share * rows), round(RIM_share * columns)
+    return view[r : rows - r, c : columns - c].astype(np.float32)
