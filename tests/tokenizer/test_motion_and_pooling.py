@@ -6,14 +6,14 @@ import torch
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.entry import prepare
-from uniforce_vtla.tokenizer.motion import motion_channels
+from uniforce_vtla.tokenizer.motion import motion_channels, pyramid
 from uniforce_vtla.tokenizer.pooling import pool_latent
 
 
 def test_motion_points_where_the_dots_went(dots: np.ndarray) -> None:
     reference, right, down = prepare(dots, "left", 64).split(1)
-    to_the_right = motion_channels(reference, right, 3).mean(dim=(0, 2, 3))
-    to_the_bottom = motion_channels(reference, down, 3).mean(dim=(0, 2, 3))
+    to_the_right = motion_channels(pyramid(reference, 3), right).mean(dim=(0, 2, 3))
+    to_the_bottom = motion_channels(pyramid(reference, 3), down).mean(dim=(0, 2, 3))
     for scale in range(3):
         x, y = 3 * scale + 1, 3 * scale + 2
         assert to_the_right[x] > 5 * to_the_right[y].abs()
@@ -22,7 +22,7 @@ def test_motion_points_where_the_dots_went(dots: np.ndarray) -> None:
 
 def test_nothing_moved_is_exactly_zero(dots: np.ndarray) -> None:
     image = prepare(dots[:1], "left", 64)
-    assert motion_channels(image, image, 3).abs().max() == 0
+    assert motion_channels(pyramid(image, 3), image).abs().max() == 0
 
 
 def test_pooling_means_neighbours() -> None:

@@ -23,6 +23,7 @@ from uniforce_vtla.probes.zero_shot import POOL, Cells, Table, learnt_row
 from uniforce_vtla.tokenizer.attention import FeedForward, SpatialAttention, grid_code
 from uniforce_vtla.tokenizer.losses import gradient_pyramid
 from uniforce_vtla.tokenizer.model import MotionEmbed, PatchEmbed, TokenizerConfig
+from uniforce_vtla.tokenizer.motion import pyramid
 from uniforce_vtla.tokenizer.pair_cache import PairSource
 from uniforce_vtla.tokenizer.pooling import pool_latent
 
@@ -61,7 +62,9 @@ class PairTokens(nn.Module):
     def forward(self, reference: torch.Tensor, current: torch.Tensor) -> torch.Tensor:
         """Return (B, P, D) for images (B, 1, S, S)."""
         tokens = self.reference(reference) + self.current(current)
-        return tokens if self.motion is None else tokens + self.motion(reference, current)
+        if self.motion is None:
+            return tokens
+        return tokens + self.motion(pyramid(reference, self.motion.scales), current)
 
 
 class TwinEncoder(nn.Module):

@@ -21,7 +21,7 @@ from uniforce_vtla.tokenizer.attention import (
     sinusoid,
 )
 from uniforce_vtla.tokenizer.material import MaterialEncoder
-from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels
+from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels, pyramid
 
 LATER = ("warp", "material")  # fields of TokenizerConfig that came after the first shipped checkpoint
 START_LOG_VARIANCE = -4.0  # σ ≈ 0.14
@@ -87,16 +87,19 @@ class ReferenceCache(NamedTuple):
 
     Attributes:
         image: (B, 1, S, S) prepared reference.
+        halved: the same at every scale of the motion channels; empty without them.
         kept: per encoder block its key and value, (B, P, heads, D/heads) each.
     """
 
     image: torch.Tensor
+    halved: list[torch.Tensor]
     kept: list[tuple[torch.Tensor, torch.Tensor]]
 
     def repeat(self, times: int) -> ReferenceCache:
         """Return the cache with every reference repeated ``times`` times in a row."""
         kept = [(k.repeat_interleave(times, 0), v.repeat_interleave(times, 0)) for k, v in self.kept]
-        return ReferenceCache(self.image.repeat_interleave(times, 0), kept)
+        halved = [level.repeat_interleave(times, 0) for level in self.halved]
+        return ReferenceCache(self.image.repeat_interleave(times, 0), halved, kept)
 
 
 def patches(maps: torch.Tensor, side: int) -> torch.Tensor:
@@ -142,9 +145,10 @@ class MotionEmbed(nn.Module):
             nn.Linear(inputs, config.width), nn.GELU(), nn.Linear(config.width, config.width)
         )
 
-    def forward(self, reference: torch.Tensor, current: torch.Tensor) -> torch.Tensor:
-        """Return (B, P, D)."""
-        maps = motion_channels(reference, current, self.scales)  # (B, 3·scales, S / 4, S / 4)
+    def forward(self, reference: list[torch.Tensor], current: torch.Tensor) -> torch.Tensor:
+        """Return (B, P, D) from the reference at every scale and current images; a batch of 1 serves any B."""
+        levels = [level.expand(len(current), -1, -1, -1) for level in reference]
+        maps = motion_channels(levels, current)  # (B, 3·scales, S / 4, S / 4)
         return self.project(patches(maps, self.cells))
 
 
@@ -186,7 +190,8 @@ class Encoder(nn.Module):
     def encode_reference(self, reference: torch.Tensor) -> ReferenceCache:
         """Return what the current frame needs of (B, 1, S, S) references; it depends on nothing else."""
         tokens = self.embed(reference) + self.time[0]
-        cache = ReferenceCache(reference, [])
+        halved = [] if self.motion is None else pyramid(reference, self.motion.scales)
+        cache = ReferenceCache(reference, halved, [])
         for block in self.blocks:
             tokens, kept = block.reference(tokens)
             cache.kept.append(kept)
@@ -196,7 +201,7 @@ class Encoder(nn.Module):
         """Return the posterior for (B, 1, S, S) current images; a cache of batch 1 serves any B."""
         tokens = self.embed(current) + self.time[1]
         if self.motion is not None:
-            tokens = tokens + self.motion(cache.image.expand_as(current), current)
+            tokens = tokens + self.motion(cache.halved, current)
         for block, past in zip(self.blocks, cache.kept, strict=True):
             tokens = block.current(tokens, past)
         mean, log_variance = self.posterior(tokens).split(self.latent, dim=-1)  # (B, P, latent) each

@@ -6,6 +6,8 @@ embedding has no products, and learning them from equilibrium alone took longer 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch.nn import functional as F  # noqa: N812
 
@@ -14,17 +16,22 @@ CHANNELS = 3  # per scale: brightness gained, motion in x, motion in y
 EDGE_FLOOR = 1e-3  # energy of edges below which a cell says nothing about motion
 
 
-def motion_channels(reference: torch.Tensor, current: torch.Tensor, scales: int) -> torch.Tensor:
-    """Return (B, 3·scales, S / 4, S / 4) from (B, 1, S, S) images; scale k looks at images halved k times.
+def pyramid(images: torch.Tensor, scales: int) -> list[torch.Tensor]:
+    """Return (B, 1, S, S) images halved 0, 1, … times; a reference's are worth keeping."""
+    levels = [images]
+    for _ in range(scales - 1):
+        levels.append(F.avg_pool2d(levels[-1], 2))
+    return levels
+
+
+def motion_channels(reference: Sequence[torch.Tensor], current: torch.Tensor) -> torch.Tensor:
+    """Return (B, 3·scales, S / 4, S / 4) from a reference's ``pyramid`` and (B, 1, S, S) current images.
 
     Solves gain = −(shift · gradient) for the shift, one cell and its neighbours at a time. Channels of one
     scale lie together: gain, shift in x, shift in y.
     """
-    sums = []
-    for scale in range(scales):
-        if scale:
-            reference, current = F.avg_pool2d(reference, 2), F.avg_pool2d(current, 2)
-        sums.append(_cell_means(reference, current, CELL_PX >> scale))
+    currents = pyramid(current, len(reference))
+    sums = [_cell_means(b, a, CELL_PX >> k) for k, (b, a) in enumerate(zip(reference, currents, strict=True))]
     gain, equations = torch.stack(sums, dim=1).split([1, 3], dim=2)  # (B, scales, 1 and 3, S / 4, S / 4)
     products, energy = _neighbourhood_sums(equations).split([2, 1], dim=2)
     shift = -8 * products / (energy + 9 * 16 * EDGE_FLOOR)  # edges face either axis about equally often
@@ -40,7 +47,13 @@ def _cell_means(reference: torch.Tensor, current: torch.Tensor, cell: int) -> to
     gain = current - reference
     gx, gy = _differences(current + reference)
     means = torch.cat([gain, gain * gx, gain * gy, torch.addcmul(gx * gx, gy, gy)], dim=1)  # (B, 4, S, S)
-    return F.avg_pool2d(means, cell) if cell > 1 else means
+    if cell == 1:
+        return means
+    height, width = means.shape[-2:]
+    rows = means.unflatten(-2, (height // cell, cell)).sum(
+        -2
+    )  # two sums of slices: a pooling kernel takes longer
+    return rows.unflatten(-1, (width // cell, cell)).sum(-1) / cell**2
 
 
 def _differences(image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
