@@ -29,9 +29,7 @@ class BenchmarkConfig:
     Example: uniforce-benchmark checkpoints=outputs/arms/seed0 rollouts=200
     """
 
-    checkpoints: str = (
-        "outputs/arms"  # holds a folder per checkpoint: v, vt, vtg, vtu; controls: wrench, descriptor, images
-    )
+    checkpoints: str = "outputs/arms/seed0"  # where uniforce-train-arm puts them, a folder each (see plan.py)
     level: str = "paper"  # locked level
     only: str = ""  # names of arms (comma between them); empty = all that have a checkpoint
     rollouts: int = 200  # paired seeds per arm; ≥ 200 for claims
@@ -50,15 +48,17 @@ def configs(command: BenchmarkConfig, rollouts: int) -> list[ScoreConfig]:
         ContractError: an unknown arm.
         DatasetError: none of the arms has a checkpoint.
     """
-    arms = choose({arm.name: arm for arm in ARMS}, command.only).values()
-    present = [arm for arm in arms if _policy(command, arm)]
-    for arm in arms:
-        if arm not in present:
+    found = []
+    for arm in choose({arm.name: arm for arm in ARMS}, command.only).values():
+        policy = _policy(command, arm)
+        if policy:
+            found.append(_config(command, arm, policy, rollouts))
+        else:
             print(f"left out: {arm.name} (no checkpoint {Path(command.checkpoints) / arm.checkpoint})")
-    if not present:
+    if not found:
         do = "Train the arms, or name their folder with checkpoints=."
         raise DatasetError(expected(command.checkpoints, "a checkpoint of the plan", "none", do))
-    return [_config(command, arm, rollouts) for arm in present]
+    return found
 
 
 def _policy(command: BenchmarkConfig, arm: Arm) -> str:
@@ -69,9 +69,9 @@ def _policy(command: BenchmarkConfig, arm: Arm) -> str:
     return str(folder) if (folder / "config.json").exists() else ""
 
 
-def _config(command: BenchmarkConfig, arm: Arm, rollouts: int) -> ScoreConfig:
+def _config(command: BenchmarkConfig, arm: Arm, policy: str, rollouts: int) -> ScoreConfig:
     return ScoreConfig(
-        policy=_policy(command, arm),
+        policy=policy,
         arm=arm.name,
         level=command.level,
         left_sensor=arm.left,

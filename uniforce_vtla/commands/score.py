@@ -29,6 +29,7 @@ from uniforce_vtla.evaluation.arms import (
     table,
     write_row,
 )
+from uniforce_vtla.evaluation.comparison import paired_clean
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.results_file import provenance, write_json
@@ -122,11 +123,9 @@ def paired_tests(reports: Sequence[ArmReport]) -> list[dict[str, Any]]:
     """Return the exact McNemar test of clean success for every two arms, on the seeds they share."""
     tests = []
     for first, second in itertools.combinations(reports, 2):
-        one, two = ({row.seed: row.clean for row in report.rows} for report in (first, second))
-        seeds = sorted(one.keys() & two.keys())
-        if seeds:
-            test = mcnemar([one[s] for s in seeds], [two[s] for s in seeds])
-            tests.append({"arms": [first.arm, second.arm], "n": len(seeds), **asdict(test)})
+        one, two = paired_clean(first, second)
+        if one:
+            tests.append({"arms": [first.arm, second.arm], "n": len(one), **asdict(mcnemar(one, two))})
     return tests
 
 

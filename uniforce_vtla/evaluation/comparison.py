@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -11,31 +11,40 @@ from uniforce_vtla.evaluation.plan import AS_GOOD, BETTER, SWAP_MARGIN
 from uniforce_vtla.evaluation.statistics import anytime, holm, mcnemar, non_inferior
 
 Pairs = Sequence[tuple[str, str]]
+Clean = list[bool]  # clean success, seed by seed
 
 
-def paired_clean(first: ArmReport, second: ArmReport) -> tuple[list[bool], list[bool]]:
+def paired_clean(first: ArmReport, second: ArmReport) -> tuple[Clean, Clean]:
     """Return clean success of both arms on the seeds they share, in the order of the seeds."""
     one, two = ({row.seed: row.clean for row in report.rows} for report in (first, second))
     seeds = sorted(one.keys() & two.keys())
     return [one[s] for s in seeds], [two[s] for s in seeds]
 
 
+def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[dict[str, Any], Clean, Clean]]:
+    """Yield, per pair of arms scored on shared seeds, who they are and the clean successes of both."""
+    for first, second in pairs:
+        if first in reports and second in reports:
+            one, two = paired_clean(reports[first], reports[second])
+            if one:
+                yield {"arms": [first, second], "n": len(one)}, one, two
+
+
 def better(reports: Mapping[str, ArmReport], pairs: Pairs = BETTER) -> list[dict[str, Any]]:
     """Return, per pair scored on shared seeds, exact McNemar (Holm over the family) and the anytime test."""
-    tests = []
-    for first, second in pairs:
-        if first not in reports or second not in reports:
-            continue
-        one, two = paired_clean(reports[first], reports[second])
-        if one:
-            found = {"arms": [first, second], "n": len(one), **asdict(mcnemar(one, two))}
-            tests.append(found | {"points": 100 * (sum(one) - sum(two)) / len(one)} | _watched(one, two))
+    tests = [
+        who
+        | asdict(mcnemar(one, two))
+        | {"points": 100 * (sum(one) - sum(two)) / len(one)}
+        | _watched(one, two)
+        for who, one, two in _scored(reports, pairs)
+    ]
     for test, adjusted in zip(tests, holm([test["p_value"] for test in tests]), strict=True):
         test["p_holm"] = adjusted
     return tests
 
 
-def _watched(one: list[bool], two: list[bool]) -> dict[str, Any]:
+def _watched(one: Clean, two: Clean) -> dict[str, Any]:
     test = anytime(one, two)
     return {"anytime_p": test.p_value, "anytime_decided_after": test.decided_after}
 
@@ -45,11 +54,7 @@ def as_good(
 ) -> list[dict[str, Any]]:
     """Return, per swap scored on shared seeds, whether it is non-inferior within ``margin``."""
     tests = []
-    for first, second in pairs:
-        if first not in reports or second not in reports:
-            continue
-        one, two = paired_clean(reports[first], reports[second])
-        if one:
-            found = non_inferior(one, two, margin)
-            tests.append({"arms": [first, second], "n": len(one), **asdict(found), "shown": found.shown})
+    for who, one, two in _scored(reports, pairs):
+        found = non_inferior(one, two, margin)
+        tests.append(who | asdict(found) | {"shown": found.shown})
     return tests

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 from uniforce_vtla.contracts import Finger
 
-GELSIGHT_RIG: dict[Finger, str] = {"left": "gelsight", "right": "tactip"}
-USKIN_RIG: dict[Finger, str] = {"left": "uskin", "right": "tactip"}
 SWAP_MARGIN = 0.10  # clean success a swapped sensor may cost and still count as "as good"
 
 

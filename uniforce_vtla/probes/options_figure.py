@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 LOWEST = -1.0  # R² is drawn down to here; a number says what lies below
 PANELS = {
-    "worst shear R²": ("summary", "shear_worst"),
-    "mean shear R²": ("summary", "shear_mean"),
-    "mean Fz R²": ("summary", "fz_mean"),
-    "mean Fz error, N": ("summary", "mae_fz_N"),
+    "worst shear R²": "shear_worst",
+    "mean shear R²": "shear_mean",
+    "mean Fz R²": "fz_mean",
+    "mean Fz error, N": "mae_fz_N",
 }
 
 
@@ -26,8 +26,8 @@ def draw_options(content: dict[str, Any], path: Path) -> Path:
     panels = figure.subplots(1, len(PANELS), sharey=True)
     first = next(iter(options))  # the recipe the others differ from
     colours = ["#1f6fb2" if name == first else "0.65" for name in names]
-    for panel, (title, (part, key)) in zip(panels, PANELS.items(), strict=True):
-        values = np.array([options[name][part][key] for name in names])
+    for panel, (title, key) in zip(panels, PANELS.items(), strict=True):
+        values = np.array([options[name]["summary"][key] for name in names])
         shown = np.maximum(values, LOWEST)
         panel.barh(range(len(names)), shown, color=colours)
         for row, value in enumerate(values):
