@@ -76,6 +76,7 @@ def age_key(finger: Finger) -> str:
     return f"provenance.age.{finger}"
 
 
+TACTILE_NAMES = tuple(tactile_name(f, r) for f in FINGERS for r in (False, True))
 TACTILE_KEYS = tuple(tactile_key(f, r) for f in FINGERS for r in (False, True))
 SUCCESS = "provenance.success"  # 1.0 if the episode ended in clean success
 OUTCOME = "provenance.outcome"  # index into OUTCOME_NAMES

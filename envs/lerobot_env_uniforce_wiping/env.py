@@ -98,6 +98,11 @@ class WipeEnv(gymnasium.Env):
         """What happened so far."""
         return self._recorder.trace()
 
+    @property
+    def phase(self) -> int:
+        """Where the task stands: 0 before the lift, 1 carrying, 2 wiping, 3 lifted off after it."""
+        return self._recorder.phase
+
     def true_wrench(self) -> dict[Finger, np.ndarray]:
         """Return finger → (4,) float32 canonical fx, fy, fz N and torsion Nmm, mean over the last step."""
         return {f: self.sim.pads[f].wrench.copy() for f in FINGERS}

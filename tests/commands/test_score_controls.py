@@ -10,9 +10,10 @@ import pytest
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_vtla.commands import score_controls
 from uniforce_vtla.commands.score_config import ScoreConfig
-from uniforce_vtla.commands.score_controls import STREAMS, ShuffledTouch, controlled, donated_touch
+from uniforce_vtla.commands.score_controls import ShuffledTouch, controlled, donated_touch
 from uniforce_vtla.commands.score_worker import Job, score_job
 from uniforce_vtla.errors import ContractError
+from uniforce_vtla.keys import TACTILE_NAMES
 
 
 class Watching:
@@ -36,7 +37,7 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
 ) -> None:
     bank = donated_touch("easy", {"left": "gelsight", "right": "tactip"}, donors=1)
     assert set(bank) == {0, 1, 2, 3}
-    monkeypatch.setattr(score_controls, "phase_of", lambda env: phase)
+    monkeypatch.setattr(WipeEnv, "phase", phase)
     watching, env = Watching(), WipeEnv("easy")
     observation, _ = env.reset(seed=3)
     shuffled = ShuffledTouch(watching, bank)
@@ -44,10 +45,10 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
         shuffled.reset(env)
         shuffled.chunk(observation, "wipe")
         seen = watching.seen[0]
-        images = {name: seen["pixels"][name] for name in STREAMS}
+        images = {name: seen["pixels"][name] for name in TACTILE_NAMES}
         assert all(i.shape == (480, 640, 3) and set(np.unique(i)) <= {0, 255} for i in images.values())
         packed = score_controls._packed(images)
-        assert any(all(np.array_equal(packed[n], donor[n]) for n in STREAMS) for donor in bank[phase])
+        assert any(all(np.array_equal(packed[n], donor[n]) for n in TACTILE_NAMES) for donor in bank[phase])
         assert np.array_equal(seen["pixels"]["front"], observation["pixels"]["front"])
         assert np.array_equal(seen["agent_pos"], observation["agent_pos"])
     if phase == 2:  # pressed on the board there, in free air here

@@ -21,6 +21,7 @@ from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.evaluation.episode import WIPING_PHASE
 from uniforce_vtla.evaluation.leak import Samples, measure, verdict
 from uniforce_vtla.keys import CAMERAS, tactile_name
 from uniforce_vtla.probes.plain_touch import descriptors
@@ -28,8 +29,7 @@ from uniforce_vtla.results_file import provenance, write_json
 
 HISTORY = 3  # frames a regressor sees, the last one now
 HISTORY_STEP = 3  # control steps between them: 0.1 s
-EVERY = 5  # control steps between two samples
-WIPING = 2  # phase of the trace
+EVERY = 5  # looks between two samples
 PRESS_RANGE_N = (
     3.0,
     12.0,
@@ -71,7 +71,7 @@ def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any,
     while not done:
         target = nudge.apply(expert.act(env))
         done, step = env.advance(target), step + 1
-        wiping = env.trace.phase[-1] == WIPING
+        wiping = env.phase == WIPING_PHASE
         looks = wiping and step % HISTORY_STEP == 0
         past.append((env.state, target, _pictures(env, config.image_side) if looks else None))
         frames = past[-1 - (HISTORY - 1) * HISTORY_STEP :: HISTORY_STEP]

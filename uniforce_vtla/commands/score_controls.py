@@ -13,16 +13,14 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController
-from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.rollout import Controller
-from uniforce_vtla.keys import tactile_name
+from uniforce_vtla.keys import TACTILE_NAMES
 
 CONTROLS = ("", "masked", "shuffled")
 DONOR_SEED = 50_000  # scenes nobody trains on or scores
 DONORS = 6  # expert episodes that lend their touch
 EVERY = 5  # steps between two frames kept of a donor
-STREAMS = tuple(tactile_name(finger, reference) for finger in FINGERS for reference in (False, True))
 
 Donated = dict[str, np.ndarray]  # stream → (H, W) bool, packed along the last axis
 
@@ -53,15 +51,9 @@ def donated_touch(level: str, sensors: dict[str, str], donors: int = DONORS) -> 
         done, step = False, 0
         while not done:
             done, step = env.advance(expert.act(env)), step + 1
-            if step % EVERY == 0 or phase_of(env) not in bank:
-                bank.setdefault(phase_of(env), []).append(_packed(env.observe()["pixels"]))
+            if step % EVERY == 0 or env.phase not in bank:
+                bank.setdefault(env.phase, []).append(_packed(env.observe()["pixels"]))
     return bank
-
-
-def phase_of(env: Any) -> int:
-    """Return the phase the task is in: 0 before the lift, 1 carrying, 2 wiping, 3 lifted off."""
-    phase = env.trace.phase
-    return int(phase[-1]) if len(phase) else 0
 
 
 class ShuffledTouch:
@@ -79,14 +71,14 @@ class ShuffledTouch:
 
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the inner controller's chunk for this observation with touch exchanged."""
-        bank = self._bank[max(phase for phase in self._bank if phase <= phase_of(self._env))]
+        bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]
         donated = bank[int(self._rng.integers(len(bank)))]
         pixels = observation["pixels"] | {name: _unpacked(image) for name, image in donated.items()}
         return self._inner.chunk(observation | {"pixels": pixels}, task)
 
 
 def _packed(pixels: dict[str, np.ndarray]) -> Donated:
-    return {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in STREAMS}
+    return {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in TACTILE_NAMES}
 
 
 def _unpacked(image: np.ndarray) -> np.ndarray:

@@ -69,17 +69,25 @@ def _build(setup: _Setup, out: Path) -> tuple[WipeEnv, Controller]:
 
 
 def _make(setup: _Setup) -> tuple[WipeEnv, Controller]:
-    mounted = mounted_sensors(setup.left, setup.right)
     if setup.policy == "expert":
         if setup.control:
             do = "Controls are for policies."
             raise ContractError(expected("control of the expert", "none", setup.control, do))
+        mounted = mounted_sensors(setup.left, setup.right)
         return WipeEnv(setup.level, mounted["left"], mounted["right"]), ScriptController(WipeExpert())
-    path = shipped_checkpoint() if setup.policy == "shipped" else Path(setup.policy)
-    controller = PolicyController(path, mounted, setup.swap, asked={"left": setup.left, "right": setup.right})
-    truth = controller.needs_true_wrench
-    env = WipeEnv(setup.level, mounted["left"], mounted["right"], expose_wrench=truth)
+    env, controller = policy_on_rig(setup.policy, setup.level, setup.left, setup.right, setup.swap)
     return env, controlled(controller, setup.control, env)
+
+
+def policy_on_rig(
+    policy: str, level: str, left: str, right: str, swap: str
+) -> tuple[WipeEnv, PolicyController]:
+    """Return a scene and the checkpoint that acts in it; "shipped" is the package's own, "" the usual sensor."""
+    mounted = mounted_sensors(left, right)
+    path = shipped_checkpoint() if policy == "shipped" else Path(policy)
+    controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
+    truth = controller.needs_true_wrench
+    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=truth), controller
 
 
 def _keep(rollout: Rollout, out: Path, arm: str) -> None:

@@ -16,12 +16,12 @@ import torch
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_vtla.commands.arguments import parse
-from uniforce_vtla.commands.score_config import mounted_sensors
+from uniforce_vtla.commands.score_worker import policy_on_rig
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import UniForceError
-from uniforce_vtla.keys import CAMERAS, tactile_name
+from uniforce_vtla.keys import CAMERAS, TACTILE_NAMES, tactile_name
 from uniforce_vtla.results_file import provenance, write_json
 
 CONTACT_N = 0.5  # mean grip above this counts as contact
@@ -94,8 +94,7 @@ def _free_air(here: Observation, _: Observation) -> Observation:
 
 
 def _strange_touch(here: Observation, there: Observation) -> Observation:
-    names = [tactile_name(f, r) for f in FINGERS for r in (False, True)]
-    return _with(here, {name: there["pixels"][name] for name in names})
+    return _with(here, {name: there["pixels"][name] for name in TACTILE_NAMES})
 
 
 def _free_air_wrench(here: Observation, _: Observation) -> Observation:
@@ -147,12 +146,8 @@ def _chunk(
 
 
 def _run(config: SensitivityConfig) -> str:
-    mounted = mounted_sensors(config.left_sensor, config.right_sensor)
-    path = shipped_checkpoint() if config.policy == "shipped" else Path(config.policy)
-    asked = {"left": config.left_sensor, "right": config.right_sensor}
-    controller = PolicyController(path, mounted, config.swap, asked=asked)  # type: ignore[arg-type]
-    truth = controller.needs_true_wrench
-    env = WipeEnv(config.level, mounted["left"], mounted["right"], expose_wrench=truth)
+    sensors = config.left_sensor, config.right_sensor
+    env, controller = policy_on_rig(config.policy, config.level, *sensors, config.swap)
     moments = looks(env, config.scenes, config.first_seed)
     found = measure(controller, moments)
     counts = {"contact": sum(m.contact for m in moments), "no contact": sum(not m.contact for m in moments)}

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_vtla.evaluation.episode import EpisodeTrace
+from uniforce_vtla.evaluation.episode import WIPING_PHASE, EpisodeTrace
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 
 PROFILE_POINTS = 60
-WIPING_PHASE = 2  # of EpisodeTrace.phase
 OUTCOMES = ("success", "failed_grasp", "residual", "aborted")
 
 

@@ -31,6 +31,9 @@ class ScoreLimits:
     wiping_press_N: float = 0.5  # above this a frame counts as wiping
 
 
+WIPING_PHASE = 2  # of EpisodeTrace.phase
+
+
 @dataclass(frozen=True)
 class EpisodeTrace:
     """Per-step arrays of one episode, all of length n.
