@@ -7,7 +7,7 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping.mjcf import FELT_m
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
-from uniforce_vtla.contact import TactileSimulator
+from uniforce_vtla.contact import TactileSimulator, free_air
 from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contracts import ContactState, Finger
 
@@ -32,6 +32,8 @@ class PadImages:
     def image(self, sim: WipeSimulation) -> np.ndarray:
         """Return (480, 640, 3) uint8: the marker image, repeated on three channels."""
         contact = own_contact(sim, self.finger)
+        if not self._sensor.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
+            contact = free_air(1)
         return cv2.cvtColor(self._sensor.marker_images(contact)[0], cv2.COLOR_GRAY2RGB)
 
 
@@ -39,11 +41,10 @@ def own_contact(sim: WipeSimulation, finger: Finger) -> ContactState:
     """Return the contact of a pad in that finger's own image frame, batch of one."""
     mirror = 1.0 if finger == "left" else -1.0  # the right finger's image x is world −y
     fx, fy, fz, torsion = sim.pads[finger].wrench
-    force = np.array([[mirror * fx, fy, max(float(fz), 0.0)]], dtype=np.float32)
-    gap = eraser_gap(sim, finger)
     if fz < TOUCHING_N:
-        return ContactState(np.full_like(gap, np.inf), np.zeros((1, 3), np.float32), np.zeros(1, np.float32))
-    return ContactState(gap, force, np.array([mirror * torsion], dtype=np.float32))
+        return free_air(1)
+    force = np.array([[mirror * fx, fy, fz]], dtype=np.float32)
+    return ContactState(eraser_gap(sim, finger), force, np.array([mirror * torsion], dtype=np.float32))
 
 
 def eraser_gap(sim: WipeSimulation, finger: Finger) -> np.ndarray:

@@ -8,7 +8,7 @@ from uniforce_vtla.contact.camera_response import CameraResponse
 from uniforce_vtla.contact.grid import GRID_CELLS
 from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial
 from uniforce_vtla.contact.options import ContactOptions
-from uniforce_vtla.contact.pads import build_pad
+from uniforce_vtla.contact.pads import build_pad, has_object
 from uniforce_vtla.contact.pressure import Pressure, build_foundation, solve_pressure
 from uniforce_vtla.contact.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
@@ -73,6 +73,10 @@ class TactileSimulator:
         A lost marker's centre is NaN.
         """
         return self._markers(contact, self.options.noise)
+
+    def faces_object(self, contact: ContactState) -> np.ndarray:
+        """Return (B,) bool: whether any part of the pad has an object before it."""
+        return has_object(self.pad.total_gap_mm(contact.gap_mm))
 
     def depth_mm(self, contact: ContactState) -> np.ndarray:
         """Return (B,) indentation since first touch, in mm."""

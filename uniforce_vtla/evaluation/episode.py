@@ -145,7 +145,7 @@ def grasp_faults(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
     faults = []
     if trace.slip_mm.max() > limits.drop_mm:
         faults.append(f"slid out of the hand (> {limits.drop_mm:g} mm)")
-    if _longest_run_s(loose, trace.time_s) > limits.lost_grip_s:
+    if longest_run_s(loose, trace.time_s) > limits.lost_grip_s:
         faults.append(f"dropped (no grip for {limits.lost_grip_s:g} s)")
     return faults
 
@@ -164,15 +164,21 @@ def slip_events(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
 
 def excess_events(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:
     """Return the reasons for an excess-force event."""
-    events = []
-    if running_mean(trace.press_N, limits.mean_press_s, trace.time_s).max() > limits.mean_press_N:
-        events.append(f"mean press > {limits.mean_press_N:g} N")
-    if trace.press_N.max() > limits.peak_press_N:
-        events.append(f"peak press > {limits.peak_press_N:g} N")
+    events = press_events(trace.press_N, trace.time_s, limits)
     depths = {"left": trace.depth_left_mm, "right": trace.depth_right_mm}
     for (side, depth), rated in zip(depths.items(), trace.rated_depth_mm, strict=True):
         if depth.max() > rated:
             events.append(f"{side} pad deeper than {rated:g} mm")
+    return events
+
+
+def press_events(press_N: np.ndarray, time_s: np.ndarray, limits: ScoreLimits) -> list[str]:
+    """Return the reasons to call a press (n,) excessive; pads may be too deep for other reasons."""
+    events = []
+    if running_mean(press_N, limits.mean_press_s, time_s).max() > limits.mean_press_N:
+        events.append(f"mean press > {limits.mean_press_N:g} N")
+    if press_N.max() > limits.peak_press_N:
+        events.append(f"peak press > {limits.peak_press_N:g} N")
     return events
 
 
@@ -187,7 +193,8 @@ def _step_s(time_s: np.ndarray) -> float:
     return float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
 
 
-def _longest_run_s(flags: np.ndarray, time_s: np.ndarray) -> float:
+def longest_run_s(flags: np.ndarray, time_s: np.ndarray) -> float:
+    """Return the duration of the longest stretch of True in (n,) flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     runs = edges[1::2] - edges[::2]
     return float(runs.max()) * _step_s(time_s) if len(runs) else 0.0

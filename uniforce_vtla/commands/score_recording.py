@@ -1,0 +1,192 @@
+"""Score recorded rollouts of a robot, which knows no truth: slippage, excess force and ink left, as estimates."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import ContractError, DatasetError, UniForceError, expected
+from uniforce_vtla.evaluation.board_camera import estimate_residual
+from uniforce_vtla.evaluation.episode import ScoreLimits
+from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
+from uniforce_vtla.evaluation.finger_estimates_figure import draw_estimate
+from uniforce_vtla.keys import AXES, STATE, camera_key, tactile_key, truth_wrench_key
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.streaming import StreamingEncoder
+
+if TYPE_CHECKING:
+    from uniforce_datasets.source import Episode, Source
+
+HEIGHT = AXES.index("z.pos")
+
+
+@dataclass
+class ScoreRecordingConfig:
+    """Estimate what happened in recorded rollouts from the fingers, and the ink left from a camera.
+
+    Example: uniforce-score-recording root=outputs/robot pad_friction=0.6,0.7 board_corners=62,40,250,38,262,180,55,184
+    """
+
+    root: str = "outputs/demos"  # recorded dataset, from a robot or from the simulator
+    pad_friction: str = ""  # left,right: pull slowly until the object slides, shear over grip. Needed
+    # x,y of the board's four corners in the camera's picture, in order around it; empty = ink isn't judged
+    board_corners: str = ""
+    camera: str = "front"  # scene camera that sees the board
+    episodes: int = 0  # the first so many; 0 = all
+    head: str = "wiping"  # name of a shipped force head, or a folder (see uniforce-scene-head)
+    tokenizer: str = ""  # checkpoint folder; empty = shipped
+    out: str = "outputs/recording_scores"  # estimates.json and a picture per episode
+
+
+def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
+    """Return one row per episode; every number is an estimate.
+
+    Raises:
+        ContractError: friction or corners of the wrong form.
+        DatasetError: a dataset that can't be read, lacks a finger, or is truncated.
+    """
+    from uniforce_datasets.source import read_source
+
+    friction = _numbers("pad_friction", config.pad_friction, 2)
+    corners = _numbers("board_corners", config.board_corners, 8) if config.board_corners else None
+    source = read_source(config.root)
+    if source.fingers != FINGERS:
+        do = "Record marker images of both fingers."
+        raise DatasetError(expected(config.root, f"fingers {FINGERS}", source.fingers, do))
+    reader = _Reader(config)
+    chosen = source.episodes[: config.episodes or None]
+    truths = _true_forces(source)
+    rows = []
+    for episode in tqdm(chosen, desc="episodes", unit="episode"):
+        force_N = np.stack([reader.forces(source, episode, f) for f in FINGERS], axis=1)  # (n, 2, 3)
+        found = _judged(source, episode, force_N, friction)
+        row = _row(episode, found)
+        if corners is not None:
+            row["residual"] = _residual(source, episode, config.camera, corners)
+        truth = None if truths is None else _judged(source, episode, truths[_frames(episode)], friction)
+        if truth is not None:
+            row["with_true_forces"] = _row(episode, truth)
+            row["press_mae_N"] = float(np.abs(found.press_N - truth.press_N).mean())
+        time_s = np.arange(episode.length) / source.fps
+        draw_estimate(found, time_s, truth, Path(config.out) / f"episode_{episode.index}.png")
+        rows.append(row)
+    return {
+        "what": "estimates from marker images, the robot's own height and a camera; no truth was used",
+        "root": config.root,
+        "head": config.head,
+        "tokenizer_hash": reader.tokenizer.hash,
+        "pad_friction": friction.tolist(),
+        "limits": asdict(ScoreLimits()),
+        "episodes": rows,
+    }
+
+
+class _Reader:
+    """Newtons of a finger, frame after frame, as on the robot."""
+
+    def __init__(self, config: ScoreRecordingConfig) -> None:
+        self.tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
+        folder = Path(config.head)
+        self.head = ForceHead.from_pretrained(config.head, folder if folder.is_dir() else None)
+
+    def forces(self, source: Source, episode: Episode, finger: Finger) -> np.ndarray:
+        """Return (n, 3) N in the canonical frame."""
+        from uniforce_datasets.source import episode_frames
+
+        spans = [episode.videos[tactile_key(finger, reference=r)] for r in (True, False)]
+        reference, current = (episode_frames(span, episode.length, source.fps) for span in spans)
+        stream = StreamingEncoder(self.tokenizer, finger, self.head)
+        stream.set_reference(_grey(next(reference)))
+        said = [stream.step(_grey(frame)).force_N for frame in current]
+        return np.stack([force for force in said if force is not None]).astype(np.float64)
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image[..., 0])
+
+
+def _frames(episode: Episode) -> slice:
+    return slice(episode.start, episode.start + episode.length)
+
+
+def _judged(source: Source, episode: Episode, force_N: np.ndarray, friction: np.ndarray) -> FingerEstimate:
+    height = source.columns((STATE,))[STATE][_frames(episode), HEIGHT].astype(np.float64)
+    left, right = friction
+    return estimate_events(np.arange(episode.length) / source.fps, force_N, height, (left, right))
+
+
+def _true_forces(source: Source) -> np.ndarray | None:
+    """Return (N, 2, 3) of a simulated recording; a robot's has none."""
+    keys = tuple(truth_wrench_key(finger) for finger in FINGERS)
+    if not set(keys) <= source.features.keys():
+        return None
+    columns = source.columns(keys)
+    return np.stack([columns[key][:, :3] for key in keys], axis=1).astype(np.float64)
+
+
+def _row(episode: Episode, found: FingerEstimate) -> dict[str, Any]:
+    return {
+        "episode": episode.index,
+        "slippage": list(found.slippage),
+        "excess_force": list(found.excess_force),
+        "lost": list(found.lost),
+        "press_max_N": float(found.press_N.max()),
+        "grip_mean_N": float(found.grip_N[found.press_N > 0].mean()) if (found.press_N > 0).any() else 0.0,
+        "friction_used_max": float(found.friction_used.min(axis=1).max()),
+    }
+
+
+def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray) -> dict[str, float]:
+    from uniforce_datasets.source import episode_frames
+
+    span = episode.videos.get(camera_key(camera))
+    if span is None:
+        raise DatasetError(expected(str(source.root), camera_key(camera), "no such video", "Name another."))
+    first = next(episode_frames(span, 1, source.fps))
+    last = next(episode_frames(span, episode.length, source.fps, first=episode.length - 1))
+    found = estimate_residual(first, last, corners.reshape(4, 2))
+    return {"residual": found.residual, "judged": found.judged}
+
+
+def _numbers(name: str, text: str, count: int) -> np.ndarray:
+    parts = [part for part in text.split(",") if part.strip()]
+    try:
+        values = np.array([float(part) for part in parts])
+    except ValueError as error:
+        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them.")) from error
+    if len(values) != count:
+        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them."))
+    return values
+
+
+def _line(row: dict[str, Any]) -> str:
+    events = [*row["lost"], *row["slippage"], *row["excess_force"]] or ["no event"]
+    ink = f", ink left {row['residual']['residual']:.0%}" if "residual" in row else ""
+    return f"episode {row['episode']}: {'; '.join(events)} (press to {row['press_max_N']:.1f} N{ink})"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-score-recording``."""
+    config = parse(ScoreRecordingConfig, argv)
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    try:
+        content = score_recording(config)
+    except UniForceError as error:
+        print(f"score_recording: {error}")
+        return 2
+    path = write_json(Path(config.out) / "estimates.json", content | provenance())
+    lines = list(itertools.chain(["Estimates, not truth:"], map(_line, content["episodes"])))
+    print("\n".join([*lines, f"written to {path}"]))
+    return 0

@@ -1,0 +1,140 @@
+"""Slippage and excess force of a real rollout, from what the two fingers measured: estimates, not truth.
+
+The simulator knows the press and the slip; a robot has forces read from marker images. Press: what the pads carry less
+than in free air, the board carries. Slippage: both pads at their friction limit at once, for long; in simulation that
+is what tells a slide from a firm stroke (docs/benchmark.md). How far something slid, and how deep a pad was pressed,
+these forces can't tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.evaluation.episode import ScoreLimits, longest_run_s, press_events
+
+FX, FY, FZ = 0, 1, 2  # canonical frame: y up along the finger's pad, z into the pad
+
+
+@dataclass(frozen=True)
+class FingerSettings:
+    """What counts as held, carried and sliding."""
+
+    held_N: float = 1.5  # grip of each finger above which something is in the hand
+    lift_m: float = 0.02  # tool height gained since the grasp that counts as lifted
+    carry_s: float = 0.4  # of free air after the lift, before the board is near: what the eraser weighs
+    friction_share: float = 0.9  # of a pad's friction: at its limit, within what heads can read
+    slide_s: float = 1.0  # both pads there for so long have let the object slide some millimetres
+    smallest_grip_N: float = 0.5  # below it shear over grip means nothing
+
+
+@dataclass(frozen=True)
+class FingerEstimate:
+    """One episode as the fingers felt it.
+
+    Attributes:
+        press_N: (n,) on the board; 0 before the lift.
+        grip_N: (n, 2) left, right.
+        friction_used: (n, 2) shear over what the pad's friction allows at this grip; 0 before the lift.
+        slippage: reasons for a slippage event, empty if none.
+        excess_force: reasons for an excess-force event, empty if none. Pad depth isn't judged.
+        lost: reasons to believe the object was dropped or never lifted.
+    """
+
+    press_N: np.ndarray
+    grip_N: np.ndarray
+    friction_used: np.ndarray
+    slippage: tuple[str, ...]
+    excess_force: tuple[str, ...]
+    lost: tuple[str, ...]
+
+
+def estimate_events(
+    time_s: np.ndarray,
+    force_N: np.ndarray,
+    tool_z_m: np.ndarray,
+    pad_friction: tuple[float, float],
+    limits: ScoreLimits | None = None,
+    settings: FingerSettings | None = None,
+) -> FingerEstimate:
+    """Judge one episode from the fingers' forces and the robot's own height.
+
+    Args:
+        time_s: (n,) seconds, rising.
+        force_N: (n, 2, 3) left and right, fx, fy, fz in the canonical frame.
+        tool_z_m: (n,) measured height of the tool.
+        pad_friction: left, right; from a slow pull until the object slides.
+        limits: where an episode stops being good, as for the simulator.
+        settings: what counts as held, carried and sliding.
+
+    Raises:
+        ContractError: shapes that don't fit, numbers that aren't finite, friction that isn't positive.
+        DatasetError: nothing was lifted for long enough to weigh it.
+    """
+    limits, settings = limits or ScoreLimits(), settings or FingerSettings()
+    _check(time_s, force_N, tool_z_m, pad_friction)
+    grip = force_N[:, :, FZ]
+    start = lift_frame(grip, tool_z_m, settings)
+    if start is None:
+        nothing = np.zeros(len(time_s))
+        return FingerEstimate(nothing, grip, np.zeros_like(grip), (), (), ("never lifted",))
+    carried = _carry(time_s, start, settings)
+    up = force_N[:, :, FY].sum(axis=1)  # (n,) what the pads bear
+    press = np.where(np.arange(len(time_s)) < start, 0.0, np.median(up[carried]) - up)
+    shear = np.linalg.norm(force_N[:, :, :FZ], axis=2)  # (n, 2)
+    used = shear / np.maximum(grip, settings.smallest_grip_N) / np.asarray(pad_friction)
+    used[:start] = 0.0
+    sliding_s = longest_run_s((used > settings.friction_share).all(axis=1), time_s)
+    slid = (f"both pads at their friction limit for {sliding_s:.1f} s",)
+    loose = (grip < limits.lost_grip_N + settings.smallest_grip_N).all(axis=1) & (
+        np.arange(len(time_s)) >= start
+    )
+    dropped = longest_run_s(loose, time_s) > limits.lost_grip_s
+    return FingerEstimate(
+        press,
+        grip,
+        used,
+        slid if sliding_s > settings.slide_s else (),
+        tuple(press_events(press, time_s, limits)),
+        (f"no grip for {limits.lost_grip_s:g} s",) if dropped else (),
+    )
+
+
+def lift_frame(grip_N: np.ndarray, tool_z_m: np.ndarray, settings: FingerSettings) -> int | None:
+    """Return the first frame with something held ``lift_m`` above where it was grasped; None if there is none."""
+    held = (grip_N > settings.held_N).all(axis=1)
+    if not held.any():
+        return None
+    grasp_z = tool_z_m[int(held.argmax())]
+    lifted = held & (tool_z_m > grasp_z + settings.lift_m)
+    return int(lifted.argmax()) if lifted.any() else None
+
+
+def _carry(time_s: np.ndarray, start: int, settings: FingerSettings) -> slice:
+    end = int(np.searchsorted(time_s, time_s[start] + settings.carry_s))
+    if time_s[-1] < time_s[start] + settings.carry_s:
+        came = f"{time_s[-1] - time_s[start]:.2f} s"
+        do = "Let the robot carry it through free air first."
+        raise DatasetError(expected("time after the lift", f"≥ {settings.carry_s:g} s", came, do))
+    return slice(start, end)
+
+
+def _check(
+    time_s: np.ndarray, force_N: np.ndarray, tool_z_m: np.ndarray, pad_friction: tuple[float, float]
+) -> None:
+    n = len(time_s)
+    if n < 2 or force_N.shape != (n, 2, 3) or tool_z_m.shape != (n,):
+        came = f"{time_s.shape}, {force_N.shape}, {tool_z_m.shape}"
+        raise ContractError(
+            expected("time, forces, height", "(n,), (n, 2, 3), (n,), n ≥ 2", came, "Align them.")
+        )
+    if not all(np.isfinite(values).all() for values in (time_s, force_N, tool_z_m)):
+        do = "Check the sensors of this episode."
+        raise ContractError(expected("time, forces, height", "finite numbers", "NaN or inf", do))
+    if (np.diff(time_s) <= 0).any():
+        raise ContractError(expected("time_s", "rising", "frames out of order", "Sort them."))
+    if not all(mu > 0 for mu in pad_friction):
+        do = "Measure it: pull slowly until the object slides, shear over grip."
+        raise ContractError(expected("pad_friction", "two numbers above 0", pad_friction, do))
