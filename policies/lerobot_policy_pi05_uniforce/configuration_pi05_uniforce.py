@@ -21,6 +21,7 @@ CHOICES = {
     "size": ("tiny", "base"),
     "touch_input": ("latent", "wrench", "descriptor", "marker_pair", "none"),
     "action_form": ("target_delta", "absolute"),
+    "action_objective": ("flow", "regression"),
     "on_sensor_loss": ("error", "mask"),
 }
 
@@ -78,6 +79,9 @@ class PI05UniforceConfig(PI05Config):
 
     # Action
     action_form: str = _BY_SIZE  # "target_delta" (tiny) | "absolute" (base); see action_form.py
+    # "flow": matching, as π0.5 | "regression": its last step alone, from zero noise, one step to sample (tiny;
+    # docs/experiments/tiny_policy.md)
+    action_objective: str = _BY_SIZE
     sampling_noise: float = (
         _BY_SIZE  # scale of the flow's starting noise: tiny 0, see docs/experiments; base 1
     )
@@ -108,6 +112,8 @@ class PI05UniforceConfig(PI05Config):
                 setattr(self, name, value)
         self.image_resolution = (self.image_resolution[0], self.image_resolution[1])  # lists come from JSON
         self._check()
+        if self.action_objective == "regression":
+            self.num_inference_steps, self.sampling_noise = 1, 0.0
         if (
             self.action_form == "target_delta"
         ):  # the policy itself turns deltas into absolute targets in SI units

@@ -157,8 +157,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """
         images, masks = self._preprocess_images(batch)
         actions = self.prepare_action(batch)
-        noise = self.model.sample_noise(actions.shape, actions.device)
-        time = self.model.sample_time(len(actions), actions.device)
+        noise, time = self._flow_start(actions)
         losses = self.model.forward(images, masks, *self._text(batch), actions, noise, time)
         losses = losses[:, :, : self._action_size]  # (B, chunk, A)
         keep = self._real_steps(batch, losses)  # (B, chunk, 1)
@@ -172,6 +171,17 @@ class PI05UniforcePolicy(stock.PI05Policy):
             "loss": float(loss.detach().mean()),
             "target_rms": float(actions.square().mean().sqrt()),
         }
+
+    def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return noise (B, chunk, ·) and flow time (B,): random for flow matching.
+
+        Regression is the flow's first step from zero noise: its velocity there is minus the action itself, the squared
+        error is the action's, and one Euler step samples it.
+        """
+        if self.config.action_objective == "regression":
+            return torch.zeros_like(actions), actions.new_ones(len(actions))
+        noise = self.model.sample_noise(actions.shape, actions.device)
+        return noise, self.model.sample_time(len(actions), actions.device)
 
     def _real_steps(self, batch: dict[str, Tensor], losses: Tensor) -> Tensor:
         is_pad = batch.get("action_is_pad")

@@ -196,3 +196,22 @@ def test_larger_camera_frames_shrink_as_training_views_do(make_policy, make_batc
     assert torch.allclose(
         shrunk, large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5)), atol=1e-6
     )
+
+
+def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
+    """Its loss is the squared error of the chunk that one step from zero noise gives."""
+    policy = make_policy(touch_input="none", action_objective="regression")
+    assert policy.config.num_inference_steps == 1
+    batch = make_batch(policy, actions=True)
+    chunk = policy.predict_action_chunk(batch)  # absolute targets, from the measured state on
+    said = (chunk - batch[MEASURED_STATE][:, None]) / SCALE
+    wanted = policy.prepare_action(batch)[..., :5]
+    loss, _ = policy.forward(batch)
+    assert float(loss) == pytest.approx(float((said - wanted).square().mean()), rel=1e-4)
+    again, _ = policy.forward(batch)
+    assert float(again) == float(loss)  # nothing random is left in it
+
+
+def test_an_unknown_objective_is_refused(make_config):
+    with pytest.raises(ContractError, match="flow | regression"):
+        make_config(action_objective="diffusion")

@@ -1,0 +1,105 @@
+"""Events from finger forces: made-up wipes whose answer is known, and real physics with its true forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.hands import TouchSettings
+from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.evaluation.episode import WIPING_PHASE, ScoreLimits, press_events, score_episode
+from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
+from uniforce_vtla.evaluation.finger_estimates_figure import draw_estimate
+
+RATE = 30
+WEIGHT_N = 0.8
+FRICTION = (0.6, 0.8)
+
+
+def wipe(
+    press_N: float, grip_N: float = 9.0, bias_N: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grasp, lift, carry for a second, press for three: time, forces, height."""
+    time_s = np.arange(6 * RATE) / RATE
+    height = np.interp(time_s, [1, 2], [0.1, 0.2])
+    press = np.where(time_s > 3, press_N, 0.0)
+    up = (WEIGHT_N - press) / 2 * (time_s > 1)
+    grip = np.where(time_s > 0.5, grip_N, 0.0)
+    finger = np.stack([np.zeros_like(up), up + bias_N, grip], axis=1)
+    return time_s, np.stack([finger, finger], axis=1), height
+
+
+@given(st.floats(0.5, 14.0), st.floats(-1.0, 1.0))
+def test_the_board_bears_what_the_pads_no_longer_do(press_N: float, bias_N: float) -> None:
+    time_s, force, height = wipe(press_N, grip_N=20.0, bias_N=bias_N)
+    found = estimate_events(time_s, force, height, FRICTION)
+    assert found.press_N[time_s > 3.1] == pytest.approx(press_N, abs=1e-6)
+    assert found.press_N[time_s < 1] == pytest.approx(0.0)
+    assert bool(found.excess_force) == (press_N > ScoreLimits().mean_press_N)
+    assert not found.slippage and not found.lost
+
+
+def test_both_pads_at_their_limit_slide_one_alone_does_not() -> None:
+    time_s, force, height = wipe(9.0, grip_N=6.0)  # shear 4.1 of 3.6 N and 4.8 N
+    one = estimate_events(time_s, force, height, FRICTION)
+    assert one.friction_used[-1, 0] > 0.9 > one.friction_used[-1, 1] and not one.slippage
+    both = estimate_events(time_s, force, height, (0.6, 0.6))
+    assert "friction limit" in both.slippage[0]
+
+
+def test_an_empty_hand_is_lost_or_never_lifted() -> None:
+    time_s, force, height = wipe(5.0)
+    assert estimate_events(time_s, 0 * force, height, FRICTION).lost == ("never lifted",)
+    force[time_s > 4] = 0.0
+    assert "no grip" in estimate_events(time_s, force, height, FRICTION).lost[0]
+
+
+def test_what_cannot_be_judged_is_refused() -> None:
+    time_s, force, height = wipe(5.0)
+    with pytest.raises(ContractError, match="Align them"):
+        estimate_events(time_s, force[:-1], height, FRICTION)
+    with pytest.raises(ContractError, match="pull slowly"):
+        estimate_events(time_s, force, height, (0.0, 0.6))
+    with pytest.raises(ContractError, match="Sort them"):
+        estimate_events(time_s[::-1], force, height, FRICTION)
+    with pytest.raises(ContractError, match="finite"):
+        estimate_events(time_s, force * np.nan, height, FRICTION)
+    short = slice(0, int(1.4 * RATE))  # just lifted when the recording ends
+    with pytest.raises(DatasetError, match="free air first"):
+        estimate_events(time_s[short], force[short], height[short], FRICTION)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("press_N", "grip_N", "seed"),
+    [(6.8, 5.0, 30_003), (9.5, 9.0, 30_009), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)],
+)
+def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, seed: int) -> None:
+    """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""
+    env, expert = WipeEnv("paper"), WipeExpert(settings=TouchSettings(press_N, grip_N))
+    env.start(seed)
+    expert.reset(env)
+    force, height, done = [], [], False
+    while not done:
+        done = env.advance(expert.act(env))
+        force.append([env.true_wrench()[f][:3] for f in FINGERS])
+        height.append(float(env.state[2]))
+    trace, truth = env.trace, score_episode(env.trace)
+    found = estimate_events(
+        trace.time_s, np.array(force, np.float64), np.array(height), env.scene.pad_friction
+    )
+    assert bool(found.slippage) == truth.slippage
+    assert bool(found.excess_force) == bool(press_events(trace.press_N, trace.time_s, ScoreLimits()))
+    wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)
+    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.15
+
+
+def test_the_figure_names_its_events(tmp_path) -> None:
+    time_s, force, height = wipe(12.0)
+    found = estimate_events(time_s, force, height, FRICTION)
+    assert isinstance(found, FingerEstimate)
+    assert draw_estimate(found, time_s, None, tmp_path / "deep" / "one.png").stat().st_size > 10_000
