@@ -10,9 +10,12 @@ import pytest
 from lerobot.scripts import lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 
+from lerobot_env_uniforce_wiping import draw_scene
 from uniforce_vtla.commands.record import RecordConfig, record
 from uniforce_vtla.commands.score import score
 from uniforce_vtla.commands.score_config import ScoreConfig
+from uniforce_vtla.commands.score_recording import ScoreRecordingConfig, score_recording
+from uniforce_vtla.commands.score_recording import main as score_recording_main
 from uniforce_vtla.commands.train import main as train
 from uniforce_vtla.commands.view import ViewConfig, make_view
 
@@ -21,11 +24,18 @@ TINY = ["policy.tiny_width=32", "policy.tiny_depth=1", "policy.tiny_mlp_dim=32",
 
 
 @pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One recorded demo, scene 3."""
+    return record(
+        RecordConfig(episodes=1, level="easy", root=str(tmp_path_factory.mktemp("line") / "demos"), seed=3)
+    )
+
+
+@pytest.fixture(scope="module")
+def checkpoint(demos: Path) -> Path:
     """A policy trained for two steps on one recorded demo, through the same commands a user types."""
-    folder = tmp_path_factory.mktemp("line")
-    record(RecordConfig(episodes=1, level="easy", root=str(folder / "demos"), seed=3))
-    make_view(ViewConfig(roots=str(folder / "demos"), out=str(folder / "view"), keep_failures=True))
+    folder = demos.parent
+    make_view(ViewConfig(roots=str(demos), out=str(folder / "view"), keep_failures=True))
     policy = ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *TINY]
     data = ["dataset.repo_id=local/view", f"dataset.root={folder / 'view'}", "batch_size=2", "num_workers=0"]
     train([*policy, *data, "steps=2", "save_freq=2", f"output_dir={folder / 'train'}"])
@@ -80,3 +90,27 @@ def test_lerobot_eval_runs_the_same_checkpoint(
     lerobot_eval.main()
     info = json.loads((tmp_path / "eval_info.json").read_text())
     assert info["overall"]["pc_success"] in (0.0, 100.0)
+
+
+def test_a_recording_is_scored_from_its_fingers_alone(demos: Path, tmp_path: Path) -> None:
+    """Marker images → newtons → events, and true forces beside them because this recording is simulated."""
+    friction = draw_scene(3, "easy").pad_friction
+    config = ScoreRecordingConfig(
+        root=str(demos),
+        pad_friction=",".join(map(str, friction)),
+        board_corners="10,10,300,12,310,200,8,190",
+        out=str(tmp_path),
+    )
+    row = score_recording(config)["episodes"][0]
+    assert row["press_mae_N"] < 1.5 < row["with_true_forces"]["press_max_N"]
+    assert bool(row["slippage"]) == bool(row["with_true_forces"]["slippage"])
+    assert not row["lost"] and {"residual", "not_judged"} & set(row["residual"])
+    assert (tmp_path / "episode_0.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("friction", ["", "0.6", "a,b", "0,0.5"])
+def test_a_recording_without_known_friction_is_refused(
+    friction: str, demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert score_recording_main([f"root={demos}", f"pad_friction={friction}", f"out={tmp_path}"]) == 2
+    assert "pad_friction" in capsys.readouterr().out

@@ -137,6 +137,12 @@ def errors(head: ForceRegressor, episodes: list[FeltEpisode]) -> dict[str, dict[
     return {s: score(np.concatenate(truth[s])[None], np.concatenate(said[s])[None]) for s in truth}
 
 
+def general_errors(tokenizer: Tokenizer, episodes: list[FeltEpisode]) -> dict[str, Any]:
+    """Return the same of the shipped TacTip head, which knows small indenters alone; empty for another tokenizer."""
+    general = ForceHead.from_pretrained("tactip")
+    return errors(general.model, episodes) if general.tokenizer_hash == tokenizer.hash else {}
+
+
 def judge(head: ForceRegressor, episode: FeltEpisode) -> dict[str, Any]:
     """Return the truth of one episode beside what its fingers alone say of it."""
     forces = np.stack([predict(head, episode.latent[f][None])[0] for f in FINGERS], axis=1)  # (n, 2, 3)
@@ -174,6 +180,7 @@ def make_head(config: SceneHeadConfig) -> dict[str, Any]:
         "test_scenes": config.test_scenes,
         "tokenizer_hash": tokenizer.hash,
         "sensors": errors(head, tests),
+        "general_head": general_errors(tokenizer, tests),
         "episodes": [judge(head, episode) for episode in tests],
         "head": str(folder),
     }
@@ -188,6 +195,8 @@ def main(argv: list[str] | None = None) -> int:
     path = write_json(Path(config.results), report | provenance())
     for sensor, cell in report["sensors"].items():
         print(f"{sensor:10s} R² {np.round(cell['r2'], 2)}  MAE {np.round(cell['mae_N'], 2)} N (fx, fy, fz)")
+    for sensor, cell in report["general_head"].items():
+        print(f"{sensor:10s} MAE {np.round(cell['mae_N'], 2)} N by the shipped general head")
     for event in ("slippage", "press_above_limit"):
         agree = sum(truth == said for truth, said in (episode[event] for episode in report["episodes"]))
         print(f"{event}: estimate and truth agree in {agree} of {len(report['episodes'])} episodes")

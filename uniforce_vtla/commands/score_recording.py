@@ -147,7 +147,7 @@ def _row(episode: Episode, found: FingerEstimate) -> dict[str, Any]:
     }
 
 
-def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray) -> dict[str, float]:
+def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray) -> dict[str, Any]:
     from uniforce_datasets.source import episode_frames
 
     span = episode.videos.get(camera_key(camera))
@@ -155,7 +155,10 @@ def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray
         raise DatasetError(expected(str(source.root), camera_key(camera), "no such video", "Name another."))
     first = next(episode_frames(span, 1, source.fps))
     last = next(episode_frames(span, episode.length, source.fps, first=episode.length - 1))
-    found = estimate_residual(first, last, corners.reshape(4, 2))
+    try:
+        found = estimate_residual(first, last, corners.reshape(4, 2))
+    except DatasetError as error:  # one covered board must not cost the other episodes their scores
+        return {"not_judged": str(error)}
     return {"residual": found.residual, "judged": found.judged}
 
 
@@ -172,8 +175,12 @@ def _numbers(name: str, text: str, count: int) -> np.ndarray:
 
 def _line(row: dict[str, Any]) -> str:
     events = [*row["lost"], *row["slippage"], *row["excess_force"]] or ["no event"]
-    ink = f", ink left {row['residual']['residual']:.0%}" if "residual" in row else ""
+    ink = _ink(row["residual"]) if "residual" in row else ""
     return f"episode {row['episode']}: {'; '.join(events)} (press to {row['press_max_N']:.1f} N{ink})"
+
+
+def _ink(residual: dict[str, Any]) -> str:
+    return f", ink left {residual['residual']:.0%}" if "residual" in residual else ", ink not judged"
 
 
 def main(argv: list[str] | None = None) -> int:
