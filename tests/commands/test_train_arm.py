@@ -10,6 +10,7 @@ import pytest
 from uniforce_vtla.commands import train_arm as module
 from uniforce_vtla.commands.benchmark import BenchmarkConfig
 from uniforce_vtla.commands.train_arm import TrainArmConfig, arguments, main, train_arm
+from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.plan import ARMS, RECIPES
 from uniforce_vtla.keys import VIEW_MARKER
 
@@ -39,6 +40,13 @@ def test_a_recipe_trains_on_its_rigs_demos(name: str, view: Path, tmp_path: Path
     assert f"dataset.episodes={wanted}" in given
     assert f"policy.touch_input={RECIPES[name].touch_input}" in given
     assert ("policy.touch_dropout=0.1" in given) == (name == "vt")
+
+
+def test_fewer_demos_are_the_first_of_each_rig(view: Path, tmp_path: Path) -> None:
+    given = arguments(TrainArmConfig(view=str(view), demos=2), RECIPES["vt"], tmp_path / "run")
+    assert "dataset.episodes=[0, 1, 2, 3]" in given
+    with pytest.raises(DatasetError, match="at most 2"):
+        arguments(TrainArmConfig(view=str(view), demos=3), RECIPES["vt"], tmp_path / "run")
 
 
 def test_a_run_is_resumed_and_a_finished_one_left_alone(

@@ -23,6 +23,7 @@ class TrainArmConfig:
 
     name: str = "vt"  # v | vt | vtg | vtu, or a control: wrench | descriptor | images
     view: str = "outputs/view_paper"  # training view that holds the demos of both rigs
+    demos: int = 0  # only the first so many of each rig, for the curve of success over demos; 0 = all
     steps: int = 9000  # optimiser steps, the same for every arm
     batch_size: int = 32  # samples per step
     seed: int = 0  # of weights and batches; the plan asks for two
@@ -46,7 +47,7 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         "policy.n_action_steps=8",  # of 16: see docs/experiments/tiny_policy.md
         "dataset.repo_id=local/view",
         f"dataset.root={config.view}",
-        f"dataset.episodes={_episodes(Path(config.view), recipe)}",
+        f"dataset.episodes={_episodes(Path(config.view), recipe, config.demos)}",
         f"steps={config.steps}",
         f"save_freq={config.save_every}",
         f"batch_size={config.batch_size}",
@@ -59,8 +60,8 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
     return [*given, *dropout]
 
 
-def _episodes(view: Path, recipe: Recipe) -> list[int]:
-    """Return the numbers of the view's episodes recorded on the recipe's rigs."""
+def _episodes(view: Path, recipe: Recipe, demos: int) -> list[int]:
+    """Return the numbers of the view's episodes recorded on the recipe's rigs, ``demos`` of each if not 0."""
     marker = view / VIEW_MARKER
     if not marker.is_file():
         do = "Record both rigs and run uniforce-view."
@@ -72,14 +73,22 @@ def _episodes(view: Path, recipe: Recipe) -> list[int]:
         raise DatasetError(
             expected(str(view), f"demos of {recipe.rigs}", f"none of {missing}", "Record them.")
         )
-    return sorted(i for episodes in found.values() for i in episodes)
+    fewest = min(len(episodes) for episodes in found.values())
+    if demos > fewest:
+        do = f"Record more, or ask for at most {fewest}."
+        raise DatasetError(expected(str(view), f"{demos} demos of each rig", fewest, do))
+    return sorted(i for episodes in found.values() for i in episodes[: demos or None])
+
+
+def _label(config: TrainArmConfig) -> str:
+    return f"{config.name}_{config.demos}demos" if config.demos else config.name
 
 
 def train_arm(config: TrainArmConfig) -> Path:
     """Train, or go on training, and return the folder of the finished checkpoint."""
     recipe = choose(RECIPES, config.name)[config.name]
-    done = Path(config.out) / f"seed{config.seed}" / config.name
-    run = Path(config.out) / "runs" / f"{config.name}_seed{config.seed}"
+    done = Path(config.out) / f"seed{config.seed}" / _label(config)
+    run = Path(config.out) / "runs" / f"{_label(config)}_seed{config.seed}"
     last = run / "checkpoints" / "last" / "pretrained_model"
     if done.exists():
         return done
