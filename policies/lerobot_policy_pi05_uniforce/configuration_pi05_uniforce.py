@@ -22,6 +22,7 @@ CHOICES = {
     "touch_input": ("latent", "wrench", "descriptor", "marker_pair", "none"),
     "action_form": ("target_delta", "absolute"),
     "action_objective": ("flow", "regression"),
+    "sampler": ("fast", "stock"),
     "on_sensor_loss": ("error", "mask"),
 }
 
@@ -85,6 +86,7 @@ class PI05UniforceConfig(PI05Config):
     sampling_noise: float = (
         _BY_SIZE  # scale of the flow's starting noise: tiny 0, see docs/experiments; base 1
     )
+    sampler: str = "fast"  # "fast": fast_sampler.py, equal within 1e-4 | "stock": LeRobot's own loop
     # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
     delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
 

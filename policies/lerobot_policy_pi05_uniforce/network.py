@@ -9,6 +9,7 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.fast_sampler import FastSampler
 from lerobot_policy_pi05_uniforce.force_tokens import (
     ForceTokens,
     MarkerPairTokens,
@@ -32,6 +33,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.tactile_encoder = _make_encoder(config)
         self.force_tokens = self._make_force_tokens(config)
         self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
+        self.fast = FastSampler(self) if config.sampler == "fast" else None
 
     def _init_tiny(self, config: PI05UniforceConfig, rtc_processor: Any) -> None:
         nn.Module.__init__(self)  # the parent would build the 4 B model
@@ -56,6 +58,25 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             tokens.input_rms.copy_(wrench_rms())
         return tokens
 
+    def sample_actions(
+        self,
+        images: list,
+        img_masks: list,
+        tokens: Tensor,
+        masks: Tensor,
+        noise: Tensor | None = None,
+        num_steps: int | None = None,
+        **kwargs: Any,
+    ) -> Tensor:
+        """Return (B, chunk, max_action_dim); LeRobot's own way, or the fast one with the same result."""
+        if self.fast is None:
+            return super().sample_actions(images, img_masks, tokens, masks, noise, num_steps, **kwargs)
+        if noise is None:
+            shape = (len(tokens), self.config.chunk_size, self.config.max_action_dim)
+            noise = self.sample_noise(shape, tokens.device)
+        steps = num_steps or self.config.num_inference_steps
+        return self.fast.sample(images, img_masks, tokens, masks, noise, steps, **kwargs)
+
     @property
     def vlm_width(self) -> int:
         """D, the width of prefix tokens."""
@@ -73,7 +94,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         embs, pads, atts = super().embed_prefix(
             images[:cameras], img_masks[:cameras], tokens, masks, *args, **kwargs
         )
-        extra, extra_masks = self._embed_extra(images[cameras:]), img_masks[cameras:]
+        extra, extra_masks = self.embed_extra(images[cameras:]), img_masks[cameras:]
         for embedded, mask in zip(extra, extra_masks, strict=True):
             count = embedded.shape[1]
             embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
@@ -81,7 +102,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             atts = torch.cat([atts, atts.new_zeros(embedded.shape[:2])], dim=1)  # 0: sees the whole prefix
         return embs, pads, atts
 
-    def _embed_extra(self, extra: list[Tensor]) -> list[Tensor]:
+    def embed_extra(self, extra: list[Tensor]) -> list[Tensor]:
+        """Return (B, ·, D) tokens of the state and of every touch slot, in that order."""
         embedded = []
         if self.state_token is not None and extra:
             embedded.append(self.state_token(extra[0]))

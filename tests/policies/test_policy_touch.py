@@ -40,7 +40,7 @@ def noise(policy, size=2):
 
 
 def test_no_touch_is_bit_equal_to_plain_pi05(make_policy, make_batch):
-    policy = make_policy(touch_input="none", state_token=False)
+    policy = make_policy(sampler="stock", touch_input="none", state_token=False)
     images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
     assert len(images) == 2  # cameras only
     plain, start = PlainNetwork(policy.model), noise(policy)
@@ -258,7 +258,7 @@ def test_controls_feel_the_same_cached_or_live(make_policy, make_batch, kind):
     for a, b in zip(live, stored, strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
     images, _ = policy._preprocess_images(cached)
-    tokens = policy.model._embed_extra(images[2:])
+    tokens = policy.model.embed_extra(images[2:])
     assert [t.shape[1] for t in tokens] == [1, 16, 16]
 
 

@@ -1,0 +1,94 @@
+"""The fast sampler against LeRobot's own loop: same weights, same noise, same actions."""
+
+from __future__ import annotations
+
+from types import MethodType
+
+import pytest
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+
+from lerobot_policy_pi05_uniforce.fast_sampler import drop_dead
+
+TOLERANCE = 1e-4  # on actions in network units, of order 1
+
+
+def inputs(policy, batch):
+    images, masks = policy._preprocess_images(batch)
+    tokens, text_mask = batch["observation.language.tokens"], batch["observation.language.attention_mask"]
+    return images, masks, tokens, text_mask
+
+
+def both(policy, given, noise, steps):
+    """Return LeRobot's own loop and ours; adaptive norms start as zeros, so give them something to do."""
+    generator = torch.Generator().manual_seed(1)
+    for name, p in policy.model.named_parameters():
+        if "layernorm.dense" in name or "norm.dense" in name:
+            p.data = 0.3 * torch.randn(p.shape, generator=generator)
+    return lerobots_own(policy, given, noise, steps), policy.model.sample_actions(
+        *given, noise=noise, num_steps=steps
+    )
+
+
+def lerobots_own(policy, given, noise, steps):
+    """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the extra tokens."""
+    joint = policy.model.paligemma_with_expert
+    joint.forward = MethodType(stock.PaliGemmaWithExpertModel.forward, joint)
+    try:
+        return stock.PI05Pytorch.sample_actions(policy.model, *given, noise=noise, num_steps=steps)
+    finally:
+        del joint.forward
+
+
+@pytest.mark.parametrize("touch", ["none", "latent", "wrench"])
+@pytest.mark.parametrize("steps", [1, 10])
+def test_equals_the_stock_loop(touch, steps, make_policy, make_batch):
+    policy = make_policy(touch_input=touch)
+    given = inputs(policy, make_batch(policy, size=3))
+    noise = torch.randn(3, policy.config.chunk_size, policy.config.max_action_dim)
+    slow, fast = both(policy, given, noise, steps)
+    assert (slow - noise).abs().max() > 0.05  # the network moves the noise at all
+    assert (slow - fast).abs().max() < TOLERANCE
+
+
+def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(make_policy, make_batch):
+    policy = make_policy(touch_input="wrench")
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy, size=3))
+    text_mask = text_mask.clone()
+    text_mask[1, 12:] = False  # a shorter prompt
+    masks = [*masks[:-1], masks[-1] & torch.tensor([True, True, False])]
+    noise = torch.randn(3, policy.config.chunk_size, policy.config.max_action_dim)
+    slow, fast = both(policy, (images, masks, tokens, text_mask), noise, 4)
+    assert fast.isfinite().all()
+    assert (slow - fast).abs().max() < TOLERANCE
+
+
+def test_a_camera_nobody_has_costs_nothing_and_changes_nothing(make_policy, make_batch):
+    policy = make_policy(touch_input="none")
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    gone = [masks[0], torch.zeros_like(masks[1]), *masks[2:]]
+    noise = torch.randn(2, policy.config.chunk_size, policy.config.max_action_dim)
+    slow, fast = both(policy, (images, gone, tokens, text_mask), noise, 4)
+    assert (slow - fast).abs().max() < TOLERANCE
+    kept = drop_dead(images, gone, tokens, text_mask)
+    assert len(kept[0]) == len(images) - 1
+    assert kept[2].shape[1] == int(text_mask.sum(dim=1).max()) < tokens.shape[1]
+
+
+def test_changed_weights_are_noticed(make_policy, make_batch):
+    policy = make_policy(touch_input="none")
+    given = inputs(policy, make_batch(policy))
+    noise = torch.randn(2, policy.config.chunk_size, policy.config.max_action_dim)
+    both(policy, given, noise, 4)
+    with torch.no_grad():
+        for p in policy.model.paligemma_with_expert.gemma_expert.parameters():
+            p.mul_(1.3)  # as an optimiser or load_state_dict does
+    slow = lerobots_own(policy, given, noise, 4)
+    fast = policy.model.sample_actions(*given, noise=noise, num_steps=4)
+    assert (slow - fast).abs().max() < TOLERANCE
+
+
+def test_the_stock_loop_can_be_asked_for(make_policy, make_batch):
+    policy = make_policy(touch_input="none", sampler="stock")
+    assert policy.model.fast is None
+    assert policy.predict_action_chunk(make_batch(policy)).isfinite().all()
