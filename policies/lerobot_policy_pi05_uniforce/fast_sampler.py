@@ -94,17 +94,19 @@ class FastSampler:
         **rtc: Any,
     ) -> Tensor:
         """Return (B, chunk, max_action_dim) actions; arguments as ``PI05Pytorch.sample_actions``."""
-        self._prepare(num_steps)
+        tables = self.tables(num_steps)
         prefix = self.encode_prefix(*drop_dead(images, img_masks, tokens, masks), noise.shape[1])
         if self._network._rtc_enabled() or self._network.rtc_processor is not None:
-            return self._with_rtc(prefix, noise, num_steps, rtc)
+            return self._with_rtc(prefix, noise, tables, rtc)
         x = noise
-        for table in self._tables[num_steps]:
+        for table in tables:
             x = torch.add(x, self.velocity(prefix, x, table), alpha=-1.0 / num_steps)
         return x
 
-    def _with_rtc(self, prefix: Prefix, noise: Tensor, num_steps: int, rtc: dict[str, Any]) -> Tensor:
-        tables = self._tables[num_steps]
+    def _with_rtc(
+        self, prefix: Prefix, noise: Tensor, tables: list[StepTable], rtc: dict[str, Any]
+    ) -> Tensor:
+        num_steps = len(tables)
         return euler_integrate(
             lambda x, time: self.velocity(prefix, x, tables[round((1 - float(time[0])) * num_steps)]),
             noise,
@@ -189,7 +191,8 @@ class FastSampler:
 
     # -- once per weights -------------------------------------------------------------------------------
 
-    def _prepare(self, num_steps: int) -> None:
+    def tables(self, num_steps: int) -> list[StepTable]:
+        """Return the step tables of these weights; made anew when a weight changed since the last call."""
         weights = tuple((p.data_ptr(), p._version) for p in self._prepared_parameters())
         if weights != self._prepared_for:
             self._prepared_for, self._tables = weights, {}
@@ -204,6 +207,7 @@ class FastSampler:
             ]
         if num_steps not in self._tables:
             self._tables[num_steps] = self._step_tables(num_steps)
+        return self._tables[num_steps]
 
     def _prepared_parameters(self) -> list[Tensor]:
         network, joint = self._network, self._network.paligemma_with_expert

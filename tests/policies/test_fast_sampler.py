@@ -7,6 +7,7 @@ from types import MethodType
 import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
+from lerobot.policies.rtc.configuration_rtc import RTCConfig
 
 from lerobot_policy_pi05_uniforce.fast_sampler import drop_dead
 
@@ -30,12 +31,12 @@ def both(policy, given, noise, steps):
     )
 
 
-def lerobots_own(policy, given, noise, steps):
+def lerobots_own(policy, given, noise, steps, **rtc):
     """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the extra tokens."""
     joint = policy.model.paligemma_with_expert
     joint.forward = MethodType(stock.PaliGemmaWithExpertModel.forward, joint)
     try:
-        return stock.PI05Pytorch.sample_actions(policy.model, *given, noise=noise, num_steps=steps)
+        return stock.PI05Pytorch.sample_actions(policy.model, *given, noise=noise, num_steps=steps, **rtc)
     finally:
         del joint.forward
 
@@ -92,3 +93,16 @@ def test_the_stock_loop_can_be_asked_for(make_policy, make_batch):
     policy = make_policy(touch_input="none", sampler="stock")
     assert policy.model.fast is None
     assert policy.predict_action_chunk(make_batch(policy)).isfinite().all()
+
+
+def test_real_time_chunking_guides_both_alike(make_policy, make_batch):
+    """RTC differentiates through the velocity towards what is left of the chunk before."""
+    policy = make_policy(touch_input="none", rtc_config=RTCConfig(enabled=True, execution_horizon=4))
+    given = inputs(policy, make_batch(policy))
+    noise = torch.randn(2, policy.config.chunk_size, policy.config.max_action_dim)
+    free = both(policy, given, noise, 4)[1]
+    left = {"prev_chunk_left_over": free[:, 2:, :] + 0.5, "inference_delay": 1, "execution_horizon": 4}
+    slow = lerobots_own(policy, given, noise, 4, **left)
+    fast = policy.model.sample_actions(*given, noise=noise, num_steps=4, **left)
+    assert (fast - free).abs().max() > 0.01  # it was guided at all
+    assert (slow - fast).abs().max() < TOLERANCE
