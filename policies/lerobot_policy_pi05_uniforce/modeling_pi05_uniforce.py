@@ -194,7 +194,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Return (B, chunk, A) actions for the postprocessor: absolute targets whatever the action form."""
         tokens, mask = self._text(batch)
         batch = {**batch, LANGUAGE[0]: tokens, LANGUAGE[1]: mask}
-        kwargs.setdefault("noise", self._start_noise(len(tokens), tokens.device))
+        start = self._start_noise(len(tokens), tokens.device)
+        if self.config.action_objective == "regression":
+            kwargs["noise"] = start  # zeros whatever was asked for: it was trained on nothing else
+        kwargs.setdefault("noise", start)
         chunk = super().predict_action_chunk(batch, **kwargs)
         if self.config.action_form == "absolute":
             return chunk

@@ -210,6 +210,8 @@ def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
     assert float(loss) == pytest.approx(float((said - wanted).square().mean()), rel=1e-4)
     again, _ = policy.forward(batch)
     assert float(again) == float(loss)  # nothing random is left in it
+    noise = torch.randn(len(chunk), policy.config.chunk_size, policy.config.max_action_dim)
+    assert torch.equal(policy.predict_action_chunk(batch, noise=noise), chunk)
 
 
 def test_an_unknown_objective_is_refused(make_config):
