@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from uniforce_vtla.probes.options_figure import draw_options
 from uniforce_vtla.probes.report_sets import get_report_set
 from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, learnt_row, summary, transfer_name
 from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
 from uniforce_vtla.tokenizer.pair_cache import FAMILY as RECIPE
 from uniforce_vtla.tokenizer.pretrain import Pretraining, open_source
 
@@ -26,6 +27,8 @@ FAMILY = tuple(
     f"run.data.{name}={getattr(RECIPE, name)}"
     for name in ("family_share", "free_look", "marker_loss", "seed")
 )
+# All rows read by the heads this table began with: they compare with each other, not with the force tables' numbers.
+HEADS = HeadTrainingConfig(input_noise=0.1)
 BROKEN = ("run.data.imbalance=0.5", "run.data.misaligned_cells=2")  # pairs that no good bench delivers
 VARIANTS: dict[str, tuple[str, ...]] = {
     "the nano recipe": (),
@@ -108,7 +111,7 @@ def _run(command: OptionsCommand) -> str:
         done = before["options"]
     chosen = choose(VARIANTS, command.only)
     nano = parse(PretrainCommand, ["preset=nano"], PRESETS).run
-    table = draw_sets(report_set, nano.model.side, Path(command.cache))
+    table = replace(draw_sets(report_set, nano.model.side, Path(command.cache)), head=HEADS)
     for name, overrides in chosen.items():
         if name in done:
             continue
