@@ -23,6 +23,7 @@ CHOICES = {
     "action_form": ("target_delta", "absolute"),
     "action_objective": ("flow", "regression"),
     "sampler": ("fast", "stock"),
+    "token_site": ("prefix", "suffix"),
     "on_sensor_loss": ("error", "mask"),
 }
 
@@ -66,7 +67,8 @@ class PI05UniforceConfig(PI05Config):
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
     latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
-    token_site: str = "prefix"  # "suffix" comes later
+    # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
+    token_site: str = "prefix"
     force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
@@ -127,12 +129,6 @@ class PI05UniforceConfig(PI05Config):
             if getattr(self, name) not in choices:
                 wanted = " | ".join(choices)
                 raise ContractError(expected(name, wanted, repr(getattr(self, name)), "Fix the setting."))
-        if self.token_site != "prefix":
-            raise ContractError(
-                expected(
-                    "token_site", "prefix", repr(self.token_site), "Suffix tokens come in a later release."
-                )
-            )
         if self.size == "tiny" and (
             self.compile_model or self.gradient_checkpointing or self.dtype != "float32"
         ):

@@ -20,7 +20,7 @@ from torch.nn import functional as F  # noqa: N812
 from uniforce_vtla.errors import ContractError, expected
 
 if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+    from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, SuffixTouch
 
 Cache = list[Tensor]  # per layer (B, 2, L_prefix + L_suffix, head): key and value
 Rotary = tuple[Tensor, Tensor]  # cos, and sin with the sign rotate_half would give; (B, heads, L, head) each
@@ -56,15 +56,22 @@ class Prefix:
 
     Attributes:
         cache: keys and values, the suffix's places still empty.
-        length: L_prefix, tokens kept.
-        mask: (B, 1, 1, L_prefix + L_suffix) bool, or None where every kept token is real.
+        pads: (B, L_prefix) bool, which kept tokens are real.
+        touch: force tokens in front of the actions, or None.
+        mask: (B, 1, 1 or L_suffix, L_prefix + L_suffix) bool, or None where everyone may look at everything.
         rotary: of the suffix's positions, for queries, key and value; the value's turns nothing.
     """
 
     cache: Cache
-    length: int
+    pads: Tensor
+    touch: SuffixTouch | None
     mask: Tensor | None
     rotary: Rotary
+
+    @property
+    def length(self) -> int:
+        """L_prefix, tokens kept."""
+        return self.pads.shape[1]
 
 
 class FastSampler:
@@ -76,6 +83,7 @@ class FastSampler:
             do = "Use sampler=stock."
             raise ContractError(expected("key/value heads of the expert", 1, groups, do))
         self._network = network
+        self.latest: Prefix | None = None  # of the last sample, for ``refresh``
         self._prepared_for: Any = None
         self._fused: list[FusedLayer] = []
         self._eps = torch.empty(0)  # the norms' epsilon, one for all of π0.5
@@ -98,7 +106,23 @@ class FastSampler:
         prefix = self.encode_prefix(*drop_dead(images, img_masks, tokens, masks), noise.shape[1])
         if self._network._rtc_enabled() or self._network.rtc_processor is not None:
             return self._with_rtc(prefix, noise, tables, rtc)
-        x = noise
+        self.latest = prefix
+        return self._flow(prefix, noise, tables)
+
+    @torch.no_grad()
+    def refresh(self, touch: SuffixTouch, noise: Tensor, num_steps: int) -> Tensor:
+        """Return a chunk for what is felt now and what was seen at the last ``sample``.
+
+        Raises:
+            ContractError: nothing was sampled before, or the touch isn't in the suffix.
+        """
+        if self.latest is None:
+            raise ContractError(expected("refresh", "a sample before it", "none", "Call sample first."))
+        self.latest = self.refreshed(self.latest, touch, noise.shape[1])
+        return self._flow(self.latest, noise, self.tables(num_steps))
+
+    def _flow(self, prefix: Prefix, noise: Tensor, tables: list[StepTable]) -> Tensor:
+        x, num_steps = noise, len(tables)
         for table in tables:
             x = torch.add(x, self.velocity(prefix, x, table), alpha=-1.0 / num_steps)
         return x
@@ -121,43 +145,66 @@ class FastSampler:
     # -- once per observation ---------------------------------------------------------------------------
 
     def encode_prefix(
-        self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, suffix_length: int
+        self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, chunk: int
     ) -> Prefix:
         """Run cameras, text and extra tokens through the VLM once and keep keys and values of every layer."""
         joint = self._network.paligemma_with_expert
         vlm = joint.paligemma.model.language_model
         x, pads = self._embed(images, img_masks, tokens, masks)
         x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)
-        length, full = x.shape[1], bool(pads.all())
-        mask = None if full else pads[:, None, None, :]  # what a padded token itself sees, nobody reads
+        mask = None if bool(pads.all()) else pads[:, None, None, :]  # what a padded token sees, nobody reads
+        touch = self._network.suffix_touch(*_extra(images, img_masks))
+        room = chunk + (0 if touch is None else touch.mask.shape[1])
         rotary = _rotary(vlm, x, pads.cumsum(dim=1) - 1)
         cache: Cache = []
         for depth, layer in enumerate(vlm.layers):
             rows = _project(layer, _rms(x, self._eps) * self._gains[depth][0])
             turned = _rotated(rows, rotary)
-            cache.append(F.pad(turned[:, -2:], (0, 0, 0, suffix_length)))
+            cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
             if depth == len(vlm.layers) - 1:
                 break  # nobody reads what the last layer makes of the prefix
             mixed = _attend(turned[:, :-2], turned[:, -2:], mask, layer)
             x = x + layer.self_attn.o_proj(mixed)
             x = x + layer.mlp(_rms(x, self._eps) * self._gains[depth][1])
-        after = pads.sum(dim=1, keepdim=True) + torch.arange(suffix_length, device=x.device)  # (B, L_suffix)
-        suffix_mask = None if full else F.pad(pads, (0, suffix_length), value=True)[:, None, None, :]
-        return Prefix(cache, length, suffix_mask, _rotary(joint.gemma_expert.model, x, after))
+        return self._looked_at(cache, pads, touch, chunk)
+
+    def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
+        """Return the same cameras and text with what is felt now: nothing of the VLM runs again.
+
+        Raises:
+            ContractError: a network whose touch is not in the suffix.
+        """
+        if prefix.touch is None or prefix.touch.tokens.shape != touch.tokens.shape:
+            came = None if prefix.touch is None else tuple(prefix.touch.tokens.shape)
+            do = "Refreshing needs token_site=suffix and the slots the prefix was made with."
+            raise ContractError(expected("touch of the prefix", tuple(touch.tokens.shape), came, do))
+        return self._looked_at(prefix.cache, prefix.pads, touch, chunk)
+
+    def _looked_at(self, cache: Cache, pads: Tensor, touch: SuffixTouch | None, chunk: int) -> Prefix:
+        expert = self._network.paligemma_with_expert.gemma_expert.model
+        behind = pads.new_ones(len(pads), chunk)
+        if touch is not None:
+            behind = torch.cat([touch.mask, behind], dim=1)  # (B, L_suffix)
+        after = pads.sum(dim=1, keepdim=True) + behind.cumsum(dim=1) - 1
+        columns = torch.cat([pads, behind], dim=1)[:, None, None, :]  # (B, 1, 1, L_prefix + L_suffix)
+        mask = None if bool(columns.all()) and touch is None else columns
+        if touch is not None:  # touch looks at the prefix and itself, actions at everything
+            rows = torch.ones(behind.shape[1], columns.shape[-1], dtype=torch.bool, device=pads.device)
+            rows[: touch.mask.shape[1], -chunk:] = False
+            mask = columns & rows
+        return Prefix(cache, pads, touch, mask, _rotary(expert, cache[0], after))
 
     def _embed(self, images: list, img_masks: list, tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
         """Return (B, L, D) tokens in LeRobot's order and (B, L) whether each is real; cameras go in one batch."""
         model = self._network.paligemma_with_expert
         cameras = [image for image in images if image.ndim == 4]
-        extra, extra_masks = images[len(cameras) :], img_masks[len(cameras) :]
         parts: list[Tensor] = []
         if cameras:
             parts += model.embed_image(torch.cat(cameras)).chunk(len(cameras))
         pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, img_masks, strict=False)]
         parts.append(model.embed_language_tokens(tokens))
         pads.append(masks.bool())
-        embedded = self._network.embed_extra(extra) if extra else []
-        for part, mask in zip(embedded, extra_masks, strict=True):
+        for part, mask in self._network.prefix_extra(*_extra(images, img_masks)):
             parts.append(part.to(parts[0].dtype))
             pads.append(mask[:, None].expand(-1, part.shape[1]))
         return torch.cat(parts, dim=1), torch.cat(pads, dim=1)
@@ -167,7 +214,10 @@ class FastSampler:
     def velocity(self, prefix: Prefix, actions: Tensor, table: StepTable) -> Tensor:
         """Return (B, chunk, max_action_dim) velocity of noisy ``actions`` at the table's flow time."""
         network, expert = self._network, self._network.paligemma_with_expert.gemma_expert.model
-        x = network.action_in_proj(actions).to(expert.layers[0].self_attn.q_proj.weight.dtype)
+        x = network.action_in_proj(actions)
+        if prefix.touch is not None:
+            x = torch.cat([prefix.touch.tokens.to(x.dtype), x], dim=1)  # (B, N + chunk, D)
+        x = x.to(expert.layers[0].self_attn.q_proj.weight.dtype)
         for depth, layer in enumerate(expert.layers):
             attention, mlp = table.layers[depth]
             fused = self._fused[depth]
@@ -175,6 +225,7 @@ class FastSampler:
             x = torch.addcmul(x, layer.self_attn.o_proj(mixed), attention.gate)
             gate, up = F.linear(_modulated(x, mlp, self._eps), fused.gate_up).chunk(2, dim=-1)
             x = torch.addcmul(x, layer.mlp.down_proj(layer.mlp.act_fn(gate) * up), mlp.gate)
+        x = x[:, -actions.shape[1] :]
         return network.action_out_proj(_modulated(x, table.last, self._eps).float())
 
     def _mix(self, prefix: Prefix, depth: int, layer: nn.Module, qkv: Tensor) -> Tensor:
@@ -250,6 +301,12 @@ def drop_dead(
     kept = [(i, m) for i, m in zip(images, img_masks, strict=True) if i.ndim != 4 or bool(m.any())]
     used = int(masks.any(dim=0).nonzero().max()) + 1 if bool(masks.any()) else 0
     return [i for i, _ in kept], [m for _, m in kept], tokens[:, :used], masks[:, :used]
+
+
+def _extra(images: list, img_masks: list) -> tuple[list, list]:
+    """Return what rides behind the cameras, and its masks."""
+    cameras = sum(image.ndim == 4 for image in images)
+    return images[cameras:], img_masks[cameras:]
 
 
 def _modulation(norm: nn.Module, cond: Tensor, dtype: torch.dtype) -> list[Modulation]:

@@ -203,6 +203,33 @@ class PI05UniforcePolicy(stock.PI05Policy):
             return chunk
         return to_targets(chunk, self.issued.base(self._measured(batch)), self.delta_scale)
 
+    @torch.no_grad()
+    def refresh_action_chunk(self, batch: dict[str, Tensor]) -> Tensor:
+        """Return (B, chunk, A) for what is felt now and what was seen at the last ``predict_action_chunk``.
+
+        Cameras and text are not looked at: only the flow runs again, on the prefix as it was (``token_site=suffix``).
+
+        Args:
+            batch: preprocessed; touch and the measured state are read.
+
+        Raises:
+            ContractError: touch that isn't in the suffix, the stock sampler, or nothing predicted before.
+        """
+        self.eval()
+        device = self.delta_scale.device
+        felt = self.model.felt_now(*self.touch.gather(batch, device, training=False))
+        if felt is None or self.model.fast is None:
+            came = f"touch_input={self.config.touch_input}, sampler={self.config.sampler}"
+            do = "Only touch can be refreshed, by the fast sampler."
+            raise ContractError(expected("refresh", "touch and sampler=fast", came, do))
+        noise = self._start_noise(len(felt.tokens), device)
+        chunk = self.model.fast.refresh(felt, noise, self.config.num_inference_steps)[
+            ..., : self._action_size
+        ]
+        if self.config.action_form == "absolute":
+            return chunk
+        return to_targets(chunk, self.issued.base(self._measured(batch)), self.delta_scale)
+
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""
         shape = (batch_size, self.config.chunk_size, self.config.max_action_dim)

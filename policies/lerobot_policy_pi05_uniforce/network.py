@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -22,14 +23,28 @@ from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from uniforce_vtla.keys import STATE
 
 
+@dataclass(frozen=True)
+class SuffixTouch:
+    """Force tokens in front of the noisy actions: ``tokens`` (B, N, D_expert), ``mask`` (B, N) bool."""
+
+    tokens: Tensor
+    mask: Tensor
+
+
 class PI05UniforcePytorch(stock.PI05Pytorch):
-    """π0.5's network with touch: extra prefix tokens ride behind the cameras in the images list."""
+    """π0.5's network with touch: state and touch ride behind the cameras in the images list.
+
+    At ``token_site=prefix`` force tokens join cameras and text and are encoded once per observation. At ``suffix`` they
+    stand before the noisy actions in the action expert, which reads them again in every flow step; they see the prefix
+    and each other, never the actions.
+    """
 
     def __init__(self, config: PI05UniforceConfig, rtc_processor: Any = None) -> None:
         if config.size == "base":
             super().__init__(config, rtc_processor=rtc_processor)
         else:
             self._init_tiny(config, rtc_processor)
+        self._touch: SuffixTouch | None = None  # of the call in progress, at token_site=suffix
         self.tactile_encoder = _make_encoder(config)
         self.force_tokens = self._make_force_tokens(config)
         self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
@@ -51,9 +66,9 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             return None
         slots, scale = len(config.slots), config.force_token_scale
         if config.touch_input == "marker_pair":
-            return MarkerPairTokens(config.latent_grid, slots, self.vlm_width, scale)
+            return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
         size = touch_shape(config)[1]
-        tokens = ForceTokens(size, config.tokens_per_slot, slots, self.vlm_width, scale)
+        tokens = ForceTokens(size, config.tokens_per_slot, slots, self.touch_width, scale)
         if config.touch_input == "wrench":
             tokens.input_rms.copy_(wrench_rms())
         return tokens
@@ -70,7 +85,10 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
     ) -> Tensor:
         """Return (B, chunk, max_action_dim); LeRobot's own way, or the fast one with the same result."""
         if self.fast is None:
-            return super().sample_actions(images, img_masks, tokens, masks, noise, num_steps, **kwargs)
+            try:
+                return super().sample_actions(images, img_masks, tokens, masks, noise, num_steps, **kwargs)
+            finally:
+                self._touch = None
         if noise is None:
             shape = (len(tokens), self.config.chunk_size, self.config.max_action_dim)
             noise = self.sample_noise(shape, tokens.device)
@@ -82,10 +100,22 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         """D, the width of prefix tokens."""
         return self.paligemma_with_expert.paligemma.config.text_config.hidden_size
 
+    @property
+    def touch_width(self) -> int:
+        """Width of a force token: the VLM's in the prefix, the expert's in the suffix."""
+        return self.vlm_width if self.config.token_site == "prefix" else self.action_in_proj.out_features
+
+    def forward(self, *args: Any, **kwargs: Any) -> Tensor:
+        """Return LeRobot's flow-matching losses, (B, chunk, max_action_dim)."""
+        try:
+            return super().forward(*args, **kwargs)
+        finally:
+            self._touch = None
+
     def embed_prefix(
         self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Embed cameras and text as π0.5 does, then append state and force tokens to the same block.
+        """Embed cameras and text as π0.5 does, then append state and (at that site) force tokens to the same block.
 
         ``images`` holds (B, 3, H, W) cameras first, then (B, 1, S) state if used, then (B, K, ·) per slot.
         Appended last, they leave image and text positions as they were; a masked token changes nothing.
@@ -94,23 +124,62 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         embs, pads, atts = super().embed_prefix(
             images[:cameras], img_masks[:cameras], tokens, masks, *args, **kwargs
         )
-        extra, extra_masks = self.embed_extra(images[cameras:]), img_masks[cameras:]
-        for embedded, mask in zip(extra, extra_masks, strict=True):
+        extra = images[cameras:], img_masks[cameras:]
+        self._touch = self.suffix_touch(*extra)
+        for embedded, mask in self.prefix_extra(*extra):
             count = embedded.shape[1]
             embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
             pads = torch.cat([pads, mask[:, None].expand(-1, count)], dim=1)
             atts = torch.cat([atts, atts.new_zeros(embedded.shape[:2])], dim=1)  # 0: sees the whole prefix
         return embs, pads, atts
 
-    def embed_extra(self, extra: list[Tensor]) -> list[Tensor]:
-        """Return (B, ·, D) tokens of the state and of every touch slot, in that order."""
-        embedded = []
-        if self.state_token is not None and extra:
-            embedded.append(self.state_token(extra[0]))
-            extra = extra[1:]
-        if self.force_tokens is not None:
-            embedded += [self.force_tokens(touch, slot) for slot, touch in enumerate(extra)]
+    def embed_suffix(self, noisy_actions: Tensor, timestep: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Embed noisy actions as π0.5 does, force tokens before them at ``token_site=suffix``."""
+        embs, pads, atts, cond = super().embed_suffix(noisy_actions, timestep)
+        if self._touch is None:
+            return embs, pads, atts, cond
+        block = atts.new_zeros(self._touch.mask.shape)
+        block[:, 0] = 1  # a block of its own between prefix and actions
+        embs = torch.cat([self._touch.tokens.to(embs.dtype), embs], dim=1)  # (B, N + chunk, D_expert)
+        return (
+            embs,
+            torch.cat([self._touch.mask, pads], dim=1),
+            torch.cat([block, atts], dim=1),
+            cond,
+        )
+
+    def prefix_extra(self, extra: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
+        """Return (B, ·, D) tokens and (B,) mask of the state, and at that site of every touch slot, in that order."""
+        states, embedded = self._states(extra), []
+        if states and self.state_token is not None:
+            embedded.append((self.state_token(extra[0]), masks[0]))
+        if self.config.token_site == "prefix":
+            embedded += self._touches(extra[states:], masks[states:])
         return embedded
+
+    def suffix_touch(self, extra: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
+        """Return all slots' tokens for the suffix; None at the other site or without touch."""
+        states = self._states(extra)
+        return self.felt_now(extra[states:], masks[states:]) if self.config.token_site == "suffix" else None
+
+    def felt_now(self, touches: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
+        """Return the slots' (B, K, ·) inputs as one run of tokens; None without touch."""
+        embedded = self._touches(touches, masks)
+        if not embedded:
+            return None
+        pads = [mask[:, None].expand(-1, tokens.shape[1]) for tokens, mask in embedded]
+        return SuffixTouch(torch.cat([tokens for tokens, _ in embedded], dim=1), torch.cat(pads, dim=1))
+
+    def _states(self, extra: list[Tensor]) -> int:
+        return int(self.state_token is not None and bool(extra))
+
+    def _touches(self, touches: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
+        if self.force_tokens is None:
+            return []
+        return [
+            (self.force_tokens(touch, slot), mask)
+            for slot, (touch, mask) in enumerate(zip(touches, masks, strict=True))
+        ]
 
 
 def state_size(config: PI05UniforceConfig) -> int:

@@ -49,8 +49,9 @@ def test_no_touch_is_bit_equal_to_plain_pi05(make_policy, make_batch):
     assert not any("force" in key or "tactile" in key for key in policy.state_dict())
 
 
-def test_masked_touch_equals_no_touch(make_policy, make_batch):
-    policy = make_policy()
+@pytest.mark.parametrize("site", ["prefix", "suffix"])
+def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
+    policy = make_policy(token_site=site)
     images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
     start = noise(policy)
     off = [*masks[:3], *(torch.zeros_like(m) for m in masks[3:])]  # two cameras, state, then slots
@@ -61,8 +62,9 @@ def test_masked_touch_equals_no_touch(make_policy, make_batch):
     assert (felt - without).abs().max() > 1e-3
 
 
-def test_joint_training_velocity_equals_sampling_velocity(make_policy, make_batch):
-    policy = make_policy()
+@pytest.mark.parametrize("site", ["prefix", "suffix"])
+def test_joint_training_velocity_equals_sampling_velocity(site, make_policy, make_batch):
+    policy = make_policy(token_site=site)
     images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
     x, actions, time = noise(policy), torch.zeros(1), torch.tensor([0.7, 0.3])
     actions = torch.zeros_like(x)
@@ -214,7 +216,7 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         ({"touch_slots": {"touch0": "middle"}}, "finger"),
         ({"swap": "touch9:left"}, "swap"),
         ({"swap": "touch0"}, "finger"),
-        ({"token_site": "suffix"}, "later"),
+        ({"token_site": "middle"}, "suffix"),
         ({"touch_input": "video"}, "touch_input"),
         ({"action_form": "velocity"}, "action_form"),
         ({"dtype": "bfloat16"}, "float32"),
@@ -257,8 +259,8 @@ def test_controls_feel_the_same_cached_or_live(make_policy, make_batch, kind):
     stored, _ = policy.touch.gather(cached, torch.device("cpu"), training=False)
     for a, b in zip(live, stored, strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
-    images, _ = policy._preprocess_images(cached)
-    tokens = policy.model.embed_extra(images[2:])
+    images, masks = policy._preprocess_images(cached)
+    tokens = [tokens for tokens, _ in policy.model.prefix_extra(images[2:], masks[2:])]
     assert [t.shape[1] for t in tokens] == [1, 16, 16]
 
 
@@ -285,3 +287,20 @@ def test_a_muted_policy_feels_nothing(make_policy, make_batch):
     muted = policy.predict_action_chunk(batch)
     torch.testing.assert_close(muted, policy.predict_action_chunk(other))
     assert not torch.equal(muted, felt)
+
+
+@pytest.mark.parametrize("site", ["prefix", "suffix"])
+@pytest.mark.parametrize("expert_only", [False, True])
+def test_the_gradient_reaches_what_is_meant_to_train_and_nothing_else(
+    site, expert_only, make_policy, make_batch
+):
+    policy = make_policy(touch_input="latent", token_site=site, train_expert_only=expert_only).train()
+    loss, _ = policy(make_batch(policy, actions=True))
+    loss.backward()
+    reached = {name for name, p in policy.named_parameters() if p.grad is not None and p.grad.abs().max() > 0}
+    assert any("force_tokens.proj" in name for name in reached)
+    assert any("gemma_expert" in name for name in reached) and "model.action_out_proj.weight" in reached
+    assert not any("tactile_encoder" in name for name in reached)
+    assert any("paligemma." in name for name in reached) != expert_only
+    asked = {name for name, p in policy.named_parameters() if p.requires_grad}
+    assert reached <= asked
