@@ -36,6 +36,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         dataset_stats: training statistics; quantile spans are floored in place, so that the trainer's own
             normaliser uses the same ones, and the scale of the latents is taken from it.
         dataset_meta: training data; a view's tokenizer must be the policy's.
+        empty: leave the backbone without weights, for ``weights.fill`` to give it; base is then never held twice.
     """
 
     config_class = PI05UniforceConfig
@@ -46,13 +47,14 @@ class PI05UniforcePolicy(stock.PI05Policy):
         config: PI05UniforceConfig,
         dataset_stats: dict[str, dict[str, Any]] | None = None,
         dataset_meta: Any = None,
+        empty: bool = False,
         **kwargs: Any,
     ) -> None:
         PreTrainedPolicy.__init__(self, config)  # PI05Policy's own would build the 4 B model
         config.validate_features()
         self.config = config
         self.init_rtc_processor()
-        self.model = PI05UniforcePytorch(config, rtc_processor=self.rtc_processor)
+        self.model = PI05UniforcePytorch(config, rtc_processor=self.rtc_processor, empty=empty)
         self._take_dataset_facts(dataset_stats, dataset_meta)
         if config.gradient_checkpointing:
             self.model.gradient_checkpointing_enable()
@@ -61,8 +63,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self.touch = TouchInput(config, self.model.tactile_encoder)
         self.issued = IssuedTarget()
         self.register_buffer("delta_scale", torch.tensor(config.delta_scale), persistent=False)
-        self.model.to(config.device)
-        self.to(config.device)
+        if not empty:
+            self.to(config.device)
         self.reset()
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
@@ -94,9 +96,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if config is None:
             config = cls.config_class.from_pretrained(source, revision=revision)
         check_same(TouchFacts.of(saved), TouchFacts.of(config))
-        tensors = weights.read_tensors(weights.find(source, weights.WEIGHTS, revision, local_files_only))
-        policy = cls(config, **_known(kwargs))
-        weights.load_strict(policy, tensors)
+        policy = cls(config, empty=True, **_known(kwargs))
+        weights.fill(policy, weights.find(source, weights.WEIGHTS, revision, local_files_only))
         if policy.model.tactile_encoder is not None:
             check_hash(policy.model.tactile_encoder, config)
         return policy.to(config.device).eval()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,7 @@ from lerobot_policy_pi05_uniforce.force_tokens import (
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
+from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.keys import STATE
 
 
@@ -39,16 +41,23 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
     and each other, never the actions.
     """
 
-    def __init__(self, config: PI05UniforceConfig, rtc_processor: Any = None) -> None:
-        if config.size == "base":
-            super().__init__(config, rtc_processor=rtc_processor)
-        else:
-            self._init_tiny(config, rtc_processor)
+    def __init__(self, config: PI05UniforceConfig, rtc_processor: Any = None, empty: bool = False) -> None:
+        with no_weights() if empty else nullcontext():
+            if config.size == "base":
+                super().__init__(config, rtc_processor=rtc_processor)
+            else:
+                self._init_tiny(config, rtc_processor)
+        self._drop_heads()
         self._touch: SuffixTouch | None = None  # of the call in progress, at token_site=suffix
         self.tactile_encoder = _make_encoder(config)
         self.force_tokens = self._make_force_tokens(config)
         self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
         self.fast = FastSampler(self) if config.sampler == "fast" else None
+
+    def _drop_heads(self) -> None:
+        """Remove both language heads, 0.79 B of π0.5's weights, which nothing ever reads or trains."""
+        self.paligemma_with_expert.paligemma.lm_head = nn.Identity()
+        self.paligemma_with_expert.gemma_expert.lm_head = nn.Identity()
 
     def _init_tiny(self, config: PI05UniforceConfig, rtc_processor: Any) -> None:
         nn.Module.__init__(self)  # the parent would build the 4 B model

@@ -41,8 +41,6 @@ class TinyPaliGemmaWithExpert(stock.PaliGemmaWithExpertModel):
         self.paligemma = stock.PaliGemmaForConditionalGenerationWithPiGemma(config=vlm)
         self.gemma_expert = stock.PiGemmaForCausalLM(config=expert)
         self.gemma_expert.model.embed_tokens = None  # the expert only ever sees actions
-        self.paligemma.lm_head = nn.Identity()  # never used; stock keeps 0.5 B of it
-        self.gemma_expert.lm_head = nn.Identity()
         self.to_bfloat16_for_selected_params(config.dtype)
         self._set_requires_grad()
 

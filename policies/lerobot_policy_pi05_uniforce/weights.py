@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+from accelerate import init_empty_weights
 from huggingface_hub import hf_hub_download
 from huggingface_hub.errors import HfHubHTTPError
-from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from uniforce_vtla.errors import CheckpointError, expected
@@ -53,39 +55,64 @@ def read_config(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def read_tensors(path: Path) -> dict[str, Tensor]:
-    """Return every tensor of a safetensors file.
+def fill(
+    module: nn.Module,
+    path: Path,
+    rename: Callable[[str], str | None] = lambda name: name,
+    fresh: tuple[str, ...] = (),
+) -> None:
+    """Put a safetensors file's tensors into ``module``, which may be empty (``no_weights``), one after another.
+
+    Peak memory is the weights and one tensor more. Nothing may be missing, left over or of another shape.
+
+    Args:
+        module: takes each tensor in its own dtype and, unless empty, on its own device.
+        path: the file.
+        rename: stored name → name in ``module``, or None for what isn't wanted.
+        fresh: prefixes of names that may be missing: modules the file's author didn't have.
 
     Raises:
-        CheckpointError: the file is truncated or damaged.
+        CheckpointError: a truncated or damaged file, or naming the tensors that don't fit.
     """
     try:
-        return load_file(path)
+        with safe_open(path, framework="pt") as stored:
+            renamed = ((rename(name), name) for name in stored.keys())  # noqa: SIM118 (not a dict)
+            names = {own: name for own, name in renamed if own is not None}
+            shapes = {own: tuple(stored.get_slice(name).get_shape()) for own, name in names.items()}
+            _check(module, shapes, fresh)
+            for own, name in names.items():
+                _place(module, own, stored.get_tensor(name))
     except (SafetensorError, OSError, ValueError) as error:
         raise CheckpointError(
             expected(str(path), "a whole safetensors file", error, "It is cut or damaged; copy it again.")
         ) from error
 
 
-def load_strict(module: nn.Module, tensors: dict[str, Tensor]) -> None:
-    """Copy ``tensors`` into ``module``; nothing may be missing, left over or of another shape.
+def no_weights() -> AbstractContextManager:
+    """Return a context in which modules are built without memory for their parameters; ``fill`` gives it."""
+    return init_empty_weights(include_buffers=False)
 
-    Raises:
-        CheckpointError: naming the first tensors that don't fit.
-    """
-    own = module.state_dict()
+
+def _check(module: nn.Module, shapes: dict[str, tuple[int, ...]], fresh: tuple[str, ...]) -> None:
+    own = {name: tuple(tensor.shape) for name, tensor in module.state_dict().items()}
     problems = {
-        "missing": sorted(own.keys() - tensors.keys()),
-        "unexpected": sorted(tensors.keys() - own.keys()),
-        "misshapen": sorted(k for k in own.keys() & tensors.keys() if own[k].shape != tensors[k].shape),
+        "missing": sorted(n for n in own.keys() - shapes.keys() if not n.startswith(fresh)),
+        "unexpected": sorted(shapes.keys() - own.keys()),
+        "misshapen": sorted(k for k in own.keys() & shapes.keys() if own[k] != shapes[k]),
     }
-    found = {kind: _shorten(names) for kind, names in problems.items() if names}
+    found = {kind: ", ".join(names) for kind, names in problems.items() if names}
     if found:
         do = "Load it with the settings it was trained with (its own config.json)."
         raise CheckpointError(expected("checkpoint tensors", f"the {len(own)} of this policy", found, do))
-    module.load_state_dict(tensors, strict=True)
 
 
-def _shorten(names: list[str], most: int = 5) -> str:
-    rest = f" … and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + rest
+def _place(module: nn.Module, name: str, tensor: Tensor) -> None:
+    parent, _, leaf = name.rpartition(".")
+    owner = module.get_submodule(parent)
+    old = getattr(owner, leaf)
+    device = tensor.device if old.is_meta else old.device
+    new = tensor.to(device, old.dtype)
+    if isinstance(old, nn.Parameter):
+        owner.register_parameter(leaf, nn.Parameter(new, requires_grad=old.requires_grad))
+    else:
+        owner.register_buffer(leaf, new)
