@@ -77,12 +77,27 @@ def fill(
     try:
         with safe_open(path, framework="pt") as stored:
             renamed = ((rename(name), name) for name in stored.keys())  # noqa: SIM118 (not a dict)
-            names = {own: name for own, name in renamed if own is not None}
-            shapes = {own: tuple(stored.get_slice(name).get_shape()) for own, name in names.items()}
+            placed = {own: name for own, name in renamed if own is not None}
+            shapes = {own: tuple(stored.get_slice(name).get_shape()) for own, name in placed.items()}
             _check(module, shapes, fresh)
-            for own, name in names.items():
+            for own, name in placed.items():
                 _place(module, own, stored.get_tensor(name))
     except (SafetensorError, OSError, ValueError) as error:
+        raise CheckpointError(
+            expected(str(path), "a whole safetensors file", error, "It is cut or damaged; copy it again.")
+        ) from error
+
+
+def names(path: Path) -> list[str]:
+    """Return the names in a safetensors file.
+
+    Raises:
+        CheckpointError: the file is truncated or damaged.
+    """
+    try:
+        with safe_open(path, framework="pt") as stored:
+            return list(stored.keys())
+    except (SafetensorError, OSError) as error:
         raise CheckpointError(
             expected(str(path), "a whole safetensors file", error, "It is cut or damaged; copy it again.")
         ) from error
