@@ -19,8 +19,8 @@ def own_names(stored: Iterable[str]) -> dict[str, str]:
     """Return stored name → ours; what isn't in the result isn't wanted.
 
     Both language heads are left out, since nothing reads them, and so is the touch of a pi05_uniforce. Where a file
-    ties the input embedding to the VLM's head and stores it only there, it is taken from it. openpi's names of the time MLP
-    are understood. Nothing else is forgiven: a name that isn't ours stays as it is and makes ``weights.fill`` raise.
+    ties the input embedding to the VLM's head and stores it only there, the embedding is taken from it. openpi's names
+    of the time MLP are understood. Nothing else is forgiven: a strange name stays and makes ``weights.fill`` raise.
     """
     names = {name: name if name.startswith("model.") else f"model.{name}" for name in stored}
     left_out = (*HEADS, *TOUCH)

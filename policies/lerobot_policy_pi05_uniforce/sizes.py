@@ -20,7 +20,7 @@ TINY: dict[str, Any] = {
     "tokenizer_max_length": 64,
     "state_token": True,
     "action_form": "target_delta",
-    "action_objective": "flow",
+    "action_objective": "regression",
     "sampling_noise": 0.0,
     "optimizer_lr": 1e-3,
     "new_module_lr": 1e-3,
