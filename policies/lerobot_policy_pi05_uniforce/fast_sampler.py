@@ -158,14 +158,14 @@ class FastSampler:
         rotary = _rotary(vlm, x, pads.cumsum(dim=1) - 1)
         cache: Cache = []
         for depth, layer in enumerate(vlm.layers):
-            rows = _project(layer, _rms(x, self._eps) * self._gains[depth][0])
+            rows = _project(layer, _rms(x, self._eps).mul_(self._gains[depth][0]))
             turned = _rotated(rows, rotary)
             cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
             if depth == len(vlm.layers) - 1:
                 break  # nobody reads what the last layer makes of the prefix
             mixed = _attend(turned[:, :-2], turned[:, -2:], mask, layer)
-            x = x + layer.self_attn.o_proj(mixed)
-            x = x + layer.mlp(_rms(x, self._eps) * self._gains[depth][1])
+            x = layer.self_attn.o_proj(mixed).add_(x)  # in place: fresh memory costs more than the sum
+            x = _mlp(layer.mlp, _rms(x, self._eps).mul_(self._gains[depth][1]).to(x.dtype)).add_(x)
         return self._looked_at(cache, pads, touch, chunk)
 
     def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
@@ -334,6 +334,10 @@ def _project(layer: nn.Module, normed: Tensor) -> Tensor:
     normed = normed.to(a.q_proj.weight.dtype)
     rows = torch.cat([a.q_proj(normed), a.k_proj(normed), a.v_proj(normed)], dim=-1)
     return rows.unflatten(-1, (-1, a.head_dim)).transpose(1, 2)
+
+
+def _mlp(mlp: nn.Module, x: Tensor) -> Tensor:
+    return mlp.down_proj(mlp.act_fn(mlp.gate_proj(x)).mul_(mlp.up_proj(x)))
 
 
 def _rotary(model: nn.Module, x: Tensor, positions: Tensor) -> Rotary:
