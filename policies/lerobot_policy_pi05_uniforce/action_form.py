@@ -52,6 +52,11 @@ class IssuedTarget:
         """Remember (B, A) targets just handed out."""
         self._target = target.detach().clone()
 
+    @property
+    def last(self) -> Tensor | None:
+        """The (B, A) targets sent last, None after a reset."""
+        return self._target
+
     def base(self, measured: Tensor) -> Tensor:
         """Return the (B, A) base of the next chunk: what was issued last, else the measured state.
 

@@ -13,6 +13,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_deltas, to_targets
+from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.dataset_facts import read_touch_rms, read_view
@@ -238,8 +239,14 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return the next (B, A) action and remember it as the base of the next chunk."""
+        """Return the next (B, A) action and remember it as the base of the next chunk.
+
+        Raises:
+            RolloutError: target deltas that leap; nothing is issued.
+        """
         action = super().select_action(batch)
+        if self.config.action_form == "target_delta":
+            check_leap(action, self.issued.last, self.delta_scale)
         self.issued.record(action)
         return action
 

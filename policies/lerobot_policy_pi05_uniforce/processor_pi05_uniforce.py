@@ -23,6 +23,7 @@ from lerobot.processor import (
 )
 
 from lerobot_policy_pi05_uniforce import local_tokenizer
+from lerobot_policy_pi05_uniforce.check_action import CheckActionStep
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
 from uniforce_vtla.keys import STATE
@@ -103,5 +104,6 @@ def make_pi05_uniforce_pre_post_processors(
             features=config.output_features, norm_map=config.normalization_mapping, stats=stats
         ),
         DeviceProcessorStep(device="cpu"),
+        CheckActionStep.of(stats),
     ]
     return make_policy_processor_pipelines(input_steps=before, output_steps=after)
