@@ -18,6 +18,7 @@ from uniforce_standins.fci.kinematics import (
     Posture,
     Q_MAX_rad,
     Q_MIN_rad,
+    TAU_MAX_Nm,
     posture,
     rotation_error,
 )
@@ -84,8 +85,8 @@ class Arm:
     def drive(self, command: RobotCommand, generator: Generator) -> None:
         """Follow a client's command for a millisecond."""
         if generator == Generator.NONE:
-            self._accelerate(command.tau_J_d + self.tau_ext_Nm - FRICTION_Nms * self.dq_rad_s)
-            self.tau_Nm = command.tau_J_d
+            self.tau_Nm = np.clip(command.tau_J_d, -TAU_MAX_Nm, TAU_MAX_Nm)
+            self._accelerate(self.tau_Nm + self.tau_ext_Nm - FRICTION_Nms * self.dq_rad_s)
         else:
             self.dq_rad_s = np.clip(self._wanted_speed(command, generator), -DQ_MAX_rad_s, DQ_MAX_rad_s)
         self._integrate()

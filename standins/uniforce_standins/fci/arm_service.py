@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,7 +165,7 @@ class ArmService:
             apply()
         self._reply(message, SetterStatus.SUCCESS)
 
-    def _setter(self, message: Message):
+    def _setter(self, message: Message) -> Callable[[], None] | None:
         payload = message.payload
         match message.command:
             case ArmCommand.SET_COLLISION_BEHAVIOR:

@@ -87,8 +87,11 @@ class HandService:
         """Start a motion; one that is under way is aborted, which the real hand takes badly."""
         self._abort()
         self.journal.write("hand", request=type(request).__name__, **vars(request))
-        start = self.hand.start_grasp if isinstance(request, GraspRequest) else self.hand.start_move
-        if start(request):  # type: ignore[operator]
+        if isinstance(request, GraspRequest):
+            possible = self.hand.start_grasp(request)
+        else:
+            possible = self.hand.start_move(request)
+        if possible:
             self._pending = message
         else:
             self._reply(message, HandStatus.FAIL)

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
@@ -81,7 +82,7 @@ class StandIn:
         self.close()
 
 
-def wait_until(condition, timeout_s: float = 10.0, what: str = "condition") -> float:
+def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition") -> float:
     """Poll a condition; return the seconds it took, or raise TimeoutError."""
     start = time.monotonic()
     while not condition():

@@ -136,7 +136,7 @@ class RawArm(RawClient):
 
 def pull_to(
     target_m: np.ndarray, jacobian: Callable[[np.ndarray], np.ndarray], stiffness_N_m: float = 1000.0
-):
+) -> Callable[[RobotState], RobotCommand]:
     """Return a control law: a damped spring from the hand to a point, through a Jacobian of the joint angles."""
 
     def law(state: RobotState) -> RobotCommand:
