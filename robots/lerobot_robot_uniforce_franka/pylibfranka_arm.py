@@ -70,14 +70,16 @@ class PylibfrankaArm:
 
     def state(self) -> ArmState:
         """See ``Arm``. Never blocks; the child tells its state a hundred times a second."""
-        self._check()
+        self._listen_to_faults()
+        if self._fault is not None and self._fault.fault not in STOPPED_MODES.values():
+            raise self._fault  # a reflex or a stop leaves an arm that can be read
         with self._lock:
             state = self._state
         age = float("inf") if state is None else time.monotonic() - state.time_s
         if state is None or age > STATE_AGE_s:
-            do = "Is the robot alive?"
+            wanted = f"one younger than {STATE_AGE_s} s"
             raise RobotError(
-                expected("arm state", f"one younger than {STATE_AGE_s} s", f"{age:.1f} s", do), "connection"
+                expected("arm state", wanted, f"{age:.1f} s", "Is the robot alive?"), "connection"
             )
         return state
 
@@ -130,9 +132,6 @@ class PylibfrankaArm:
         self._fault = None
         self._child.send("recover")
         self._child.wait("recovered", STOP_s, "recovery")
-        newest = time.monotonic()
-        while (self._state is None or self._state.time_s < newest) and time.monotonic() < newest + STOP_s:
-            time.sleep(0.002)
 
     def close(self) -> None:
         """See ``Arm``."""

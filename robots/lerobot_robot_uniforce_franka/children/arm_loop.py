@@ -90,6 +90,9 @@ class Loop:
         self.ended = False
         self.gains: dict = {}
         self.target: np.ndarray | None = None
+        self.lost_control = (
+            False  # until recovery, targets are dropped: those on their way must not move the arm
+        )
 
     def run(self) -> None:
         """Serve until the parent closes the pipe or the robot dies."""
@@ -114,7 +117,9 @@ class Loop:
         for order in self.take():
             if order["do"] == "recover":
                 self.robot.automatic_error_recovery()
+                self.lost_control = False
                 self.robot.read_once()  # a queued one may be from before
+                self.report(self.robot.read_once())
                 say("recovered")
             elif order["do"] == "stop":
                 say("stopped")
@@ -130,31 +135,29 @@ class Loop:
 
     def remember(self, order: dict) -> None:
         """Keep a target or gains."""
-        if order["do"] == "target":
+        if order["do"] == "target" and not self.lost_control:
             self.target = matrix(order["pose"])
         elif order["do"] == "gains":
             self.gains = order
 
     def control_until_told(self) -> None:
         """Hold control until told to stop; say why when it is lost."""
+        control = None
         try:
             control = self.robot.start_torque_control()
-            stopped = self.control(control)
-            del control  # it keeps the client's lock, also after an exception
-            if stopped:
+            if self.control(control):
                 say("stopped")
         except self.client.NetworkException:
             raise
         except RuntimeError as error:
             text = str(error)
-            error.__traceback__ = (
-                None  # a live traceback would keep the control object, and that the client's lock
-            )
+            control = error.__traceback__ = None  # either would keep the client's lock
             self.lost(text)
         self.target = None
 
     def lost(self, text: str) -> None:
         """Tell the parent that control is gone, and the mode that says why."""
+        self.lost_control = True
         self.robot.read_once()
         state = self.robot.read_once()
         self.report(state)
@@ -206,6 +209,8 @@ class Loop:
             if rests:
                 return
             state, _ = control.readOnce()
+            if tick % REPORT_TICKS == 0:
+                self.report(state)
 
     def report(self, state: Any) -> None:
         """Pass a state on."""
