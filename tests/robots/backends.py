@@ -63,8 +63,12 @@ def moving(arm: Arm, fci: StandIn) -> None:
     goal = arm.state().ee_to_base
     goal[2, 3] -= 0.1
     begun = fci.do("look")["arm"]["position_m"][2]
-    arm.set_target(goal)
-    wait_until(lambda: fci.do("look")["arm"]["position_m"][2] < begun - 1e-3, PATIENCE_s, "a motion")
+
+    def under_way() -> bool:
+        arm.set_target(goal)  # again and again: a backend may let go of a target nobody repeats
+        return bool(fci.do("look")["arm"]["position_m"][2] < begun - 1e-3)
+
+    wait_until(under_way, PATIENCE_s, "a motion")
 
 
 def assert_still(fci: StandIn) -> None:

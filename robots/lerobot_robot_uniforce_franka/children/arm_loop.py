@@ -43,9 +43,10 @@ class Impedance:
     def __init__(self, q_rad: np.ndarray, pose: np.ndarray) -> None:
         self.target = pose  # (4, 4)
         self.posture_rad = q_rad
-        self.clip = np.zeros(6)
-        self.tau_Nm = np.zeros(7)
-        self.K, self.D = np.zeros((6, 6)), np.zeros((6, 6))
+        self.clip: np.ndarray = np.zeros(6)
+        self.tau_Nm: np.ndarray = np.zeros(7)
+        self.K: np.ndarray = np.zeros((6, 6))  # starts soft and moves to the gains
+        self.D: np.ndarray = np.zeros((6, 6))
         self._goal_K, self._goal_D = self.K, self.D
 
     def set_gains(self, stiffness: np.ndarray, clip_m: list[float], clip_rad: float) -> None:
