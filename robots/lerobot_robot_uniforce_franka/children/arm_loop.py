@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from lines import normal_scheduling, orders, say
 
-REPORT_TICKS = 10  # a state for the parent each 10 ms
+REPORT_s = 0.01  # a state for the parent that often, by the host's clock: also when the loop is late
 TORQUE_STEP_Nm = 0.9  # per millisecond; the robot refuses more than 1
 GAINS_TAU_s = 0.1  # time constant of a change of stiffness
 SILENCE_s = 0.3  # of the parent, after which the target is the measured pose
 POSTURE_Nm_rad, POSTURE_Nms_rad = 10.0, 6.0  # keeps the elbow where it was when control began
-BRAKE_TICKS, BRAKE_Nms_rad, REST_rad_s = 100, 8.0, 0.02
-BRAKE_LIMIT_TICKS = 2000
+BRAKE_Nms_rad, BRAKE_LIMIT_TICKS = 8.0, 2000
+REST_rad_s, REST_Nm = 0.02, 1.0  # slower and with less torque than this the arm is at rest
 MODES = ("other", "idle", "move", "guiding", "reflex", "user_stopped", "recovery")
 STOPPED = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
 
@@ -91,9 +91,9 @@ class Loop:
         self.ended = False
         self.gains: dict = {}
         self.target: np.ndarray | None = None
-        self.lost_control = (
-            False  # until recovery, targets are dropped: those on their way must not move the arm
-        )
+        self.reported_s = 0.0
+        # Until recovery targets are dropped: those still on their way must not move the arm after it.
+        self.lost_control = False
 
     def run(self) -> None:
         """Serve until the parent closes the pipe or the robot dies."""
@@ -105,12 +105,8 @@ class Loop:
 
     def idle(self) -> None:
         """Read states and pass them on until a target comes."""
-        ticks = 0
         while not self.ended and self.target is None:
-            state = self.robot.read_once()
-            ticks += 1
-            if ticks % REPORT_TICKS == 0:
-                self.report(state)
+            self.report_in_time(self.robot.read_once())
             self.obey_idle()
 
     def obey_idle(self) -> None:
@@ -150,7 +146,7 @@ class Loop:
                 say("stopped")
         except self.client.NetworkException:
             raise
-        except RuntimeError as error:
+        except (RuntimeError, self.client.FrankaException) as error:
             text = str(error)
             control = error.__traceback__ = None  # either would keep the client's lock
             self.lost(text)
@@ -168,7 +164,7 @@ class Loop:
         """Run the controller; return whether the parent asked for the end."""
         state, _ = control.readOnce()
         law = Impedance(np.array(state.q), matrix(state.O_T_EE))
-        heard, ticks, stop = time.monotonic(), 0, False
+        heard, stop = time.monotonic(), False
         while not (stop or self.ended):
             for order in self.take():
                 heard = time.monotonic()
@@ -177,9 +173,7 @@ class Loop:
             self.update(law, state, time.monotonic() - heard)
             control.writeOnce(self.client.Torques(self.torques(law, state).tolist()))
             state, _ = control.readOnce()
-            ticks += 1
-            if ticks % REPORT_TICKS == 0:
-                self.report(state)
+            self.report_in_time(state)
         self.brake(control, law, state)
         return stop
 
@@ -201,20 +195,25 @@ class Loop:
 
     def brake(self, control: Any, law: Impedance, state: Any) -> None:
         """Damp the joints to rest, let the torques fade, and end the motion in order."""
-        for tick in range(BRAKE_LIMIT_TICKS):
+        for left in reversed(range(BRAKE_LIMIT_TICKS)):
             damping = -BRAKE_Nms_rad * np.array(state.dq)
             command = self.client.Torques(law.limited(damping, 1e-3).tolist())
-            rests = tick > BRAKE_TICKS and np.abs(state.dq).max() < REST_rad_s
-            command.motion_finished = bool(rests)
+            rests = np.abs(state.dq).max() < REST_rad_s and np.abs(law.tau_Nm).max() < REST_Nm
+            command.motion_finished = bool(rests or not left)
             control.writeOnce(command)
-            if rests:
+            if command.motion_finished:
                 return
             state, _ = control.readOnce()
-            if tick % REPORT_TICKS == 0:
-                self.report(state)
+            self.report_in_time(state)
+
+    def report_in_time(self, state: Any) -> None:
+        """Pass a state on if the parent has waited long enough for one."""
+        if time.monotonic() - self.reported_s >= REPORT_s:
+            self.report(state)
 
     def report(self, state: Any) -> None:
         """Pass a state on."""
+        self.reported_s = time.monotonic()
         say(
             "state",
             time_s=time.monotonic(),
@@ -258,7 +257,7 @@ def main() -> None:
         loop = Loop(pylibfranka, robot)
         say("connected")
         loop.run()
-    except RuntimeError as error:  # the client's exceptions derive from it, and from no class of its own
+    except (RuntimeError, pylibfranka.FrankaException) as error:  # most of its exceptions are RuntimeErrors
         fault = "version" if "ncompatible" in str(error) else "connection"
         say("error", fault=fault, text=str(error))
 

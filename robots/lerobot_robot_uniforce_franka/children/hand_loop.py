@@ -22,7 +22,7 @@ def main() -> None:
             for order in todo:
                 say("outcome", ok=obey(pylibfranka, gripper, order))
             tell(gripper)
-    except RuntimeError as error:  # the client's exceptions derive from it, and from no class of its own
+    except (RuntimeError, pylibfranka.FrankaException) as error:  # most of its exceptions are RuntimeErrors
         fault = "version" if "ncompatible" in str(error) else "connection"
         say("error", fault=fault, text=str(error))
 
