@@ -173,6 +173,10 @@ class HandThread:
         """
         if self._fault is not None:
             raise self._fault
+        if self._ending.is_set():
+            raise RobotError(
+                "hand: expected a running thread, got one that has ended. Connect again.", "ended"
+            )
         with self._lock:
             self._target_m = width_m
 
@@ -185,6 +189,8 @@ class HandThread:
         except RobotError as fault:
             self._fault = fault
             log.error("hand stopped (%s): %s", fault.fault, fault)
+        finally:
+            self._ending.set()
 
     def _tick(self) -> None:
         reading = self._driver.read()

@@ -15,7 +15,7 @@ from lerobot_robot_uniforce_franka.child import Child
 from uniforce_vtla.errors import RobotError, expected
 
 TURN_rad = 0.01  # the hand's turn after which the gains are expressed in the base frame anew
-STOP_s = 5.0  # braking takes a few tenths; a robot that has died is noticed after one
+STOP_s = 8.0  # braking takes a few tenths of a second; a robot that has died is noticed after one
 STATE_AGE_s = 1.5  # the child notices a dead robot after 1 s and says so
 
 

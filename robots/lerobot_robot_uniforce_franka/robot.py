@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from lerobot.cameras import make_cameras_from_configs
+from lerobot.cameras import Camera, make_cameras_from_configs
 from lerobot.robots import Robot
 
 from lerobot_robot_uniforce_franka.arm import Arm
@@ -100,9 +101,9 @@ class UniforceFranka(Robot):
         forbid_return_motion()
         try:
             self._connect_all()
-        except RobotError:
-            self.disconnect()
-            raise
+        finally:
+            if self._stream is None:  # something on the way failed, cameras included
+                self.disconnect()
 
     def _connect_all(self) -> None:
         self._arm.connect()
@@ -140,16 +141,16 @@ class UniforceFranka(Robot):
         """
         stream, self._stream = self._stream, None
         hand, self._hand = self._hand, None
-        if stream is not None:
-            stream.stop()
-        if hand is not None:
-            hand.stop()
-        self._hand_driver.close()
-        self._arm.close()
-        for camera in self.cameras.values():
-            if camera.is_connected:
-                camera.disconnect()
-        log.info("guards acted: %s", self.guards.counts)
+        with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
+            closing.callback(log.info, "guards acted: %s", self.guards.counts)
+            for camera in self.cameras.values():
+                closing.callback(_disconnect_camera, camera)
+            closing.callback(self._arm.close)
+            closing.callback(self._hand_driver.close)
+            if hand is not None:
+                closing.callback(hand.stop)
+            if stream is not None:
+                closing.callback(stream.stop)
 
     # --- observation and action --------------------------------------------------------------------------------------
 
@@ -205,3 +206,8 @@ class UniforceFranka(Robot):
         if self._stream is None or self._hand is None:
             raise RobotError("robot: expected a connected one, got none. Call connect().", "ended")
         return self._stream, self._hand
+
+
+def _disconnect_camera(camera: Camera) -> None:
+    if camera.is_connected:
+        camera.disconnect()

@@ -16,7 +16,8 @@ from lerobot_robot_uniforce_franka.poses import ToolPose, between
 from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
-JOIN_s = 5.0  # a backend's own deadlines are shorter
+JOIN_s = 10.0  # a backend's own deadlines are shorter
+GOOD_RATE = 0.9  # share of commands in time, below which someone should look at the computer
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class ArmStream:
         self._state: ArmState | None = None
         self._ramp: Ramp | None = None
         self._submitted_s = 0.0
-        self._holding = False
+        self._holding = self._late = False
         self._fault: RobotError | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="arm-stream")
@@ -141,27 +142,39 @@ class ArmStream:
         return ToolPose.from_ee(self._state.ee_to_base)
 
     def _run(self) -> None:
+        """Stream until told to end; whatever ends it, the arm is let go and nothing more is taken."""
+        try:
+            self._loop()
+        except RobotError as fault:
+            self._fault = fault
+            log.error("arm stopped (%s): %s", fault.fault, fault)
+        finally:
+            self._ending.set()
+            self._let_go()
+
+    def _loop(self) -> None:
         due = time.monotonic()
         # Not a daemon, which would die inside the C++ client: it ends in order when the program does.
         while not self._ending.is_set() and threading.main_thread().is_alive():
-            try:
-                self._tick()
-            except RobotError as fault:
-                self._fault = fault
-                log.error("arm stopped (%s): %s", fault.fault, fault)
-                break
+            self._tick()
             due = max(due + 1 / self.settings.rate_hz, time.monotonic())
             self._ending.wait(due - time.monotonic())
-        self._let_go()
 
     def _tick(self) -> None:
         state = self._arm.state()
         with self._lock:
             self._state = state
         _refuse_stopped(state)
+        self._warn_of_late_commands(state)
         target = self._target(time.monotonic())
         if target is not None:
             self._arm.set_target(target.ee_to_base())
+
+    def _warn_of_late_commands(self, state: ArmState) -> None:
+        late = state.mode == "move" and state.success_rate < GOOD_RATE
+        if late and not self._late:
+            log.warning("only %.0f%% of the commands reach the robot in time", 100 * state.success_rate)
+        self._late = late
 
     def _target(self, now_s: float) -> ToolPose | None:
         """Return where to pull now, None before the first action."""

@@ -25,6 +25,7 @@ class FakeArm:
         self.stopped_at: list[float] = []
         self.connected = self.closed = False
         self.follows = True
+        self.success_rate = 1.0
 
     def connect(self) -> None:
         self.connected = True
@@ -33,7 +34,9 @@ class FakeArm:
         if self.fault is not None:
             raise self.fault
         now = time.monotonic()
-        return ArmState(now, now, np.zeros(7), np.zeros(7), self.pose.copy(), np.zeros(6), self.mode, 1.0)
+        return ArmState(
+            now, now, np.zeros(7), np.zeros(7), self.pose.copy(), np.zeros(6), self.mode, self.success_rate
+        )
 
     def set_target(self, ee_to_base: np.ndarray) -> None:
         if self.fault is not None:

@@ -125,6 +125,27 @@ def test_a_lost_arm_is_let_go_within_half_a_second(
         pytest.skip(f"the machine took {arm.stopped_at[0] - begun:.2f} s for a loop of 10 ms")
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_mistake_in_a_backend_lets_the_arm_go_too(
+    arm: FakeArm, stream: ArmStream, eventually: Callable
+) -> None:
+    arm.set_target = lambda pose: 1 / 0  # type: ignore[method-assign]
+    stream.submit(away(-0.01))
+    eventually(lambda: bool(arm.stopped_at))
+    with pytest.raises(RobotError) as caught:
+        stream.submit(away(0.0))
+    assert caught.value.fault == "ended"
+
+
+def test_late_commands_are_told_once(
+    arm: FakeArm, stream: ArmStream, eventually: Callable, caplog: pytest.LogCaptureFixture
+) -> None:
+    arm.success_rate, arm.mode = 0.5, "move"
+    first = stream.state.time_s
+    eventually(lambda: stream.state.time_s > first + 0.1)
+    assert sum("in time" in record.message for record in caplog.records) == 1
+
+
 def test_after_the_end_nothing_is_taken(arm: FakeArm) -> None:
     stream = ArmStream(arm, SLOW)
     stream.start()
