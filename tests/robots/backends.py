@@ -232,6 +232,47 @@ def hand(backend: str, fci: StandIn) -> None:
     assert not any(r["busy"] for r in requests)
 
 
+def robot(backend: str, fci: StandIn) -> None:
+    """The LeRobot robot from end to end: act, be stopped by a person, refuse, leave the arm still."""
+    from lerobot_robot_uniforce_franka.config import UniforceFrankaConfig
+    from lerobot_robot_uniforce_franka.guards import GuardLimits
+    from lerobot_robot_uniforce_franka.robot import UniforceFranka
+
+    box = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
+    config = UniforceFrankaConfig(
+        id="dry-run",
+        calibration_dir=Path(fci.log).parent if fci.log else None,
+        address=fci.address,
+        backend=backend,  # type: ignore[arg-type]
+        connect_deadline_s=PATIENCE_s,
+        stream=PATIENT,
+        guards=box,
+    )
+    robot = UniforceFranka(config)
+    robot.connect()
+    goal = robot.get_observation()
+    goal["z.pos"] -= 0.01
+    goal["width.pos"] = 0.05
+
+    def arrived() -> bool:
+        robot.send_action(goal)
+        seen = robot.get_observation()
+        return abs(seen["z.pos"] - goal["z.pos"]) < 2e-3 and abs(seen["width.pos"] - 0.05) < 2e-3
+
+    wait_until(arrived, PATIENCE_s, "arm and hand at the goal")
+    fci.do("user_stop")
+    assert fault_within(lambda: robot.send_action(goal)).fault == "user_stop"
+    assert_still(fci)
+    fci.do("release")
+    robot.recover()
+    assert not fci.do("look")["arm"]["moving"], "recovery moves nothing"
+    robot.send_action(robot.get_observation())
+    wait_until(lambda: fci.do("look")["arm"]["moving"], PATIENCE_s, "control again")
+    robot.disconnect()
+    assert_still(fci)
+    assert not fci.do("look")["arm"]["moving"]
+
+
 def version(backend: str, fci: StandIn) -> None:
     """Another server version is refused by name, with the server's own words."""
     try:
@@ -265,7 +306,10 @@ def mute(backend: str, fci: StandIn) -> None:
 
 
 OPTIONS = {"version": ("--server-version", "9"), "mute": ("--mute",)}
-CASES = {case.__name__: case for case in (life, bound, reflex, user_stop, death, stream, hand, version, mute)}
+CASES = {
+    case.__name__: case
+    for case in (life, bound, reflex, user_stop, death, stream, hand, robot, version, mute)
+}
 
 
 def main() -> None:

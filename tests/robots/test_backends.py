@@ -13,7 +13,7 @@ from lerobot_robot_uniforce_franka.backends import EXTRAS, fault_of, load_client
 from uniforce_vtla.errors import RobotError
 
 PROGRAM = Path(__file__).with_name("backends.py")
-CASES = ["life", "bound", "reflex", "user_stop", "death", "stream", "hand", "version", "mute"]
+CASES = ["life", "bound", "reflex", "user_stop", "death", "stream", "hand", "robot", "version", "mute"]
 
 
 def need(backend: str) -> None:
