@@ -24,6 +24,7 @@ MODES = {
     "UserStopped": "user_stopped",
     "AutomaticErrorRecovery": "recovery",
 }
+RETRY_s = 0.1
 TURN_rad = 0.01  # the hand's turn after which the gains are expressed in the base frame anew
 
 
@@ -54,16 +55,28 @@ class FrankyArm:
             else franky.RealtimeConfig.Enforce
         )
         try:
-            # 0.05: motions of franky's own, of which we use none, would be slow
-            self._robot = franky.Robot(
-                self.settings.address, relative_dynamics_factor=0.05, realtime_config=mode
-            )
+            self._robot = self._open(mode)
             # By root, the constructor puts this thread on SCHED_FIFO 99: one busy Python thread starves the machine.
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             self._robot.set_collision_behavior(self.settings.reflex_torque_Nm, self.settings.reflex_force_N)
         except franky.Exception as error:
             raise self._error(error) from error
         self.state()  # the first one after a setter may be a stale one from the queue
+
+    def _open(self, realtime: Any) -> Any:
+        """Connect; for a moment the robot may still see the child that went before, and takes one client only."""
+        end = time.monotonic() + self.settings.connect_deadline_s
+        while True:
+            try:
+                # 0.05: motions of franky's own, of which we use none, would be slow
+                return self._franky.Robot(
+                    self.settings.address, relative_dynamics_factor=0.05, realtime_config=realtime
+                )
+            except self._franky.NetworkException as error:
+                if time.monotonic() > end:
+                    raise
+                log.info("robot at %s: %s; once more", self.settings.address, error)
+                time.sleep(RETRY_s)
 
     def state(self) -> ArmState:
         """See ``Arm``; about 0.3 ms, up to 1 s when the robot has died."""

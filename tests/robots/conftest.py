@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))  # fakes.py: importlib mode gives test folders no package
+sys.path.insert(0, str(Path(__file__).parent))  # robot_fakes.py: importlib mode gives test folders no package
 
 _numbers = itertools.count(2)
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from fakes import FakeHand
+from robot_fakes import FakeHand
 
 from lerobot_robot_uniforce_franka.hand import HandCommand, HandSettings, HandThread, next_command
 from uniforce_vtla.errors import RobotError

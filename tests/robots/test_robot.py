@@ -10,8 +10,8 @@ from pathlib import Path
 import draccus
 import numpy as np
 import pytest
-from fakes import START, FakeArm, FakeHand
 from lerobot.robots import RobotConfig, make_robot_from_config
+from robot_fakes import START, FakeArm, FakeHand
 
 from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
 from lerobot_robot_uniforce_franka import robot as module

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from fakes import START, FakeArm
+from robot_fakes import START, FakeArm
 
 from lerobot_robot_uniforce_franka.poses import ToolPose
 from lerobot_robot_uniforce_franka.stream import ArmStream, Ramp, StreamSettings
@@ -176,7 +176,7 @@ def test_a_program_that_forgets_to_disconnect_still_ends(tmp_path) -> None:
     program = tmp_path / "forgetful.py"
     program.write_text(
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from fakes import FakeArm\n"
+        "from robot_fakes import FakeArm\n"
         "from lerobot_robot_uniforce_franka.stream import ArmStream\n"
         "arm = FakeArm(); stream = ArmStream(arm); stream.start()\n"
         "raise SystemExit(3)\n"

@@ -175,6 +175,12 @@ def test_a_client_that_leaves_stops_the_arm_and_makes_room_for_the_next(fci: Sta
         assert arm.state().mode == p.RobotMode.IDLE
 
 
+def test_a_client_may_follow_at_once_on_one_that_left(fci: StandIn) -> None:
+    for _ in range(20):
+        with RawArm(fci.address) as arm:
+            assert arm.status == p.ConnectStatus.SUCCESS
+
+
 def test_the_hand_moves_grasps_fails_to_and_stops(fci: StandIn) -> None:
     with RawHand(fci.address) as hand:
         assert (hand.status, hand.version) == (p.ConnectStatus.SUCCESS, 3)

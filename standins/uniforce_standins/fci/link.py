@@ -30,17 +30,32 @@ class Link:
         """Return what to wait on."""
         return [self.listener, self.udp, *([self.client] if self.client else [])]
 
-    def accept(self) -> None:
-        """Take a client, or turn it away while there is one."""
+    def accept(self) -> bool:
+        """Take a client, or turn it away while there is one; return whether it takes the place of one that left."""
         connection, peer = self.listener.accept()
+        replaces = self._client_left()
+        if replaces:
+            self.drop("gone")
         if self.client is not None:
             self.journal.write("turned away", device=self.header.device, peer=peer)
             connection.close()
-            return
+            return False
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setblocking(False)
         self.client, self._peer, self._buffer = connection, peer[0], b""
         self.journal.write("client", device=self.header.device, peer=peer)
+        return replaces
+
+    def _client_left(self) -> bool:
+        """Return whether the client has hung up and nobody has looked yet."""
+        if self.client is None:
+            return False
+        try:
+            return not self.client.recv(1, socket.MSG_PEEK)
+        except BlockingIOError:
+            return False
+        except ConnectionError:
+            return True
 
     def receive(self) -> Iterator[Message]:
         """Yield the whole requests that have arrived; drop a client that is gone or talks nonsense."""

@@ -102,7 +102,8 @@ class Server:
     def _read_device(self, service: ArmService | HandService, ready: socket.socket) -> None:
         link: Link = service.link
         if ready is link.listener:
-            link.accept()
+            if link.accept():
+                service.client_gone()
         elif ready is link.client:
             for message in link.receive():
                 service.handle(message)
