@@ -53,6 +53,48 @@ def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -
             assert not (module or "").startswith(forbidden), f"{file.relative_to(ROOT)} imports {module}"
 
 
+def foreign_imports(folder: Path, forbidden: tuple[str, ...]) -> list[str]:
+    found = []
+    for file in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            found += [f"{file.relative_to(ROOT)}: {m}" for m in modules if m.split(".")[0] in forbidden]
+    return found
+
+
+def test_a_stand_in_knows_nothing_of_the_project() -> None:
+    """It stands for a device, and starts without torch."""
+    ours = (
+        "uniforce_vtla",
+        "lerobot",
+        "lerobot_robot_uniforce_franka",
+        "lerobot_env_uniforce_wiping",
+        "torch",
+    )
+    assert not foreign_imports(ROOT / "standins" / "uniforce_standins", ours)
+
+
+def test_the_robot_knows_no_policy_and_its_children_not_even_the_robot() -> None:
+    robot = ROOT / "robots" / "lerobot_robot_uniforce_franka"
+    assert not foreign_imports(
+        robot, ("lerobot_policy_pi05_uniforce", "lerobot_env_uniforce_wiping", "uniforce_standins")
+    )
+    assert not foreign_imports(
+        robot / "children", ("uniforce_vtla", "lerobot", "lerobot_robot_uniforce_franka")
+    )
+
+
+def test_vendors_clients_are_loaded_where_they_are_needed_only() -> None:
+    """Both in one process fail, and neither is a core dependency: no module imports one at its top."""
+    robot = ROOT / "robots" / "lerobot_robot_uniforce_franka"
+    for file in robot.rglob("*.py"):
+        top = ast.parse(file.read_text()).body
+        names = [alias.name for node in top if isinstance(node, ast.Import) for alias in node.names]
+        names += [node.module or "" for node in top if isinstance(node, ast.ImportFrom)]
+        assert not {"franky", "pylibfranka"} & set(names), f"{file.relative_to(ROOT)} imports a client"
+
+
 def test_no_folder_shadows_the_datasets_library() -> None:
     assert not (ROOT / "datasets" / "__init__.py").exists()
     import lerobot.datasets

@@ -27,6 +27,19 @@ class RolloutError(UniForceError):
     """A rollout had to stop: lost touch, non-finite action, broken episode."""
 
 
+class RobotError(UniForceError):
+    """The robot can't be moved: no answer, wrong version, reflex, user stop, a refused action.
+
+    Attributes:
+        fault: one word for what happened: ``connection``, ``version``, ``reflex``, ``user_stop``, ``guiding``,
+            ``action``, ``stale``, ``ended``, ``backend`` or ``other``. Programs branch on it, people read the message.
+    """
+
+    def __init__(self, message: str, fault: str = "other") -> None:
+        super().__init__(message)
+        self.fault = fault
+
+
 def expected(what: str, wanted: object, came: object, do: str) -> str:
     """Compose a message in the one form all our errors share."""
     return f"{what}: expected {wanted}, got {came}. {do}"

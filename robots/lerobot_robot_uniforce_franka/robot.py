@@ -1,0 +1,213 @@
+"""The LeRobot robot: five axes and cameras in, five guarded axes out."""
+
+from __future__ import annotations
+
+import logging
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from lerobot.cameras import Camera, make_cameras_from_configs
+from lerobot.robots import Robot
+
+from lerobot_robot_uniforce_franka.arm import Arm
+from lerobot_robot_uniforce_franka.config import UniforceFrankaConfig
+from lerobot_robot_uniforce_franka.franky_arm import FrankyArm
+from lerobot_robot_uniforce_franka.franky_hand import FrankyHand
+from lerobot_robot_uniforce_franka.guards import GuardChain
+from lerobot_robot_uniforce_franka.hand import HandDriver, HandThread
+from lerobot_robot_uniforce_franka.poses import ToolPose
+from lerobot_robot_uniforce_franka.pylibfranka_arm import PylibfrankaArm
+from lerobot_robot_uniforce_franka.pylibfranka_hand import PylibfrankaHand
+from lerobot_robot_uniforce_franka.shutdown import forbid_return_motion
+from lerobot_robot_uniforce_franka.stream import ArmStream
+from uniforce_vtla.errors import RobotError, expected
+from uniforce_vtla.keys import AXES
+
+log = logging.getLogger(__name__)
+
+
+def make_backend(config: UniforceFrankaConfig) -> tuple[Arm, HandDriver]:
+    """Return the arm and hand of the configured backend, not yet connected."""
+    if config.backend == "pylibfranka":
+        return PylibfrankaArm(config.arm_settings), PylibfrankaHand(config.address, config.connect_deadline_s)
+    return FrankyArm(config.arm_settings, has_hand=True), FrankyHand(config.address)
+
+
+class UniforceFranka(Robot):
+    """A Franka arm under Cartesian impedance control, with its hand and cameras.
+
+    Actions are absolute targets in the robot's base frame, axes as in ``keys.AXES``: x, y, z m, yaw rad, width m. Each
+    passes the guards, becomes a ramp at 100 Hz, and pulls through a clipped spring. Any fault ends motion; only
+    ``recover`` allows it again.
+    """
+
+    config_class = UniforceFrankaConfig
+    name = "uniforce_franka"
+
+    def __init__(self, config: UniforceFrankaConfig) -> None:
+        super().__init__(config)
+        self.config = config
+        self.cameras = make_cameras_from_configs(config.cameras)
+        self.guards = GuardChain(config.guards)
+        self._arm, self._hand_driver = make_backend(config)
+        self._stream: ArmStream | None = None
+        self._hand: HandThread | None = None
+        self._fault: RobotError | None = None
+
+    # --- features ----------------------------------------------------------------------------------------------------
+
+    @property
+    def observation_features(self) -> dict[str, Any]:
+        """Five measured axes, and (height, width, 3) for each camera."""
+        images = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
+        return {**dict.fromkeys(AXES, float), **images}
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Five target axes."""
+        return dict.fromkeys(AXES, float)
+
+    # --- life --------------------------------------------------------------------------------------------------------
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether arm, hand and cameras are; a fault does not disconnect, so that its data can be kept."""
+        return self._stream is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Always: the arm knows its joints."""
+        return True
+
+    def calibrate(self) -> None:
+        """Do nothing; the hand is homed on the robot's own page, since that moves the fingers."""
+
+    def configure(self) -> None:
+        """Do nothing; ``connect`` sets the reflex thresholds."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Connect arm, hand and cameras. Nothing moves before the first action.
+
+        Raises:
+            RobotError: already connected, no answer within the deadline, wrong version, no client installed.
+        """
+        if self.is_connected:
+            raise RobotError(
+                "robot: expected a robot not connected, got one that is. Disconnect first.", "other"
+            )
+        forbid_return_motion()
+        try:
+            self._connect_all()
+        finally:
+            if self._stream is None:  # something on the way failed, cameras included
+                self.disconnect()
+
+    def _connect_all(self) -> None:
+        self._arm.connect()
+        hand = HandThread(self._hand_driver, self.config.gripper)
+        hand.start()
+        self._hand = hand
+        for camera in self.cameras.values():
+            camera.connect()
+        self._start_stream()
+
+    def _start_stream(self) -> None:
+        stream = ArmStream(self._arm, replace(self.config.stream, action_period_s=1 / self.config.fps))
+        stream.start()
+        self._stream = stream
+        self._fault = None
+        self.guards.reset()
+
+    def recover(self) -> None:
+        """Clear a reflex on an operator's word. Nothing moves; the first target starts from the measured pose.
+
+        Raises:
+            RobotError: the cause is still there (a pressed stop, a hand that is gone), or the robot is not connected.
+        """
+        stream, hand = self._parts()
+        if hand.fault is not None:
+            raise hand.fault
+        stream.stop()
+        self._arm.recover()
+        self._start_stream()
+
+    def disconnect(self) -> None:
+        """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice.
+
+        Threads left inside a C++ client at the interpreter's end abort the process (exit code 134).
+        """
+        stream, self._stream = self._stream, None
+        hand, self._hand = self._hand, None
+        with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
+            closing.callback(log.info, "guards acted: %s", self.guards.counts)
+            for camera in self.cameras.values():
+                closing.callback(_disconnect_camera, camera)
+            closing.callback(self._arm.close)
+            closing.callback(self._hand_driver.close)
+            if hand is not None:
+                closing.callback(hand.stop)
+            if stream is not None:
+                closing.callback(stream.stop)
+
+    # --- observation and action --------------------------------------------------------------------------------------
+
+    def measured(self) -> np.ndarray:
+        """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
+
+        Raises:
+            RobotError: not connected, a fault of arm or hand, or a reading too old.
+        """
+        stream, hand = self._parts()
+        pose = ToolPose.from_ee(stream.state.ee_to_base)
+        return np.array([*pose.position_m, pose.yaw_rad, hand.reading.width_m])
+
+    def get_observation(self) -> dict[str, Any]:
+        """Return the measured axes and the newest image of each camera."""
+        axes = dict(zip(AXES, self._halting(self.measured).tolist(), strict=True))
+        return {**axes, **{name: camera.read_latest() for name, camera in self.cameras.items()}}
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """Guard an action and make it the target; return what was sent. Never blocks.
+
+        Raises:
+            RobotError: a key is missing, a number is not finite, or the robot has a fault; the robot has stopped then.
+        """
+        sent = self._halting(lambda: self._send(action))
+        return dict(zip(AXES, sent.tolist(), strict=True))
+
+    def _send(self, action: dict[str, Any]) -> np.ndarray:
+        if self._fault is not None:
+            raise self._fault
+        stream, hand = self._parts()
+        missing = [axis for axis in AXES if axis not in action]
+        if missing:
+            raise RobotError(expected("action", AXES, f"{missing} missing", "Send all five."), "action")
+        wanted = np.array([float(action[axis]) for axis in AXES])
+        sent = self.guards(wanted, self.measured(), time.monotonic())
+        stream.submit(ToolPose(sent[:3], float(sent[3])))
+        hand.submit(float(sent[4]))
+        return sent
+
+    def _halting(self, do: Any) -> np.ndarray:
+        """Do something; a fault on the way stops the arm before it is told."""
+        try:
+            result: np.ndarray = do()
+        except RobotError as fault:
+            if self._stream is not None and self._fault is None:
+                self._fault = fault
+                self._stream.stop()
+            raise
+        return result
+
+    def _parts(self) -> tuple[ArmStream, HandThread]:
+        if self._stream is None or self._hand is None:
+            raise RobotError("robot: expected a connected one, got none. Call connect().", "ended")
+        return self._stream, self._hand
+
+
+def _disconnect_camera(camera: Camera) -> None:
+    if camera.is_connected:
+        camera.disconnect()

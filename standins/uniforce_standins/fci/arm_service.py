@@ -1,0 +1,327 @@
+"""The arm's side of the wire: requests, the sequence of a Move, the 1 kHz states, and the arm's faults."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_standins.fci.arm import Arm
+from uniforce_standins.fci.journal import Journal
+from uniforce_standins.fci.kinematics import urdf
+from uniforce_standins.fci.link import Link
+from uniforce_standins.fci.protocol import (
+    ARM_HEADER,
+    ARM_PORT,
+    ARM_VERSION,
+    CARTESIAN_IMPEDANCE_COUNT,
+    GUIDING,
+    JOINT_IMPEDANCE_COUNT,
+    TRANSFORM_COUNT,
+    ArmCommand,
+    CollisionBehavior,
+    ConnectRequest,
+    ConnectStatus,
+    Controller,
+    ErrorBit,
+    Load,
+    Message,
+    MoveRequest,
+    MoveStatus,
+    ProtocolError,
+    RobotCommand,
+    RobotMode,
+    RobotState,
+    SetterStatus,
+    numbers,
+    unpack,
+)
+
+MISSES_ALLOWED = 20  # FCI: as many lost packets in a row end the motion
+SUCCESS_WINDOW = 100  # commands the success rate is about
+STOPPED = (RobotMode.REFLEX, RobotMode.USER_STOPPED)
+
+
+@dataclass(frozen=True)
+class ArmOptions:
+    """How the arm behaves on the wire.
+
+    Attributes:
+        version: what the server says it is; another than 10 refuses every client of version 10.
+        patience_s: how long a tick waits for the client's command. Time then passes slower instead of the arm flying
+            off on a stale torque, which keeps results the same on a busy machine.
+        miss_rule: end a motion after 20 missed commands, as the real arm does. Off by default: a test machine without
+            a real-time kernel would be tested, not the client. On, a tick waits 1 ms only.
+    """
+
+    version: int = ARM_VERSION
+    patience_s: float = 0.02
+    miss_rule: bool = False
+
+
+@dataclass
+class Motion:
+    """A Move under way."""
+
+    command_id: int
+    request: MoveRequest
+    command: RobotCommand | None = None  # the newest
+    answered: bool = False  # whether the last state has got its command
+    misses: int = 0  # in a row
+
+
+class ArmService:
+    """An arm behind its port."""
+
+    def __init__(self, address: str, options: ArmOptions, journal: Journal) -> None:
+        self.link = Link(address, ARM_PORT, ARM_HEADER, journal)
+        self.options, self.journal = options, journal
+        self.arm = Arm()
+        self.mode = RobotMode.IDLE
+        self.motion: Motion | None = None
+        self.errors: frozenset[int] = frozenset()
+        self.reflex_reason: frozenset[int] = frozenset()
+        self.success_rate = 0.0
+        self.miss_rule = options.miss_rule
+        self.milliseconds = 0
+        self._sent_at = 0.0
+        self._model = urdf().encode()
+
+    # --- requests ----------------------------------------------------------------------------------------------------
+
+    def handle(self, message: Message) -> None:
+        """Answer one request; a payload that can't be read ends the connection."""
+        name = ArmCommand(message.command).name if message.command in list(ArmCommand) else "?"
+        size = ARM_HEADER.layout.size + len(message.payload)
+        self.journal.write("request", device="arm", command=name, command_id=message.command_id, bytes=size)
+        try:
+            self._dispatch(message)
+        except ProtocolError as error:
+            self._end_motion_unanswered()
+            self.link.drop(str(error))
+
+    def _dispatch(self, message: Message) -> None:
+        match message.command:
+            case ArmCommand.CONNECT:
+                self._connect(message)
+            case ArmCommand.MOVE:
+                self._move(message)
+            case ArmCommand.STOP_MOVE:
+                self._stop_move(message)
+            case ArmCommand.AUTOMATIC_ERROR_RECOVERY:
+                self._recover(message)
+            case ArmCommand.GET_ROBOT_MODEL:
+                self.link.send(Message(message.command, message.command_id, b"\0" + self._model))
+            case _:
+                self._set(message)
+
+    def _connect(self, message: Message) -> None:
+        request = ConnectRequest.decode(message.payload)
+        fits = request.version == self.options.version
+        status = ConnectStatus.SUCCESS if fits else ConnectStatus.INCOMPATIBLE_VERSION
+        self.link.greet(message, request, struct.pack("<BH", status, self.options.version), fits)
+
+    def _move(self, message: Message) -> None:
+        request = MoveRequest.decode(message.payload)
+        if self.mode not in (RobotMode.IDLE, RobotMode.MOVE):
+            self._reply(message, MoveStatus.NOT_POSSIBLE)
+            return
+        if self.motion is not None:
+            self._end_motion(MoveStatus.PREEMPTED)
+        self._reply(message, MoveStatus.MOTION_STARTED)
+        self.motion = Motion(message.command_id, request)
+        self.mode, self.success_rate = RobotMode.MOVE, 1.0
+        modes = {"controller": request.controller.name, "generator": request.generator.name}
+        self.journal.write("motion", **modes)
+
+    def _stop_move(self, message: Message) -> None:
+        self._reply(message, SetterStatus.SUCCESS)
+        if self.motion is not None:
+            self._end_motion(MoveStatus.PREEMPTED)
+
+    def _recover(self, message: Message) -> None:
+        if self.mode == RobotMode.USER_STOPPED:
+            self._reply(message, SetterStatus.NOT_POSSIBLE)
+            return
+        if self.mode == RobotMode.REFLEX:
+            self.mode, self.errors = RobotMode.IDLE, frozenset()
+        self._reply(message, SetterStatus.SUCCESS)
+
+    def _set(self, message: Message) -> None:
+        """Answer a setter; while the arm moves, the real one refuses what would change its dynamics."""
+        try:
+            apply = self._setter(message)
+        except ProtocolError as error:
+            self.journal.write("invalid", why=str(error))
+            self._reply(message, SetterStatus.INVALID_ARGUMENT)
+            return
+        if self.motion is not None:
+            self._reply(message, SetterStatus.NOT_POSSIBLE)
+            return
+        if apply is not None:
+            apply()
+        self._reply(message, SetterStatus.SUCCESS)
+
+    def _setter(self, message: Message) -> Callable[[], None] | None:
+        payload = message.payload
+        match message.command:
+            case ArmCommand.SET_COLLISION_BEHAVIOR:
+                behavior = CollisionBehavior.decode(payload)
+                return lambda: self._set_thresholds(behavior)
+            case ArmCommand.SET_JOINT_IMPEDANCE:
+                numbers(payload, JOINT_IMPEDANCE_COUNT, "SetJointImpedance")
+            case ArmCommand.SET_CARTESIAN_IMPEDANCE:
+                numbers(payload, CARTESIAN_IMPEDANCE_COUNT, "SetCartesianImpedance")
+            case ArmCommand.SET_GUIDING_MODE:
+                unpack(GUIDING, payload, "SetGuidingMode")
+            case ArmCommand.SET_EE_TO_K:
+                k_to_ee = numbers(payload, TRANSFORM_COUNT, "SetEEToK").reshape(4, 4).T
+                return lambda: setattr(self.arm, "k_to_ee", k_to_ee)
+            case ArmCommand.SET_NE_TO_EE:
+                ee_to_ne = numbers(payload, TRANSFORM_COUNT, "SetNEToEE").reshape(4, 4).T
+                return lambda: self.arm.set_ee(ee_to_ne)
+            case ArmCommand.SET_LOAD:
+                Load.decode(payload)
+            case _:
+                raise ProtocolError("arm command", "0 to 11", message.command)
+        return None
+
+    def _set_thresholds(self, behavior: CollisionBehavior) -> None:
+        self.arm.upper_torque_Nm = behavior.upper_torque_nominal
+        self.arm.upper_force_N = behavior.upper_force_nominal
+        thresholds = {"upper_torque_Nm": behavior.upper_torque_nominal.tolist()}
+        self.journal.write("thresholds", **thresholds, upper_force_N=behavior.upper_force_nominal.tolist())
+
+    def _reply(self, message: Message, status: int) -> None:
+        self.link.send(Message(message.command, message.command_id, bytes([status])))
+
+    # --- motion ------------------------------------------------------------------------------------------------------
+
+    def _end_motion(self, status: MoveStatus, mode: RobotMode = RobotMode.IDLE) -> None:
+        """Show the new mode in a state first, then answer the Move: the order clients wait for."""
+        motion, self.motion, self.mode = self.motion, None, mode
+        self._send_state()
+        if motion is not None:
+            self.link.send(Message(ArmCommand.MOVE, motion.command_id, bytes([status])))
+
+    def _end_motion_unanswered(self) -> None:
+        if self.motion is not None:
+            self.journal.write("motion lost its client")
+            self.motion, self.mode = None, RobotMode.IDLE
+
+    def client_gone(self) -> None:
+        """Brake when the client has left."""
+        self._end_motion_unanswered()
+
+    def receive_command(self, datagram: bytes) -> None:
+        """Take a command of the control loop."""
+        try:
+            command = RobotCommand.decode(datagram)
+        except ProtocolError as error:
+            self.journal.write("invalid", why=str(error), bytes=len(datagram))
+            return
+        if self.journal.is_on:
+            tau = [round(float(t), 4) for t in command.tau_J_d]
+            self.journal.write("command", id=command.message_id, tau_Nm=tau, finished=command.finished)
+        if self.motion is not None:
+            self.motion.command = command
+            self.motion.answered = command.message_id >= self.milliseconds
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether the next millisecond may begin: the client has answered, or waited too long."""
+        if self.motion is None or self.motion.answered:
+            return True
+        patience = 0.001 if self.miss_rule else self.options.patience_s
+        return now_s - self._sent_at >= patience
+
+    def tick(self) -> None:
+        """Let one millisecond of the robot's time pass and tell of it."""
+        if self.motion is not None:
+            self._drive(self.motion)
+        elif self.mode == RobotMode.GUIDING:
+            self.arm.guide()
+        else:
+            self.arm.hold()
+        self.milliseconds += 1
+        self._send_state()
+
+    def _drive(self, motion: Motion) -> None:
+        command = motion.command
+        if command is None:  # the client has not begun
+            self.arm.hold()
+            return
+        self._count(motion)
+        self.arm.drive(command, motion.request.generator)
+        violations = self.arm.violations()
+        if motion.misses >= MISSES_ALLOWED and self.miss_rule:
+            violations |= {ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION}
+        if violations:
+            self.reflex(violations)
+        elif command.finished:
+            self._end_motion(MoveStatus.SUCCESS)
+
+    def _count(self, motion: Motion) -> None:
+        motion.misses = 0 if motion.answered else motion.misses + 1
+        self.success_rate += (float(motion.answered) - self.success_rate) / SUCCESS_WINDOW
+        motion.answered = False
+
+    def _send_state(self) -> None:
+        self._sent_at = time.monotonic()
+        request = self.motion.request if self.motion else None
+        state = RobotState(
+            self.milliseconds,
+            self.arm.state_floats(),
+            request.generator + 1 if request else 0,
+            request.controller if request else Controller.OTHER,
+            self.errors,
+            self.reflex_reason,
+            self.mode,
+            self.success_rate if request else 0.0,
+        )
+        if self.journal.is_on:
+            position = [round(float(x), 6) for x in self.arm.ee_to_base[:3, 3]]
+            self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position)
+        self.link.send_state(state.encode())
+
+    # --- faults ------------------------------------------------------------------------------------------------------
+
+    def reflex(self, errors: frozenset[int]) -> None:
+        """Stop by reflex; motion is refused until recovery."""
+        self.errors = self.reflex_reason = frozenset(errors)
+        self.journal.write("reflex", errors=sorted(int(e) for e in errors))
+        self._end_motion(MoveStatus.REFLEX_ABORTED, RobotMode.REFLEX)
+
+    def user_stop(self) -> None:
+        """Press the stop button."""
+        self.journal.write("user stop")
+        self._end_motion(MoveStatus.EMERGENCY_ABORTED, RobotMode.USER_STOPPED)
+
+    def release(self) -> None:
+        """Let go of the stop button or of the guiding buttons."""
+        if self.mode in (RobotMode.USER_STOPPED, RobotMode.GUIDING):
+            self.mode = RobotMode.IDLE
+
+    def guide(self) -> None:
+        """Press the guiding buttons at the flange."""
+        self.journal.write("guiding")
+        if self.mode not in STOPPED:
+            self._end_motion(MoveStatus.ABORTED, RobotMode.GUIDING)
+
+    def describe(self) -> dict[str, object]:
+        """Return what a test wants to know without a client."""
+        return {
+            "milliseconds": self.milliseconds,
+            "mode": self.mode.name,
+            "moving": self.motion is not None,
+            "q_rad": self.arm.q_rad.tolist(),
+            "position_m": self.arm.ee_to_base[:3, 3].tolist(),
+            "rotation": self.arm.ee_to_base[:3, :3].tolist(),
+            "speed_rad_s": float(np.abs(self.arm.dq_rad_s).max()),
+            "felt_N": self.arm.felt_N.tolist(),
+            "tau_Nm": self.arm.tau_Nm.tolist(),
+            "command_force_N": np.linalg.lstsq(self.arm.jacobian.T, self.arm.tau_Nm, rcond=None)[0].tolist(),
+            "errors": sorted(int(e) for e in self.errors),
+        }

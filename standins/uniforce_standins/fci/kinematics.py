@@ -1,0 +1,127 @@
+"""Kinematics of the Franka Research 3 from its published Denavit–Hartenberg table, and a URDF made from it.
+
+Source: Franka documentation, "Robot and interface specifications" (Craig's modified convention) and the joint limits
+given there. Masses and inertias in the URDF are plausible, not identified: the stand-in proves software, not dynamics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+JOINTS = 7
+# a m, d m, alpha rad of each joint's frame in the one before
+DH = np.array(
+    [
+        (0.0, 0.333, 0.0),
+        (0.0, 0.0, -np.pi / 2),
+        (0.0, 0.316, np.pi / 2),
+        (0.0825, 0.0, np.pi / 2),
+        (-0.0825, 0.384, -np.pi / 2),
+        (0.0, 0.0, np.pi / 2),
+        (0.088, 0.0, np.pi / 2),
+    ]
+)
+FLANGE_m = 0.107  # joint 7 to flange
+Q_MIN_rad = np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.5409, -3.0196])
+Q_MAX_rad = np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196])
+DQ_MAX_rad_s = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
+TAU_MAX_Nm = np.array([87.0, 87, 87, 87, 12, 12, 12])
+LINK_MASS_kg = (3.0, 4.0, 2.5, 3.0, 2.5, 2.0, 1.5, 0.6)  # link 0 to 7, plausible
+HOME_q_rad = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
+
+
+def rotation_z(angle_rad: float) -> np.ndarray:
+    """(4, 4) rotation about z."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+
+
+def translation(x: float, y: float, z: float) -> np.ndarray:
+    """(4, 4) translation, m."""
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+# The hand is mounted turned by −45°; its tool point lies 103.4 mm below the flange (Franka Hand manual).
+HAND_TO_FLANGE = translation(0, 0, 0.1034) @ rotation_z(-np.pi / 4)
+
+
+def _fixed_parts() -> np.ndarray:
+    parts = np.empty((JOINTS, 4, 4))
+    for part, (a, d, alpha) in zip(parts, DH, strict=True):
+        c, s = np.cos(alpha), np.sin(alpha)
+        part[:] = [[1, 0, 0, a], [0, c, -s, -d * s], [0, s, c, d * c], [0, 0, 0, 1]]
+    return parts
+
+
+_FIXED = _fixed_parts()
+_FLANGE = translation(0, 0, FLANGE_m)
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Where the arm is: ``flange_to_base`` (4, 4), joint axes (7, 3) and origins (7, 3) in the base frame, m."""
+
+    flange_to_base: np.ndarray
+    axes: np.ndarray
+    origins_m: np.ndarray
+
+    def jacobian(self, point_m: np.ndarray) -> np.ndarray:
+        """Return (6, 7): joint speeds to the linear and angular velocity of a point of the hand, base frame."""
+        z, r = self.axes.T, (point_m - self.origins_m).T
+        linear = (z[1] * r[2] - z[2] * r[1], z[2] * r[0] - z[0] * r[2], z[0] * r[1] - z[1] * r[0])
+        return np.vstack([*linear, z])
+
+
+def posture(q_rad: np.ndarray) -> Posture:
+    """Return the arm's posture at joint angles (7,)."""
+    c, s = np.cos(q_rad)[:, None], np.sin(q_rad)[:, None]
+    local = _FIXED.copy()
+    local[:, :, 0] = _FIXED[:, :, 0] * c + _FIXED[:, :, 1] * s
+    local[:, :, 1] = _FIXED[:, :, 1] * c - _FIXED[:, :, 0] * s
+    frames = np.empty((JOINTS, 4, 4))
+    T = np.eye(4)
+    for i in range(JOINTS):
+        T = T @ local[i]
+        frames[i] = T
+    return Posture(T @ _FLANGE, frames[:, :3, 2], frames[:, :3, 3])
+
+
+def rotation_error(target: np.ndarray, current: np.ndarray) -> np.ndarray:
+    """(3,) rotation vector, to first order, that turns ``current`` into ``target`` (3, 3), in the frame of both."""
+    turn = target @ current.T
+    return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+
+
+def urdf() -> str:
+    """Return the model a client downloads: the names and limit tags are those libfranka's model loader asks for."""
+    links = "".join(_link(i, mass) for i, mass in enumerate((*LINK_MASS_kg, 0.05)))
+    joints = "".join(_joint(i) for i in range(JOINTS))
+    flange = (
+        '<joint name="fr3_joint8" type="fixed"><parent link="link7"/><child link="link8"/>'
+        f'<origin xyz="0 0 {FLANGE_m}" rpy="0 0 0"/></joint>'
+    )
+    return f'<?xml version="1.0"?><robot name="fr3">{links}{joints}{flange}</robot>'
+
+
+def _link(i: int, mass_kg: float) -> str:
+    inertia = 0.004 * mass_kg
+    return (
+        f'<link name="link{i}"><inertial><origin xyz="0 0 0" rpy="0 0 0"/><mass value="{mass_kg}"/>'
+        f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def _joint(i: int) -> str:
+    a, d, alpha = DH[i]
+    origin = f"{a} {-d * np.sin(alpha):.12g} {d * np.cos(alpha):.12g}"
+    limits = f'lower="{Q_MIN_rad[i]}" upper="{Q_MAX_rad[i]}" velocity="{DQ_MAX_rad_s[i]}"'
+    return (
+        f'<joint name="fr3_joint{i + 1}" type="revolute"><parent link="link{i}"/><child link="link{i + 1}"/>'
+        f'<origin xyz="{origin}" rpy="{alpha:.12g} 0 0"/><axis xyz="0 0 1"/>'
+        f'<limit {limits} effort="{TAU_MAX_Nm[i]}"/>'
+        '<position_based_velocity_limits velocity_offset="0.3" deceleration_limit="6.0"/></joint>'
+    )

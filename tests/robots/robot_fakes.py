@@ -1,0 +1,100 @@
+"""An arm and a hand that do what they are told at once, and fail when they are told to."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from lerobot_robot_uniforce_franka.arm import ArmState, Gains
+from lerobot_robot_uniforce_franka.hand import HandCommand, HandReading
+from lerobot_robot_uniforce_franka.poses import ToolPose
+from uniforce_vtla.errors import RobotError
+
+START = ToolPose(np.array([0.45, 0.0, 0.3]), 0.0)
+
+
+class FakeArm:
+    """Goes to each target at once; keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.pose = START.ee_to_base()
+        self.mode = "idle"
+        self.targets: list[tuple[float, np.ndarray]] = []
+        self.fault: RobotError | None = None
+        self.stopped_at: list[float] = []
+        self.connected = self.closed = False
+        self.follows = True
+        self.success_rate = 1.0
+
+    def connect(self) -> None:
+        self.connected = True
+
+    def state(self) -> ArmState:
+        if self.fault is not None:
+            raise self.fault
+        now = time.monotonic()
+        return ArmState(
+            now, now, np.zeros(7), np.zeros(7), self.pose.copy(), np.zeros(6), self.mode, self.success_rate
+        )
+
+    def set_target(self, ee_to_base: np.ndarray) -> None:
+        if self.fault is not None:
+            raise self.fault
+        self.targets.append((time.monotonic(), ee_to_base.copy()))
+        if self.follows:
+            self.pose = ee_to_base.copy()
+
+    def set_gains(self, gains: Gains) -> None:
+        self.gains = gains
+
+    def stop(self) -> None:
+        self.stopped_at.append(time.monotonic())
+
+    def recover(self) -> None:
+        self.fault, self.mode = None, "idle"
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class FakeHand:
+    """Takes a while for each command; keeps what it was asked, and whether it was ever interrupted."""
+
+    def __init__(self, takes_s: float = 0.1, read_s: float = 0.0, succeeds: bool = True) -> None:
+        self.takes_s, self.read_s, self.succeeds = takes_s, read_s, succeeds
+        self.width_m = 0.08
+        self.commands: list[HandCommand] = []
+        self.overlaps = 0
+        self.stops = 0
+        self.fault: RobotError | None = None
+        self.closed = False
+        self._ends_s: float | None = None
+
+    def connect(self) -> None:
+        if self.fault is not None:
+            raise self.fault
+
+    def begin(self, command: HandCommand) -> None:
+        self.overlaps += self._ends_s is not None
+        self.commands.append(command)
+        self._ends_s = time.monotonic() + self.takes_s
+
+    def poll(self) -> bool | None:
+        if self._ends_s is None or time.monotonic() < self._ends_s:
+            return None
+        self._ends_s = None
+        self.width_m = self.commands[-1].width_m
+        return self.succeeds
+
+    def read(self) -> HandReading | None:
+        if self.fault is not None:
+            raise self.fault
+        time.sleep(self.read_s)
+        return HandReading(time.monotonic(), self.width_m, 0.08, False)
+
+    def stop(self) -> None:
+        self.stops += 1
+
+    def close(self) -> None:
+        self.closed = True

@@ -1,0 +1,119 @@
+"""The hand's thread on a fake hand: one command in flight, hysteresis, force, and nobody waits."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from robot_fakes import FakeHand
+
+from lerobot_robot_uniforce_franka.hand import HandCommand, HandSettings, HandThread, next_command
+from uniforce_vtla.errors import RobotError
+
+SETTINGS = HandSettings()
+
+
+@pytest.fixture
+def driver() -> FakeHand:
+    return FakeHand()
+
+
+@pytest.fixture
+def hand(driver: FakeHand) -> Iterator[HandThread]:
+    hand = HandThread(driver)
+    hand.start()
+    yield hand
+    hand.stop()
+    assert driver.closed and not [t for t in threading.enumerate() if t.name == "hand"]
+
+
+@pytest.mark.parametrize(
+    "target, last, wanted",
+    [
+        (0.06, None, HandCommand(0.06, 0.05)),
+        (0.02, None, HandCommand(0.02, 0.05, 10.0)),
+        (0.0585, HandCommand(0.06, 0.05), None),
+        (0.05, HandCommand(0.06, 0.05), HandCommand(0.05, 0.05)),
+        (0.03, HandCommand(0.06, 0.05), HandCommand(0.03, 0.05, 10.0)),
+        (0.035, HandCommand(0.03, 0.05, 10.0), HandCommand(0.035, 0.05)),
+    ],
+)
+def test_what_a_width_asks_for(target: float, last: HandCommand | None, wanted: HandCommand | None) -> None:
+    assert next_command(target, last, SETTINGS) == wanted
+
+
+def test_a_grasp_of_nothing_lies_outside_its_tolerance() -> None:
+    for width in (0.0, 0.001, 0.01, 0.03):
+        command = HandCommand(width, 0.05, 10.0)
+        assert command.grasp_width_m - command.inner_m > 0.001 and command.inner_m >= 0
+
+
+def test_commands_never_overlap_and_the_newest_target_wins(
+    hand: HandThread, driver: FakeHand, eventually: Callable
+) -> None:
+    for width in (0.07, 0.06, 0.05, 0.045, 0.03):
+        hand.submit(width)
+        time.sleep(0.02)
+    eventually(lambda: not hand.is_busy and bool(driver.commands) and driver.commands[-1].width_m == 0.03)
+    assert driver.overlaps == 0 and len(driver.commands) < 5, "the ones in between were skipped"
+    assert driver.commands[-1].force_N == SETTINGS.grip_force_N
+
+
+def test_small_changes_are_no_command(hand: HandThread, driver: FakeHand, eventually: Callable) -> None:
+    hand.submit(0.06)
+    eventually(lambda: len(driver.commands) == 1 and not hand.is_busy)
+    for i in range(20):
+        hand.submit(0.06 + 0.0001 * i)
+        time.sleep(0.01)
+    assert len(driver.commands) == 1
+
+
+def test_nobody_waits_for_a_slow_hand(eventually: Callable) -> None:
+    driver = FakeHand(read_s=0.5)
+    hand = HandThread(driver)
+    hand.start()
+    calls, slowest = 50, 0.0
+    for _ in range(calls):
+        begun = time.thread_time()  # our own share: the machine's other work is not the hand's fault
+        hand.submit(0.05)
+        assert hand.reading.width_m == 0.08
+        slowest = max(slowest, time.thread_time() - begun)
+    assert slowest < 0.05
+    begun = time.monotonic()
+    for _ in range(calls):
+        _ = hand.reading
+    assert time.monotonic() - begun < calls * driver.read_s / 2
+    hand.stop()
+
+
+def test_a_grasp_that_holds_nothing_is_counted_and_not_fatal(eventually: Callable) -> None:
+    driver = FakeHand(succeeds=False)
+    hand = HandThread(driver)
+    hand.start()
+    hand.submit(0.02)
+    eventually(lambda: hand.failed_grasps == 1)
+    hand.submit(0.07)
+    eventually(lambda: len(driver.commands) == 2)
+    assert hand.fault is None
+    hand.stop()
+
+
+def test_a_lost_hand_is_told_to_everybody(hand: HandThread, driver: FakeHand, eventually: Callable) -> None:
+    driver.fault = RobotError("gone", "connection")
+    eventually(lambda: hand.fault is not None)
+    with pytest.raises(RobotError, match="gone"):
+        hand.submit(0.05)
+    with pytest.raises(RobotError, match="gone"):
+        _ = hand.reading
+
+
+def test_a_command_in_flight_is_stopped_at_the_end(eventually: Callable) -> None:
+    driver = FakeHand(takes_s=60.0)
+    hand = HandThread(driver)
+    hand.start()
+    hand.submit(0.05)
+    eventually(lambda: hand.is_busy)
+    hand.stop()
+    assert driver.stops == 1 and driver.closed

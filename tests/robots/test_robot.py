@@ -1,0 +1,212 @@
+"""The LeRobot robot on a fake arm and hand: features, guarded actions, faults, and no motion after the end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import draccus
+import numpy as np
+import pytest
+from lerobot.robots import RobotConfig, make_robot_from_config
+from robot_fakes import START, FakeArm, FakeHand
+
+from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
+from lerobot_robot_uniforce_franka import robot as module
+from lerobot_robot_uniforce_franka.arm import Gains
+from lerobot_robot_uniforce_franka.shutdown import STRATEGIES, forbid_return_motion
+from lerobot_robot_uniforce_franka.stream import StreamSettings
+from uniforce_vtla.errors import RobotError
+from uniforce_vtla.keys import AXES
+
+
+@pytest.fixture
+def arm() -> FakeArm:
+    return FakeArm()
+
+
+@pytest.fixture
+def hand() -> FakeHand:
+    return FakeHand()
+
+
+@pytest.fixture
+def robot(
+    arm: FakeArm, hand: FakeHand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[UniforceFranka]:
+    monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
+    patient = StreamSettings(stale_s=30.0, state_age_s=30.0)
+    robot = UniforceFranka(UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient))
+    yield robot
+    robot.disconnect()
+    assert not [t for t in threading.enumerate() if t.name in ("arm-stream", "hand")], (
+        "a thread was left behind"
+    )
+
+
+def action(dx: float = 0.0, width: float = 0.08) -> dict[str, float]:
+    return dict(zip(AXES, [START.position_m[0] + dx, 0.0, 0.3, 0.0, width], strict=True))
+
+
+def test_features_are_the_five_axes(robot: UniforceFranka) -> None:
+    assert list(robot.observation_features) == list(AXES) == list(robot.action_features)
+    assert robot.name == "uniforce_franka" and robot.is_calibrated and not robot.is_connected
+
+
+def test_observation_and_action_go_through(robot: UniforceFranka, arm: FakeArm, eventually: Callable) -> None:
+    robot.connect()
+    assert robot.get_observation() == pytest.approx(action())
+    sent = robot.send_action(action(0.005, 0.03))
+    assert sent["x.pos"] == pytest.approx(0.455)
+    assert sent["width.pos"] == pytest.approx(0.07), "0.1 m/s over 0.1 s"
+    eventually(lambda: bool(arm.targets) and abs(arm.targets[-1][1][0, 3] - 0.455) < 1e-9)
+    np.testing.assert_allclose(arm.targets[-1][1][:3, :3], START.ee_to_base()[:3, :3], atol=1e-12)
+
+
+def test_what_is_returned_is_what_was_sent(robot: UniforceFranka) -> None:
+    robot.connect()
+    sent = robot.send_action({**action(), "x.pos": 5.0, "something.pos": 1.0})
+    assert sent["x.pos"] < 0.51 and set(sent) == set(AXES)
+    assert robot.guards.counts["box"] == robot.guards.counts["step"] == 1
+
+
+@pytest.mark.parametrize("bad", [{"x.pos": float("nan")}, {"width.pos": float("inf")}])
+def test_nan_stops_the_robot(robot: UniforceFranka, arm: FakeArm, bad: dict) -> None:
+    robot.connect()
+    robot.send_action(action())
+    with pytest.raises(RobotError) as caught:
+        robot.send_action({**action(), **bad})
+    assert caught.value.fault == "action" and arm.stopped_at
+    count = len(arm.targets)
+    with pytest.raises(RobotError, match="finite"):
+        robot.send_action(action())
+    assert len(arm.targets) == count and robot.is_connected, "its data can still be kept"
+
+
+def test_a_missing_axis_stops_the_robot(robot: UniforceFranka, arm: FakeArm) -> None:
+    robot.connect()
+    with pytest.raises(RobotError, match=r"yaw\.pos"):
+        robot.send_action({k: v for k, v in action().items() if k != "yaw.pos"})
+    assert arm.stopped_at
+
+
+def test_a_reflex_is_told_and_recovery_moves_nothing(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable
+) -> None:
+    robot.connect()
+    robot.send_action(action())
+    arm.mode = "reflex"
+    eventually(lambda: bool(arm.stopped_at))
+    for use in (lambda: robot.send_action(action()), robot.get_observation):
+        with pytest.raises(RobotError) as caught:
+            use()
+        assert caught.value.fault == "reflex"
+    count = len(arm.targets)
+    robot.recover()
+    first = robot.get_observation()
+    assert len(arm.targets) == count and first == pytest.approx(action())
+    robot.send_action(action(0.004))
+    eventually(lambda: len(arm.targets) > count and abs(arm.targets[-1][1][0, 3] - 0.454) < 1e-9)
+
+
+def test_a_lost_hand_stops_the_arm(
+    robot: UniforceFranka, arm: FakeArm, hand: FakeHand, eventually: Callable
+) -> None:
+    robot.connect()
+    robot.send_action(action())
+    hand.fault = RobotError("hand gone", "connection")
+
+    def told() -> bool:
+        try:
+            robot.get_observation()
+        except RobotError:
+            return True
+        return False
+
+    eventually(told)
+    assert arm.stopped_at
+    with pytest.raises(RobotError, match="hand gone"):
+        robot.send_action(action())
+    with pytest.raises(RobotError, match="hand gone"):
+        robot.recover()
+
+
+def test_a_hand_that_does_not_answer_leaves_nothing_behind(
+    robot: UniforceFranka, arm: FakeArm, hand: FakeHand
+) -> None:
+    hand.fault = RobotError("no hand", "connection")
+    with pytest.raises(RobotError, match="no hand"):
+        robot.connect()
+    assert arm.closed and not robot.is_connected
+
+
+def test_after_disconnect_nothing_moves(robot: UniforceFranka, arm: FakeArm) -> None:
+    robot.connect()
+    robot.send_action(action())
+    robot.disconnect()
+    robot.disconnect()
+    count = len(arm.targets)
+    with pytest.raises(RobotError) as caught:
+        robot.send_action(action())
+    assert caught.value.fault == "ended" and len(arm.targets) == count and arm.closed and arm.stopped_at
+
+
+def test_connecting_twice_is_refused(robot: UniforceFranka) -> None:
+    robot.connect()
+    with pytest.raises(RobotError, match="Disconnect first"):
+        robot.connect()
+    assert robot.is_connected
+
+
+@pytest.mark.slow
+def test_lerobots_rollout_does_not_lead_the_arm_back() -> None:
+    strategies = pytest.importorskip(STRATEGIES, reason="this LeRobot has no rollout strategies")
+    before = strategies.RolloutStrategy._return_to_initial_position
+    try:
+        assert forbid_return_motion()
+        sent: list[dict] = []
+
+        class Hardware:
+            class robot_wrapper:  # noqa: N801
+                get_observation = staticmethod(lambda: action())
+                send_action = staticmethod(sent.append)
+
+            initial_position = action(0.1)
+
+        strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.1)
+        assert not sent
+        before(Hardware, duration_s=0.04)
+        assert sent, "LeRobot's own would have moved: if it no longer does, shutdown.py can go"
+    finally:
+        strategies.RolloutStrategy._return_to_initial_position = staticmethod(before)
+
+
+def test_lerobot_finds_and_builds_it(tmp_path: Path) -> None:
+    assert RobotConfig.get_choice_class("uniforce_franka") is UniforceFrankaConfig
+    built = make_robot_from_config(
+        UniforceFrankaConfig(id="a", calibration_dir=tmp_path, address="127.0.0.9")
+    )
+    assert isinstance(built, UniforceFranka) and not built.is_connected
+
+
+@dataclass
+class Program:
+    """How LeRobot's commands hold a robot's config."""
+
+    robot: RobotConfig
+
+
+def test_nested_settings_are_parsed_from_the_command_line() -> None:
+    words = {
+        "type": "uniforce_franka",
+        "address": "127.0.0.9",
+        "guards.step_m": "0.03",
+        "gains.clip_m": "[0.01,0.01,0.02]",
+    }
+    words["gains.stiffness_N_m"] = "[200,200,200]"
+    config = draccus.parse(Program, args=[f"--robot.{key}={value}" for key, value in words.items()]).robot
+    assert isinstance(config, UniforceFrankaConfig)
+    assert config.guards.step_m == 0.03
+    assert config.arm_settings.gains == Gains((200, 200, 200), clip_m=(0.01, 0.01, 0.02))
