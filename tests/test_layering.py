@@ -46,11 +46,22 @@ def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -
         "lerobot_policy_pi05_uniforce",
         "lerobot_env_uniforce_wiping",
         "uniforce_datasets",
+        "uniforce_standins",
     )
     for file in (ROOT / "uniforce_vtla" / package).rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
             module = node.module if isinstance(node, ast.ImportFrom) else None
             assert not (module or "").startswith(forbidden), f"{file.relative_to(ROOT)} imports {module}"
+
+
+def test_devices_know_sensors_and_markers_only() -> None:
+    allowed = SHARED | {"sensors", "markers"}
+    for file in (ROOT / "devices" / "lerobot_camera_uniforce").rglob("*.py"):
+        foreign = imported_stages(file) - allowed
+        assert not foreign, f"{file.relative_to(ROOT)} imports {foreign}"
+        assert "uniforce_standins" not in file.read_text(), (
+            f"{file.name}: drivers must not know their stand-ins"
+        )
 
 
 def test_no_folder_shadows_the_datasets_library() -> None:

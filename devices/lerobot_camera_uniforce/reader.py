@@ -197,7 +197,8 @@ class SampleReader:
             raise LostSensorError(expected(self.name, "a running reader", came, "Call connect()."))
         fault = self._fault
         if fault is not None:
-            raise type(fault)(str(fault)) from fault
+            text = str(fault)  # a socket knows its address, not whose finger it serves
+            raise type(fault)(text if self.name in text else f"{self.name}: {text}") from fault
         if self._limits.frozen_after and self._repeats >= self._limits.frozen_after:
             came = f"the same content {self._repeats + 1} times in a row"
             raise FrozenSensorError(expected(self.name, "changing samples", came, "Replug the sensor."))

@@ -115,6 +115,8 @@ class MjpegStandIn:
 
     def _show(self) -> None:
         fault = self._control.fault
+        if not self._clients:
+            return  # the cycle begins, in free air, with the first who looks
         self._step += fault != "freeze"
         self._held.append((time.monotonic(), self._step))
         wait_s = LATE_S if fault == "late" else 0.0

@@ -132,8 +132,8 @@ class XelaStandIn:
 
     def _broadcast(self) -> None:
         fault = self._control.fault
-        if fault in ("welcome", "stall", "stop"):
-            return
+        if fault in ("welcome", "stall", "stop") or not self._clients:
+            return  # the cycle begins, in free air, with the first who listens
         scan = self._cycle[self._step % len(self._cycle)]
         self._step += fault != "freeze"
         self._number += 1

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
+
 from lerobot_camera_uniforce.camera_source import FAILED_READS, CameraSource
 from lerobot_camera_uniforce.capture import CaptureSettings, open_capture
 from lerobot_camera_uniforce.faults import LostSensorError, ProtocolError, WrongSensorError

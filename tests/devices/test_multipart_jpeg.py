@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from lerobot_camera_uniforce.faults import ProtocolError
 from lerobot_camera_uniforce.http_capture import decode_bgr
 from lerobot_camera_uniforce.multipart_jpeg import MAX_JPEG_BYTES, MultipartJpeg, jpeg_size

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lerobot_camera_uniforce.samples import NS_PER_MS, SampleRing, now_ns
 
+from lerobot_camera_uniforce.samples import NS_PER_MS, SampleRing, now_ns
 from uniforce_vtla.errors import ContractError
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from lerobot_camera_uniforce.slcan_lines import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
 from uniforce_standins.slcan import scan_lines
-
 from uniforce_vtla.errors import ContractError
 
 CYCLE = np.random.default_rng(0).integers(0, 65_536, (6, 16, 3)).astype(np.uint16)
