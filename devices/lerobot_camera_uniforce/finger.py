@@ -6,6 +6,7 @@ it, the time it was taken and its age.  A sensor that is lost, stale or frozen i
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -89,13 +90,12 @@ class TactileFinger(Camera):
             return
         self._reader.start()
         self._last_index, self._drawn = -1, None
-        try:
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._reader.stop)  # a half-connected device would keep its port
             self._reader.wait_newer(-1, self.config.connect_ms)
             if self.config.reference_on_connect:
                 self.take_reference()
-        except Exception:
-            self._reader.stop()  # a half-connected device would keep its port
-            raise
+            undo.pop_all()
 
     def disconnect(self) -> None:
         """Stop reading and let go of the device."""

@@ -82,22 +82,25 @@ class HttpCapture:
         if self._socket is None:
             raise LostSensorError(expected(self.url, "an open stream", "closed", "Open it again."))
         parts: list[JpegPart] = []
-        try:
-            while not parts:
-                chunk = self._socket.recv(CHUNK_BYTES)
-                if not chunk:
-                    raise LostSensorError(
-                        expected(self.url, "an MJPEG stream", "its end", "Is the server still running?")
-                    )
-                parts = self._parser.feed(chunk)
-        except TimeoutError:
-            return []
-        except OSError as error:
-            if isinstance(error, LostSensorError):
-                raise
-            do = "Is the server still running?"
-            raise LostSensorError(expected(self.url, "an MJPEG stream", error, do)) from error
+        chunk = self._receive_chunk(self._socket, 0)
+        while chunk:
+            parts += self._parser.feed(chunk)
+            # once there is an image, take what else waits in the kernel but wait for nothing: the newest counts
+            chunk = self._receive_chunk(self._socket, socket.MSG_DONTWAIT if parts else 0)
         return parts
+
+    def _receive_chunk(self, connection: socket.socket, flags: int) -> bytes:
+        """Return what came; nothing when nothing does in time."""
+        do = "Is the server still running?"
+        try:
+            chunk = connection.recv(CHUNK_BYTES, flags)
+        except (TimeoutError, BlockingIOError):
+            return b""
+        except OSError as error:
+            raise LostSensorError(expected(self.url, "an MJPEG stream", error, do)) from error
+        if not chunk:
+            raise LostSensorError(expected(self.url, "an MJPEG stream", "its end", do))
+        return chunk
 
 
 def decode_bgr(jpeg: bytes) -> np.ndarray | None:

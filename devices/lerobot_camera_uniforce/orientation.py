@@ -45,7 +45,9 @@ class Orientation:
         Counts are unsigned around mid-scale, so turning shear round mirrors it there; differences to a reference that
         was turned likewise come out exactly turned.
         """
-        grid = counts.reshape(SIDE, SIDE, 3)  # rows from the bottom, columns from the left; x right, y up
+        grid: np.ndarray = counts.reshape(
+            SIDE, SIDE, 3
+        )  # rows from the bottom, columns from the left; x right, y up
         for _ in range(self.flip):
             grid = grid[:, ::-1].copy()
             grid[..., 0] = FULL_SCALE - grid[..., 0]

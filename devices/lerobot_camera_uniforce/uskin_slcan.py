@@ -12,6 +12,7 @@ import time
 
 import serial
 
+from lerobot_camera_uniforce.backlog import MAX_BEHIND_S, Backlog
 from lerobot_camera_uniforce.faults import LostSensorError, ProtocolError
 from lerobot_camera_uniforce.samples import now_ns
 from lerobot_camera_uniforce.slcan_lines import SlcanScans, uspa44_ids
@@ -20,6 +21,7 @@ from uniforce_vtla.errors import expected
 
 BAUD = 3_000_000
 READ_TIMEOUT_S = 0.05
+FULL_BYTES = 4000  # a tty hands out 4,095 bytes at most: more is waiting
 ANSWER_S = 0.5  # an adapter acknowledges within milliseconds
 OPENING = (b"C", b"S8", b"Z0", b"O")  # close what was open, 1 Mbit/s, no adapter time stamps, open
 _BROKEN = (
@@ -36,14 +38,21 @@ class SlcanUSkin:
         ids: CAN id of each taxel; None for those of a 4×4 patch.
         name: how errors call the sensor.
         controller: the patch's microcontroller id; unused where ``ids`` are given.
+        max_behind_s: how long reading may lag behind before that is an error.
     """
 
     def __init__(
-        self, port: str, ids: tuple[int, ...] | None = None, name: str = "uskin", controller: int = 0
+        self,
+        port: str,
+        ids: tuple[int, ...] | None = None,
+        name: str = "uskin",
+        controller: int = 0,
+        max_behind_s: float = MAX_BEHIND_S,
     ) -> None:
         self.name = f"{name} ({port})"
         self.port = port
         self.scans = SlcanScans(uspa44_ids(controller) if ids is None else ids)
+        self._backlog = Backlog(self.name, FULL_BYTES, max_behind_s)
         self._serial: serial.Serial | None = None
 
     @property
@@ -64,6 +73,7 @@ class SlcanUSkin:
             self._serial = serial.Serial(
                 self.port, BAUD, timeout=READ_TIMEOUT_S, write_timeout=ANSWER_S, exclusive=True
             )
+            self._serial.reset_input_buffer()
             for command in OPENING:
                 self._command(self._serial, command)
         except (*_BROKEN, ValueError) as error:
@@ -74,7 +84,12 @@ class SlcanUSkin:
             raise
 
     def read(self) -> list[Stamped]:
-        """Return the scans that came; raise LostSensorError when the adapter is gone."""
+        """Return the scans that came, stamped when they were read.
+
+        Raises:
+            LostSensorError: the adapter is gone.
+            StaleSensorError: they come faster than they are read, so that their stamps would be wrong.
+        """
         port = self._serial
         if port is None:
             raise LostSensorError(expected(self.name, "an open port", "closed", "Call open()."))
@@ -84,6 +99,7 @@ class SlcanUSkin:
             do = "Was it unplugged? It is reopened once it is back."
             raise LostSensorError(expected(self.name, "a readable port", error, do)) from error
         stamp_ns = now_ns()
+        self._backlog.check(len(chunk))
         return [Stamped(stamp_ns, scan) for scan in self.scans.feed(chunk)]
 
     def close(self) -> None:

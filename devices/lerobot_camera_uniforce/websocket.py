@@ -12,6 +12,7 @@ import socket
 import time
 from typing import NamedTuple
 
+from lerobot_camera_uniforce.backlog import Backlog
 from lerobot_camera_uniforce.faults import LostSensorError, ProtocolError
 from uniforce_vtla.errors import expected
 
@@ -130,6 +131,7 @@ class WebSocket:
     def __init__(self, host: str, port: int, name: str) -> None:
         self._name = name
         self._reader = FrameReader(name)
+        self._backlog = Backlog(name, CHUNK_BYTES)
         try:
             self._socket = socket.create_connection((host, port), CONNECT_S)
         except OSError as error:
@@ -147,8 +149,10 @@ class WebSocket:
         Raises:
             LostSensorError: closed, by farewell or without.
             ProtocolError: broken frames, or text that isn't UTF-8.
+            StaleSensorError: messages come faster than they are read.
         """
         chunk, self._early = self._early or self._receive(timeout_s), b""
+        self._backlog.check(len(chunk))
         texts = []
         for message in self._reader.feed(chunk):
             if message.opcode == TEXT:

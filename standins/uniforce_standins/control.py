@@ -43,15 +43,17 @@ class Control:
         if initial not in self._faults:
             raise ContractError(expected("fault", " | ".join(self._faults), initial, "Name one of them."))
         self.fault = initial
-        self._piped = stat.S_ISFIFO(os.fstat(0).st_mode)
+        self._listens = stat.S_ISFIFO(os.fstat(0).st_mode) or os.isatty(
+            0
+        )  # not to /dev/null, which ends at once
 
     def ready(self, address: str) -> None:
         """Tell the one who started us where we are."""
         say(f"ready {address}")
 
     def inputs(self) -> list[int]:
-        """Return what to select on: nothing unless our input is a pipe."""
-        return [0] if self._piped else []
+        """Return what to select on: standard input, where somebody may speak."""
+        return [0] if self._listens else []
 
     def read(self) -> None:
         """Take what came on standard input."""

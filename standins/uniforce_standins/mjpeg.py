@@ -14,6 +14,7 @@ import sys
 import time
 from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -97,9 +98,8 @@ class MjpegStandIn:
     def _serve_once(self) -> None:
         listening = [self._listener] if self._listener is not None else []
         writing = [client for client, out in self._clients.items() if out]
-        ready, writable, _ = select.select(
-            [*listening, *self._clients, *self._control.inputs()], writing, [], self._pace.wait_s()
-        )
+        reading: list[Any] = [*listening, *self._clients, *self._control.inputs()]
+        ready, writable, _ = select.select(reading, writing, [], self._pace.wait_s())
         if 0 in ready:
             self._control.read()
         if self._listener is not None and self._listener in ready:

@@ -17,6 +17,7 @@ import socket
 import sys
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -114,7 +115,7 @@ class XelaStandIn:
             self._serve_once()
 
     def _serve_once(self) -> None:
-        reading = [*self._greeting, *self._clients, *self._control.inputs()]
+        reading: list[Any] = [*self._greeting, *self._clients, *self._control.inputs()]
         if self._listener is not None:
             reading.append(self._listener)
         writing = [client for client, out in self._clients.items() if out]

@@ -108,7 +108,7 @@ def test_a_missing_sensor_is_told_plainly(capsys: pytest.CaptureFixture[str]):
     assert "touch: uskin on the left finger" in out and "/dev/absent" in out
 
 
-@pytest.mark.parametrize("options", [["check=taste"], ["refresh_hz=0"], ["seconds=-1"]])
+@pytest.mark.parametrize("options", [["check=taste"], ["source="], ["refresh_hz=0"], ["seconds=-1"]])
 def test_settings_that_cannot_be(options: list[str], capsys: pytest.CaptureFixture[str]):
     assert main(["source=/dev/absent", *options]) == 2
     assert "expected" in capsys.readouterr().out

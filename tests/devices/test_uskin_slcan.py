@@ -102,6 +102,19 @@ def test_no_port_and_a_port_that_is_none(tmp_path: Path):
         SlcanUSkin(str(tmp_path / "file")).open()
 
 
+def test_a_reader_that_cannot_keep_up_says_so(slcan: StandIn, monkeypatch: pytest.MonkeyPatch):
+    """Scans that waited in the kernel would carry stamps that make them look new."""
+    monkeypatch.setattr(
+        "lerobot_camera_uniforce.uskin_slcan.FULL_BYTES", 1
+    )  # whatever comes counts as a full read
+    source = SlcanUSkin(slcan.address, max_behind_s=0.05)
+    source.open()
+    with pytest.raises(StaleSensorError, match="keeps up"):
+        for _ in range(10_000):
+            source.read()
+    source.close()
+
+
 def test_a_held_port_is_refused(slcan: StandIn, reader: SampleReader):
     with pytest.raises(LostSensorError, match="lock"):
         SlcanUSkin(slcan.address).open()
@@ -113,7 +126,7 @@ def test_500_scans_per_second_and_none_lost(cpu_share: float):
     """The seconds to run can be set: ``UNIFORCE_RATE_SECONDS=60``."""
     seconds = float(os.environ.get("UNIFORCE_RATE_SECONDS", "5"))
     with StandIn("slcan", "rate_hz=500") as stand_in:
-        reader = SampleReader(SlcanUSkin(stand_in.address), ReaderLimits(frozen_after=50))
+        reader = SampleReader(SlcanUSkin(stand_in.address, max_behind_s=1e9), ReaderLimits(frozen_after=50))
         reader.start()
         reader.wait_newer(-1, 30_000)
         ages_ms = _ages_ms(reader, seconds)

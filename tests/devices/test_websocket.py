@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_camera_uniforce.faults import LostSensorError, ProtocolError
+from lerobot_camera_uniforce.backlog import Backlog
+from lerobot_camera_uniforce.faults import LostSensorError, ProtocolError, StaleSensorError
 from lerobot_camera_uniforce.websocket import (
     MAX_MESSAGE_BYTES,
     PING,
@@ -110,6 +111,18 @@ def test_what_is_no_websocket_server_is_a_typed_error(answer: bytes):
     with pytest.raises((ProtocolError, LostSensorError)):
         WebSocket("127.0.0.1", listener.getsockname()[1], "server")
     listener.close()
+
+
+def test_a_backlog_is_an_error_only_while_it_lasts(monkeypatch: pytest.MonkeyPatch):
+    clock = [0.0]
+    monkeypatch.setattr("lerobot_camera_uniforce.backlog.time.monotonic", lambda: clock[0])
+    backlog = Backlog("server", 100, 0.25)
+    for size in (100, 200, 99, 100):  # one short read: it caught up
+        backlog.check(size)
+        clock[0] += 0.2
+    clock[0] += 0.1
+    with pytest.raises(StaleSensorError, match="keeps up"):
+        backlog.check(100)
 
 
 def test_nobody_there():

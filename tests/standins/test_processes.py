@@ -41,6 +41,12 @@ def test_help_teaches_by_example(name: str):
 
 
 @pytest.mark.slow
+def test_a_stand_in_starts_without_torch():
+    code = "import sys, uniforce_standins.slcan, uniforce_standins.mjpeg; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=250, check=False).returncode == 0
+
+
+@pytest.mark.slow
 def test_an_unknown_fault_is_refused():
     with pytest.raises(SensorError, match="ready"):
         StandIn("slcan", "fault=gremlins")

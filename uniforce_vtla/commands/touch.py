@@ -28,6 +28,7 @@ from uniforce_vtla.sensors import get_sensor
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 
+STAND_IN = "standin"
 CHECKS = ("", "rate", "orientation")
 
 
@@ -41,9 +42,7 @@ class TouchConfig:
     """
 
     sensor: str = "uskin"  # gelsight | tactip | uskin
-    source: str = (
-        "standin"  # camera: device or http://…; uskin: serial port, ws://host:port, file.csv; or standin
-    )
+    source: str = ""  # camera: device or http://…; uskin: serial port, ws://host:port or csv; or standin
     finger: str = "left"  # who wears it: left | right; forces are in that finger's own frame
     output: str = "terminal"  # terminal | window (needs a display and an OpenCV with windows) | rerun
     check: str = ""  # rate: measured rate, ages, losses | orientation: press where told; empty = live view
@@ -101,7 +100,7 @@ def opened(config: TouchConfig) -> Iterator[TactileFinger]:
     """Connect the sensor, or a stand-in of it in a process of its own, and take its free-air reference."""
     with contextlib.ExitStack() as stack:
         source = config.source
-        if source == "standin":
+        if source == STAND_IN:
             source = _start_stand_in(stack, config.sensor)
         finger = stack.enter_context(make_finger(config, source))
         print(f"{finger.config.label}: taking the reference, keep it in free air")
@@ -121,7 +120,8 @@ def show(config: TouchConfig, finger: TactileFinger) -> None:
     """Show the live view until ``config.seconds`` are over."""
     tokenizer = Tokenizer.from_pretrained(config.tokenizer)
     head = ForceHead.from_pretrained(config.head, config.tokenizer) if config.head else None
-    live = LiveTouch(finger, check_finger(config.finger), tokenizer, head)
+    label = finger.config.label + (" (stand-in)" if config.source == STAND_IN else "")
+    live = LiveTouch(finger, check_finger(config.finger), tokenizer, head, label)
     end_s = time.monotonic() + (config.seconds or math.inf)
     with make_output(config.output) as output:
         while time.monotonic() < end_s and output.is_open:
@@ -137,6 +137,9 @@ def run(config: TouchConfig) -> int:
     """Do what ``config`` asks; return the exit code: 1 when a check failed."""
     if config.check not in CHECKS:
         raise ContractError(expected("check", "rate | orientation", config.check, "Choose one or none."))
+    if not config.source:
+        do = "Set source=DEVICE, or source=standin to try without hardware."
+        raise ContractError(expected("source", "a device", "nothing", do))
     if not config.refresh_hz > 0 or config.seconds < 0:
         came = f"{config.refresh_hz}, {config.seconds}"
         raise ContractError(expected("refresh_hz, seconds", "positive numbers", came, "Correct them."))

@@ -49,7 +49,7 @@ class RateReport:
 
 def measure_rate(finger: TactileFinger, seconds: float) -> RateReport:
     """Return rate, ages and losses over ``seconds``; raises SensorError where the sensor dies meanwhile."""
-    before, first = finger.counts, finger.latest().index
+    before, first = finger.counts, finger.latest(WAIT_MS).index
     rng, start_s = np.random.default_rng(0), time.monotonic()
     ages_ms, late_ms = [], []
     while time.monotonic() < start_s + seconds:
@@ -57,17 +57,19 @@ def measure_rate(finger: TactileFinger, seconds: float) -> RateReport:
         asleep_s = time.perf_counter()
         time.sleep(pause_s)
         late_ms.append(1e3 * (time.perf_counter() - asleep_s - pause_s))
-        ages_ms.append(finger.latest().age_ms)
+        ages_ms.append(finger.latest(WAIT_MS).age_ms)
     spent_s, after = time.monotonic() - start_s, finger.counts
-    age, late = np.percentile(ages_ms, [50, 99]), np.percentile(late_ms, [50, 99])
-    samples = finger.latest().index - first
+    age_ms, idle_ms = (np.percentile(values, [50, 99]).tolist() for values in (ages_ms, late_ms))
+    samples = finger.latest(WAIT_MS).index - first
     return RateReport(
-        samples / spent_s,
-        *age.tolist(),
-        samples,
-        after.lost - before.lost,
-        after.bad - before.bad,
-        *late.tolist(),
+        rate_hz=samples / spent_s,
+        age_p50_ms=age_ms[0],
+        age_p99_ms=age_ms[1],
+        samples=samples,
+        lost=after.lost - before.lost,
+        bad=after.bad - before.bad,
+        idle_p50_ms=idle_ms[0],
+        idle_p99_ms=idle_ms[1],
     )
 
 
@@ -163,7 +165,7 @@ def _moved(corner: tuple[int, int], turn: int, mirror: bool) -> tuple[int, int]:
 
 
 def _strongest_taxel(finger: TactileFinger) -> str:
-    raw = finger.latest().raw
+    raw = finger.latest(WAIT_MS).raw
     if raw.ndim != 2:
         return ""
     rise = (raw.astype(np.int64) - finger.reference_raw)[:, 2]

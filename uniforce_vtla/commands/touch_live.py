@@ -50,6 +50,7 @@ class LiveTouch:
         side: who wears it.
         tokenizer: makes latents.
         head: reads newtons; None shows none.
+        label: what to call it.
 
     Raises:
         CheckpointError: a head of another tokenizer.
@@ -57,9 +58,9 @@ class LiveTouch:
     """
 
     def __init__(
-        self, finger: TactileFinger, side: Finger, tokenizer: Tokenizer, head: ForceHead | None
+        self, finger: TactileFinger, side: Finger, tokenizer: Tokenizer, head: ForceHead | None, label: str
     ) -> None:
-        self._finger, self._side = finger, side
+        self._finger, self._side, self._label = finger, side, label
         self._encoder = StreamingEncoder(tokenizer, side, head)
         reference = finger.reference_image()[..., 0]
         self._encoder.set_reference(reference)
@@ -80,7 +81,7 @@ class LiveTouch:
         if raw.ndim == 2:  # counts mean little without their rest
             raw = raw.astype(np.int64) - self._finger.reference_raw
         return TouchView(
-            label=self._finger.config.label,
+            label=self._label,
             raw=raw,
             markers=markers,
             norms=to_canonical(norms, self._side),  # undoes the encoder's mirror: its own inverse
