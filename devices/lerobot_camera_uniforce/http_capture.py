@@ -6,6 +6,7 @@ OpenCV's own reader takes a second to open, hides when a frame was sent, and wai
 from __future__ import annotations
 
 import socket
+import time
 from urllib.parse import urlsplit
 
 import cv2
@@ -18,6 +19,7 @@ from uniforce_vtla.errors import expected
 CONNECT_S = 2.0
 READ_S = 0.1  # one read waits this long for a frame
 CHUNK_BYTES = 1 << 16
+MAX_CHUNKS = 128  # of one read: 8 MB, more than a socket holds back
 
 
 class HttpCapture:
@@ -82,18 +84,22 @@ class HttpCapture:
         if self._socket is None:
             raise LostSensorError(expected(self.url, "an open stream", "closed", "Open it again."))
         parts: list[JpegPart] = []
-        chunk = self._receive_chunk(self._socket, 0)
-        while chunk:
-            parts += self._parser.feed(chunk)
+        deadline_s = time.monotonic() + READ_S
+        for _ in range(MAX_CHUNKS):
             # once there is an image, take what else waits in the kernel but wait for nothing: the newest counts
-            chunk = self._receive_chunk(self._socket, socket.MSG_DONTWAIT if parts else 0)
+            wait_s = 0.0 if parts else max(deadline_s - time.monotonic(), 0.0)
+            chunk = self._receive_chunk(self._socket, wait_s)
+            if not chunk:
+                break
+            parts += self._parser.feed(chunk)
         return parts
 
-    def _receive_chunk(self, connection: socket.socket, flags: int) -> bytes:
+    def _receive_chunk(self, connection: socket.socket, timeout_s: float) -> bytes:
         """Return what came; nothing when nothing does in time."""
         do = "Is the server still running?"
         try:
-            chunk = connection.recv(CHUNK_BYTES, flags)
+            connection.settimeout(timeout_s)
+            chunk = connection.recv(CHUNK_BYTES)
         except (TimeoutError, BlockingIOError):
             return b""
         except OSError as error:
@@ -127,7 +133,6 @@ def _request(url: str) -> socket.socket:
         connection = socket.create_connection((host, port), CONNECT_S)
         # HTTP/1.0: the answer is never chunked
         connection.sendall(f"GET {target} HTTP/1.0\r\nHost: {host}:{port}\r\n\r\n".encode())
-        connection.settimeout(READ_S)
     except OSError as error:
         raise LostSensorError(expected(url, "an MJPEG server", error, do)) from error
     return connection

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import cv2
+import draccus
 import numpy as np
 import pytest
+from lerobot.cameras.configs import CameraConfig
 from lerobot.cameras.utils import make_cameras_from_configs
 
 from lerobot_camera_uniforce import UniforceTactileCamera, UniforceTactileCameraConfig
@@ -55,6 +57,19 @@ def test_a_robot_lists_it_like_any_camera(mjpeg: StandIn):
         count = cv2.connectedComponents(markers)[0] - 1
         assert 110 <= count <= 135  # a TacTip has 127 pins
     assert not camera.is_connected
+
+
+def test_a_config_file_makes_it_and_is_made_of_it():
+    written = {
+        "type": "uniforce_tactile",
+        "sensor": "tactip",
+        "finger": "right",
+        "source": "/dev/video2",
+        "gain": None,
+    }
+    read = draccus.decode(CameraConfig, written)
+    assert isinstance(read, UniforceTactileCameraConfig) and (read.finger, read.gain) == ("right", None)
+    assert draccus.decode(CameraConfig, draccus.encode(read, CameraConfig)) == read
 
 
 def test_reads_deliver_new_frames_and_latest_is_a_peek(camera: UniforceTactileCamera):
