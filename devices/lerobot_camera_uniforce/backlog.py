@@ -1,4 +1,8 @@
-"""Notices a reader that can't keep up: data then waits in the kernel, and arrives looking newer than it is."""
+"""Catching up: data that waited in the kernel must not pass for new.
+
+Whoever reads full buffers goes on reading until one isn't full, and only then stamps and delivers: meanwhile the newest
+sample grows old, as it should.  A reader that never catches up is an error.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,11 @@ import time
 from lerobot_camera_uniforce.faults import StaleSensorError
 from uniforce_vtla.errors import expected
 
-MAX_BEHIND_S = 0.25
+MAX_BEHIND_S = 1.0
 
 
 class Backlog:
-    """Raises once every read has come back full for a while.
+    """Tells whether to read on, and raises once that goes on for too long.
 
     Args:
         name: how errors call the sensor.
@@ -23,8 +27,8 @@ class Backlog:
         self._name, self._full, self._max_s = name, full_bytes, max_behind_s
         self._since_s: float | None = None
 
-    def check(self, size: int) -> None:
-        """Take note of a read of ``size`` bytes.
+    def more_waits(self, size: int) -> bool:
+        """Return whether a read of ``size`` bytes was full, so that there is more to read at once.
 
         Raises:
             StaleSensorError: full reads only, for longer than allowed.
@@ -32,11 +36,13 @@ class Backlog:
         now_s = time.monotonic()
         if size < self._full:
             self._since_s = None
-        elif self._since_s is None:
+            return False
+        if self._since_s is None:
             self._since_s = now_s
-        elif now_s - self._since_s > self._max_s:
-            behind_s, self._since_s = now_s - self._since_s, None
+        behind_s = now_s - self._since_s
+        if behind_s > self._max_s:
+            self._since_s = None
             do = "Free the CPU of this machine; what waited is thrown away by opening anew."
-            raise StaleSensorError(
-                expected(self._name, "a reader that keeps up", f"a queue for {behind_s:.2f} s", do)
-            )
+            came = f"a queue for {behind_s:.2f} s"
+            raise StaleSensorError(expected(self._name, "a reader that keeps up", came, do))
+        return True

@@ -93,14 +93,11 @@ class SlcanUSkin:
         port = self._serial
         if port is None:
             raise LostSensorError(expected(self.name, "an open port", "closed", "Call open()."))
-        try:
-            chunk = port.read(max(1, port.in_waiting))
-        except (*_BROKEN, TypeError) as error:  # TypeError: pyserial's descriptor vanished while it read
-            do = "Was it unplugged? It is reopened once it is back."
-            raise LostSensorError(expected(self.name, "a readable port", error, do)) from error
+        scans = self.scans.feed(chunk := self._receive(port))
+        while self._backlog.more_waits(len(chunk)):
+            scans += self.scans.feed(chunk := self._receive(port))
         stamp_ns = now_ns()
-        self._backlog.check(len(chunk))
-        return [Stamped(stamp_ns, scan) for scan in self.scans.feed(chunk)]
+        return [Stamped(stamp_ns, scan) for scan in scans]
 
     def close(self) -> None:
         """Close channel and port."""
@@ -113,6 +110,13 @@ class SlcanUSkin:
             pass  # unplugged: nothing left to tell it
         finally:
             _close_port(port)
+
+    def _receive(self, port: serial.Serial) -> bytes:
+        try:
+            return port.read(max(1, port.in_waiting))
+        except (*_BROKEN, TypeError) as error:  # TypeError: pyserial's descriptor vanished while it read
+            do = "Was it unplugged? It is reopened once it is back."
+            raise LostSensorError(expected(self.name, "a readable port", error, do)) from error
 
     def _command(self, port: serial.Serial, command: bytes) -> None:
         """Send one command and wait for its acknowledgement; data lines of an open channel are skipped."""

@@ -132,6 +132,7 @@ class WebSocket:
         self._name = name
         self._reader = FrameReader(name)
         self._backlog = Backlog(name, CHUNK_BYTES)
+        self._said_farewell = False
         try:
             self._socket = socket.create_connection((host, port), CONNECT_S)
         except OSError as error:
@@ -151,8 +152,18 @@ class WebSocket:
             ProtocolError: broken frames, or text that isn't UTF-8.
             StaleSensorError: messages come faster than they are read.
         """
+        if self._said_farewell:
+            raise self._lost("a farewell from the server")
         chunk, self._early = self._early or self._receive(timeout_s), b""
-        self._backlog.check(len(chunk))
+        texts = self._take(chunk)
+        while not self._said_farewell and self._backlog.more_waits(len(chunk)):
+            texts += self._take(chunk := self._receive(0.0))
+        if self._said_farewell and not texts:  # what came with the farewell is still delivered
+            raise self._lost("a farewell from the server")
+        return texts
+
+    def _take(self, chunk: bytes) -> list[str]:
+        """Return the texts that ``chunk`` completes; answer what wants an answer."""
         texts = []
         for message in self._reader.feed(chunk):
             if message.opcode == TEXT:
@@ -161,7 +172,8 @@ class WebSocket:
                 self._send(PONG, message.payload)
             elif message.opcode == CLOSE:
                 self._send(CLOSE, message.payload[:2])
-                raise self._lost("a farewell from the server")
+                self._said_farewell = True
+                break
         return texts
 
     def close(self) -> None:
