@@ -4,12 +4,13 @@ STAMP := .venv/.ready
 export HF_HUB_OFFLINE ?= 1
 export TOKENIZERS_PARALLELISM ?= false
 
-.PHONY: help setup demo test lint ci clean lock
+.PHONY: help setup demo test lint fuzz ci clean lock
 
 help:
 	@echo "make setup   fill .venv (Python 3.12, locked dependencies)"
 	@echo "make demo    record, train, roll out, score: one page and one video, about 10 minutes on a laptop"
 	@echo "make test    lint, types and the whole test suite, under 15 minutes on 2 cores"
+	@echo "make fuzz    100,000 mutated inputs into each parser of a device (minutes)"
 	@echo "make ci      make test, then the wheel in a fresh environment"
 
 setup: $(STAMP)
@@ -28,6 +29,9 @@ lint: setup
 
 test: setup lint
 	$(PY) -m pytest
+
+fuzz: setup
+	UNIFORCE_FUZZ_INPUTS=$${UNIFORCE_FUZZ_INPUTS:-100000} $(PY) -m pytest tests/fuzz --timeout 3600
 
 ci: test
 	bash scripts/check_wheel.sh

@@ -46,6 +46,7 @@ def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -
         "lerobot_policy_pi05_uniforce",
         "lerobot_env_uniforce_wiping",
         "uniforce_datasets",
+        "uniforce_standins",
     )
     for file in (ROOT / "uniforce_vtla" / package).rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text())):
@@ -63,8 +64,8 @@ def foreign_imports(folder: Path, forbidden: tuple[str, ...]) -> list[str]:
     return found
 
 
-def test_a_stand_in_knows_nothing_of_the_project() -> None:
-    """It stands for a device, and starts without torch."""
+def test_the_arms_stand_in_knows_nothing_of_the_project() -> None:
+    """It stands for a device, and starts without torch; tactile ones show what the contact simulator says."""
     ours = (
         "uniforce_vtla",
         "lerobot",
@@ -72,7 +73,7 @@ def test_a_stand_in_knows_nothing_of_the_project() -> None:
         "lerobot_env_uniforce_wiping",
         "torch",
     )
-    assert not foreign_imports(ROOT / "standins" / "uniforce_standins", ours)
+    assert not foreign_imports(ROOT / "standins" / "uniforce_standins" / "fci", ours)
 
 
 def test_the_robot_knows_no_policy_and_its_children_not_even_the_robot() -> None:
@@ -93,6 +94,16 @@ def test_vendors_clients_are_loaded_where_they_are_needed_only() -> None:
         names = [alias.name for node in top if isinstance(node, ast.Import) for alias in node.names]
         names += [node.module or "" for node in top if isinstance(node, ast.ImportFrom)]
         assert not {"franky", "pylibfranka"} & set(names), f"{file.relative_to(ROOT)} imports a client"
+
+
+def test_devices_know_sensors_and_markers_only() -> None:
+    allowed = SHARED | {"sensors", "markers"}
+    for file in (ROOT / "devices" / "lerobot_camera_uniforce").rglob("*.py"):
+        foreign = imported_stages(file) - allowed
+        assert not foreign, f"{file.relative_to(ROOT)} imports {foreign}"
+        assert "uniforce_standins" not in file.read_text(), (
+            f"{file.name}: drivers must not know their stand-ins"
+        )
 
 
 def test_no_folder_shadows_the_datasets_library() -> None:

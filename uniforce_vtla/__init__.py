@@ -1,7 +1,30 @@
-"""UniForce: a latent force space shared by tactile sensors of any kind."""
+"""UniForce: a latent force space shared by tactile sensors of any kind.
 
-from uniforce_vtla.markers import Canonicalizer, to_finger_frame
-from uniforce_vtla.sensors import list_sensors
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+The names below are looked up when they are first used: a device driver or an error class doesn't need torch.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from uniforce_vtla.markers import Canonicalizer, to_finger_frame
+    from uniforce_vtla.sensors import list_sensors
+    from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 __all__ = ["Canonicalizer", "ForceHead", "Tokenizer", "list_sensors", "to_finger_frame"]
+
+_HOME = {
+    "Canonicalizer": "markers",
+    "to_finger_frame": "markers",
+    "list_sensors": "sensors",
+    "ForceHead": "tokenizer",
+    "Tokenizer": "tokenizer",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,5 +1,6 @@
 """π0.5 with force tokens.  Importing this package registers everything the distribution gives to LeRobot."""
 
+import lerobot_camera_uniforce  # noqa: F401  registers the tactile fingers as camera types
 import lerobot_env_uniforce_wiping  # noqa: F401  registers the environment type
 import lerobot_robot_uniforce_franka  # noqa: F401  registers the robot type; no client is loaded
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig

@@ -1,1 +1,5 @@
-"""Devices that are not there: processes that speak a device's own protocol, for tests and dry runs."""
+"""Stand-ins for hardware, each a process of its own, so that drivers are tested without any device.
+
+They speak the device's protocol on a pseudo-terminal or on loopback, show what the project's contact simulator says a
+pad would feel, and break on command.  They prove protocol and software, not dynamics, optics or a real bus.
+"""

@@ -1,0 +1,44 @@
+"""A uSkin patch as a LeRobot camera: its counts drawn as the marker image, so that fingers look alike to a robot."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lerobot_camera_uniforce.config_uniforce import UniforceUskinConfig
+from lerobot_camera_uniforce.finger import TactileFinger, taxel_median
+from lerobot_camera_uniforce.sources import USkinSource
+from lerobot_camera_uniforce.uskin_replay import ReplayUSkin
+from lerobot_camera_uniforce.uskin_server import ServerUSkin
+from lerobot_camera_uniforce.uskin_slcan import SlcanUSkin
+
+
+def make_uskin_source(config: UniforceUskinConfig) -> USkinSource:
+    """Return the source that ``config.link`` names."""
+    match config.link:
+        case "slcan":
+            ids = tuple(config.can_ids) or None
+            return SlcanUSkin(config.source, ids, config.label, config.controller)
+        case "server":
+            return ServerUSkin(config.source, config.server_sensor, config.label)
+        case _:
+            return ReplayUSkin(config.source, config.replay_rate_hz, config.replay_loop, config.label)
+
+
+class UniforceUskin(TactileFinger):
+    """A uSkin finger; see ``TactileFinger``.  ``latest().raw`` is (16, 3) uint16 counts."""
+
+    capacity = 1024  # 2 s at 500 scans/s
+
+    def __init__(self, config: UniforceUskinConfig) -> None:
+        self._resting_level = config.resting_level
+        self._uskin_config = config
+        super().__init__(config)
+
+    def _make_source(self) -> USkinSource:
+        return make_uskin_source(self._uskin_config)
+
+    def _upright(self, raw: np.ndarray) -> np.ndarray:
+        return self._orientation.of_counts(raw)
+
+    def _median(self, samples: list[np.ndarray]) -> np.ndarray:
+        return taxel_median(samples, self._resting_level)

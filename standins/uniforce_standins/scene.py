@@ -1,0 +1,103 @@
+"""What a stand-in's pad feels: free air, then a ball that presses and leaves, over and over.
+
+Signals come from the project's contact simulator, so that the chain device → canonicaliser → tokenizer can be checked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_vtla.contact.indenters import gap_maps
+from uniforce_vtla.contact.simulator import TactileSimulator, free_air
+from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.errors import ContractError, expected
+
+KEY_STATES = 48  # contact states per press that are simulated; taxel scans between them are interpolated
+TAXEL_NOISE_COUNTS = 2.0  # of real patches at rest: 1 to 5
+QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")  # as the marker image shows the pad
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One cycle of touching.
+
+    Attributes:
+        rest_s: free air first; a reference needs some.
+        press_s: then a press that comes and goes; 0 never presses.
+        peak_N: its strongest normal force.
+        shear_N: (x, y) shear at the peak, image axes.
+        where: "centre", or one of ``QUARTERS``.
+        hold: start pressed at the peak and stay there, never free air.
+        seed: of unit and noise.
+    """
+
+    rest_s: float = 1.0
+    press_s: float = 2.0
+    peak_N: float = 8.0
+    shear_N: tuple[float, float] = (1.0, 0.0)
+    where: str = "centre"
+    hold: bool = False
+    seed: int = 0
+
+    def load_share(self, steps: int) -> np.ndarray:
+        """Return (steps,) in 0 … 1: how much of the peak is there at each step of the cycle."""
+        if self.hold:
+            return np.ones(steps)
+        t = np.linspace(0, self.rest_s + self.press_s, steps, endpoint=False)
+        phase = np.clip((t - self.rest_s) / max(self.press_s, 1e-9), 0, 1)
+        return np.sin(np.pi * phase) ** 2 * (self.press_s > 0)
+
+    @property
+    def period_s(self) -> float:
+        """Length of the cycle."""
+        return self.rest_s + self.press_s
+
+
+def taxel_cycle(scene: Scene, rate_hz: float) -> np.ndarray:
+    """Return (N, 16, 3) uint16 raw counts of one cycle at ``rate_hz``, noise included."""
+    simulator = TactileSimulator("uskin", seed=scene.seed)
+    simulator.raw_frames(free_air(1))
+    share = scene.load_share(max(2, round(scene.period_s * rate_hz)))
+    keys = np.linspace(0, 1, KEY_STATES)
+    counts = simulator.raw_frames(_contacts(simulator, scene, keys)).astype(np.float64)  # (K, 16, 3)
+    counts[0] = simulator.raw_reference()
+    low = np.minimum((share * (KEY_STATES - 1)).astype(int), KEY_STATES - 2)
+    part = (share * (KEY_STATES - 1) - low)[:, None, None]
+    smooth = counts[low] * (1 - part) + counts[low + 1] * part
+    noise = np.random.default_rng(scene.seed).normal(0, TAXEL_NOISE_COUNTS, smooth.shape)
+    return np.clip(np.rint(smooth + noise), 0, 65_535).astype(np.uint16)
+
+
+def frame_cycle(sensor: str, scene: Scene, rate_hz: float) -> np.ndarray:
+    """Return (N, 480, 640, 3) uint8 RGB raw frames of one cycle of a camera sensor.
+
+    Raises:
+        ContractError: a sensor that isn't a camera.
+    """
+    simulator = TactileSimulator(sensor, seed=scene.seed)
+    if simulator.spec.signal != "camera":
+        raise ContractError(expected("sensor", "a camera sensor", sensor, "Use the slcan or xela stand-in."))
+    share = scene.load_share(max(2, round(scene.period_s * rate_hz)))
+    return simulator.raw_frames(_contacts(simulator, scene, share))
+
+
+def _contacts(simulator: TactileSimulator, scene: Scene, share: np.ndarray) -> ContactState:
+    """Return one contact per entry of ``share`` (B,): free air where it is 0."""
+    centre_mm = _centre_mm(simulator, scene.where)
+    B = len(share)
+    gap = gap_maps(["sphere"] * B, np.tile(centre_mm, (B, 1)), np.zeros(B), np.ones(B))
+    gap[share <= 0] = np.inf
+    force = np.outer(share, (*scene.shear_N, scene.peak_N)).astype(np.float32)
+    return ContactState(gap.astype(np.float32), force, np.zeros(B, np.float32))
+
+
+def _centre_mm(simulator: TactileSimulator, where: str) -> np.ndarray:
+    if where != "centre" and where not in QUARTERS:
+        known = " | ".join(("centre", *QUARTERS))
+        raise ContractError(expected("where", known, where, "Name a place on the pad."))
+    reach = np.asarray(simulator.spec.pad_size_mm) / 4
+    x = {"left": -1, "right": 1}.get(where.partition("-")[2], 0)
+    y = {"top": -1, "bottom": 1}.get(where.partition("-")[0], 0)
+    return np.array([x, y]) * reach
