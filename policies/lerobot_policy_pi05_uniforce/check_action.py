@@ -1,7 +1,8 @@
 """Stop a policy whose action can't be meant: not finite, far outside what its demos commanded, or a leap.
 
-The range check is the last step of the postprocessor, so that it holds wherever LeRobot runs the policy; the leap is
-checked where the last command is known. A robot's own guards come after both and clamp; these stop.
+The range check is the last step of the postprocessor, so that it holds wherever LeRobot runs the policy; it is asked
+for with ``policy.stop_outside_demos=true``, without which that step asks for finite numbers alone. The leap is checked
+where the last command is known. A robot's own guards come after both and clamp; these stop.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ class CheckActionStep(PolicyActionProcessorStep):
     low: list[float] = field(default_factory=list)
     high: list[float] = field(default_factory=list)
     margin: float = 0.5
+    least_room: float = 0.05  # m or rad on each side of an axis that the demos hardly moved
 
     @classmethod
     def of(cls, stats: dict[str, dict[str, Any]] | None) -> CheckActionStep:
@@ -43,7 +45,7 @@ class CheckActionStep(PolicyActionProcessorStep):
 
     def get_config(self) -> dict[str, Any]:
         """Return what is saved with the policy."""
-        return {"low": self.low, "high": self.high, "margin": self.margin}
+        return {"low": self.low, "high": self.high, "margin": self.margin, "least_room": self.least_room}
 
     def action(self, action: Tensor) -> Tensor:
         """Return the action (…, A) unchanged.
@@ -60,7 +62,7 @@ class CheckActionStep(PolicyActionProcessorStep):
 
     def _in_range(self, action: Tensor) -> None:
         low, high = (torch.tensor(bound, dtype=action.dtype) for bound in (self.low, self.high))
-        room = self.margin * (high - low)
+        room = (self.margin * (high - low)).clamp_min(self.least_room)
         outside = ((action.cpu() < low - room) | (action.cpu() > high + room)).flatten(0, -2).any(dim=0)
         if bool(outside.any()):
             axis = int(outside.nonzero()[0])

@@ -102,6 +102,10 @@ class PI05UniforceConfig(PI05Config):
         )
     )
 
+    # True: an action far outside the demos' range stops the rollout with an error (check_action.py). For a robot; in
+    # simulation a poor policy should be scored, not end the run. NaN always stops.
+    stop_outside_demos: bool = False
+
     # Training
     optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
     new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4

@@ -104,6 +104,6 @@ def make_pi05_uniforce_pre_post_processors(
             features=config.output_features, norm_map=config.normalization_mapping, stats=stats
         ),
         DeviceProcessorStep(device="cpu"),
-        CheckActionStep.of(stats),
+        CheckActionStep.of(stats if config.stop_outside_demos else None),
     ]
     return make_policy_processor_pipelines(input_steps=before, output_steps=after)

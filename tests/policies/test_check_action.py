@@ -45,13 +45,27 @@ def test_without_statistics_only_finite_is_asked() -> None:
 
 
 def test_the_check_travels_with_the_policy(make_config, stats, tmp_path) -> None:
-    _, after = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    _, after = make_pi05_uniforce_pre_post_processors(make_config(stop_outside_demos=True), stats)
     after.save_pretrained(tmp_path)
     saved = json.loads((tmp_path / "policy_postprocessor.json").read_text())["steps"][-1]
     assert saved["registry_name"] == "uniforce_check_action"
     assert saved["config"]["high"] == pytest.approx(list(stats["action"]["max"]))
     with pytest.raises(RolloutError, match="axis 2"):
         after(torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]]))
+
+
+def test_an_axis_the_demos_never_moved_has_some_room() -> None:
+    still = CheckActionStep(low=[0.2], high=[0.2])
+    assert torch.equal(still.action(torch.tensor([[0.24]])), torch.tensor([[0.24]]))
+    with pytest.raises(RolloutError):
+        still.action(torch.tensor([[0.26]]))
+
+
+def test_unless_asked_a_poor_policy_is_scored_not_stopped(make_config, stats) -> None:
+    _, after = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    after(torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]]))
+    with pytest.raises(RolloutError, match="finite"):
+        after(torch.tensor([[0.5, 0.0, float("nan"), 0.0, 0.04]]))
 
 
 def test_a_leap_stops_and_the_first_target_never_does() -> None:
