@@ -9,7 +9,7 @@ kept in a table per step; attention matrices, by torch's fused attention; masks,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from lerobot.policies.common.flow_matching import euler_integrate
@@ -17,10 +17,8 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
+from lerobot_policy_pi05_uniforce.force_tokens import SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, SuffixTouch
 
 Cache = list[Tensor]  # per layer (B, 2, L_prefix + L_suffix, head): key and value
 Rotary = tuple[Tensor, Tensor]  # cos, and sin with the sign rotate_half would give; (B, heads, L, head) each
@@ -75,9 +73,9 @@ class Prefix:
 
 
 class FastSampler:
-    """Samples for one network; weights that changed since the last call are noticed and prepared again."""
+    """Samples for one ``network.PI05UniforcePytorch``; weights that changed since the last call are prepared again."""
 
-    def __init__(self, network: PI05UniforcePytorch) -> None:
+    def __init__(self, network: stock.PI05Pytorch) -> None:
         groups = network.paligemma_with_expert.gemma_expert.config.num_key_value_heads
         if groups != 1:
             do = "Use sampler=stock."

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
+
+
+@dataclass(frozen=True)
+class SuffixTouch:
+    """Force tokens in front of the noisy actions: ``tokens`` (B, N, D_expert), ``mask`` (B, N) bool."""
+
+    tokens: Tensor
+    mask: Tensor
 
 
 class ForceTokens(nn.Module):

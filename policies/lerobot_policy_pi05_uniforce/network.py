@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -16,6 +15,7 @@ from lerobot_policy_pi05_uniforce.force_tokens import (
     ForceTokens,
     MarkerPairTokens,
     StateToken,
+    SuffixTouch,
     wrench_rms,
 )
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
@@ -23,14 +23,6 @@ from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.keys import STATE
-
-
-@dataclass(frozen=True)
-class SuffixTouch:
-    """Force tokens in front of the noisy actions: ``tokens`` (B, N, D_expert), ``mask`` (B, N) bool."""
-
-    tokens: Tensor
-    mask: Tensor
 
 
 class PI05UniforcePytorch(stock.PI05Pytorch):
