@@ -71,7 +71,6 @@ MID = {
     "n_action_steps": 50,
     "max_action_dim": 32,
     "tokenizer_max_length": 200,
-    "state_token": False,
 }
 CASES = {
     case.name: case

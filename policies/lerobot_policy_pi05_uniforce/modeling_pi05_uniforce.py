@@ -200,10 +200,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if self.config.action_objective == "regression":
             kwargs["noise"] = start  # zeros whatever was asked for: it was trained on nothing else
         kwargs.setdefault("noise", start)
-        chunk = super().predict_action_chunk(batch, **kwargs)
-        if self.config.action_form == "absolute":
-            return chunk
-        return to_targets(chunk, self.issued.base(self._measured(batch)), self.delta_scale)
+        return self._targets(super().predict_action_chunk(batch, **kwargs), batch)
 
     @torch.no_grad()
     def refresh_action_chunk(self, batch: dict[str, Tensor]) -> Tensor:
@@ -228,6 +225,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         chunk = self.model.fast.refresh(felt, noise, self.config.num_inference_steps)[
             ..., : self._action_size
         ]
+        return self._targets(chunk, batch)
+
+    def _targets(self, chunk: Tensor, batch: dict[str, Tensor]) -> Tensor:
+        """Return what the postprocessor takes: the network's chunk, deltas put on the last command."""
         if self.config.action_form == "absolute":
             return chunk
         return to_targets(chunk, self.issued.base(self._measured(batch)), self.delta_scale)

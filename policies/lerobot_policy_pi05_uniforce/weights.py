@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -74,18 +74,13 @@ def fill(
     Raises:
         CheckpointError: a truncated or damaged file, or naming the tensors that don't fit.
     """
-    try:
-        with safe_open(path, framework="pt") as stored:
-            renamed = ((rename(name), name) for name in stored.keys())  # noqa: SIM118 (not a dict)
-            placed = {own: name for own, name in renamed if own is not None}
-            shapes = {own: tuple(stored.get_slice(name).get_shape()) for own, name in placed.items()}
-            _check(module, shapes, fresh)
-            for own, name in placed.items():
-                _place(module, own, stored.get_tensor(name))
-    except (SafetensorError, OSError, ValueError) as error:
-        raise CheckpointError(
-            expected(str(path), "a whole safetensors file", error, "It is cut or damaged; copy it again.")
-        ) from error
+    with _opened(path) as stored:
+        renamed = ((rename(name), name) for name in stored.keys())  # noqa: SIM118 (not a dict)
+        placed = {own: name for own, name in renamed if own is not None}
+        shapes = {own: tuple(stored.get_slice(name).get_shape()) for own, name in placed.items()}
+        _check(module, shapes, fresh)
+        for own, name in placed.items():
+            _place(module, own, stored.get_tensor(name))
 
 
 def names(path: Path) -> list[str]:
@@ -94,10 +89,16 @@ def names(path: Path) -> list[str]:
     Raises:
         CheckpointError: the file is truncated or damaged.
     """
+    with _opened(path) as stored:
+        return list(stored.keys())
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
     try:
         with safe_open(path, framework="pt") as stored:
-            return list(stored.keys())
-    except (SafetensorError, OSError) as error:
+            yield stored
+    except (SafetensorError, OSError, ValueError) as error:
         raise CheckpointError(
             expected(str(path), "a whole safetensors file", error, "It is cut or damaged; copy it again.")
         ) from error

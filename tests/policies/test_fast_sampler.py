@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from types import MethodType
-
 import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.rtc.configuration_rtc import RTCConfig
 
+from lerobot_policy_pi05_uniforce.bench import lerobots_layers
 from lerobot_policy_pi05_uniforce.fast_sampler import drop_dead
 from uniforce_vtla.errors import ContractError
 
@@ -34,12 +33,8 @@ def both(policy, given, noise, steps):
 
 def lerobots_own(policy, given, noise, steps, **rtc):
     """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the extra tokens."""
-    joint = policy.model.paligemma_with_expert
-    joint.forward = MethodType(stock.PaliGemmaWithExpertModel.forward, joint)
-    try:
+    with lerobots_layers(policy.model):
         return stock.PI05Pytorch.sample_actions(policy.model, *given, noise=noise, num_steps=steps, **rtc)
-    finally:
-        del joint.forward
 
 
 @pytest.mark.parametrize("site", ["prefix", "suffix"])

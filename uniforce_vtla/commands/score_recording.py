@@ -67,18 +67,23 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     reader = _Reader(config)
     chosen = source.episodes[: config.episodes or None]
     truths = _true_forces(source)
+    heights = source.columns((STATE,))[STATE][:, HEIGHT].astype(
+        np.float64
+    )  # (N,) m, read once for all episodes
     rows = []
     for episode in tqdm(chosen, desc="episodes", unit="episode"):
         force_N = np.stack([reader.forces(source, episode, f) for f in FINGERS], axis=1)  # (n, 2, 3)
-        found = _judged(source, episode, force_N, friction)
+        time_s = np.arange(episode.length) / source.fps
+        height, (left, right) = heights[_frames(episode)], friction
+        found = estimate_events(time_s, force_N, height, (left, right))
         row = _row(episode, found)
         if corners is not None:
             row["residual"] = _residual(source, episode, config.camera, corners)
-        truth = None if truths is None else _judged(source, episode, truths[_frames(episode)], friction)
-        if truth is not None:
+        truth = None
+        if truths is not None:
+            truth = estimate_events(time_s, truths[_frames(episode)], height, (left, right))
             row["with_true_forces"] = _row(episode, truth)
             row["press_mae_N"] = float(np.abs(found.press_N - truth.press_N).mean())
-        time_s = np.arange(episode.length) / source.fps
         draw_estimate(found, time_s, truth, Path(config.out) / f"episode_{episode.index}.png")
         rows.append(row)
     return {
@@ -118,12 +123,6 @@ def _grey(image: np.ndarray) -> np.ndarray:
 
 def _frames(episode: Episode) -> slice:
     return slice(episode.start, episode.start + episode.length)
-
-
-def _judged(source: Source, episode: Episode, force_N: np.ndarray, friction: np.ndarray) -> FingerEstimate:
-    height = source.columns((STATE,))[STATE][_frames(episode), HEIGHT].astype(np.float64)
-    left, right = friction
-    return estimate_events(np.arange(episode.length) / source.fps, force_N, height, (left, right))
 
 
 def _true_forces(source: Source) -> np.ndarray | None:

@@ -15,7 +15,7 @@ import numpy as np
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.evaluation.episode import ScoreLimits, longest_run_s, press_events
 
-FX, FY, FZ = 0, 1, 2  # canonical frame: y up along the finger's pad, z into the pad
+FY, FZ = 1, 2  # canonical frame: y up along the finger's pad, z into the pad
 
 
 @dataclass(frozen=True)
@@ -80,17 +80,16 @@ def estimate_events(
     if start is None:
         nothing = np.zeros(len(time_s))
         return FingerEstimate(nothing, grip, np.zeros_like(grip), (), (), ("never lifted",))
+    lifted = np.arange(len(time_s)) >= start
     carried = _carry(time_s, start, settings)
     up = force_N[:, :, FY].sum(axis=1)  # (n,) what the pads bear
-    press = np.where(np.arange(len(time_s)) < start, 0.0, np.median(up[carried]) - up)
+    press = np.where(lifted, np.median(up[carried]) - up, 0.0)
     shear = np.linalg.norm(force_N[:, :, :FZ], axis=2)  # (n, 2)
     used = shear / np.maximum(grip, settings.smallest_grip_N) / np.asarray(pad_friction)
-    used[:start] = 0.0
+    used[~lifted] = 0.0
     sliding_s = longest_run_s((used > settings.friction_share).all(axis=1), time_s)
     slid = (f"both pads at their friction limit for {sliding_s:.1f} s",)
-    loose = (grip < limits.lost_grip_N + settings.smallest_grip_N).all(axis=1) & (
-        np.arange(len(time_s)) >= start
-    )
+    loose = lifted & (grip < limits.lost_grip_N + settings.smallest_grip_N).all(axis=1)
     dropped = longest_run_s(loose, time_s) > limits.lost_grip_s
     return FingerEstimate(
         press,
