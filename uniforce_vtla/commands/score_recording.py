@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +20,11 @@ from uniforce_vtla.evaluation.board_camera import estimate_residual
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
 from uniforce_vtla.evaluation.finger_estimates_figure import draw_estimate
-from uniforce_vtla.keys import AXES, STATE, camera_key, tactile_key, truth_wrench_key
+from uniforce_vtla.keys import AXES, STATE, camera_key, sensor_key, tactile_key, truth_wrench_key
+from uniforce_vtla.probes.plain_touch import descriptors
+from uniforce_vtla.probes.touch_gauge import TouchGauge
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.streaming import StreamingEncoder
+from uniforce_vtla.sensors import list_sensors
 
 if TYPE_CHECKING:
     from uniforce_datasets.source import Episode, Source
@@ -44,8 +45,7 @@ class ScoreRecordingConfig:
     board_corners: str = ""
     camera: str = "front"  # scene camera that sees the board
     episodes: int = 0  # the first so many; 0 = all
-    head: str = "wiping"  # name of a shipped force head, or a folder (see uniforce-scene-head)
-    tokenizer: str = ""  # checkpoint folder; empty = shipped
+    gauges: str = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
     out: str = "outputs/recording_scores"  # estimates.json and a picture per episode
 
 
@@ -64,7 +64,7 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     if source.fingers != FINGERS:
         do = "Record marker images of both fingers."
         raise DatasetError(expected(config.root, f"fingers {FINGERS}", source.fingers, do))
-    reader = _Reader(config)
+    reader = _Reader(config.gauges)
     chosen = source.episodes[: config.episodes or None]
     truths = _true_forces(source)
     heights = source.columns((STATE,))[STATE][:, HEIGHT].astype(
@@ -89,8 +89,7 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     return {
         "what": "estimates from marker images, the robot's own height and a camera; no truth was used",
         "root": config.root,
-        "head": config.head,
-        "tokenizer_hash": reader.tokenizer.hash,
+        "gauges": config.gauges or "shipped",
         "pad_friction": friction.tolist(),
         "limits": asdict(ScoreLimits()),
         "episodes": rows,
@@ -98,12 +97,10 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
 
 
 class _Reader:
-    """Newtons of a finger, frame after frame, as on the robot."""
+    """Newtons of a finger from hand descriptors, never through the tokenizer a policy may have acted on."""
 
-    def __init__(self, config: ScoreRecordingConfig) -> None:
-        self.tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
-        folder = Path(config.head)
-        self.head = ForceHead.from_pretrained(config.head, folder if folder.is_dir() else None)
+    def __init__(self, gauges: str) -> None:
+        self._load = cache(lambda sensor: TouchGauge.from_pretrained(sensor, gauges or None))
 
     def forces(self, source: Source, episode: Episode, finger: Finger) -> np.ndarray:
         """Return (n, 3) N in the canonical frame."""
@@ -111,14 +108,14 @@ class _Reader:
 
         spans = [episode.videos[tactile_key(finger, reference=r)] for r in (True, False)]
         reference, current = (episode_frames(span, episode.length, source.fps) for span in spans)
-        stream = StreamingEncoder(self.tokenizer, finger, self.head)
-        stream.set_reference(_grey(next(reference)))
-        said = [stream.step(_grey(frame)).force_N for frame in current]
-        return np.stack([force for force in said if force is not None]).astype(np.float64)
+        before = next(reference)[..., 0]
+        felt = [descriptors(before, frame[None, ..., 0], finger)[0] for frame in current]
+        return self._load(_worn(source, episode, finger)).read(np.stack(felt))
 
 
-def _grey(image: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(image[..., 0])
+def _worn(source: Source, episode: Episode, finger: Finger) -> str:
+    key = sensor_key(finger)
+    return list_sensors()[int(source.columns((key,))[key][episode.start])]
 
 
 def _frames(episode: Episode) -> slice:
