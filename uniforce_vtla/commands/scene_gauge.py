@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
+from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contracts import FINGERS, Finger
@@ -82,16 +83,13 @@ def _felt_episode(env: WipeEnv, seed: int) -> FeltEpisode:
     rng = np.random.default_rng([seed, 9])
     wanted = TouchSettings(float(rng.uniform(*PRESS_RANGE_N)), float(rng.uniform(*GRIP_RANGE_N)))
     expert, nudge = WipeExpert(settings=wanted), Nudge(seed)
-    before = env.reset(seed=seed)[0]["pixels"]
-    expert.reset(env)
     felt: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
     forces: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
-    heights, done = [], False
-    while not done:
-        done = env.advance(nudge.apply(expert.act(env)))
-        now, wrench = env.observe()["pixels"], env.true_wrench()
+    heights = []
+    for _ in walk(env, expert, seed, nudge):
+        pixels, wrench = env.observe()["pixels"], env.true_wrench()
         for finger in FINGERS:
-            reference, current = before[tactile_name(finger, reference=True)], now[tactile_name(finger)]
+            reference, current = pixels[tactile_name(finger, reference=True)], pixels[tactile_name(finger)]
             felt[finger].append(descriptors(reference[..., 0], current[None, ..., 0], finger)[0])
             forces[finger].append(wrench[finger][:3])
         heights.append(float(env.state[2]))
