@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from lerobot_policy_pi05_uniforce.force_tokens import channel_rms
+from lerobot_policy_pi05_uniforce.force_tokens import channel_spread
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import descriptor_key, latent_key
@@ -20,18 +20,23 @@ if TYPE_CHECKING:
 SCALED = {
     "latent": latent_key,
     "descriptor": descriptor_key,
-}  # inputs divided by their RMS in the training data
+}  # inputs standardised by the training data
 VIEW_MARKER = "uniforce_view.json"  # a training view says here which tokenizer made its latents
 
 
-def read_touch_rms(stats: dict[str, dict[str, Any]], config: PI05UniforceConfig) -> Tensor | None:
-    """Return the (size,) RMS of the touch input's channels over all slots, or None where the data holds none."""
+def read_touch_scale(
+    stats: dict[str, dict[str, Any]], config: PI05UniforceConfig
+) -> tuple[Tensor, Tensor] | None:
+    """Return the touch input's mean (rows, size) and spread (size,), alike for all slots; None where there is none."""
     if config.touch_input not in SCALED:
         return None
-    key, size = SCALED[config.touch_input], touch_shape(config)[1]
+    key, shape = SCALED[config.touch_input], touch_shape(config)
     rows = [stats[key(slot)] for slot in config.slots if key(slot) in stats]
-    scales = [channel_rms(torch.as_tensor(row["mean"]), torch.as_tensor(row["std"]), size) for row in rows]
-    return torch.stack(scales).square().mean(dim=0).sqrt() if scales else None
+    if not rows:
+        return None
+    mean = torch.stack([torch.as_tensor(row["mean"]).float().reshape(shape) for row in rows]).mean(dim=0)
+    spreads = torch.stack([channel_spread(torch.as_tensor(row["std"]), shape[1]) for row in rows])
+    return mean, spreads.square().mean(dim=0).sqrt()
 
 
 def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:

@@ -23,24 +23,25 @@ class SuffixTouch:
 class ForceTokens(nn.Module):
     """Project each slot's touch input to K tokens; one projection for all slots, told apart by an embedding.
 
-    The input keeps its amplitude (amplitude is force): it is divided by one fixed RMS per latent channel, a
-    property of the tokenizer stored in the checkpoint, never by its own size. What is RMS-normalised is the
-    outcome, after a non-linearity, so that force tokens enter the prefix as loud as an image patch does,
-    whatever was felt; a learned gain takes it from there.
+    The input keeps its amplitude (amplitude is force): a fixed mean per number is taken off and a fixed spread per
+    channel divided out, both stored in the checkpoint, never its own. Without the mean, which is ten times what touch
+    moves in a latent, a policy hardly learns to hear it. What is RMS-normalised is the outcome, after a non-linearity,
+    so that force tokens enter the prefix as loud as an image patch does, whatever was felt; a learned gain takes it
+    from there.
 
     Args:
-        input_size: numbers per token in: latent size, or 4 for a wrench.
+        input_shape: rows and numbers per row that come in: (K, latent size), or (1, 4) for a wrench.
         num_tokens: K.
         num_slots: how many slots the policy has.
         width: VLM width D.
         scale: initial RMS of a token.
-        noise: spread of the Gaussian noise that training adds to each input number, in units of its channel's RMS.
+        noise: spread of the Gaussian noise that training adds to each input number, in units of its channel's spread.
             What survives it is what many cells agree on, and that is what another sensor's latents share.
     """
 
     def __init__(
         self,
-        input_size: int,
+        input_shape: tuple[int, int],
         num_tokens: int,
         num_slots: int,
         width: int,
@@ -49,15 +50,16 @@ class ForceTokens(nn.Module):
     ) -> None:
         super().__init__()
         self.noise = noise
-        self.register_buffer("input_rms", torch.ones(input_size))
-        self.proj = nn.Sequential(nn.Linear(input_size, width), nn.GELU(), nn.Linear(width, width))
+        self.register_buffer("input_mean", torch.zeros(input_shape))
+        self.register_buffer("input_scale", torch.ones(input_shape[1]))
+        self.proj = nn.Sequential(nn.Linear(input_shape[1], width), nn.GELU(), nn.Linear(width, width))
         self.cell_embedding = nn.Parameter(0.5 * torch.randn(num_tokens, width))
         self.slot_embedding = nn.Parameter(0.5 * torch.randn(num_slots, width))
         self.gain = nn.Parameter(torch.tensor(scale))
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
-        felt = touch / self.input_rms
+        felt = (touch - self.input_mean) / self.input_scale
         if self.training and self.noise:
             felt = felt + self.noise * torch.randn_like(felt)
         hidden = self.proj(felt)  # (B, K or 1, D)
@@ -107,12 +109,12 @@ class StateToken(nn.Module):
         return nn.functional.rms_norm(hidden, hidden.shape[-1:])
 
 
-def wrench_rms(device: torch.device | str = "cpu") -> Tensor:
+def wrench_scale(device: torch.device | str = "cpu") -> Tensor:
     """Return the (4,) scale of the wrench input: N, N, N, Nmm."""
     return torch.tensor(WRENCH_SCALE, device=device)
 
 
-def channel_rms(mean: Tensor, std: Tensor, size: int) -> Tensor:
-    """Return the (size,) RMS of each input channel from a dataset's per-number mean and std (rows·size,)."""
-    power = (mean.float() ** 2 + std.float() ** 2).reshape(-1, size).mean(dim=0)
-    return power.sqrt().clamp_min(1e-3)  # a channel the tokenizer never uses must not explode
+def channel_spread(std: Tensor, size: int) -> Tensor:
+    """Return the (size,) spread of each input channel over time, from the std of each number (rows·size,)."""
+    spread = std.float().reshape(-1, size).square().mean(dim=0).sqrt()
+    return spread.clamp_min(1e-3)  # a channel the tokenizer never uses must not explode

@@ -16,7 +16,7 @@ from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, t
 from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.dataset_facts import read_touch_rms, read_view
+from lerobot_policy_pi05_uniforce.dataset_facts import read_touch_scale, read_view
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
@@ -73,9 +73,11 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if not stats:
             return
         stats.update(floor_quantiles(stats) or {})
-        rms = read_touch_rms(stats, self.config)
-        if rms is not None and self.model.force_tokens is not None:
-            self.model.force_tokens.input_rms.copy_(rms)
+        found = read_touch_scale(stats, self.config)
+        if found is not None and self.model.force_tokens is not None:
+            mean, scale = found
+            self.model.force_tokens.input_mean.copy_(mean)
+            self.model.force_tokens.input_scale.copy_(scale)
 
     @classmethod
     def from_pretrained(

@@ -16,7 +16,7 @@ from lerobot_policy_pi05_uniforce.force_tokens import (
     MarkerPairTokens,
     StateToken,
     SuffixTouch,
-    wrench_rms,
+    wrench_scale,
 )
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
@@ -68,11 +68,10 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         slots, scale = len(config.slots), config.force_token_scale
         if config.touch_input == "marker_pair":
             return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
-        size = touch_shape(config)[1]
-        noise = config.touch_noise
-        tokens = ForceTokens(size, config.tokens_per_slot, slots, self.touch_width, scale, noise)
+        shape, noise = touch_shape(config), config.touch_noise
+        tokens = ForceTokens(shape, config.tokens_per_slot, slots, self.touch_width, scale, noise)
         if config.touch_input == "wrench":
-            tokens.input_rms.copy_(wrench_rms())
+            tokens.input_scale.copy_(wrench_scale())
         return tokens
 
     def sample_actions(

@@ -212,7 +212,7 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
 def test_touch_noise_is_for_training_alone(make_policy):
     torch.manual_seed(0)
     tokens = make_policy(touch_noise=0.5).model.force_tokens
-    felt = torch.randn(3, 16, 6) * tokens.input_rms
+    felt = torch.randn(3, 16, 6) * tokens.input_scale
     quiet = tokens.eval()(felt, 0)
     assert torch.equal(quiet, tokens(felt, 0))
     assert not torch.equal(quiet, tokens.train()(felt, 0))
