@@ -13,7 +13,8 @@ from uniforce_vtla.contact.indenters import gap_map
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contracts import ContactState, MarkerPair
 from uniforce_vtla.evaluation.arms import ArmReport
-from uniforce_vtla.evaluation.pictures import draw_outcomes, save_figure
+from uniforce_vtla.evaluation.pictures import PICTURE_DPI, draw_outcomes
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
@@ -32,7 +33,7 @@ def draw_demo_page(reports: Sequence[ArmReport], sheet: Path, path: Path) -> Pat
     left.axis("off")
     draw_outcomes(right, reports)
     right.set_title(f"shipped policy, n = {reports[0].n} per arm: smoke, no claim")
-    return save_figure(figure, path)
+    return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def _draw_sensors(figure: SubFigure) -> None:
