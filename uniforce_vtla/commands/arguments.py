@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import draccus
+import numpy as np
 
 from uniforce_vtla.errors import ContractError, expected
 
@@ -43,6 +44,22 @@ def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
     if unknown:
         raise ContractError(expected("only", " | ".join(known), unknown, "Name rows of the table."))
     return {name: known[name] for name in names}
+
+
+def numbers(name: str, text: str, count: int) -> np.ndarray:
+    """Return (count,) float64 from a setting like ``0.6,0.7``.
+
+    Raises:
+        ContractError: anything but so many numbers.
+    """
+    parts = [part for part in text.split(",") if part.strip()]
+    try:
+        values = np.array([float(part) for part in parts])
+    except ValueError as error:
+        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them.")) from error
+    if len(values) != count:
+        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them."))
+    return values
 
 
 def _preset_path(args: Sequence[str], presets: Path) -> Path | None:
