@@ -70,7 +70,7 @@ def _send_pictures(
 
 
 def _send_numbers(rerun: ModuleType, recording: Any, story: EpisodeStory) -> None:
-    for path, values in _traces(story).items():
+    for path, values in traces(story).items():
         columns = rerun.Scalars.columns(scalars=np.ascontiguousarray(values))
         recording.send_columns(path, [rerun.TimeColumn(TIME, duration=story.time_s)], columns)
     for stretch in story.stretches:
@@ -82,7 +82,7 @@ def _send_numbers(rerun: ModuleType, recording: Any, story: EpisodeStory) -> Non
         recording.log("log", rerun.TextLog(moment.name, level="INFO"))
 
 
-def _traces(story: EpisodeStory) -> dict[str, np.ndarray]:
+def traces(story: EpisodeStory) -> dict[str, np.ndarray]:
     """Return (n,) numbers by path: forces of both fingers, and what follows from them."""
     found = {}
     for number, finger in enumerate(FINGERS):

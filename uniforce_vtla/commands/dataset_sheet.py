@@ -62,7 +62,9 @@ def hardest(story: EpisodeStory) -> Moment:
 
 def _page(story: EpisodeStory, facts: Mapping[str, str], sections: tuple[tuple[str, str, Path], ...]) -> str:
     rows = "\n".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts.items())
-    verdict = "; ".join(story.verdict)
+    verdict = f"<b>Estimated from the fingers:</b> {escape('; '.join(story.verdict))}"
+    if story.true_verdict:
+        verdict += f"<br><b>The same from true forces:</b> {escape('; '.join(story.true_verdict))}"
     body = "\n".join(
         f'<h2>{escape(title)}</h2>\n<p>{escape(text)}</p>\n<img src="{picture.name}" alt="{escape(title)}">'
         for title, text, picture in sections
@@ -70,5 +72,5 @@ def _page(story: EpisodeStory, facts: Mapping[str, str], sections: tuple[tuple[s
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(story.title)}</title>'
         f"<style>{STYLE}</style></head><body>\n<h1>{escape(story.title)}</h1>\n<table>{rows}</table>\n"
-        f'<div class="verdict"><b>Estimated from the fingers:</b> {escape(verdict)}</div>\n{body}\n</body></html>\n'
+        f'<div class="verdict">{verdict}</div>\n{body}\n</body></html>\n'
     )

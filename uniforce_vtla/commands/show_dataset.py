@@ -119,6 +119,7 @@ def _numbers(story: EpisodeStory, recording: FeltRecording, episode: Episode) ->
         "facts": _facts(recording, episode),
         "tokenizer_hash": recording.tokenizer.hash,
         "verdict": story.verdict,
+        "verdict_from_true_forces": story.true_verdict,
         "moments": {m.name: round(float(story.time_s[m.frame]), 3) for m in story.moments},
         "strongest_N": dict(zip(FINGERS, abs(story.force_N).max(axis=0).tolist(), strict=True)),
     }

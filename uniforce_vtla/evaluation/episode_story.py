@@ -72,6 +72,14 @@ class EpisodeStory:
         """The estimated events in words."""
         if self.found is None:
             return [f"events can't be estimated: {self.note}"]
-        events = [*self.found.lost, *self.found.slippage, *self.found.excess_force]
         unjudged = [] if self.judges_slip else ["slippage isn't judged: the pads' friction wasn't given"]
-        return [*(events or ["no event"]), *unjudged]
+        return [*_events(self.found), *unjudged]
+
+    @property
+    def true_verdict(self) -> list[str]:
+        """The same judged by true forces; empty where there are none."""
+        return [] if self.truth is None else _events(self.truth)
+
+
+def _events(found: FingerEstimate) -> list[str]:
+    return [*found.lost, *found.slippage, *found.excess_force] or ["no event"]

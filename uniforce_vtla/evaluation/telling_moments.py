@@ -43,7 +43,7 @@ def stretches(found: FingerEstimate, limits: ScoreLimits, settings: FingerSettin
     """Return where the press, or the friction both pads use, is beyond its limit."""
     beyond = {
         f"press > {limits.mean_press_N:g} N": found.press_N > limits.mean_press_N,
-        "both pads at their friction limit": (found.friction_used > settings.friction_share).all(axis=1),
+        "both pads at their friction limit": found.friction_used.min(axis=1) > settings.friction_share,
     }
     return [
         Stretch(name, int(first), int(end)) for name, flags in beyond.items() for first, end in runs(flags)
