@@ -15,9 +15,9 @@ from typing import Literal
 
 import numpy as np
 
+from uniforce_datasets.dataset_paths import inside
 from uniforce_datasets.readers.files import (
     existing_folder,
-    inside,
     numbered_images,
     read_array,
     read_marker_picture,
