@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 from uniforce_datasets.dataset_paths import check_key, check_links, check_template
 from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.json_file import read_object
 
 INFO = Path("meta") / "info.json"
 TEMPLATES = ("data_path", "video_path")  # LeRobot opens both
@@ -29,7 +29,7 @@ def read_info(root: Path, within: Path | None = None) -> dict[str, Any]:
         do = "Give the folder that uniforce-record wrote."
         raise DatasetError(expected(str(root), str(INFO), "none", do))
     check_links(root, within or root)
-    info = _parse(file)
+    info = read_object(file, DatasetError)
     _check_version(file, info)
     for name, (kind, wanted) in _NEEDED.items():
         if not isinstance(info.get(name), kind) or isinstance(info[name], bool):
@@ -57,18 +57,6 @@ _NEEDED: dict[str, tuple[type | tuple[type, ...], str]] = {
     "total_episodes": (int, "a count"),
     "total_frames": (int, "a count"),
 }
-
-
-def _parse(file: Path) -> dict[str, Any]:
-    try:
-        info = json.loads(file.read_text())
-    except (ValueError, RecursionError, OSError) as error:  # no JSON, no text, nested without end, unreadable
-        raise DatasetError(
-            expected(str(file), "JSON", _short(error), "It is truncated: restore it.")
-        ) from error
-    if not isinstance(info, dict):
-        raise DatasetError(expected(str(file), "a JSON object", type(info).__name__, "Restore it."))
-    return info
 
 
 def _check_version(file: Path, info: dict[str, Any]) -> None:

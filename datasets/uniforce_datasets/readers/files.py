@@ -111,23 +111,6 @@ def decode_picture(data: bytes, where: str, colour: bool) -> np.ndarray:
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB) if colour else picture
 
 
-def read_array(path: Path) -> np.ndarray:
-    """Return the array in a .npy file; pickled objects are refused.
-
-    Raises:
-        DatasetError: truncated, pickled, or no single array.
-    """
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise DatasetError(
-            expected(str(path), "a whole .npy array", error, "Restore it from a copy.")
-        ) from error
-    if not isinstance(array, np.ndarray):
-        raise DatasetError(expected(str(path), "one array", "an archive", "Save it with numpy.save."))
-    return array
-
-
 def read_table(path: Path) -> pd.DataFrame:
     """Return a csv table, its numbers exactly as written; raise DatasetError where there is none."""
     if not path.is_file():
