@@ -66,8 +66,8 @@ def _preset_path(args: Sequence[str], presets: Path) -> Path | None:
     names = [a.removeprefix("--preset=") for a in args if a.startswith("--preset=") and a != "--preset="]
     if not names:
         return None
+    known = sorted(p.stem for p in presets.glob("*.yaml"))
     path = presets / f"{names[-1]}.yaml"
-    if not path.exists():
-        known = sorted(p.stem for p in presets.glob("*.yaml"))
+    if names[-1] not in known:  # nor does a name with slashes lead out of the folder
         raise ContractError(expected("preset", " | ".join(known), names[-1], "Name one, or give none."))
     return path

@@ -36,10 +36,10 @@ class RawClient:
 
     def __init__(self, address: str, port: int, header: Header) -> None:
         self.header = header
-        self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.udp.bind(("", 0))  # states go to whatever address the TCP connection came from
-        self.udp.settimeout(TIMEOUT_s)
         self.tcp = socket.create_connection((address, port), TIMEOUT_s)
+        self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.udp.bind((self.tcp.getsockname()[0], 0))  # states go to the address the TCP connection came from
+        self.udp.settimeout(TIMEOUT_s)
         self.server: tuple[str, int] | None = None
         self._buffer = b""
         self._next_id = 1
