@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from uniforce_datasets.dataset_info import INFO, read_info
 from uniforce_datasets.features import WRENCH_AXES
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
@@ -243,10 +244,13 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any]) ->
     cameras, state and action only.
 
     Raises:
-        DatasetError: the policy pools latents to another grid, or asks for observation histories.
+        DatasetError: a path or link that leads out of the dataset, the policy pools latents to another grid, or asks
+            for observation histories.
     """
     root = cfg.dataset.root
     if root is None or not (Path(root) / VIEW_MARKER).is_file():
+        if root is not None and (Path(root) / INFO).is_file():
+            read_info(Path(root))  # LeRobot follows any path it finds there
         return stock_make_dataset(cfg)
     policy = cfg.trainable_config
     if getattr(policy, "observation_delta_indices", None) is not None:
