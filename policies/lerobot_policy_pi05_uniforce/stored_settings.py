@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from draccus.utils import DraccusException
+from safetensors import SafetensorError
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
@@ -34,7 +35,7 @@ MAX_SIDE = 4096  # of an image or a feature's axis
 # What LeRobot, draccus and torch raise over settings that fit nothing
 MISFITS = (
     *(ValueError, TypeError, KeyError, AttributeError, IndexError, RuntimeError, ArithmeticError),
-    *(OSError, ImportError, AssertionError, DraccusException),
+    *(OSError, ImportError, AssertionError, DraccusException, SafetensorError),
 )
 
 
