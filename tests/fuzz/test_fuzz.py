@@ -30,7 +30,6 @@ SHARE = {
 SEED = os.environ.get("UNIFORCE_FUZZ_SEED", "0")
 RESULTS = os.environ.get("UNIFORCE_FUZZ_RESULTS", "")
 TARGETS = {"bytes": tuple(BYTE_TARGETS), "files": tuple(FILE_TARGETS)}
-EACH = [(group, name) for group, names in TARGETS.items() for name in names]
 MOST_MB = {"bytes": 64, "files": 512}  # of resident memory beyond what the sound inputs took
 
 
