@@ -15,7 +15,7 @@ help:
 
 setup: $(STAMP)
 
-$(STAMP): requirements.lock pyproject.toml scripts/setup.sh
+$(STAMP): requirements.lock requirements-clients.lock pyproject.toml scripts/setup.sh
 	@bash scripts/setup.sh
 	@touch $(STAMP)
 
@@ -37,9 +37,12 @@ fuzz: setup
 ci: test
 	bash scripts/check_wheel.sh
 
+LOCK = $$(command -v uv || echo .venv-uv/bin/uv) pip compile --python-version 3.12 --no-annotate --no-header --no-emit-index-url \
+	  --no-emit-find-links --generate-hashes
+
 lock:
-	$$(command -v uv || echo .venv-uv/bin/uv) pip compile --python-version 3.12 --no-annotate --no-header --no-emit-index-url --no-emit-find-links \
-	  --override scripts/lock_overrides.txt --group dev --generate-hashes pyproject.toml -o requirements.lock
+	$(LOCK) --override scripts/lock_overrides.txt --group dev pyproject.toml -o requirements.lock
+	$(LOCK) --constraint requirements.lock --group clients -o requirements-clients.lock
 
 clean:
 	rm -rf .venv outputs .mypy_cache .ruff_cache .pytest_cache

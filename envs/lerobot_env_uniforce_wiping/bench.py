@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from lerobot_env_uniforce_wiping.env import WipeEnv
+from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import WipeExpert
 
 
@@ -25,13 +26,11 @@ def bench_env(seconds: float) -> dict[str, float]:
 def _rate(env: WipeEnv, expert: WipeExpert, seconds: float, observe: bool) -> float:
     steps, seed, start = 0, 0, time.process_time()
     while time.process_time() - start < seconds:
-        env.start(seed)
-        expert.reset(env)
-        done = False
-        while not done and time.process_time() - start < seconds:
-            done = env.advance(expert.act(env))
+        for _ in walk(env, expert, seed):
             steps += 1
             if observe:
                 env.observe()
+            if time.process_time() - start >= seconds:
+                break
         seed += 1
     return steps / (time.process_time() - start)

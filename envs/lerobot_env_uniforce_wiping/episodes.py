@@ -1,11 +1,13 @@
-"""Run one scripted episode on the fast path: no rendering, stop once the script has nothing left to do."""
+"""Scripted episodes on the fast path: nothing is rendered unless whoever walks along looks."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Protocol
 
 import numpy as np
 
+from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.env import WipeEnv
 from uniforce_vtla.evaluation.episode import EpisodeResult
 
@@ -26,12 +28,24 @@ class Script(Protocol):
         """Return the next absolute target (5,)."""
 
 
-def run_script(env: WipeEnv, script: Script, seed: int) -> EpisodeResult:
-    """Return the score of one episode."""
+def walk(env: WipeEnv, script: Script, seed: int, nudge: Nudge | None = None) -> Iterator[np.ndarray]:
+    """Do the scene of ``seed``: yield each executed (5,) target, the scene standing right after it, until it ends."""
     env.start(seed)
     script.reset(env)
-    done, idle = False, 0
-    while not done and idle < IDLE_STEPS:
-        done = env.advance(script.act(env))
+    done = False
+    while not done:
+        target = script.act(env)
+        if nudge is not None:
+            target = nudge.apply(target)
+        done = env.advance(target)
+        yield target
+
+
+def run_script(env: WipeEnv, script: Script, seed: int) -> EpisodeResult:
+    """Return the score of one episode."""
+    idle = 0
+    for _ in walk(env, script, seed):
         idle += script.phase == "done"
+        if idle >= IDLE_STEPS:
+            break
     return env.result()

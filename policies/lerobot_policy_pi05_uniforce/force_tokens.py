@@ -34,10 +34,21 @@ class ForceTokens(nn.Module):
         num_slots: how many slots the policy has.
         width: VLM width D.
         scale: initial RMS of a token.
+        noise: spread of the Gaussian noise that training adds to each input number, in units of its channel's RMS.
+            What survives it is what many cells agree on, and that is what another sensor's latents share.
     """
 
-    def __init__(self, input_size: int, num_tokens: int, num_slots: int, width: int, scale: float) -> None:
+    def __init__(
+        self,
+        input_size: int,
+        num_tokens: int,
+        num_slots: int,
+        width: int,
+        scale: float,
+        noise: float = 0.0,
+    ) -> None:
         super().__init__()
+        self.noise = noise
         self.register_buffer("input_rms", torch.ones(input_size))
         self.proj = nn.Sequential(nn.Linear(input_size, width), nn.GELU(), nn.Linear(width, width))
         self.cell_embedding = nn.Parameter(0.5 * torch.randn(num_tokens, width))
@@ -46,7 +57,10 @@ class ForceTokens(nn.Module):
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
-        hidden = self.proj(touch / self.input_rms)  # (B, K or 1, D)
+        felt = touch / self.input_rms
+        if self.training and self.noise:
+            felt = felt + self.noise * torch.randn_like(felt)
+        hidden = self.proj(felt)  # (B, K or 1, D)
         hidden = hidden + self.cell_embedding + self.slot_embedding[slot]  # (B, K, D)
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
 

@@ -69,7 +69,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if config.touch_input == "marker_pair":
             return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
         size = touch_shape(config)[1]
-        tokens = ForceTokens(size, config.tokens_per_slot, slots, self.touch_width, scale)
+        noise = config.touch_noise
+        tokens = ForceTokens(size, config.tokens_per_slot, slots, self.touch_width, scale, noise)
         if config.touch_input == "wrench":
             tokens.input_rms.copy_(wrench_rms())
         return tokens

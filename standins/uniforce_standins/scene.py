@@ -55,6 +55,24 @@ class Scene:
         return self.rest_s + self.press_s
 
 
+@dataclass
+class SceneConfig:
+    """What every tactile stand-in can be asked to feel and to break; each adds its own settings."""
+
+    rest_s: float = 1.0  # free air at the start of each cycle
+    press_s: float = 2.0  # then a press that comes and goes; 0 = never
+    peak_N: float = 8.0  # its strongest normal force
+    where: str = "centre"  # centre | top-left | top-right | bottom-left | bottom-right, in the marker image
+    hold: bool = False  # pressed from the start and for ever
+    fault: str = "none"  # what is broken from the start
+    seed: int = 0  # of unit and noise
+
+    @property
+    def scene(self) -> Scene:
+        """The cycle of touching that was asked for."""
+        return Scene(self.rest_s, self.press_s, self.peak_N, where=self.where, hold=self.hold, seed=self.seed)
+
+
 def taxel_cycle(scene: Scene, rate_hz: float) -> np.ndarray:
     """Return (N, 16, 3) uint16 raw counts of one cycle at ``rate_hz``, noise included."""
     simulator = TactileSimulator("uskin", seed=scene.seed)

@@ -21,7 +21,7 @@ import numpy as np
 
 from uniforce_standins.control import Control
 from uniforce_standins.pace import Pace
-from uniforce_standins.scene import Scene, taxel_cycle
+from uniforce_standins.scene import SceneConfig, taxel_cycle
 from uniforce_vtla.commands.arguments import parse
 
 FAULTS = ("bel", "garbage", "split", "missing", "duplicate", "stall", "freeze", "unplug", "refuse", "mute")
@@ -31,7 +31,7 @@ REPLIES = {"V": b"V1013\r", "N": b"NUF01\r", "F": b"F00\r"}
 
 
 @dataclass
-class SlcanConfig:
+class SlcanConfig(SceneConfig):
     """Show a simulated uSkin patch as an SLCAN adapter on a pseudo-terminal.
 
     Example: python -m uniforce_standins.slcan rate_hz=500 where=top-left
@@ -39,13 +39,6 @@ class SlcanConfig:
 
     rate_hz: float = 500.0  # scans per second; real 4×4 patches were seen at 95 to 133
     controller: int = 0  # microcontroller id in the low bits of the CAN ids
-    rest_s: float = 1.0  # free air at the start of each cycle
-    press_s: float = 2.0  # then a press that comes and goes; 0 = never
-    peak_N: float = 8.0  # its strongest normal force
-    where: str = "centre"  # centre | top-left | top-right | bottom-left | bottom-right, in the marker image
-    hold: bool = False  # pressed from the start and for ever
-    fault: str = "none"  # what is broken from the start
-    seed: int = 0
 
 
 def scan_lines(cycle: np.ndarray, controller: int) -> list[list[bytes]]:
@@ -61,15 +54,7 @@ class SlcanStandIn:
     """The adapter: answers commands, and streams scans while its channel is open."""
 
     def __init__(self, config: SlcanConfig) -> None:
-        scene = Scene(
-            config.rest_s,
-            config.press_s,
-            config.peak_N,
-            where=config.where,
-            hold=config.hold,
-            seed=config.seed,
-        )
-        self._lines = scan_lines(taxel_cycle(scene, config.rate_hz), config.controller)
+        self._lines = scan_lines(taxel_cycle(config.scene, config.rate_hz), config.controller)
         self._control = Control(FAULTS, self._on_fault, self._stats, config.fault)
         self._pace = Pace(config.rate_hz)
         self._rng = np.random.default_rng(config.seed)

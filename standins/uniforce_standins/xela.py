@@ -22,15 +22,15 @@ from typing import Any
 import numpy as np
 
 from uniforce_standins.control import Control
+from uniforce_standins.loopback import LoopbackServer
 from uniforce_standins.pace import Pace
-from uniforce_standins.scene import Scene, taxel_cycle
+from uniforce_standins.scene import SceneConfig, taxel_cycle
 from uniforce_vtla.commands.arguments import parse
 
 FAULTS = (
     *("welcome", "list", "integers", "null", "sim", "close", "stall", "freeze", "stop"),
     *("garbage", "short", "absent", "fragments", "ping", "badframe"),
 )
-LOOPBACK = "127.0.0.1"
 GUID = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
 TEXT, CLOSE, PING = 0x1, 0x8, 0x9
 OUT_BYTES = 1 << 20
@@ -38,7 +38,7 @@ FRAGMENTS = 5
 
 
 @dataclass
-class XelaConfig:
+class XelaConfig(SceneConfig):
     """Show a simulated uSkin patch as a xela_server on loopback.
 
     Example: python -m uniforce_standins.xela rate_hz=100
@@ -46,13 +46,6 @@ class XelaConfig:
 
     rate_hz: float = 100.0  # messages per second; real servers gave 95 to 133 for a 4×4 patch
     port: int = 0  # 0 = any free one; xela_server's own is 5000
-    rest_s: float = 1.0  # free air at the start of each cycle
-    press_s: float = 2.0  # then a press that comes and goes; 0 = never
-    peak_N: float = 8.0  # its strongest normal force
-    where: str = "centre"  # centre | top-left | top-right | bottom-left | bottom-right, in the marker image
-    hold: bool = False  # pressed from the start and for ever
-    fault: str = "none"  # what is broken from the start
-    seed: int = 0
 
 
 def frame(opcode: int, payload: bytes, is_last: bool = True) -> bytes:
@@ -89,60 +82,43 @@ class XelaStandIn:
     """The server: one simulated patch, any number of listeners."""
 
     def __init__(self, config: XelaConfig) -> None:
-        scene = Scene(
-            config.rest_s,
-            config.press_s,
-            config.peak_N,
-            where=config.where,
-            hold=config.hold,
-            seed=config.seed,
-        )
-        self._cycle = taxel_cycle(scene, config.rate_hz)
+        self._cycle = taxel_cycle(config.scene, config.rate_hz)
         self._pace = Pace(config.rate_hz)
         self._rng = np.random.default_rng(config.seed)
-        self._greeting: dict[socket.socket, bytes] = {}  # connected, handshake not finished
-        self._clients: dict[socket.socket, bytearray] = {}
-        self._listener: socket.socket | None = None
-        self._address = (LOOPBACK, config.port)
-        self._step = self._number = self._sent = self._dropped = 0
-        self._listen()
-        self._control = Control(FAULTS, self._on_fault, self._stats, config.fault)
+        self._step = self._number = 0
+        self._server = LoopbackServer(config.port, OUT_BYTES)
+        self._control = Control(FAULTS, self._on_fault, self._server.stats, config.fault)
 
     def run(self) -> None:
         """Serve until told to quit."""
-        self._control.ready(f"{self._address[0]}:{self._address[1]}")
+        self._control.ready("{}:{}".format(*self._server.address))
         while not self._control.quit:
             self._serve_once()
 
     def _serve_once(self) -> None:
-        reading: list[Any] = [*self._greeting, *self._clients, *self._control.inputs()]
-        if self._listener is not None:
-            reading.append(self._listener)
-        writing = [client for client, out in self._clients.items() if out]
-        ready, writable, _ = select.select(reading, writing, [], self._pace.wait_s())
+        reading: list[Any] = [*self._server.reading(), *self._control.inputs()]
+        ready, writable, _ = select.select(reading, self._server.writing(), [], self._pace.wait_s())
         if 0 in ready:
             self._control.read()
         for connection in ready:
-            self._hear(connection)
+            heard = self._server.hear(connection)
+            if connection in self._server.visitors:
+                self._shake_hands(connection, self._server.visitors[connection] + heard)
         for _ in range(self._pace.due()):
             self._broadcast()
-        for client in [c for c in writable if c in self._clients]:
-            self._flush(client)
+        self._server.flush(writable)
 
     # -- data -------------------------------------------------------------------------------------------
 
     def _broadcast(self) -> None:
         fault = self._control.fault
-        if fault in ("welcome", "stall", "stop") or not self._clients:
+        if fault in ("welcome", "stall", "stop") or not self._server.clients:
             return  # the cycle begins, in free air, with the first who listens
         scan = self._cycle[self._step % len(self._cycle)]
         self._step += fault != "freeze"
         self._number += 1
         data = self._frames(message(self._number, scan, fault).encode(), fault)
-        for out in self._clients.values():
-            fits = len(out) + len(data) <= OUT_BYTES
-            self._sent, self._dropped = self._sent + fits, self._dropped + (not fits)
-            out += data if fits else b""
+        self._server.broadcast(data)
 
     def _frames(self, text: bytes, fault: str) -> bytes:
         if fault == "garbage" and self._number % 2:
@@ -160,75 +136,29 @@ class XelaStandIn:
 
     # -- clients ----------------------------------------------------------------------------------------
 
-    def _hear(self, connection: object) -> None:
-        if connection is self._listener and self._listener is not None:
-            client, _ = self._listener.accept()
-            self._greeting[client] = b""
-        elif isinstance(connection, socket.socket):
-            self._receive(connection)
-
-    def _receive(self, client: socket.socket) -> None:
-        try:
-            heard = client.recv(4096)
-        except OSError:
-            heard = b""
-        if not heard:
-            self._part_from(client)
-        elif client in self._greeting:
-            self._shake_hands(client, self._greeting[client] + heard)
-
     def _shake_hands(self, client: socket.socket, request: bytes) -> None:
-        self._greeting[client] = request[-8192:]
+        self._server.visitors[client] = request[-8192:]
         key = re.search(rb"Sec-WebSocket-Key:\s*(\S+)", request, re.IGNORECASE)
         if b"\r\n\r\n" not in request or key is None:
             return
         accept = base64.b64encode(hashlib.sha1(key[1] + GUID).digest())
         answer = b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
         welcome = frame(TEXT, json.dumps({"message": "Welcome", "time": time.time()}).encode())
-        del self._greeting[client]
-        client.setblocking(False)
-        self._clients[client] = bytearray(answer + b"Sec-WebSocket-Accept: " + accept + b"\r\n\r\n" + welcome)
-
-    def _flush(self, client: socket.socket) -> None:
-        out = self._clients[client]
-        try:
-            del out[: client.send(out)]
-        except BlockingIOError:
-            return
-        except OSError:
-            self._part_from(client)
-
-    def _part_from(self, client: socket.socket) -> None:
-        self._clients.pop(client, None)
-        self._greeting.pop(client, None)
-        client.close()
-
-    # -- plugging ---------------------------------------------------------------------------------------
+        self._server.admit(client, answer + b"Sec-WebSocket-Accept: " + accept + b"\r\n\r\n" + welcome)
 
     def _on_fault(self, name: str) -> None:
         if name == "close":
-            for client, out in list(self._clients.items()):
-                with contextlib.suppress(OSError):
-                    client.send(bytes(out) + frame(CLOSE, (1001).to_bytes(2)))
-                self._part_from(client)
+            self._say_goodbye()
         if name == "stop":
-            self._unplug()
-        elif self._listener is None:
-            self._listen()
+            self._server.unplug()
+        else:
+            self._server.listen()
 
-    def _listen(self) -> None:
-        self._listener = socket.create_server(self._address)
-        self._address = self._listener.getsockname()[:2]
-
-    def _unplug(self) -> None:
-        for client in [*self._clients, *self._greeting]:
-            self._part_from(client)
-        if self._listener is not None:
-            self._listener.close()
-        self._listener = None
-
-    def _stats(self) -> str:
-        return f"sent={self._sent} dropped={self._dropped} clients={len(self._clients)}"
+    def _say_goodbye(self) -> None:
+        for client, out in list(self._server.clients.items()):
+            with contextlib.suppress(OSError):
+                client.send(bytes(out) + frame(CLOSE, (1001).to_bytes(2)))
+            self._server.part_from(client)
 
 
 def main(argv: list[str] | None = None) -> int:

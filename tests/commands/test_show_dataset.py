@@ -13,15 +13,18 @@ import cv2
 import numpy as np
 import pytest
 
+from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_vtla.commands.dataset_rerun import traces
 from uniforce_vtla.commands.dataset_sheet import write_sheet
 from uniforce_vtla.commands.dataset_story import tell
-from uniforce_vtla.commands.felt_recording import FeltEpisode, FeltFinger, FeltRecording
+from uniforce_vtla.commands.felt_recording import FeltEpisode, FeltRecording, gauges, latent_change
 from uniforce_vtla.commands.show_dataset import main
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_story import EpisodeStory, Moment
 from uniforce_vtla.evaluation.finger_estimates import estimate_events
 from uniforce_vtla.evaluation.telling_moments import telling_moments
+from uniforce_vtla.tokenizer import Tokenizer
 
 FRAMES = 8
 RATE = 30
@@ -58,13 +61,21 @@ def test_a_page_shows_every_picture_beside_it(recorded: Path, tmp_path: Path) ->
 
 
 def test_latents_are_zero_in_free_air_and_seen_from_the_sensor(recorded: Path) -> None:
-    recording = FeltRecording(recorded)
-    felt = recording.feel(recording.source.episodes[0])
-    left, right = felt.fingers["left"], felt.fingers["right"]
-    assert left.change.shape[0] == FRAMES and left.strength[0].max() < 1e-5  # the dots start at rest
-    assert left.strength[-1].max() > 0.05
+    source, tokenizer = read_source(recorded), Tokenizer.from_pretrained()
+    left, right = (latent_change(tokenizer, source, source.episodes[0], finger) for finger in FINGERS)
+    strength = np.linalg.norm(left, axis=-1)  # (n, g, g)
+    assert len(left) == FRAMES and strength[0].max() < 1e-5  # the dots start at rest
+    assert strength[-1].max() > 0.05
     # both fingers wear the same dots, so that only the mirror tells their latents apart
-    assert not np.allclose(left.change, right.change, atol=1e-3)
+    assert not np.allclose(left, right, atol=1e-3)
+
+
+def test_a_force_head_reads_the_latents_instead_of_the_gauges(recorded: Path, tmp_path: Path) -> None:
+    assert main([f"root={recorded}", f"out={tmp_path}", "head=tactip"]) == 0
+    page, content = (tmp_path / f"episode_0.{kind}" for kind in ("html", "json"))
+    assert "force head tactip, from latents" in page.read_text()
+    by_gauge = FeltRecording(recorded, gauges()).feel(read_source(recorded).episodes[0]).force_N
+    assert json.loads(content.read_text())["strongest_N"]["left"] != np.abs(by_gauge).max(axis=0)[0].tolist()
 
 
 def test_unknown_episodes_and_forms_are_refused(
@@ -200,12 +211,12 @@ def test_what_a_dataset_says_of_itself_is_text_never_html(tmp_path: Path) -> Non
 def test_an_episode_too_short_to_judge_is_shown_all_the_same(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recording = FeltRecording(recorded)
-    episode = recording.source.episodes[0]
-    grip = FeltFinger(np.tile([0.0, 0.0, 9.0], (FRAMES, 1)), np.zeros((FRAMES, 4, 4, 6), np.float32))
+    recording = FeltRecording(recorded, gauges())
+    episode, tokenizer = recording.source.episodes[0], Tokenizer.from_pretrained()
+    grip = np.tile([0.0, 0.0, 9.0], (FRAMES, 2, 1))
     height = np.where(np.arange(FRAMES) > 5, 0.2, 0.1)  # lifted for two frames: too short to weigh anything
-    felt = FeltEpisode(np.arange(FRAMES) / RATE, height, {"left": grip, "right": grip}, None)
+    felt = FeltEpisode(np.arange(FRAMES) / RATE, height, grip, None)
     monkeypatch.setattr(recording, "feel", lambda _: felt)
-    story = tell(recording, episode, None, "short")
+    story = tell(recording, tokenizer, episode, None, "short")
     assert story.found is None and "time after the lift" in story.verdict[0]
     assert "time after the lift" in write_sheet(story, {}, tmp_path, "e").read_text()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
@@ -62,43 +63,31 @@ def recovers(cpu_share: float) -> Callable[[Callable[[], object]], None]:
     return wait
 
 
-@pytest.fixture(scope="session")
-def slcan_process() -> Iterator[StandIn]:
-    with StandIn("slcan", f"rate_hz={RATE_HZ}") as stand_in:
+def _running(name: str, *options: str) -> Any:
+    """Return a session's fixture: a stand-in of its own process, started once."""
+
+    @pytest.fixture(scope="session", name=f"{name}_process")
+    def running() -> Iterator[StandIn]:
+        with StandIn(name, *options) as stand_in:
+            yield stand_in
+
+    return running
+
+
+def _whole(name: str) -> Any:
+    """Return a test's fixture: that stand-in with nothing broken, before and after."""
+
+    @pytest.fixture(name=name)
+    def whole(request: pytest.FixtureRequest) -> Iterator[StandIn]:
+        stand_in = request.getfixturevalue(f"{name}_process")
+        stand_in.inject("none")
         yield stand_in
+        stand_in.inject("none")
+
+    return whole
 
 
-@pytest.fixture
-def slcan(slcan_process: StandIn) -> Iterator[StandIn]:
-    """Return the SLCAN stand-in, whole."""
-    slcan_process.inject("none")
-    yield slcan_process
-    slcan_process.inject("none")
-
-
-@pytest.fixture(scope="session")
-def mjpeg_process() -> Iterator[StandIn]:
-    with StandIn("mjpeg", "sensor=tactip", "rate_hz=15", "rest_s=2", "press_s=1") as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def mjpeg(mjpeg_process: StandIn) -> Iterator[StandIn]:
-    """Return the MJPEG stand-in, whole."""
-    mjpeg_process.inject("none")
-    yield mjpeg_process
-    mjpeg_process.inject("none")
-
-
-@pytest.fixture(scope="session")
-def xela_process() -> Iterator[StandIn]:
-    with StandIn("xela", f"rate_hz={RATE_HZ}") as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def xela(xela_process: StandIn) -> Iterator[StandIn]:
-    """Return the xela_server stand-in, whole."""
-    xela_process.inject("none")
-    yield xela_process
-    xela_process.inject("none")
+slcan_process = _running("slcan", f"rate_hz={RATE_HZ}")
+mjpeg_process = _running("mjpeg", "sensor=tactip", "rate_hz=15", "rest_s=2", "press_s=1")
+xela_process = _running("xela", f"rate_hz={RATE_HZ}")
+slcan, mjpeg, xela = _whole("slcan"), _whole("mjpeg"), _whole("xela")

@@ -29,6 +29,8 @@ from uniforce_vtla.array_file import read_array, read_arrays
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.keys import ACTION, STATE
 from uniforce_vtla.peers.checkpoint import read_tensors
+from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES
+from uniforce_vtla.probes.touch_gauge import TouchGauge
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
@@ -94,6 +96,15 @@ def force_head(folder: Path) -> FileTarget:
     config = HeadConfig(hidden=4, mlp=8)
     root = ForceHead(ForceRegressor(config), "tactip", HASH).save(folder / "data")
     return FileTarget(root, lambda: ForceHead.from_pretrained(path=root))
+
+
+def gauge(folder: Path) -> FileTarget:
+    config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
+    TouchGauge(ForceRegressor(config), "tactip").save(folder / "data")
+    felt = np.zeros((2, len(DESCRIPTOR_NAMES)))
+    return FileTarget(
+        folder / "data", lambda: TouchGauge.from_pretrained("tactip", folder / "data").read(felt)
+    )
 
 
 def adapter(folder: Path) -> FileTarget:
@@ -165,6 +176,7 @@ FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {
     "view": view,
     "tokenizer": tokenizer,
     "force_head": force_head,
+    "gauge": gauge,
     "adapter": adapter,
     "policy": policy,
     "training_state": training_state,

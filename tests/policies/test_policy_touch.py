@@ -209,6 +209,17 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         assert all(m.all() for m in masks)
 
 
+def test_touch_noise_is_for_training_alone(make_policy):
+    torch.manual_seed(0)
+    tokens = make_policy(touch_noise=0.5).model.force_tokens
+    felt = torch.randn(3, 16, 6) * tokens.input_rms
+    quiet = tokens.eval()(felt, 0)
+    assert torch.equal(quiet, tokens(felt, 0))
+    assert not torch.equal(quiet, tokens.train()(felt, 0))
+    tokens.noise = 0.0
+    assert torch.equal(quiet, tokens(felt, 0))
+
+
 @pytest.mark.parametrize(
     ("settings", "said"),
     [

@@ -19,7 +19,7 @@ td { padding: .1rem 1.2rem .1rem 0; vertical-align: top; } td:first-child { colo
 p { color: #444; max-width: 62rem; }
 """
 HONEST = (
-    "Forces are estimates, read from marker images by a learned head; nothing else measured them."
+    "Forces are estimates, read from marker images; nothing else measured them."
     " x runs along the pad's columns, y down its rows, z into the pad, in the left finger's frame for both."
 )
 TRUE = " Pale, broad lines are the simulator's true forces."

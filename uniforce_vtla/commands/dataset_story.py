@@ -7,14 +7,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from uniforce_datasets.source import Episode, Source, episode_frames
-from uniforce_vtla.commands.felt_recording import FeltEpisode, FeltRecording, grey
-from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.commands.felt_recording import FeltEpisode, FeltRecording, latent_change, marker_images
+from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.episode_story import EpisodeStory, Moment
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
 from uniforce_vtla.evaluation.telling_moments import telling_moments
-from uniforce_vtla.keys import TACTILE_KEYS, tactile_key
+from uniforce_vtla.keys import TACTILE_KEYS
 from uniforce_vtla.markers.overlay import overlay
+from uniforce_vtla.tokenizer import Tokenizer
 
 FILM = 12  # pictures in a film strip: square ones fill a line of it
 UNKNOWN_FRICTION = (np.inf, np.inf)  # no pad ever reaches its limit: slippage isn't judged
@@ -28,7 +29,11 @@ def cameras(source: Source) -> dict[str, str]:
 
 
 def tell(
-    recording: FeltRecording, episode: Episode, friction: tuple[float, float] | None, title: str
+    recording: FeltRecording,
+    tokenizer: Tokenizer,
+    episode: Episode,
+    friction: tuple[float, float] | None,
+    title: str,
 ) -> EpisodeStory:
     """Return the story of an episode.
 
@@ -37,7 +42,7 @@ def tell(
     """
     felt = recording.feel(episode)
     found, truth, note = _judged(felt, friction or UNKNOWN_FRICTION)
-    named = telling_moments(felt.forces(), felt.tool_z_m)
+    named = telling_moments(felt.force_N, felt.tool_z_m)
     film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
     seen = {
         name: dict(_pictures(recording.source, episode, key, {*film, *named.values()}))
@@ -57,9 +62,9 @@ def tell(
         title=title,
         time_s=felt.time_s,
         films={camera: [pictures[frame] for frame in film] for camera, pictures in seen.items()},
-        force_N=felt.forces(),
+        force_N=felt.force_N,
         true_force_N=felt.true_force_N,
-        change={finger: felt.fingers[finger].change for finger in FINGERS},
+        change={f: latent_change(tokenizer, recording.source, episode, f) for f in FINGERS},
         moments=moments,
         found=found,
         truth=truth,
@@ -85,8 +90,9 @@ def _pictures(
             yield number, frame
 
 
-def _overlays(source: Source, episode: Episode, finger: str, named: dict[str, int]) -> dict[int, np.ndarray]:
-    reference, current = (tactile_key(finger, reference=r) for r in (True, False))  # type: ignore[arg-type]
-    free_air = grey(next(episode_frames(episode.videos[reference], episode.length, source.fps)))
-    pictures = _pictures(source, episode, current, set(named.values()))
-    return {number: overlay(free_air, grey(frame)) for number, frame in pictures}
+def _overlays(
+    source: Source, episode: Episode, finger: Finger, named: dict[str, int]
+) -> dict[int, np.ndarray]:
+    reference, current = marker_images(source, episode, finger)
+    wanted = set(named.values())
+    return {n: overlay(reference, image) for n, image in enumerate(current()) if n in wanted}

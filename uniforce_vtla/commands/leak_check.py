@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
+from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contracts import FINGERS
@@ -64,30 +65,23 @@ def collect(config: LeakConfig) -> Samples:
 def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any, ...]]:
     wanted_N = float(np.random.default_rng([seed, 5]).uniform(*PRESS_RANGE_N))
     expert, nudge = WipeExpert(settings=TouchSettings(press_N=wanted_N)), Nudge(seed)
-    env.start(seed)
-    expert.reset(env)
     past: list[tuple[np.ndarray, np.ndarray, np.ndarray | None]] = []
-    done, step = False, 0
-    while not done:
-        target = nudge.apply(expert.act(env))
-        done, step = env.advance(target), step + 1
-        wiping = env.phase == WIPING_PHASE
-        looks = wiping and step % HISTORY_STEP == 0
-        past.append((env.state, target, _pictures(env, config.image_side) if looks else None))
+    for step, target in enumerate(walk(env, expert, seed, nudge), start=1):
+        looks = env.phase == WIPING_PHASE and step % HISTORY_STEP == 0
+        pixels = env.observe()["pixels"] if looks else {}
+        past.append((env.state, target, _pictures(pixels, config.image_side) if looks else None))
         frames = past[-1 - (HISTORY - 1) * HISTORY_STEP :: HISTORY_STEP]
         if looks and step % (EVERY * HISTORY_STEP) == 0 and all(frame[2] is not None for frame in frames):
             state, command, pictures = (np.concatenate(part) for part in zip(*frames, strict=True))
-            yield state, command, _touch(env), pictures, env.sim.press_N
+            yield state, command, _touch(pixels), pictures, env.sim.press_N
 
 
-def _pictures(env: WipeEnv, side: int) -> np.ndarray:
-    pixels = env.observe()["pixels"]
+def _pictures(pixels: dict[str, np.ndarray], side: int) -> np.ndarray:
     small = [cv2.resize(pixels[name], (side, side), interpolation=cv2.INTER_AREA) for name in CAMERAS]
     return np.concatenate(small, axis=-1).transpose(2, 0, 1)  # (6, S, S)
 
 
-def _touch(env: WipeEnv) -> np.ndarray:
-    pixels = env.observe()["pixels"]
+def _touch(pixels: dict[str, np.ndarray]) -> np.ndarray:
     pairs = [
         (pixels[tactile_name(f, reference=True)][..., 0], pixels[tactile_name(f)][None, ..., 0], f)
         for f in FINGERS

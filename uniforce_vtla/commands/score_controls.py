@@ -12,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.rollout import Controller
@@ -46,11 +47,7 @@ def donated_touch(level: str, sensors: dict[str, str], donors: int = DONORS) -> 
     env, expert = WipeEnv(level, sensors["left"], sensors["right"]), WipeExpert()
     bank: dict[int, list[Donated]] = {}
     for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch"):
-        env.start(seed)
-        expert.reset(env)
-        done, step = False, 0
-        while not done:
-            done, step = env.advance(expert.act(env)), step + 1
+        for step, _ in enumerate(walk(env, expert, seed), start=1):
             if step % EVERY == 0 or env.phase not in bank:
                 bank.setdefault(env.phase, []).append(_packed(env.observe()["pixels"]))
     return bank

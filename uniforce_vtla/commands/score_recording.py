@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_vtla.commands.arguments import numbers, parse
-from uniforce_vtla.commands.felt_recording import FeltRecording
+from uniforce_vtla.commands.felt_recording import FeltRecording, gauges
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.evaluation.board_camera import estimate_residual
 from uniforce_vtla.evaluation.episode import ScoreLimits
@@ -37,8 +37,7 @@ class ScoreRecordingConfig:
     board_corners: str = ""
     camera: str = "front"  # scene camera that sees the board
     episodes: int = 0  # the first so many; 0 = all
-    head: str = "wiping"  # name of a shipped force head, or a folder (see uniforce-scene-head)
-    tokenizer: str = ""  # checkpoint folder; empty = shipped
+    gauges: str = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
     out: str = "outputs/recording_scores"  # estimates.json and a picture per episode
 
 
@@ -51,7 +50,7 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     """
     left, right = numbers("pad_friction", config.pad_friction, 2)
     corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
-    recording = FeltRecording(config.root, config.tokenizer, config.head)
+    recording = FeltRecording(config.root, gauges(config.gauges))
     source, rows = recording.source, []
     for episode in tqdm(source.episodes[: config.episodes or None], desc="episodes", unit="episode"):
         felt = recording.feel(episode)
@@ -67,8 +66,7 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     return {
         "what": "estimates from marker images, the robot's own height and a camera; no truth was used",
         "root": config.root,
-        "head": config.head,
-        "tokenizer_hash": recording.tokenizer.hash,
+        "gauges": config.gauges or "shipped",
         "pad_friction": [left, right],
         "limits": asdict(ScoreLimits()),
         "episodes": rows,

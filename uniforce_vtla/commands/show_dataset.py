@@ -14,14 +14,14 @@ from uniforce_vtla.commands.arguments import numbers, parse
 from uniforce_vtla.commands.dataset_rerun import write_recording
 from uniforce_vtla.commands.dataset_sheet import write_sheet
 from uniforce_vtla.commands.dataset_story import tell
-from uniforce_vtla.commands.felt_recording import FeltRecording
+from uniforce_vtla.commands.felt_recording import FeltRecording, ForceReader, force_head, gauges, worn
 from uniforce_vtla.commands.rerun_viewer import import_rerun, open_viewer
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, UniForceError, expected
 from uniforce_vtla.evaluation.episode_story import EpisodeStory
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.sensors import list_sensors
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
 FORMS = ("sheet", "rerun")
 WITHOUT_RERUN = "form=sheet"
@@ -42,7 +42,9 @@ class ShowDatasetConfig:
     pad_friction: str = (
         ""  # left,right: pull slowly until the object slides; without it slippage isn't judged
     )
-    head: str = "wiping"  # name of a shipped force head, or a folder (see uniforce-scene-head)
+    # newtons: empty = the gauges that score a robot's recording; or from the latents: a shipped force head, a folder
+    head: str = ""
+    gauges: str = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
     tokenizer: str = ""  # checkpoint folder; empty = shipped
 
 
@@ -58,17 +60,28 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
         raise ContractError(expected("form", " | ".join(FORMS), repr(config.form), "Choose one."))
     rerun = import_rerun("form=rerun", WITHOUT_RERUN) if config.form == "rerun" else None
     friction = _friction(config.pad_friction)
-    recording = FeltRecording(config.root, config.tokenizer, config.head)
+    tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
+    recording = FeltRecording(config.root, _forces(config, tokenizer))
     written = []
     for episode in tqdm(_chosen(recording.source, config.episode), desc="episodes", unit="episode"):
-        story = tell(recording, episode, friction, f"{Path(config.root).name}, episode {episode.index}")
-        folder, stem = Path(config.out), f"episode_{episode.index}"
+        title, stem = f"{Path(config.root).name}, episode {episode.index}", f"episode_{episode.index}"
+        story = tell(recording, tokenizer, episode, friction, title)
+        facts = _facts(recording.source, episode, config)
         if rerun is None:
-            written.append(write_sheet(story, _facts(recording, episode), folder, stem))
+            written.append(write_sheet(story, facts, Path(config.out), stem))
         else:
-            written.append(write_recording(rerun, story, recording.source, episode, folder / f"{stem}.rrd"))
-        write_json(folder / f"{stem}.json", _numbers(story, recording, episode) | provenance())
+            path = Path(config.out) / f"{stem}.rrd"
+            written.append(write_recording(rerun, story, recording.source, episode, path))
+        content = _numbers(story, facts) | {"tokenizer_hash": tokenizer.hash}
+        write_json(Path(config.out) / f"{stem}.json", content | provenance())
     return written
+
+
+def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
+    if not config.head:
+        return gauges(config.gauges)
+    folder = Path(config.head)
+    return force_head(tokenizer, ForceHead.from_pretrained(config.head, folder if folder.is_dir() else None))
 
 
 def _friction(text: str) -> tuple[float, float] | None:
@@ -90,34 +103,24 @@ def _chosen(source: Source, text: str) -> list[Episode]:
     return [known[word] for word in words]
 
 
-def _facts(recording: FeltRecording, episode: Episode) -> dict[str, str]:
+def _facts(source: Source, episode: Episode, config: ShowDatasetConfig) -> dict[str, str]:
     """Return the lines at the top of a page."""
-    source = recording.source
     facts = {"task": episode.task, "length": f"{episode.length} frames at {source.fps} Hz"}
-    facts |= {f"{finger} sensor": name for finger, name in _sensors(source, episode).items()}
+    facts |= {f"{f} sensor": worn(source, episode, f) for f in FINGERS if sensor_key(f) in source.features}
     if {OUTCOME, SEED} <= source.features.keys():
         columns = source.columns((OUTCOME, SEED))
         outcome, seed = (int(columns[key][episode.start]) for key in (OUTCOME, SEED))
         said = OUTCOME_NAMES[outcome] if 0 <= outcome < len(OUTCOME_NAMES) else f"unknown ({outcome})"
         facts |= {"recorded outcome": said.replace("_", " "), "seed": str(seed)}
-    return facts | {"tokenizer": recording.tokenizer.hash[:12]}
+    read_by = f"force head {config.head}, from latents" if config.head else "gauges, from hand descriptors"
+    return facts | {"forces read by": read_by}
 
 
-def _sensors(source: Source, episode: Episode) -> dict[str, str]:
-    keys = {finger: sensor_key(finger) for finger in FINGERS}
-    if not set(keys.values()) <= source.features.keys():
-        return {}
-    columns, names = source.columns(tuple(keys.values())), list_sensors()
-    worn = {finger: int(columns[key][episode.start]) for finger, key in keys.items()}
-    return {f: names[i] if 0 <= i < len(names) else f"unknown ({i})" for f, i in worn.items()}
-
-
-def _numbers(story: EpisodeStory, recording: FeltRecording, episode: Episode) -> dict[str, object]:
+def _numbers(story: EpisodeStory, facts: dict[str, str]) -> dict[str, object]:
     """Return what the pictures show, as numbers."""
     content: dict[str, object] = {
         "what": "estimates from marker images and the robot's own height",
-        "facts": _facts(recording, episode),
-        "tokenizer_hash": recording.tokenizer.hash,
+        "facts": facts,
         "verdict": story.verdict,
         "verdict_from_true_forces": story.true_verdict,
         "moments": {m.name: round(float(story.time_s[m.frame]), 3) for m in story.moments},
