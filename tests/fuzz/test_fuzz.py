@@ -65,6 +65,7 @@ def keep(group: str, found: list[dict[str, Any]]) -> None:
     write_json(path, content | provenance())
 
 
+@pytest.mark.slow  # two processes that import everything, then a second or two per target
 def test_every_target_survives(campaign: tuple[str, Any]) -> None:
     group, counts = campaign
     assert counts.keys() == set(TARGETS[group])
