@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SHARED = {"contracts", "errors", "keys", "results_file"}
+SHARED = {"contracts", "errors", "keys", "results_file", "figure_file", "json_file", "array_file"}
 MAY_IMPORT = {
     "sensors": set(),
     "markers": {"sensors"},

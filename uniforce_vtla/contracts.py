@@ -26,6 +26,18 @@ def check_finger(finger: str) -> Finger:
     return finger  # type: ignore[return-value]
 
 
+def check_count(name: str, value: object, most: int, least: int = 1) -> int:
+    """Return ``value`` if it is a whole number from ``least`` to ``most``; raise ContractError otherwise.
+
+    Sizes come from files too: without a limit a damaged one asks for terabytes, or for layers without end.
+    """
+    if type(value) is not int or not least <= value <= most:
+        raise ContractError(
+            expected(name, f"a whole number from {least} to {most}", repr(value)[:80], "Change it.")
+        )
+    return value
+
+
 def check_marker_image(image: np.ndarray, name: str = "marker image") -> np.ndarray:
     """Return ``image`` if it is an (H, W) uint8 array holding only {0, 255}.
 

@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from uniforce_datasets.source import read_source
+from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, STATE
 
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
@@ -34,9 +36,13 @@ def pooled_stats(values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def write_pooled_stats(root: str | Path) -> None:
-    """Replace the statistics of state and action in ``meta/stats.json`` by pooled ones."""
+    """Replace the statistics of state and action in ``meta/stats.json`` by pooled ones.
+
+    Raises:
+        DatasetError: the statistics or the columns are damaged.
+    """
     path = Path(root) / "meta" / "stats.json"
-    stats = json.loads(path.read_text())
+    stats = read_object(path, DatasetError)
     columns = read_source(root).columns(POOLED_KEYS)
     for key, values in columns.items():
         stats[key] = {name: value.tolist() for name, value in pooled_stats(values).items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +13,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from uniforce_datasets.dataset_info import read_info, videos
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
+
+MAX_PIXELS = 4096 * 2304  # of a frame; a damaged header may announce gigabytes
+LONGEST_VIDEO_S = 1e6  # eleven days; a start beyond is no number anybody wrote on purpose
 
 
 @dataclass(frozen=True)
@@ -78,7 +82,7 @@ class Source:
         columns = read_columns(self.root, ("index", *keys))
         order = np.argsort(columns["index"], kind="stable")
         order = order[columns["index"][order] < self.num_frames]
-        if not np.array_equal(columns["index"][order], np.arange(self.num_frames)):
+        if len(order) != self.num_frames or (columns["index"][order] != np.arange(self.num_frames)).any():
             raise DatasetError(
                 expected(
                     str(self.root / "data"), f"{self.num_frames} frames", len(order), "Files are missing."
@@ -87,41 +91,51 @@ class Source:
         return {key: columns[key][order] for key in keys}
 
 
-def read_source(root: str | Path) -> Source:
-    """Open the dataset at ``root``.
+def read_source(root: str | Path, within: Path | None = None) -> Source:
+    """Open the dataset at ``root``; its links may lead into ``within``, by default the dataset itself.
 
     Raises:
-        DatasetError: no dataset there, no episode, or broken metadata.
+        DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
     """
     root = Path(root)
-    info_file = root / "meta" / "info.json"
-    if not info_file.is_file():
-        raise DatasetError(
-            expected(str(root), "meta/info.json", "none", "Give the folder that uniforce-record wrote.")
-        )
-    try:
-        info = json.loads(info_file.read_text())
-    except json.JSONDecodeError as error:
-        raise DatasetError(expected(str(info_file), "JSON", error, "It is truncated: restore it.")) from error
-    if not info["total_episodes"]:
-        raise DatasetError(expected(str(root), "episodes", "none", "Record at least one."))
+    info = read_info(root, within)
     return Source(root, info, _episodes(root, info))
 
 
 def _episodes(root: Path, info: dict[str, Any]) -> tuple[Episode, ...]:
-    videos = [key for key, feature in info["features"].items() if feature["dtype"] == "video"]
-    spans = [f"videos/{k}/{part}" for k in videos for part in ("chunk_index", "file_index", "from_timestamp")]
-    keys = ["episode_index", "dataset_from_index", "length", "tasks", *spans]
+    keys = videos(info)
+    spans = [f"videos/{k}/{part}" for k in keys for part in ("chunk_index", "file_index", "from_timestamp")]
+    columns = ["episode_index", "dataset_from_index", "length", "tasks", *spans]
     files = sorted((root / "meta" / "episodes").rglob("*.parquet"))
-    rows = [row for file in files for row in read_table(file, keys).to_pylist()]
-    rows = sorted(rows, key=lambda row: row["episode_index"])[: info["total_episodes"]]
-    if [row["episode_index"] for row in rows] != list(range(info["total_episodes"])):
-        wanted = f"{info['total_episodes']} episodes"
-        raise DatasetError(expected(str(root / "meta" / "episodes"), wanted, len(rows), "Files are missing."))
-    return tuple(_episode(root, info, row, videos) for row in rows)
+    rows = [row for file in files for row in read_table(file, columns).to_pylist()]
+    where, total = str(root / "meta" / "episodes"), info["total_episodes"]
+    for row in rows:
+        _check_row(where, row, keys)
+    rows = sorted(rows, key=lambda row: row["episode_index"])[:total]
+    starts = list(itertools.accumulate((row["length"] for row in rows), initial=0))
+    in_order = all(
+        row["episode_index"] == i and row["dataset_from_index"] == starts[i] for i, row in enumerate(rows)
+    )
+    if len(rows) != total or not in_order or starts[-1] != info["total_frames"]:
+        wanted = f"{total} episodes of {info['total_frames']} frames, one after another"
+        raise DatasetError(expected(where, wanted, f"{len(rows)} of {starts[-1]}", "Files are missing."))
+    return tuple(_episode(root, info, row, keys) for row in rows)
 
 
-def _episode(root: Path, info: dict[str, Any], row: dict[str, Any], videos: list[str]) -> Episode:
+def _check_row(where: str, row: dict[str, Any], keys: list[str]) -> None:
+    counts = ["episode_index", "dataset_from_index", "length"]
+    counts += [f"videos/{key}/{part}" for key in keys for part in ("chunk_index", "file_index")]
+    whole = all(type(row[name]) is int and row[name] >= 0 for name in counts) and row["length"] > 0
+    seconds = [row[f"videos/{key}/from_timestamp"] for key in keys]
+    timed = all(type(value) is float and 0 <= value < LONGEST_VIDEO_S for value in seconds)
+    tasks = row["tasks"]
+    worded = isinstance(tasks, str) or (isinstance(tasks, list) and tasks and isinstance(tasks[0], str))
+    if not (whole and timed and worded):
+        came = repr({name: row[name] for name in counts[:3]} | {"tasks": tasks})[:200]
+        raise DatasetError(expected(where, "counts, seconds and a task", came, "Restore it from a copy."))
+
+
+def _episode(root: Path, info: dict[str, Any], row: dict[str, Any], keys: list[str]) -> Episode:
     def span(key: str) -> VideoSpan:
         chunk, file = row[f"videos/{key}/chunk_index"], row[f"videos/{key}/file_index"]
         path = info["video_path"].format(video_key=key, chunk_index=chunk, file_index=file)
@@ -129,7 +143,7 @@ def _episode(root: Path, info: dict[str, Any], row: dict[str, Any], videos: list
 
     start, length, task = row["dataset_from_index"], row["length"], row["tasks"]
     task = task if isinstance(task, str) else task[0]
-    return Episode(row["episode_index"], start, length, task, {key: span(key) for key in videos})
+    return Episode(row["episode_index"], start, length, task, {key: span(key) for key in keys})
 
 
 def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -141,27 +155,39 @@ def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     files = sorted((root / "data").rglob("*.parquet"))
     if not files:
         raise DatasetError(expected(str(root), "data/**/*.parquet", "none", "Record episodes first."))
-    table = pa.concat_tables([read_table(file, list(keys)) for file in files])
-    return {key: _as_array(table[key].combine_chunks()) for key in keys}
+    tables = [read_table(file, list(keys)) for file in files]
+    try:
+        table = pa.concat_tables(tables)
+    except pa.ArrowException as error:
+        do = "Files of different recordings lie together."
+        raise DatasetError(expected(str(root / "data"), "one kind of columns", error, do)) from error
+    return {key: _as_array(str(root), key, table[key].combine_chunks()) for key in keys}
 
 
-def _as_array(column: pa.Array) -> np.ndarray:
-    if not hasattr(column, "flatten") or not pa.types.is_nested(column.type):
-        return column.to_numpy(zero_copy_only=False)
-    return column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), -1)
+def _as_array(where: str, key: str, column: pa.Array) -> np.ndarray:
+    """Return (N, D) or (N,) numbers."""
+    rows, values = len(column), column
+    if hasattr(column, "flatten") and pa.types.is_nested(column.type):
+        values = column.flatten()
+    flat = values.to_numpy(zero_copy_only=False)
+    ragged = values is not column and (not rows or len(flat) % rows)
+    if column.null_count or ragged or flat.dtype.kind not in "biuf":
+        came = f"{column.type} with {column.null_count} missing"
+        raise DatasetError(expected(f"{key} in {where}", "rows of numbers", came, "Restore it from a copy."))
+    return flat if values is column else flat.reshape(rows, -1)
 
 
 def read_table(file: Path, keys: list[str]) -> pa.Table:
-    """Read some columns of a parquet file; raise DatasetError if it is missing, truncated or lacks one."""
+    """Read some columns of a parquet file; raise DatasetError if it is missing, damaged or lacks one."""
     try:
         return pq.ParquetFile(file).read(columns=keys).select(keys).replace_schema_metadata(None)
-    except (pa.ArrowInvalid, OSError) as error:
-        raise DatasetError(
-            expected(str(file), "a whole parquet file", error, "It is truncated: restore it from a copy.")
-        ) from error
     except KeyError as error:
         raise DatasetError(
             expected(str(file), f"columns {keys}", error, "Record it with this version.")
+        ) from error
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise DatasetError(
+            expected(str(file), "a whole parquet file", error, "It is truncated: restore it from a copy.")
         ) from error
 
 
@@ -176,6 +202,7 @@ def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> It
     try:
         with av.open(str(span.file)) as video:
             stream = video.streams.video[0]
+            stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
             video.seek(max(0, int(start_s / float(stream.time_base or 1))), stream=stream)
             for frame in video.decode(stream):
                 if missing and frame.time is not None and frame.time >= start_s:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,11 +12,14 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from uniforce_datasets.dataset_info import INFO, read_info
 from uniforce_datasets.features import WRENCH_AXES
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
-from uniforce_datasets.view_plan import FORMAT, TOUCH_STREAMS, touch_stream
-from uniforce_vtla.contracts import FINGERS, check_finger
+from uniforce_datasets.view_marker import read_marker
+from uniforce_datasets.view_plan import touch_stream
+from uniforce_vtla.array_file import read_array
+from uniforce_vtla.contracts import check_finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import (
     ACTION,
@@ -148,9 +150,11 @@ class TrainingView(Dataset):
     @cached_property
     def _arrays(self) -> dict[str, np.ndarray]:
         """Images stay on disk, mapped; numbers are read."""
-        streams = {c: np.load(self.root / f"{c}.npy", mmap_mode="r") for c in CAMERAS}
-        names = {STATE, ACTION, *self._touch.values()}
-        return streams | {name: np.load(self.root / f"{name}.npy") for name in names}
+        files = {name: self.root / f"{name}.npy" for name in (*CAMERAS, STATE, ACTION, *self._touch.values())}
+        arrays = {name: read_array(file, mapped=name in CAMERAS) for name, file in files.items()}
+        for name, array in arrays.items():
+            _check_array(files[name], array, self.marker, picture=name in CAMERAS)
+        return arrays
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the arrays out: a loader's worker opens its own."""
@@ -219,23 +223,18 @@ class TrainingView(Dataset):
         return features
 
 
+def _check_array(file: Path, array: np.ndarray, marker: dict[str, Any], picture: bool) -> None:
+    side = marker["image_side"]
+    fits = array.shape[1:] == (side, side, 3) if picture else array.ndim > 1 and array.dtype.kind in "fu"
+    if array.shape[:1] != (marker["num_frames"],) or not fits or (picture and array.dtype != np.uint8):
+        came = f"{array.shape} {array.dtype}"
+        raise DatasetError(
+            expected(str(file), f"{marker['num_frames']} frames of it", came, "Build the view again.")
+        )
+
+
 def _vector(names: Sequence[str]) -> dict[str, Any]:
     return {"dtype": "float32", "shape": (len(names),), "names": list(names)}
-
-
-def read_marker(root: Path) -> dict[str, Any]:
-    """Return the view's facts; raise DatasetError if ``root`` is not a whole view of this format."""
-    file = root / VIEW_MARKER
-    if not file.is_file():
-        raise DatasetError(expected(str(root), VIEW_MARKER, "none", "Build the view with uniforce-view."))
-    marker = json.loads(file.read_text())
-    touch = (touch_stream(name, finger) for name in TOUCH_STREAMS for finger in FINGERS)
-    names = (*CAMERAS, STATE, ACTION, *touch)
-    missing = [name for name in names if not (root / f"{name}.npy").is_file()]
-    if marker.get("format") != FORMAT or missing:
-        came = f"format {marker.get('format')}, missing {missing}"
-        raise DatasetError(expected(str(root), f"a whole view of format {FORMAT}", came, "Build it again."))
-    return marker
 
 
 def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any]) -> Any:
@@ -245,10 +244,13 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any]) ->
     cameras, state and action only.
 
     Raises:
-        DatasetError: the policy pools latents to another grid, or asks for observation histories.
+        DatasetError: a path or link that leads out of the dataset, the policy pools latents to another grid, or asks
+            for observation histories.
     """
     root = cfg.dataset.root
     if root is None or not (Path(root) / VIEW_MARKER).is_file():
+        if root is not None and (Path(root) / INFO).is_file():
+            read_info(Path(root))  # LeRobot follows any path it finds there
         return stock_make_dataset(cfg)
     policy = cfg.trainable_config
     if getattr(policy, "observation_delta_indices", None) is not None:

@@ -20,6 +20,7 @@ from lerobot_camera_uniforce.config_uniforce import TactileFingerConfig
 from lerobot_camera_uniforce.reader import ReaderLimits, SampleReader
 from lerobot_camera_uniforce.samples import Sample, Window
 from lerobot_camera_uniforce.sources import SampleSource, SourceCounts
+from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.reference import capture_camera_reference, capture_taxel_reference
@@ -234,7 +235,7 @@ def taxel_median(scans: list[np.ndarray], resting_level: str) -> np.ndarray:
     if not Path(resting_level).is_file():
         do = "Save one with numpy.save, or leave it empty."
         raise ContractError(expected("resting_level", "a .npy file", resting_level, do))
-    return capture_taxel_reference(scans, resting_level=np.load(resting_level, allow_pickle=False))
+    return capture_taxel_reference(scans, resting_level=read_array(Path(resting_level)))
 
 
 def _as_rgb(image: np.ndarray) -> np.ndarray:

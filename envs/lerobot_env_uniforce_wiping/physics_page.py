@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
 from lerobot_env_uniforce_wiping.solver import SolverSettings
+from uniforce_vtla.figure_file import save_figure
 
 GREY, BLUE, ORANGE, RED, GREEN = "0.45", "#1f6fb2", "#d9822b", "#c23b3b", "#3f8f4f"
 
@@ -29,10 +29,7 @@ def draw_page(panels: dict[str, Any], path: Path) -> Path:
     for axis in axes.flat:
         axis.grid(alpha=0.25)
     figure.suptitle("Physics of the wiping scene (simulated)")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)
 
 
 def _indentation(axis: Axes, panel: dict[str, Any]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ from torch import Tensor
 from lerobot_policy_pi05_uniforce.force_tokens import channel_spread
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import descriptor_key, latent_key
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     marker = Path(getattr(dataset_meta, "root", "")) / VIEW_MARKER
     if dataset_meta is None or not config.slots or not marker.is_file():
         return
-    view = json.loads(marker.read_text())
+    view = read_object(marker, DatasetError)
     worn = view.get("sensors", {})  # finger → kinds in the data
     kinds = {slot: "+".join(worn.get(config.touch_slots[slot], [])) for slot in config.slots}
     config.trained_sensors = {**kinds, **config.trained_sensors}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,15 @@ from lerobot_policy_pi05_uniforce.dataset_facts import read_touch_scale, read_vi
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
+from lerobot_policy_pi05_uniforce.stored_settings import (
+    PROCESSORS,
+    check_processors,
+    check_settings,
+    misfits_named,
+)
 from lerobot_policy_pi05_uniforce.tactile_encoder import check_hash
 from lerobot_policy_pi05_uniforce.touch_input import TouchInput
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.keys import ACTION, STATE
 
 LANGUAGE = ("observation.language.tokens", "observation.language.attention_mask")
@@ -95,11 +102,20 @@ class PI05UniforcePolicy(stock.PI05Policy):
             CheckpointError: missing or damaged files, tensors that don't fit, touch settings that differ.
         """
         source = pretrained_name_or_path
-        saved = weights.read_config(weights.find(source, weights.CONFIG, revision, local_files_only))
-        if config is None:
-            config = cls.config_class.from_pretrained(source, revision=revision)
-        check_same(TouchFacts.of(saved), TouchFacts.of(config))
-        policy = cls(config, empty=True, **_known(kwargs))
+        where = weights.find(source, weights.CONFIG, revision, local_files_only)
+        saved = weights.read_config(where)
+        check_settings(saved, str(where))
+        for (
+            name
+        ) in PROCESSORS:  # of a hub repository: fetched before LeRobot does, so that they are checked first
+            with suppress(CheckpointError):
+                weights.find(source, name, revision, local_files_only)
+        check_processors(where.parent)
+        with misfits_named(str(where)):
+            if config is None:
+                config = cls.config_class.from_pretrained(source, revision=revision)
+            check_same(TouchFacts.of(saved), TouchFacts.of(config))
+            policy = cls(config, empty=True, **_known(kwargs))
         weights.fill(policy, weights.find(source, weights.WEIGHTS, revision, local_files_only))
         if policy.model.tactile_encoder is not None:
             check_hash(policy.model.tactile_encoder, config)

@@ -41,7 +41,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
                 self._init_tiny(config, rtc_processor)
         self._drop_heads()
         self._touch: SuffixTouch | None = None  # of the call in progress, at token_site=suffix
-        self.tactile_encoder = _make_encoder(config)
+        self.tactile_encoder = _make_encoder(config, empty)
         self.force_tokens = self._make_force_tokens(config)
         self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
         self.fast = FastSampler(self) if config.sampler == "fast" else None
@@ -188,7 +188,7 @@ def state_size(config: PI05UniforceConfig) -> int:
     return config.input_features[STATE].shape[0]
 
 
-def _make_encoder(config: PI05UniforceConfig) -> TactileEncoder | None:
+def _make_encoder(config: PI05UniforceConfig, empty: bool) -> TactileEncoder | None:
     if not config.slots or config.touch_input != "latent":
         return None
-    return build_encoder(config)
+    return build_encoder(config, empty)

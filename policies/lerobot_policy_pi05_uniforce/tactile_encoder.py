@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
+from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
@@ -78,14 +80,15 @@ class TactileEncoder(nn.Module):
         return prepare_tensor(grey, right=finger == "right", side=self.model.config.side, name=name)
 
 
-def build_encoder(config: PI05UniforceConfig) -> TactileEncoder:
+def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEncoder:
     """Make the encoder a config asks for and write the tokenizer's facts into that config.
 
-    A config loaded from a checkpoint already knows its tokenizer: it is rebuilt empty and its weights come from
-    the checkpoint.  A new policy takes the tokenizer at ``tokenizer_path`` (None: the shipped one).
+    A config loaded from a checkpoint already knows its tokenizer: it is rebuilt and its weights come from the
+    checkpoint, which gives it memory where ``empty``. A new policy takes the tokenizer at ``tokenizer_path`` (None:
+    the shipped one).
     """
     if config.tokenizer_config is not None:
-        return TactileEncoder(_rebuild(config.tokenizer_config), config.latent_grid)
+        return TactileEncoder(_rebuild(config.tokenizer_config, empty), config.latent_grid)
     tokenizer = Tokenizer.from_pretrained(config.tokenizer_path)
     config.tokenizer_config = tokenizer.facts()
     config.tokenizer_hash = tokenizer.hash
@@ -102,9 +105,10 @@ def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
         raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
 
 
-def _rebuild(facts: dict[str, Any]) -> ForceAutoencoder:
+def _rebuild(facts: dict[str, Any], empty: bool) -> ForceAutoencoder:
     stored, running = facts.get("canonicaliser"), canonicaliser_facts()
     if stored != running:
         do = "Use the version it was trained with, or train again."
         raise CheckpointError(expected("canonicaliser of the checkpoint", stored, running, do))
-    return build_model(TokenizerConfig(**facts["model"]), seed=0)
+    with no_weights() if empty else nullcontext():
+        return build_model(TokenizerConfig(**facts["model"]), seed=0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -15,6 +14,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.json_file import read_object
 
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
@@ -45,14 +45,9 @@ def read_config(path: Path) -> dict[str, Any]:
     """Return the saved settings.
 
     Raises:
-        CheckpointError: the file is not JSON.
+        CheckpointError: the file is no JSON object.
     """
-    try:
-        return json.loads(path.read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise CheckpointError(
-            expected(str(path), "JSON", error, "The file is cut or damaged; copy it again.")
-        ) from error
+    return read_object(path, CheckpointError)
 
 
 def fill(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -71,14 +72,18 @@ def test_outputs_that_cannot_work_say_why(monkeypatch: pytest.MonkeyPatch):
 def test_rerun_is_told_everything(monkeypatch: pytest.MonkeyPatch):
     logged: dict[str, object] = {}
     fake = SimpleNamespace(
-        init=lambda name, spawn: None,
+        init=lambda name: None,
+        connect_grpc=lambda: None,
         log=lambda path, value: logged.update({path: value}),
         Image=lambda image: image.shape,
         Scalars=lambda value: value,
     )
     monkeypatch.setitem(sys.modules, "rerun", fake)
+    started: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **how: started.append(command))
     with make_output("rerun") as output:
         output.show(view())
+    assert started[0][1:] == ["-m", "rerun", "--bind", "127.0.0.1"]  # its own default is every interface
     assert logged["markers"] == (480, 640) and logged["force_N/z"] == 7.25 and logged["age_ms"] == 3.2
 
 

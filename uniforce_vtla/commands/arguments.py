@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import draccus
+import numpy as np
 
 from uniforce_vtla.errors import ContractError, expected
 
@@ -45,12 +46,28 @@ def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
     return {name: known[name] for name in names}
 
 
+def numbers(name: str, text: str, count: int) -> np.ndarray:
+    """Return (count,) float64 from a setting like ``0.6,0.7``.
+
+    Raises:
+        ContractError: anything but so many numbers.
+    """
+    parts = [part for part in text.split(",") if part.strip()]
+    try:
+        values = np.array([float(part) for part in parts])
+    except ValueError as error:
+        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them.")) from error
+    if len(values) != count:
+        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them."))
+    return values
+
+
 def _preset_path(args: Sequence[str], presets: Path) -> Path | None:
     names = [a.removeprefix("--preset=") for a in args if a.startswith("--preset=") and a != "--preset="]
     if not names:
         return None
+    known = sorted(p.stem for p in presets.glob("*.yaml"))
     path = presets / f"{names[-1]}.yaml"
-    if not path.exists():
-        known = sorted(p.stem for p in presets.glob("*.yaml"))
+    if names[-1] not in known:  # nor does a name with slashes lead out of the folder
         raise ContractError(expected("preset", " | ".join(known), names[-1], "Name one, or give none."))
     return path

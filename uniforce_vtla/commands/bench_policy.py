@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from lerobot_policy_pi05_uniforce.bench import CASES, bench_case
 from uniforce_vtla.commands.arguments import choose, parse
 from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.results_file import provenance, write_json
 
 CPU_CASES, GPU_CASES = "tiny,mid_3_cameras,mid_2_of_3_cameras", "base_3_cameras"
@@ -71,10 +71,7 @@ def draw(content: dict[str, Any], path: Path) -> Path:
         panel.bar_label(bars, fmt="%.0f")
         panel.set_title(f"{name}\n{report['ratio']:.2f}×, {report['operations_share']:.0%} of the operations")
         panel.set_ylabel("ms per chunk")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -13,8 +13,10 @@ from uniforce_vtla.contact.indenters import gap_map
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contracts import ContactState, MarkerPair
 from uniforce_vtla.evaluation.arms import ArmReport
-from uniforce_vtla.evaluation.pictures import draw_outcomes, save_figure
+from uniforce_vtla.evaluation.pictures import PICTURE_DPI, draw_outcomes
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
+from uniforce_vtla.markers.overlay import overlay
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
@@ -32,7 +34,7 @@ def draw_demo_page(reports: Sequence[ArmReport], sheet: Path, path: Path) -> Pat
     left.axis("off")
     draw_outcomes(right, reports)
     right.set_title(f"shipped policy, n = {reports[0].n} per arm: smoke, no claim")
-    return save_figure(figure, path)
+    return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def _draw_sensors(figure: SubFigure) -> None:
@@ -43,7 +45,7 @@ def _draw_sensors(figure: SubFigure) -> None:
         pair = _press(sensor)
         latent = tokenizer.encode(pair)  # (1, P, 6)
         felt = ", ".join(f"{value:+.1f}" for value in head(latent)[0].tolist())
-        above.imshow(np.stack([pair.current, pair.reference, pair.reference], axis=-1))
+        above.imshow(overlay(pair.reference, pair.current))
         above.set_title(
             f"{sensor}: reference cyan, current red\nhead trained on TacTip only: ({felt}) N", fontsize=9
         )

@@ -28,7 +28,7 @@ class PretrainCommand:
     preset: str = ""  # nano | small_draw and then small: the shipped checkpoints; what else you give wins
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
     cache: str = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
-    out: str = "outputs/pretrain"  # state.pt to resume from, log.csv, tokenizer/ to load
+    out: str = "outputs/pretrain"  # state.safetensors to resume from, log.csv, tokenizer/ to load
     threads: int = 1  # torch threads; a small model gains little from more
 
 

@@ -4,32 +4,24 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from uniforce_vtla.commands.arguments import parse
-from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import ContractError, DatasetError, UniForceError, expected
+from uniforce_datasets.source import Episode, Source, episode_frames
+from uniforce_vtla.commands.arguments import numbers, parse
+from uniforce_vtla.commands.felt_recording import FeltRecording, gauges
+from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.evaluation.board_camera import estimate_residual
 from uniforce_vtla.evaluation.episode import ScoreLimits
-from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
+from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
 from uniforce_vtla.evaluation.finger_estimates_figure import draw_estimate
-from uniforce_vtla.keys import AXES, STATE, camera_key, sensor_key, tactile_key, truth_wrench_key
-from uniforce_vtla.probes.plain_touch import descriptors
-from uniforce_vtla.probes.touch_gauge import TouchGauge
+from uniforce_vtla.keys import camera_key
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.sensors import list_sensors
-
-if TYPE_CHECKING:
-    from uniforce_datasets.source import Episode, Source
-
-HEIGHT = AXES.index("z.pos")
 
 
 @dataclass
@@ -56,79 +48,29 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
         ContractError: friction or corners of the wrong form.
         DatasetError: a dataset that can't be read, lacks a finger, or is truncated.
     """
-    from uniforce_datasets.source import read_source
-
-    friction = _numbers("pad_friction", config.pad_friction, 2)
-    corners = _numbers("board_corners", config.board_corners, 8) if config.board_corners else None
-    source = read_source(config.root)
-    if source.fingers != FINGERS:
-        do = "Record marker images of both fingers."
-        raise DatasetError(expected(config.root, f"fingers {FINGERS}", source.fingers, do))
-    reader = _Reader(config.gauges)
-    chosen = source.episodes[: config.episodes or None]
-    truths = _true_forces(source)
-    heights = source.columns((STATE,))[STATE][:, HEIGHT].astype(
-        np.float64
-    )  # (N,) m, read once for all episodes
-    rows = []
-    for episode in tqdm(chosen, desc="episodes", unit="episode"):
-        force_N = np.stack([reader.forces(source, episode, f) for f in FINGERS], axis=1)  # (n, 2, 3)
-        time_s = np.arange(episode.length) / source.fps
-        height, (left, right) = heights[_frames(episode)], friction
-        found = estimate_events(time_s, force_N, height, (left, right))
+    left, right = numbers("pad_friction", config.pad_friction, 2)
+    corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
+    recording = FeltRecording(config.root, gauges(config.gauges))
+    source, rows = recording.source, []
+    for episode in tqdm(source.episodes[: config.episodes or None], desc="episodes", unit="episode"):
+        felt = recording.feel(episode)
+        found, truth = felt.judge((left, right))
         row = _row(episode, found)
         if corners is not None:
             row["residual"] = _residual(source, episode, config.camera, corners)
-        truth = None
-        if truths is not None:
-            truth = estimate_events(time_s, truths[_frames(episode)], height, (left, right))
+        if truth is not None:
             row["with_true_forces"] = _row(episode, truth)
             row["press_mae_N"] = float(np.abs(found.press_N - truth.press_N).mean())
-        draw_estimate(found, time_s, truth, Path(config.out) / f"episode_{episode.index}.png")
+        draw_estimate(found, felt.time_s, truth, Path(config.out) / f"episode_{episode.index}.png")
         rows.append(row)
     return {
         "what": "estimates from marker images, the robot's own height and a camera; no truth was used",
         "root": config.root,
         "gauges": config.gauges or "shipped",
-        "pad_friction": friction.tolist(),
+        "pad_friction": [left, right],
         "limits": asdict(ScoreLimits()),
         "episodes": rows,
     }
-
-
-class _Reader:
-    """Newtons of a finger from hand descriptors, never through the tokenizer a policy may have acted on."""
-
-    def __init__(self, gauges: str) -> None:
-        self._load = cache(lambda sensor: TouchGauge.from_pretrained(sensor, gauges or None))
-
-    def forces(self, source: Source, episode: Episode, finger: Finger) -> np.ndarray:
-        """Return (n, 3) N in the canonical frame."""
-        from uniforce_datasets.source import episode_frames
-
-        spans = [episode.videos[tactile_key(finger, reference=r)] for r in (True, False)]
-        reference, current = (episode_frames(span, episode.length, source.fps) for span in spans)
-        before = next(reference)[..., 0]
-        felt = [descriptors(before, frame[None, ..., 0], finger)[0] for frame in current]
-        return self._load(_worn(source, episode, finger)).read(np.stack(felt))
-
-
-def _worn(source: Source, episode: Episode, finger: Finger) -> str:
-    key = sensor_key(finger)
-    return list_sensors()[int(source.columns((key,))[key][episode.start])]
-
-
-def _frames(episode: Episode) -> slice:
-    return slice(episode.start, episode.start + episode.length)
-
-
-def _true_forces(source: Source) -> np.ndarray | None:
-    """Return (N, 2, 3) of a simulated recording; a robot's has none."""
-    keys = tuple(truth_wrench_key(finger) for finger in FINGERS)
-    if not set(keys) <= source.features.keys():
-        return None
-    columns = source.columns(keys)
-    return np.stack([columns[key][:, :3] for key in keys], axis=1).astype(np.float64)
 
 
 def _row(episode: Episode, found: FingerEstimate) -> dict[str, Any]:
@@ -144,8 +86,6 @@ def _row(episode: Episode, found: FingerEstimate) -> dict[str, Any]:
 
 
 def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray) -> dict[str, Any]:
-    from uniforce_datasets.source import episode_frames
-
     span = episode.videos.get(camera_key(camera))
     if span is None:
         raise DatasetError(expected(str(source.root), camera_key(camera), "no such video", "Name another."))
@@ -156,17 +96,6 @@ def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray
     except DatasetError as error:  # one covered board must not cost the other episodes their scores
         return {"not_judged": str(error)}
     return {"residual": found.residual, "judged": found.judged}
-
-
-def _numbers(name: str, text: str, count: int) -> np.ndarray:
-    parts = [part for part in text.split(",") if part.strip()]
-    try:
-        values = np.array([float(part) for part in parts])
-    except ValueError as error:
-        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them.")) from error
-    if len(values) != count:
-        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them."))
-    return values
 
 
 def _line(row: dict[str, Any]) -> str:

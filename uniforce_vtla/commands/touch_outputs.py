@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import sys
 from pathlib import Path
-from types import ModuleType, TracebackType
+from types import TracebackType
 from typing import Protocol, Self
 
 import cv2
 import numpy as np
 
+from uniforce_vtla.commands.rerun_viewer import import_rerun, open_viewer
 from uniforce_vtla.commands.touch_live import TouchView
 from uniforce_vtla.errors import ContractError, expected
 
@@ -108,8 +108,10 @@ class Rerun(_Open):
     """The rerun viewer, if the user has it; it isn't among the project's dependencies."""
 
     def __init__(self) -> None:
-        self._rerun = _import_rerun()
-        self._rerun.init("uniforce-touch", spawn=True)
+        self._rerun = import_rerun("output=rerun", "output=terminal")
+        self._rerun.init("uniforce-touch")
+        open_viewer()
+        self._rerun.connect_grpc()
 
     def show(self, view: TouchView) -> None:
         """Log one view."""
@@ -120,14 +122,6 @@ class Rerun(_Open):
         for name, newtons in zip("xyz", () if view.force_N is None else view.force_N, strict=False):
             rr.log(f"force_N/{name}", rr.Scalars(float(newtons)))
         rr.log("age_ms", rr.Scalars(view.age_ms))
-
-
-def _import_rerun() -> ModuleType:
-    try:
-        return importlib.import_module("rerun")
-    except ImportError as error:
-        do = "Run `pip install rerun-sdk`, or use output=terminal."
-        raise ContractError(expected("output=rerun", "the package rerun-sdk", "none", do)) from error
 
 
 def as_text(view: TouchView) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ from uniforce_vtla.commands import train
 from uniforce_vtla.commands.arguments import choose, parse
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.evaluation.plan import RECIPES, Recipe
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 
 
@@ -66,7 +66,7 @@ def _episodes(view: Path, recipe: Recipe, demos: int) -> list[int]:
     if not marker.is_file():
         do = "Record both rigs and run uniforce-view."
         raise DatasetError(expected(str(view), "a training view", "none", do))
-    facts = json.loads(marker.read_text())["episodes"]
+    facts = read_object(marker, DatasetError).get("episodes", [])  # the trainer checks the rest of it
     found = {rig: [i for i, e in enumerate(facts) if e["left_sensor"] == rig] for rig in recipe.rigs}
     missing = [rig for rig, episodes in found.items() if not episodes]
     if missing:

@@ -195,9 +195,13 @@ def _step_s(time_s: np.ndarray) -> float:
 
 def longest_run_s(flags: np.ndarray, time_s: np.ndarray) -> float:
     """Return the duration of the longest stretch of True in (n,) flags."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    runs = edges[1::2] - edges[::2]
-    return float(runs.max()) * _step_s(time_s) if len(runs) else 0.0
+    found = runs(flags)
+    return float((found[:, 1] - found[:, 0]).max()) * _step_s(time_s) if len(found) else 0.0
+
+
+def runs(flags: np.ndarray) -> np.ndarray:
+    """Return (k, 2): first frame of each stretch of True in (n,) flags, and the one after its last."""
+    return np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
 
 
 def _metrics(trace: EpisodeTrace, limits: ScoreLimits) -> dict[str, float]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, FingerSettings
+from uniforce_vtla.figure_file import save_figure
 
 
 def draw_estimate(
@@ -36,7 +36,4 @@ def draw_estimate(
         panel.legend(fontsize=8, loc="upper left")
     events = [*found.lost, *found.slippage, *found.excess_force]
     figure.suptitle("; ".join(events) if events else "no event")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)

@@ -8,22 +8,15 @@ from pathlib import Path
 import av
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uniforce_vtla.evaluation.arms import OUTCOMES, ArmReport
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
+from uniforce_vtla.figure_file import save_figure
 
+PICTURE_DPI = 110  # thumbnails need it
 COLOURS = {"success": "#2a9d8f", "failed_grasp": "#e76f51", "residual": "#e9c46a", "aborted": "#6c757d"}
-
-
-def save_figure(figure: Figure, path: Path) -> Path:
-    """Save without pyplot's global state, so that any thread or process may draw."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    FigureCanvasAgg(figure)
-    figure.savefig(path, dpi=110, bbox_inches="tight")
-    return path
 
 
 def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
@@ -32,7 +25,7 @@ def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
     axes = figure.subplots()
     draw_outcomes(axes, reports)
     axes.set_title(title)
-    return save_figure(figure, path)
+    return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def draw_outcomes(axes: Axes, reports: Sequence[ArmReport]) -> None:
@@ -75,7 +68,7 @@ def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
         panel.set_title(f"{report.arm}\nsd {height.std():.2f} mm", fontsize=9)
         panel.set_xlabel("% of the wipe", fontsize=8)
     panels[0].set_ylabel("tool height about its mean, mm")
-    return save_figure(figure, path)
+    return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
@@ -98,7 +91,7 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     rows[3].plot(time_s, 100 * np.asarray(trace.residual), color="k")
     rows[3].set_ylabel("ink left, %")
     rows[3].set_xlabel("s")
-    return save_figure(figure, path)
+    return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def _thumbnails(frames: Sequence[np.ndarray], count: int = 6) -> np.ndarray:

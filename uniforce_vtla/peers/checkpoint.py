@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import pickle
 from pathlib import Path
+from pickle import UnpicklingError
 
 import torch
 from torch import nn
@@ -12,6 +12,10 @@ from torch import nn
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer.weights import mismatches
 
+DAMAGE = (
+    *(UnpicklingError, RuntimeError, EOFError, OSError, ValueError, TypeError, KeyError, IndexError),
+    *(AttributeError, AssertionError, ArithmeticError),
+)  # what torch raises over damaged files
 Tensors = dict[str, torch.Tensor]
 
 
@@ -29,7 +33,7 @@ def read_tensors(path: Path, inside: str | None = None) -> Tensors:
     try:
         with torch.serialization.safe_globals([argparse.Namespace]):
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError) as error:
+    except DAMAGE as error:
         raise CheckpointError(
             expected(
                 str(path), "tensors only", error, "Copy it again, or re-save only its state dict elsewhere."

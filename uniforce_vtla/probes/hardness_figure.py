@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.probes.zero_shot_figure import AXES
 
 
@@ -29,7 +29,4 @@ def draw_hardness(content: dict[str, Any], path: Path) -> Path:
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, frameon=False, ncols=3, loc="outside lower center")
     figure.suptitle("Mean absolute error (0–12, ±3 N), simulated, by what was taken away from hetero_hard_v1")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from uniforce_vtla.array_file import read_arrays
 from uniforce_vtla.probes.hard_sets import HardSettings
 from uniforce_vtla.probes.labelled_set import LabelledSet, SetConfig
 
@@ -39,6 +40,5 @@ def cached(
         scratch = path.with_suffix(".tmp.npz")
         np.savez(scratch, digest=np.array(drawn.digest), **{a: getattr(drawn, a) for a in ARRAYS})  # type: ignore
         scratch.replace(path)
-    with np.load(path) as stored:
-        arrays = {a: stored[a] for a in ARRAYS}
-        return LabelledSet(**arrays, digest=str(stored["digest"]))
+    stored = read_arrays(path, (*ARRAYS, "digest"))
+    return LabelledSet(**{a: stored[a] for a in ARRAYS}, digest=str(stored["digest"]))

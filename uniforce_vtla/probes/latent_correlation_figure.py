@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+
+from uniforce_vtla.figure_file import save_figure
 
 FORCES = ("Fx", "Fy", "Fz")
 
@@ -18,7 +19,6 @@ def draw_correlations(content: dict[str, Any], path: Path) -> Path:
     """Draw what ``latent_correlation`` returned; a frame marks the axis that stands for a force."""
     sensors = list(content["after"]["sensors"])
     figure = Figure(figsize=(2.6 * len(sensors) + 1.5, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(2, len(sensors), squeeze=False, sharey="row")
     for row, (side, letter) in enumerate((("before", "z"), ("after", "y"))):
         for column, sensor in enumerate(sensors):
@@ -29,9 +29,7 @@ def draw_correlations(content: dict[str, Any], path: Path) -> Path:
             axes.set_title(f"{sensor}, {side} rotation\nn = {found['frames']}", fontsize=9)
     figure.colorbar(image, ax=grid, label="Pearson r, mean over indenters (± SD)", shrink=0.6)
     figure.suptitle(f"Latent and force, simulated, unseen indenters; rotation fitted on {content['source']}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=100)
-    return path
+    return save_figure(figure, path, dpi=100)
 
 
 def _heatmap(axes: Axes, found: dict[str, Any], chosen: list[int]) -> Any:

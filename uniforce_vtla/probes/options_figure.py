@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from uniforce_vtla.figure_file import save_figure
 
 LOWEST = -1.0  # R² is drawn down to here; a number says what lies below
 PANELS = {
@@ -39,7 +40,4 @@ def draw_options(content: dict[str, Any], path: Path) -> Path:
     figure.suptitle(
         f"nano recipe, {content['steps']} steps, one option changed at a time ({content['set']}, simulated)"
     )
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.probes.latent_correlation import Rotation
 from uniforce_vtla.probes.real_balance import loads
 from uniforce_vtla.probes.real_trials import RATE_HZ, Signals, Trial
@@ -33,7 +33,6 @@ def draw_real_slip(
     """
     shown = [number for number, t in enumerate(trials) if t.name in report["balance"]["trials"]]
     figure = Figure(figsize=(3.4 * len(shown), 10), layout="constrained")
-    FigureCanvasAgg(figure)
     place = figure.add_gridspec(4, len(shown))
     grid = np.array([[figure.add_subplot(place[row, c]) for c in range(len(shown))] for row in range(3)])
     for column, number in enumerate(shown):
@@ -51,9 +50,7 @@ def draw_real_slip(
     grid[0, 0].legend(frameon=False, fontsize=8)
     grid[2, 0].legend(frameon=False, fontsize=8)
     _bars(figure.add_subplot(place[3, :]), report["slip"])
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)
 
 
 def _column(axes: np.ndarray, trial: Trial, load: dict[str, np.ndarray]) -> None:

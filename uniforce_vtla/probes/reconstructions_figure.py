@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.probes.reconstructions import Rig, by_cross_error, cross_error
 
 # column title → where the picture is: (attribute of Rig, its key, whose truth it is drawn over)
@@ -32,7 +32,6 @@ def draw_reconstructions(rigs: Sequence[Rig], path: Path, worst: int = 2) -> Pat
     """
     rows = [(rig, label, index) for rig in rigs for label, index in _examples(rig, worst)]
     figure = Figure(figsize=(2 * len(COLUMNS), 1.75 * len(rows) + 0.6), layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), len(COLUMNS), squeeze=False)
     for line, (rig, label, index) in zip(grid, rows, strict=True):
         for axes, (_, attribute, key, truth) in zip(line, COLUMNS, strict=True):
@@ -43,9 +42,7 @@ def draw_reconstructions(rigs: Sequence[Rig], path: Path, worst: int = 2) -> Pat
     for axes, (title, *_) in zip(grid[0], COLUMNS, strict=True):
         axes.set_title(title, fontsize=9)
     figure.suptitle("Simulated pairs, unseen indenters; red = lacking, blue = too much", fontsize=10)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)
 
 
 def _examples(rig: Rig, worst: int) -> list[tuple[str, int]]:

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.probes.zero_shot_figure import AXES
 
 
@@ -25,7 +25,4 @@ def draw_scale_error(content: dict[str, Any], path: Path) -> Path:
     figure.axes[0].set_ylabel("R², mean over sources")
     figure.axes[0].legend(fontsize=8)
     figure.suptitle(f"Cameras nobody trained on, their scale misstated ({content['set']}, simulated)")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)

@@ -17,7 +17,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES, NATURAL_UNITS
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.weights import load_weights, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
 
 SHIPPED = Path(__file__).parent / "assets"
 SCENE = "wiping"
@@ -64,9 +64,13 @@ class TouchGauge:
         wanted = (sensor, list(DESCRIPTOR_NAMES))
         if found != wanted or not isinstance(facts.get("head"), dict):
             raise CheckpointError(expected(f"gauge in {place}", wanted, found, "Make it again."))
-        model = ForceRegressor(HeadConfig(**facts["head"]))
-        load_weights(place, model)
-        return cls(model, sensor)
+        try:
+            config = HeadConfig(**facts["head"])
+        except (TypeError, ContractError) as error:
+            raise CheckpointError(
+                expected(f"gauge in {place}", "a head's sizes", error, "Make it again.")
+            ) from error
+        return cls(load_model(place, lambda: ForceRegressor(config)), sensor)
 
     def save(self, folder: str | Path) -> Path:
         """Write the gauge into a folder of gauges, one folder per sensor."""

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+
+from uniforce_vtla.figure_file import save_figure
 
 AXES = ("Fx", "Fy", "Fz")
 LOWEST = -1.0  # colours end here: an R² of −1000 only says "a constant offset"
@@ -27,10 +28,7 @@ def draw_table(content: dict[str, Any], path: Path) -> Path:
     _draw_error(panels[3], error.mean(axis=1))
     panels[0].set_yticks(range(len(rows)), rows)
     figure.suptitle(f"Zero-shot force, simulated, unseen indenters ({content['set']})")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)
 
 
 def _draw_r2(panel: Axes, r2: np.ndarray, names: list[str], title: str) -> None:

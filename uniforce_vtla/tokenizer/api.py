@@ -17,7 +17,7 @@ from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, Toke
 from uniforce_vtla.tokenizer.weights import (
     checkpoint_folder,
     content_hash,
-    load_weights,
+    load_model,
     read_config,
     save_checkpoint,
 )
@@ -61,8 +61,8 @@ class Tokenizer:
         """
         folder = checkpoint_folder(path, "tokenizer")
         facts = read_config(folder)
-        model = build_model(_sizes(facts, folder), seed=0)
-        load_weights(folder, model)
+        sizes = _sizes(facts, folder)
+        model = load_model(folder, lambda: build_model(sizes, seed=0))
         return cls(model, _same_canonicaliser(facts, folder))
 
     def save(self, path: str | Path) -> Path:
@@ -164,7 +164,7 @@ def _content_key(images: np.ndarray, finger: Finger) -> str:
 def _sizes(facts: dict[str, Any], folder: Path) -> TokenizerConfig:
     try:
         return TokenizerConfig(**facts["model"])
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ContractError) as error:
         raise CheckpointError(
             expected(f"config of {folder}", "the fields of TokenizerConfig", error, "Is this a tokenizer?")
         ) from error

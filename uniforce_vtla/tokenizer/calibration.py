@@ -14,9 +14,12 @@ import numpy as np
 import torch
 from torch import nn
 
+from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.pooling import as_map
-from uniforce_vtla.tokenizer.weights import load_weights, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
+
+MAX_SIZE = 16384  # of an adapter's latent and hidden units, see model.LIMITS
 
 
 @dataclass(frozen=True)
@@ -110,10 +113,16 @@ class Calibration:
                     f"tokenizer of {folder}", tokenizer_hash, came, "Calibrate again with this tokenizer."
                 )
             )
-        adapter = LatentAdapter(int(facts["latent"]), int(facts["hidden"]))
-        load_weights(folder, adapter)
-        names = ("new", "anchor", "imbalance_before", "imbalance_after")
-        return cls(adapter.eval(), tokenizer_hash, *(facts[name] for name in names))
+        try:
+            latent, hidden = (check_count(name, facts[name], MAX_SIZE) for name in ("latent", "hidden"))
+            names = str(facts["new"]), str(facts["anchor"])
+            judged = float(facts["imbalance_before"]), float(facts["imbalance_after"])
+        except (KeyError, TypeError, ValueError, ContractError) as error:
+            raise CheckpointError(
+                expected(f"config of {folder}", "the facts of a calibration", error, "Calibrate again.")
+            ) from error
+        adapter = load_model(folder, lambda: LatentAdapter(latent, hidden))
+        return cls(adapter.eval(), tokenizer_hash, *names, *judged)
 
 
 def calibrate(

@@ -12,9 +12,12 @@ from pathlib import Path
 import torch
 from torch import nn
 
+from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.pooling import pool_latent
-from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_weights, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
+
+LIMITS = {"channels": 4096, "grid": 64, "hidden": 4096, "mlp": 16384}  # of HeadConfig, see model.LIMITS
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,12 @@ class HeadConfig:
     hidden: int = 24  # channels of the ConvGRU
     mlp: int = 64  # hidden units of the MLP
     dropout: float = 0.1  # of the MLP's input, against clinging to one sensor's details
+
+    def __post_init__(self) -> None:
+        for name, most in LIMITS.items():
+            check_count(f"force head's {name}", getattr(self, name), most)
+        if not 0 <= self.dropout < 1:
+            raise ContractError(expected("force head's dropout", "from 0 to 1", self.dropout, "Change it."))
 
 
 class ConvGRUCell(nn.Module):
@@ -115,16 +124,15 @@ class ForceHead:
         folder = checkpoint_folder(path, f"force_head_{source}")
         facts = read_config(folder)
         try:
-            model = ForceRegressor(HeadConfig(**facts["head"]))
-            found, tokenizer_hash = facts["source"], facts["tokenizer_hash"]
-        except (KeyError, TypeError) as error:
+            config = HeadConfig(**facts["head"])
+            found, tokenizer_hash = str(facts["source"]), str(facts["tokenizer_hash"])
+        except (KeyError, TypeError, ContractError) as error:
             raise CheckpointError(
                 expected(
                     f"config of {folder}", "head, source, tokenizer_hash", error, "Is this a force head?"
                 )
             ) from error
-        load_weights(folder, model)
-        return cls(model, found, tokenizer_hash)
+        return cls(load_model(folder, lambda: ForceRegressor(config)), found, tokenizer_hash)
 
     def save(self, path: str | Path) -> Path:
         """Write weights and facts to a folder that ``from_pretrained`` reads."""

@@ -12,6 +12,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
+from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.attention import (
     CausalPairAttention,
@@ -24,6 +25,20 @@ from uniforce_vtla.tokenizer.material import MaterialEncoder
 from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels, pyramid
 
 LATER = ("warp", "material")  # fields of TokenizerConfig that came after the first shipped checkpoint
+LIMITS = {  # of TokenizerConfig: far beyond what anybody trains, far below what fills a machine
+    "side": (1, 2048),
+    "patch": (1, 2048),
+    "width": (1, 8192),
+    "depth": (1, 64),
+    "decoder_depth": (1, 64),
+    "heads": (1, 128),
+    "mlp_ratio": (1, 16),
+    "embed_hidden": (0, 16384),
+    "motion_scales": (0, 8),
+    "latent": (1, 256),
+    "material": (0, 256),
+}
+MAX_PATCHES = 4096  # 64×64
 START_LOG_VARIANCE = -4.0  # σ ≈ 0.14
 FLOW_PX = 2.0  # shift of one unit of the flow head: about a strong shear on a GelSight at 128 px
 LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
@@ -50,6 +65,9 @@ class TokenizerConfig:
     material: int = 0  # numbers per unit told to the decoder (material.py); 0 = none, as in the paper
 
     def __post_init__(self) -> None:
+        for name, (least, most) in LIMITS.items():
+            check_count(f"tokenizer's {name}", getattr(self, name), most, least)
+        check_count("tokenizer's patches", self.num_patches, MAX_PATCHES)
         if self.side % self.patch or self.width % self.heads or self.width % 4:
             came = f"side {self.side}, patch {self.patch}, width {self.width}, heads {self.heads}"
             raise ContractError(

@@ -15,12 +15,14 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from uniforce_vtla.array_file import read_arrays
 from uniforce_vtla.contact.family import BOUNDS, draw_dome, draw_flat
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.tokenizer.entry import letterbox
 
@@ -184,18 +186,13 @@ def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
     scratch.replace(path)
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
-    with np.load(path) as shard:
-        return {name: shard[name] for name in NAMES}
-
-
 def _gathered(paths: list[Path]) -> dict[str, np.ndarray]:
     """Return all shards one after another, without ever holding them twice."""
-    first = _read(paths[0])
+    first = read_arrays(paths[0], NAMES)
     units = len(first["left_reference"])
     arrays = {n: np.empty((units * len(paths), *a.shape[1:]), a.dtype) for n, a in first.items()}
     for number, path in enumerate(paths):
-        for name, part in _read(path).items():
+        for name, part in read_arrays(path, NAMES).items():
             arrays[name][number * units : (number + 1) * units] = part
     return arrays
 
@@ -204,7 +201,7 @@ def _check_or_write_config(path: Path, config: PairCacheConfig) -> None:
     if not path.exists():
         path.write_text(json.dumps(asdict(config), indent=1))
         return
-    stored = json.loads(path.read_text())
+    stored = read_object(path, DatasetError)
     known = set(asdict(config)) >= set(stored)
     # options added after the cache was drawn stand at their defaults
     if not known or replace(PairCacheConfig(), **stored) != config:

@@ -7,12 +7,11 @@ one process so far).
 from __future__ import annotations
 
 import csv
-import json
 import math
 import time
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -20,14 +19,15 @@ from accelerate import Accelerator
 from tqdm import tqdm
 
 from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
 from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, TokenizerConfig, build_model
 from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs, PairSource
 from uniforce_vtla.tokenizer.strips import draw_strips
+from uniforce_vtla.tokenizer.training_state import is_there, load_state, save_state
 
-STATE = "state.pt"  # weights, optimiser and step
 RECIPE = "recipe.json"  # every setting of the run, beside its state
 MAY_CHANGE = ("steps", "save_every", "strips_every", "tracker")  # between a run and its continuation
 UNTOLD_SHARE = 0.25  # of units whose material variables are withheld in a step
@@ -107,7 +107,7 @@ class Pretraining:
         )
         if settings.tracker:
             self.accelerator.init_trackers("uniforce_tokenizer")
-        resumes = (folder / STATE).exists()  # then ``init`` is history, and may be gone
+        resumes = is_there(folder)  # then ``init`` is history, and may be gone
         model = starting_model(replace(settings, init="") if resumes else settings)
         optimizer = torch.optim.AdamW(
             model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
@@ -179,14 +179,7 @@ class Pretraining:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
         write_json(self.folder / RECIPE, asdict(self.settings))
-        state = {
-            "step": self.step,
-            "model": self._bare().state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-        }
-        scratch = self.folder / "state.tmp"
-        torch.save(state, scratch)
-        scratch.replace(self.folder / STATE)
+        save_state(self.folder, self.step, self._bare().state_dict(), self.optimizer.state_dict())
         self.tokenizer().save(self.folder / "tokenizer")
 
     def _check_recipe(self) -> None:
@@ -194,7 +187,7 @@ class Pretraining:
         path = self.folder / RECIPE
         if not path.exists():
             return
-        stored, asked = json.loads(path.read_text()), asdict(self.settings)
+        stored, asked = read_object(path, DatasetError), asdict(self.settings)
         differs = sorted(k for k in asked if k not in MAY_CHANGE and stored.get(k) != asked[k])
         if differs:
             raise DatasetError(
@@ -202,12 +195,10 @@ class Pretraining:
             )
 
     def _resume(self) -> None:
-        path = self.folder / STATE
-        if path.exists():
-            state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-            self._bare().load_state_dict(state["model"])
-            self.optimizer.load_state_dict(state["optimizer"])
-            self.step = int(state["step"])
+        if is_there(self.folder):
+            self.step, model, optimizer = load_state(self.folder)
+            self._bare().load_state_dict(model)
+            self.optimizer.load_state_dict(optimizer)
 
     def _bare(self) -> ForceAutoencoder:
         return self.accelerator.unwrap_model(self.model)

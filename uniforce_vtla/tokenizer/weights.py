@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.json_file import read_object
 
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
 ASSETS = Path(__file__).parent / "assets"  # checkpoints that come with the package
@@ -51,34 +53,40 @@ def read_config(folder: Path) -> dict[str, Any]:
         raise CheckpointError(
             expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", "Check the path.")
         )
-    try:
-        return json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise CheckpointError(
-            expected(str(path), "JSON", str(error), "Copy the checkpoint again.")
-        ) from error
+    return read_object(path, CheckpointError)
 
 
-def load_weights(folder: Path, model: nn.Module) -> None:
-    """Copy the checkpoint's tensors into ``model``.
+def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Model:
+    """Return what ``build`` makes, with the checkpoint's tensors.
+
+    It is built without memory first: sizes that don't fit the file cost nothing.
 
     Raises:
-        CheckpointError: truncated, or any tensor missing, unexpected or of another shape; all are listed.
+        CheckpointError: truncated, or any tensor missing, unexpected or of another shape or type; all are listed.
     """
     try:
         tensors = load_file(folder / WEIGHTS)
-    except (safetensors.SafetensorError, OSError) as error:
+    except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:
         raise CheckpointError(
             expected(str(folder / WEIGHTS), "readable weights", str(error), "Copy the checkpoint again.")
         ) from error
-    wrong = mismatches(model.state_dict(), tensors)
+    with torch.device("meta"):
+        wanted = build().state_dict()
+    wrong = mismatches(wanted, tensors)
+    wrong += [
+        f"{name} is {tensors[name].dtype}, not {wanted[name].dtype}"
+        for name in sorted(wanted.keys() & tensors.keys())
+        if tensors[name].dtype != wanted[name].dtype
+    ]
     if wrong:
         raise CheckpointError(
             expected(
                 str(folder), "the model's tensors", "; ".join(wrong), "Load the config it was made with."
             )
         )
+    model = build()
     model.load_state_dict(tensors)
+    return model
 
 
 def mismatches(wanted: dict[str, torch.Tensor], came: dict[str, torch.Tensor]) -> list[str]:

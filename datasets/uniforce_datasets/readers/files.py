@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
+from uniforce_datasets.dataset_paths import inside
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 
@@ -33,18 +34,6 @@ def existing_folder(folder: str | Path) -> Path:
     path = Path(folder).expanduser()
     if not path.is_dir():
         raise DatasetError(expected("data set", "a folder", f"none at {path}", "Check the path."))
-    return path
-
-
-def inside(root: Path, path: Path) -> Path:
-    """Return ``path`` if it lies in ``root`` once links and ".." are followed.
-
-    Raises:
-        DatasetError: it leads outside.
-    """
-    if not path.resolve().is_relative_to(root.resolve()):
-        do = "Copy the files into the folder (huggingface-cli: --local-dir), or give the folder that holds both."
-        raise DatasetError(expected(str(path), f"a path inside {root}", f"{path.resolve()}", do))
     return path
 
 
@@ -120,23 +109,6 @@ def decode_picture(data: bytes, where: str, colour: bool) -> np.ndarray:
         came = "something else" if whole else "an empty or truncated one"
         raise DatasetError(expected(where, "a whole JPEG or PNG", came, "Restore it from a copy."))
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB) if colour else picture
-
-
-def read_array(path: Path) -> np.ndarray:
-    """Return the array in a .npy file; pickled objects are refused.
-
-    Raises:
-        DatasetError: truncated, pickled, or no single array.
-    """
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise DatasetError(
-            expected(str(path), "a whole .npy array", error, "Restore it from a copy.")
-        ) from error
-    if not isinstance(array, np.ndarray):
-        raise DatasetError(expected(str(path), "one array", "an archive", "Save it with numpy.save."))
-    return array
 
 
 def read_table(path: Path) -> pd.DataFrame:

@@ -15,11 +15,10 @@ from typing import Literal
 
 import numpy as np
 
+from uniforce_datasets.dataset_paths import inside
 from uniforce_datasets.readers.files import (
     existing_folder,
-    inside,
     numbered_images,
-    read_array,
     read_marker_picture,
     read_table,
     subfolders,
@@ -27,6 +26,7 @@ from uniforce_datasets.readers.files import (
 from uniforce_datasets.readers.force_axes import ForceAxes
 from uniforce_datasets.readers.recording import LabelledRecording
 from uniforce_datasets.readers.trial import ReadOptions, Trial, recordings_of
+from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contact import UNSEEN
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, DatasetError, expected

@@ -6,7 +6,6 @@ of ``jiamig/taf-dataset`` were not known when this was written: they are found b
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from uniforce_datasets.readers.files import decode_picture, existing_folder, find, inside
+from uniforce_datasets.readers.files import decode_picture, existing_folder, find
 from uniforce_datasets.readers.force_axes import ForceAxes
 from uniforce_datasets.readers.naming import choose
 from uniforce_datasets.readers.recording import LabelledRecording
@@ -26,7 +25,6 @@ from uniforce_datasets.source import Episode, Source, episode_frames, read_sourc
 from uniforce_vtla.errors import DatasetError, expected
 
 INFO = "meta/info.json"
-NEEDED = ("codebase_version", "features", "fps", "total_episodes", "total_frames")  # of info.json
 WRENCH_LENGTHS = (3, 6)  # force, or force and moment
 
 
@@ -73,27 +71,7 @@ def read_taf_lerobot(folder: str | Path, config: TafConfig | None = None) -> Ite
     if not found:
         raise DatasetError(expected(str(root), INFO, "none", "Is this a LeRobot dataset?"))
     for dataset in found:
-        source = _open(dataset, root)
-        yield from _episodes(source, config)
-
-
-def _open(dataset: Path, root: Path) -> Source:
-    for path in dataset.rglob("*"):
-        inside(root, path)
-    try:
-        info = json.loads((dataset / INFO).read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise DatasetError(expected(str(dataset / INFO), "JSON", error, "Restore it from a copy.")) from error
-    missing = [key for key in NEEDED if key not in info] if isinstance(info, dict) else list(NEEDED)
-    if missing:
-        raise DatasetError(expected(str(dataset / INFO), ", ".join(NEEDED), f"no {missing}", "Restore it."))
-    videos = any(feature.get("dtype") == "video" for feature in info["features"].values())
-    if videos and not info.get("video_path"):
-        raise DatasetError(expected(str(dataset / INFO), "video_path", "none", "Restore it."))
-    if not str(info["codebase_version"]).startswith("v3"):
-        do = "Convert it with LeRobot's own converter (lerobot.scripts.convert_dataset_v21_to_v30)."
-        raise DatasetError(expected(str(dataset), "LeRobot v3", info["codebase_version"], do))
-    return read_source(dataset)
+        yield from _episodes(read_source(dataset, within=root), config)
 
 
 def _episodes(source: Source, config: TafConfig) -> Iterator[LabelledRecording]:
@@ -134,7 +112,6 @@ def _unclear(wanted: str, features: dict[str, dict[str, Any]]) -> str:
 
 def _gel_frames(source: Source, episode: Episode, key: str, first: int) -> Iterator[np.ndarray]:
     if key in episode.videos:
-        inside(source.root, episode.videos[key].file)
         return episode_frames(episode.videos[key], episode.length, source.fps, first)
     return _stored_images(source, episode, key, first)
 

@@ -15,10 +15,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from uniforce_datasets.dataset_paths import inside
 from uniforce_datasets.readers.files import (
     existing_folder,
     find,
-    inside,
     numbered_images,
     read_marker_picture,
     subfolders,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Callable
+from typing import Self
 
 import numpy as np
 
@@ -26,7 +27,11 @@ from uniforce_standins.fci.protocol import (
     MoveRequest,
     RobotCommand,
     RobotState,
+    unpack,
 )
+
+ARM_GREETING, HAND_GREETING = struct.Struct("<BH"), struct.Struct("<HH")  # status, version
+HAND_STATUS = struct.Struct("<H")
 
 TIMEOUT_s = 30.0  # a busy machine is slow, a hung server is for ever
 
@@ -35,11 +40,21 @@ class RawClient:
     """One TCP connection, one UDP socket, answers matched by command id."""
 
     def __init__(self, address: str, port: int, header: Header) -> None:
-        self.header = header
-        self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.udp.bind(("", 0))  # states go to whatever address the TCP connection came from
-        self.udp.settimeout(TIMEOUT_s)
-        self.tcp = socket.create_connection((address, port), TIMEOUT_s)
+        tcp = socket.create_connection((address, port), TIMEOUT_s)
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        udp.bind((tcp.getsockname()[0], 0))  # states go to the address the TCP connection came from
+        udp.settimeout(TIMEOUT_s)
+        self._talk(tcp, udp, header)
+
+    @classmethod
+    def on(cls, tcp: socket.socket, udp: socket.socket, header: Header) -> Self:
+        """Return a client of sockets that are open already, before it has greeted."""
+        client = cls.__new__(cls)
+        client._talk(tcp, udp, header)
+        return client
+
+    def _talk(self, tcp: socket.socket, udp: socket.socket, header: Header) -> None:
+        self.tcp, self.udp, self.header = tcp, udp, header
         self.server: tuple[str, int] | None = None
         self._buffer = b""
         self._next_id = 1
@@ -96,7 +111,12 @@ class RawArm(RawClient):
 
     def __init__(self, address: str, version: int = ARM_VERSION) -> None:
         super().__init__(address, ARM_PORT, ARM_HEADER)
-        self.status, self.version = struct.unpack("<BH", self._greet(ArmCommand.CONNECT, version))
+        self.greet(version)
+
+    def greet(self, version: int) -> None:
+        """Say hello; keep what the server answered."""
+        answer = self._greet(ArmCommand.CONNECT, version)
+        self.status, self.version = unpack(ARM_GREETING, answer, "answer to Connect")
 
     def state(self) -> RobotState:
         """Return the next state, in order: older ones may be queued."""
@@ -154,7 +174,12 @@ class RawHand(RawClient):
 
     def __init__(self, address: str, version: int = HAND_VERSION) -> None:
         super().__init__(address, HAND_PORT, HAND_HEADER)
-        self.status, self.version = struct.unpack("<HH", self._greet(HandCommand.CONNECT, version))
+        self.greet(version)
+
+    def greet(self, version: int) -> None:
+        """Say hello; keep what the server answered."""
+        answer = self._greet(HandCommand.CONNECT, version)
+        self.status, self.version = unpack(HAND_GREETING, answer, "answer to Connect")
 
     def state(self) -> HandState:
         """Return the next state."""
@@ -162,4 +187,4 @@ class RawHand(RawClient):
 
     def status_of(self, command: int, payload: bytes = b"") -> int:
         """Send a request and return how it ended."""
-        return int(struct.unpack("<H", self.ask(command, payload))[0])
+        return int(unpack(HAND_STATUS, self.ask(command, payload), "answer of the hand")[0])

@@ -1,0 +1,163 @@
+"""What reads bytes from a device: each with a stream that is right, to be injured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+from mutations import chunks
+
+from lerobot_camera_uniforce.http_capture import decode_bgr
+from lerobot_camera_uniforce.multipart_jpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg
+from lerobot_camera_uniforce.slcan_lines import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
+from lerobot_camera_uniforce.websocket import MAX_MESSAGE_BYTES, TEXT, FrameReader
+from lerobot_camera_uniforce.xela_message import read_message
+from uniforce_standins.fci.protocol import (
+    ARM_HEADER,
+    ARM_VERSION,
+    HAND_HEADER,
+    HAND_STATE_BYTES,
+    HAND_VERSION,
+    STATE_BYTES,
+    STATE_FLOAT_COUNT,
+    ArmCommand,
+    HandCommand,
+    HandState,
+    Header,
+    Message,
+    MoveStatus,
+    ProtocolError,
+    RobotState,
+)
+from uniforce_standins.fci.raw_client import RawArm, RawClient, RawHand
+from uniforce_standins.mjpeg import encode, part
+from uniforce_standins.slcan import scan_lines
+from uniforce_standins.xela import frame, message
+from uniforce_vtla.errors import SensorError
+
+
+@dataclass(frozen=True)
+class ByteTarget:
+    """A parser, bytes it accepts, and the errors it may raise over others."""
+
+    feed: Callable[[np.random.Generator, bytes], None]
+    seed: bytes
+    typed: tuple[type[Exception], ...] = (SensorError,)
+    refuses: bool = True  # False for a reader that resynchronises instead
+
+
+def feed_slcan(rng: np.random.Generator, data: bytes) -> None:
+    reader = SlcanScans(uspa44_ids())
+    for chunk in chunks(rng, data):
+        for scan in reader.feed(chunk):
+            assert scan.shape == (16, 3) and scan.dtype == np.uint16
+        assert len(reader._tail) <= MAX_TAIL_BYTES
+
+
+def feed_websocket(rng: np.random.Generator, data: bytes) -> None:
+    reader = FrameReader("fuzz")
+    for chunk in chunks(rng, data):
+        for got in reader.feed(chunk):
+            if got.opcode == TEXT:
+                read_message(got.payload.decode(errors="replace"), "1", "fuzz")
+        assert len(reader._buffer) + reader._size <= MAX_MESSAGE_BYTES + len(data)
+
+
+def feed_json(rng: np.random.Generator, data: bytes) -> None:
+    scan = read_message(data.decode(errors="replace"), "1", "fuzz")
+    assert scan is None or scan.counts.shape == (16, 3)
+
+
+def feed_mjpeg(rng: np.random.Generator, data: bytes) -> None:
+    reader = MultipartJpeg("fuzz")
+    for chunk in chunks(rng, data):
+        for got in reader.feed(chunk):
+            assert len(got.jpeg) <= MAX_JPEG_BYTES
+            decode_bgr(got.jpeg)
+        assert len(reader._buffer) <= MAX_JPEG_BYTES + MAX_HEADER_BYTES + len(data)
+
+
+class Wire:
+    """A socket that has received something already."""
+
+    def __init__(self, received: list[bytes]) -> None:
+        self._received = received
+
+    def recv(self, _: int) -> bytes:
+        return self._received.pop(0) if self._received else b""
+
+    def recvfrom(self, _: int) -> tuple[bytes, tuple[str, int]]:
+        return self.recv(0), ("127.0.0.1", 1)
+
+    def sendall(self, _: bytes) -> None:
+        return
+
+    def getsockname(self) -> tuple[str, int]:
+        return "127.0.0.1", 1
+
+
+def connected[Client: RawClient](
+    kind: type[Client], header: Header, rng: np.random.Generator, answers: bytes, datagram: bytes
+) -> Client:
+    tcp, udp = Wire([chunk for chunk in chunks(rng, answers) if chunk]), Wire([datagram])
+    return kind.on(tcp, udp, header)  # type: ignore[arg-type]
+
+
+def feed_arm(rng: np.random.Generator, data: bytes) -> None:
+    """Connect, one state, a motion that starts and ends, a setter."""
+    client = connected(RawArm, ARM_HEADER, rng, data[:-STATE_BYTES], data[-STATE_BYTES:])
+    client.greet(ARM_VERSION)
+    assert client.state().floats.shape == (STATE_FLOAT_COUNT,)
+    client.move()
+    for _ in range(2):
+        assert client.receive().command_id >= 0
+    client.ask(ArmCommand.STOP_MOVE)
+
+
+def feed_hand(rng: np.random.Generator, data: bytes) -> None:
+    """Connect, one state, two commands."""
+    client = connected(RawHand, HAND_HEADER, rng, data[:-HAND_STATE_BYTES], data[-HAND_STATE_BYTES:])
+    client.greet(HAND_VERSION)
+    assert isinstance(client.state().is_grasped, bool)
+    for command in (HandCommand.HOMING, HandCommand.STOP):
+        assert 0 <= client.status_of(command) < 65_536
+
+
+SCANS = np.random.default_rng(0).integers(0, 65_536, (2, 16, 3)).astype(np.uint16)
+JPEG = encode(np.random.default_rng(1).integers(0, 255, (16, 24, 3), dtype=np.uint8))
+HTTP = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=uniforceframe\r\n\r\n"
+JSON = message(7, SCANS[0], "null").encode()
+ARM_ANSWERS = (
+    Message(ArmCommand.CONNECT, 1, b"\0" + ARM_VERSION.to_bytes(2, "little")),
+    Message(ArmCommand.MOVE, 2, bytes([MoveStatus.MOTION_STARTED])),
+    Message(ArmCommand.MOVE, 2, bytes([MoveStatus.SUCCESS])),
+    Message(ArmCommand.STOP_MOVE, 3, b"\0"),
+)
+HAND_ANSWERS = (
+    Message(HandCommand.CONNECT, 1, b"\0\0" + HAND_VERSION.to_bytes(2, "little")),
+    Message(HandCommand.HOMING, 2, b"\0\0"),
+    Message(HandCommand.STOP, 3, b"\0\0"),
+)
+ARM = b"".join(map(ARM_HEADER.encode, ARM_ANSWERS)) + RobotState(9, np.zeros(STATE_FLOAT_COUNT)).encode()
+HAND = b"".join(map(HAND_HEADER.encode, HAND_ANSWERS)) + HandState(9, 0.04, 0.08, False, 30).encode()
+FCI_ERRORS = (ProtocolError, ConnectionError)
+BYTE_TARGETS = {
+    "slcan": ByteTarget(
+        feed_slcan, b"\r\rV1013\r" + b"".join(chain.from_iterable(scan_lines(SCANS, 0))), refuses=False
+    ),
+    "websocket": ByteTarget(
+        feed_websocket,
+        frame(TEXT, b'{"message": "Welcome"}')
+        + frame(0x9, b"ping")
+        + frame(TEXT, JSON[:300], False)
+        + frame(0, JSON[300:]),
+    ),
+    "json": ByteTarget(feed_json, JSON),
+    "mjpeg": ByteTarget(
+        feed_mjpeg, HTTP + part(JPEG, 1.5) + part(JPEG, 2.5, with_length=False) + part(JPEG, 3.5)
+    ),
+    "fci_arm": ByteTarget(feed_arm, ARM, FCI_ERRORS),
+    "fci_hand": ByteTarget(feed_hand, HAND, FCI_ERRORS),
+}

@@ -1,0 +1,151 @@
+"""``python campaign.py GROUP INPUTS SEED [NAME …]``: injure inputs in a process that may die, hang or be out of memory.
+
+Prints a line of JSON per target when it is done with it. What nobody thought of ends the process with a traceback and
+leaves the input in ``$UNIFORCE_FUZZ_KEEP``, if that is set.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from mutations import mutate, mutate_json
+
+SLOWEST_S = 20.0  # CPU time of one input; the kernel ends the process
+WARM_UP = 20  # readings of what is right, before memory is counted
+ROOM_BYTES = 3 << 30  # address space beyond what the imports took; more ends in an error nobody expects
+
+
+def status_kib(name: str) -> int:
+    """Return a number of /proc/self/status: VmHWM, the peak of resident memory, or VmRSS, VmSize."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(f"{name}:"):
+            return int(line.split()[1])
+    raise LookupError(name)
+
+
+def forget_peak() -> None:
+    """Let VmHWM begin anew from what is resident now."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def run(
+    name: str, inputs: int, read: Callable[[int], None], right: Callable[[], None], typed: tuple
+) -> dict[str, object]:
+    """Return the counts of one target; ``read(i)`` reads the i-th injured input, ``right()`` the sound one."""
+    for _ in range(WARM_UP):
+        right()
+    forget_peak()
+    before_kib, refused, slowest_s, began_s = status_kib("VmRSS"), 0, 0.0, time.monotonic()
+    for i in range(inputs):
+        signal.setitimer(signal.ITIMER_PROF, SLOWEST_S)  # its signal's default is to end the process
+        cpu_s = time.process_time()
+        try:
+            read(i)
+        except typed:
+            refused += 1
+        slowest_s = max(slowest_s, time.process_time() - cpu_s)
+    signal.setitimer(signal.ITIMER_PROF, 0)
+    right()
+    return {
+        "target": name,
+        "inputs": inputs,
+        "refused": refused,
+        "accepted": inputs - refused,
+        "slowest_cpu_s": round(slowest_s, 4),
+        "grown_MB": round((status_kib("VmHWM") - before_kib) / 1024, 1),
+        "seconds": round(time.monotonic() - began_s, 1),
+    }
+
+
+def byte_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str, object]]:
+    """Yield each parser's counts: nine in ten inputs injured, one plain noise."""
+    from byte_targets import BYTE_TARGETS
+
+    limit_memory()
+    for name in names or BYTE_TARGETS:
+        target, rng = BYTE_TARGETS[name], np.random.default_rng(seed)
+
+        def read(i: int, target=target, rng=rng) -> None:
+            noise = i % 10 == 9
+            data = rng.bytes(int(rng.integers(0, 2000))) if noise else mutate(rng, target.seed)
+            with kept(data):
+                target.feed(rng, data)
+
+        calm = np.random.default_rng(0)
+        yield run(
+            name, inputs, read, lambda target=target, calm=calm: target.feed(calm, target.seed), target.typed
+        )
+
+
+def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str, object]]:
+    """Yield each reader's counts: one file of its folder injured at a time, values of JSON as often as bytes."""
+    import torch
+    from file_targets import FILE_TARGETS, is_json
+
+    torch.set_num_threads(1)
+    for name in names or FILE_TARGETS:
+        with tempfile.TemporaryDirectory() as folder:
+            target, rng = FILE_TARGETS[name](Path(folder)), np.random.default_rng(seed)
+            whole = {file: file.read_bytes() for file in target.files}
+            textual = {file for file, data in whole.items() if is_json(data)}
+
+            def read(_: int, target=target, rng=rng, whole=whole, textual=textual) -> None:
+                file = list(whole)[int(rng.integers(len(whole)))]
+                injure = mutate_json if file in textual and rng.random() < 0.7 else mutate
+                data = injure(rng, whole[file]) if injure is mutate_json else mutate(rng, whole[file], True)
+                file.write_bytes(data)
+                try:
+                    with kept(data, file.name):
+                        target.read()
+                finally:
+                    for path, content in whole.items():
+                        if path == file or path.name == "stats.json":  # written by one of the readers
+                            path.write_bytes(content)
+
+            limit_memory()
+            yield run(name, inputs, read, target.read, target.typed)
+
+
+class kept:  # noqa: N801 (reads as a word)
+    """Keeps the input on disk while it is read: a process that dies can't tell what killed it."""
+
+    def __init__(self, data: bytes, name: str = "input") -> None:
+        keep = os.environ.get("UNIFORCE_FUZZ_KEEP")
+        self._path = Path(keep) / name if keep else None
+        self._data = data
+
+    def __enter__(self) -> None:
+        if self._path:
+            self._path.write_bytes(self._data)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._path and kind is None:
+            self._path.unlink()
+
+
+def limit_memory() -> None:
+    """Let the address space grow by ``ROOM_BYTES`` from here."""
+    limit = status_kib("VmSize") * 1024 + ROOM_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (limit, resource.RLIM_INFINITY))
+
+
+def main() -> None:
+    """Run a group."""
+    group, inputs, seed, *names = sys.argv[1:]
+    campaign = {"bytes": byte_campaign, "files": file_campaign}[group]
+    for counts in campaign(int(inputs), int(seed), names):
+        sys.stdout.write(json.dumps(counts) + "\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

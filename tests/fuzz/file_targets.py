@@ -1,0 +1,194 @@
+"""What reads files that others wrote: each with a folder that is right, to be injured file by file."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lerobot.configs import FeatureType, PolicyFeature
+
+from lerobot_policy_pi05_uniforce import (
+    PI05UniforceConfig,
+    PI05UniforcePolicy,
+    make_pi05_uniforce_pre_post_processors,
+)
+from lerobot_policy_pi05_uniforce.controller import PolicyController
+from uniforce_datasets.bench import BlockMeans
+from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.pooled_quantiles import write_pooled_stats
+from uniforce_datasets.source import episode_frames
+from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.training_view import TrainingView, build_view
+from uniforce_vtla.array_file import read_array, read_arrays
+from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.keys import ACTION, STATE
+from uniforce_vtla.peers.checkpoint import read_tensors
+from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES
+from uniforce_vtla.probes.touch_gauge import TouchGauge
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
+from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.training_state import load_state, save_state
+
+TYPED = (UniForceError,)
+SMALL = TokenizerConfig(side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
+HASH = "a" * 64
+
+
+@dataclass(frozen=True)
+class FileTarget:
+    """A folder that can be read, and how."""
+
+    folder: Path
+    read: Callable[[], Any]
+    typed: tuple[type[Exception], ...] = TYPED
+
+    @property
+    def files(self) -> list[Path]:
+        return sorted(path for path in self.folder.rglob("*") if path.is_file() and path.stat().st_size)
+
+
+def dataset(folder: Path) -> FileTarget:
+    """Read a recording as uniforce-view and uniforce-show-dataset do: metadata, columns, every video."""
+    logging.getLogger("lerobot").setLevel(logging.ERROR)
+    root = record_synthetic(folder / "data", 1, 3)
+    (root / ".recorder.lock").unlink(missing_ok=True)
+
+    def read() -> None:
+        source = check_dataset(root)
+        source.columns((STATE, ACTION))
+        for episode in source.episodes:
+            for span in episode.videos.values():
+                for _ in episode_frames(span, episode.length, source.fps):
+                    pass
+        write_pooled_stats(root)
+
+    return FileTarget(root, read)
+
+
+def view(folder: Path) -> FileTarget:
+    """Read a training view and two of its samples."""
+    root = build_view(
+        record_synthetic(folder / "recorded", 1, 3), folder / "data", image_side=8, encoder=BlockMeans()
+    )
+
+    def read() -> None:
+        samples = TrainingView(root, (-1, 0, 1))
+        assert samples[0].keys() == samples[len(samples) - 1].keys()
+
+    return FileTarget(root, read)
+
+
+def tokenizer(folder: Path) -> FileTarget:
+    root = Tokenizer.random(SMALL).save(folder / "data")
+    image = np.zeros((48, 64), np.uint8)
+    image[10:20, 10:20] = 255
+    return FileTarget(root, lambda: Tokenizer.from_pretrained(root).encode(image[None], image[None], "left"))
+
+
+def force_head(folder: Path) -> FileTarget:
+    config = HeadConfig(hidden=4, mlp=8)
+    root = ForceHead(ForceRegressor(config), "tactip", HASH).save(folder / "data")
+    return FileTarget(root, lambda: ForceHead.from_pretrained(path=root))
+
+
+def gauge(folder: Path) -> FileTarget:
+    config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
+    TouchGauge(ForceRegressor(config), "tactip").save(folder / "data")
+    felt = np.zeros((2, len(DESCRIPTOR_NAMES)))
+    return FileTarget(
+        folder / "data", lambda: TouchGauge.from_pretrained("tactip", folder / "data").read(felt)
+    )
+
+
+def adapter(folder: Path) -> FileTarget:
+    root = Calibration(LatentAdapter(6, 4).eval(), HASH, "new", "anchor", 1.0, 0.5).save(folder / "data")
+    return FileTarget(root, lambda: Calibration.load(root, HASH)(torch.zeros(1, 16, 6)))
+
+
+def policy(folder: Path) -> FileTarget:
+    """Read config, weights and processors of a tiny policy, as the scorer does."""
+    stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
+    visual = {
+        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
+        for name in ("front", "wrist", "tactile_left", "tactile_right")
+    }
+    config = PI05UniforceConfig(
+        size="tiny",
+        device="cpu",
+        tiny_width=32,
+        tiny_depth=1,
+        tiny_head_dim=8,
+        tiny_mlp_dim=32,
+        tiny_vision_depth=1,
+        image_resolution=(28, 28),
+        tokenizer_path=str(stored),
+        input_features=visual | {STATE: PolicyFeature(FeatureType.STATE, (5,))},
+        output_features={ACTION: PolicyFeature(FeatureType.ACTION, (5,))},
+    )
+    one = {name: np.full(5, value) for name, value in (("q01", -1.0), ("q99", 1.0), ("mean", 0.0))}
+    stats = {key: one | {"std": np.ones(5), "min": -np.ones(5), "max": np.ones(5)} for key in (STATE, ACTION)}
+    root = folder / "data"
+    parts = (PI05UniforcePolicy(config), *make_pi05_uniforce_pre_post_processors(config, stats))
+    for part in parts:
+        part.save_pretrained(root)
+    return FileTarget(root, lambda: PolicyController(root, {}))
+
+
+def training_state(folder: Path) -> FileTarget:
+    layer = torch.nn.Linear(3, 2)
+    optimizer = torch.optim.AdamW(layer.parameters())
+    layer(torch.ones(1, 3)).sum().backward()
+    optimizer.step()
+    (folder / "data").mkdir()
+    save_state(folder / "data", 7, layer.state_dict(), optimizer.state_dict())
+    return FileTarget(folder / "data", lambda: load_state(folder / "data"))
+
+
+def foreign(folder: Path) -> FileTarget:
+    root = folder / "data"
+    root.mkdir()
+    torch.save({"a": torch.arange(12.0).view(3, 4), "b": torch.zeros(2)}, root / "peer.pth")
+    return FileTarget(root, lambda: read_tensors(root / "peer.pth"))
+
+
+def arrays(folder: Path) -> FileTarget:
+    root = folder / "data"
+    root.mkdir()
+    np.save(root / "one.npy", np.arange(60.0).reshape(3, 4, 5))
+    np.savez(root / "many.npz", a=np.arange(6), b=np.zeros((2, 3)))
+
+    def read() -> None:
+        read_array(root / "one.npy")
+        read_arrays(root / "many.npz", ["a", "b"])
+
+    return FileTarget(root, read)
+
+
+FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {
+    "dataset": dataset,
+    "view": view,
+    "tokenizer": tokenizer,
+    "force_head": force_head,
+    "gauge": gauge,
+    "adapter": adapter,
+    "policy": policy,
+    "training_state": training_state,
+    "foreign": foreign,
+    "arrays": arrays,
+}
+
+
+def is_json(data: bytes) -> bool:
+    """Whether values inside can be injured, and not only bytes."""
+    try:
+        json.loads(data)
+    except ValueError:
+        return False
+    return True

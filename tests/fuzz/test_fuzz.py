@@ -1,0 +1,127 @@
+"""Injured inputs into everything that reads what others send or wrote: no hang, no crash, no untyped error, no flood.
+
+Each group runs in a process of its own, whose address space is limited and whose peak of memory is counted. How many
+inputs: ``UNIFORCE_FUZZ_INPUTS`` for each parser of bytes, ``UNIFORCE_FUZZ_FILES`` for each reader of files; a small
+share in the suite, 100,000 and 2,000 by ``make fuzz``, which keeps the counts (``UNIFORCE_FUZZ_RESULTS``).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from byte_targets import BYTE_TARGETS
+from file_targets import FILE_TARGETS
+
+from uniforce_vtla.errors import SensorError
+from uniforce_vtla.results_file import provenance, write_json
+
+HERE = Path(__file__).parent
+SHARE = {
+    "bytes": int(os.environ.get("UNIFORCE_FUZZ_INPUTS", "1500")),
+    "files": int(os.environ.get("UNIFORCE_FUZZ_FILES", "25")),
+}
+SEED = os.environ.get("UNIFORCE_FUZZ_SEED", "0")
+RESULTS = os.environ.get("UNIFORCE_FUZZ_RESULTS", "")
+TARGETS = {"bytes": tuple(BYTE_TARGETS), "files": tuple(FILE_TARGETS)}
+MOST_MB = {"bytes": 64, "files": 512}  # of resident memory beyond what the sound inputs took
+
+
+@pytest.fixture(scope="module", params=TARGETS)
+def campaign(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Any]:
+    """(group, counts by target) of a process that went through every target of a group."""
+    group, kept = request.param, tmp_path_factory.mktemp("input")
+    command = [sys.executable, str(HERE / "campaign.py"), group, str(SHARE[group]), SEED]
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        "UNIFORCE_FUZZ_KEEP": str(kept),
+    }
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", env=environment)
+    left = [f"{path.name}: {path.read_bytes()[:500]!r}" for path in kept.iterdir()]
+    assert done.returncode == 0, f"{done.returncode}, over {left}:\n{done.stderr[-3000:]}"
+    found = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    keep(group, found)
+    return group, {counts["target"]: counts for counts in found}
+
+
+def keep(group: str, found: list[dict[str, Any]]) -> None:
+    """Put a group's counts beside the other's in the results file, where one is wanted."""
+    if not RESULTS:
+        return
+    path = Path(RESULTS)
+    earlier = json.loads(path.read_text()) if path.exists() else {}
+    content = {
+        "what": "injured inputs: refused with a typed error, or read; a hang or a crash would have ended the run",
+        "seed": int(SEED),
+        "groups": earlier.get("groups", {}) | {group: found},
+    }
+    write_json(path, content | provenance())
+
+
+@pytest.mark.slow  # two processes that import everything, then a second or two per target
+def test_every_target_survives(campaign: tuple[str, Any]) -> None:
+    group, counts = campaign
+    assert counts.keys() == set(TARGETS[group])
+    for name, count in counts.items():
+        assert count["inputs"] == SHARE[group] == count["refused"] + count["accepted"]
+        assert count["grown_MB"] < MOST_MB[group], name
+        assert count["refused"] or not refuses(group, name), name
+        assert count["accepted"] or group == "files", f"{name}: nothing was tested if nothing makes sense"
+
+
+def refuses(group: str, name: str) -> bool:
+    return group == "files" or BYTE_TARGETS[name].refuses
+
+
+@pytest.mark.parametrize("name", BYTE_TARGETS)
+def test_sound_bytes_are_accepted(name: str) -> None:
+    BYTE_TARGETS[name].feed(np.random.default_rng(0), BYTE_TARGETS[name].seed)
+
+
+@pytest.mark.parametrize("name", ["tokenizer", "arrays", "training_state"])
+def test_sound_files_are_accepted(name: str, tmp_path: Path) -> None:
+    FILE_TARGETS[name](tmp_path).read()
+
+
+@pytest.mark.parametrize(
+    ("crime", "says"),
+    [
+        ("raise ValueError('untyped')", "untyped"),
+        ("os.abort()", "-6"),
+        ("exec('while True: pass')", "-27"),  # SIGPROF: too much CPU time for one input
+        ("np.ones(4 << 30, np.uint8)", "Unable to allocate"),
+    ],
+)
+def test_the_campaign_sees_what_it_looks_for(crime: str, says: str) -> None:
+    program = (
+        "import os, numpy as np, campaign\n"
+        "campaign.SLOWEST_S, campaign.WARM_UP = 0.5, 1\n"
+        "campaign.limit_memory()\n"
+        f"def read(i): {crime}\n"
+        "campaign.run('x', 1, read, lambda: None, (KeyError,))\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(HERE)}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=120
+    )
+    assert done.returncode != 0 and says in f"{done.returncode} {done.stderr}"
+
+
+def test_deep_and_endless_json_is_refused() -> None:
+    from lerobot_camera_uniforce.xela_message import read_message
+
+    for text in (
+        "[" * 500_000,
+        '{"a":' * 200_000,
+        "9" * 100_000,
+        json.dumps({"type": "routine", "1": {"data": [[]] * 48}}),
+    ):
+        with pytest.raises(SensorError):
+            read_message(text, "1", "fuzz")

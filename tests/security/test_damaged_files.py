@@ -1,0 +1,160 @@
+"""What fuzzing found, and sizes no machine holds: each was an untyped error, or memory without end."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from uniforce_datasets.pooled_quantiles import write_pooled_stats
+from uniforce_datasets.source import read_source
+from uniforce_datasets.synthetic import record_synthetic
+from uniforce_standins.fci.protocol import HAND_HEADER, HandCommand, Message, ProtocolError
+from uniforce_standins.fci.raw_client import RawHand
+from uniforce_vtla.array_file import read_array
+from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.peers.checkpoint import read_tensors
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
+from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.training_state import is_there, load_state
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    return record_synthetic(tmp_path / "data", 1, 3)
+
+
+def set_in(file: Path, **changes: Any) -> None:
+    file.write_text(json.dumps(json.loads(file.read_text()) | changes))
+
+
+def test_statistics_that_are_no_text(dataset: Path) -> None:
+    (dataset / "meta" / "stats.json").write_bytes(b'{"a": "\x99"}')
+    with pytest.raises(DatasetError, match="JSON"):
+        write_pooled_stats(dataset)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"total_frames": 10**15},
+        {"total_episodes": 10**15},
+        {"total_frames": -1},
+        {"fps": 0},
+        {"fps": float("nan")},
+        {"fps": "30"},
+        {"features": []},
+        {"features": {"observation.state": None}},
+        {"codebase_version": None},
+    ],
+)
+def test_an_info_that_cannot_be(dataset: Path, changes: dict[str, Any]) -> None:
+    set_in(dataset / "meta" / "info.json", **changes)
+    began_s = time.process_time()
+    with pytest.raises(DatasetError):
+        read_source(dataset).columns(("episode_index",))
+    assert time.process_time() - began_s < 5
+
+
+def test_a_foreign_file_of_unknown_endianness(tmp_path: Path) -> None:
+    torch.save({"a": torch.zeros(2)}, tmp_path / "whole.pth")
+    with (
+        zipfile.ZipFile(tmp_path / "whole.pth") as whole,
+        zipfile.ZipFile(tmp_path / "peer.pth", "w") as spoilt,
+    ):
+        for entry in whole.infolist():
+            name = entry.filename
+            spoilt.writestr(name, b"ZZZZZZ" if name.endswith("byteorder") else whole.read(name))
+    with pytest.raises(CheckpointError, match="endianness"):
+        read_tensors(tmp_path / "peer.pth")
+
+
+def test_a_processors_state_that_is_damaged(tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(shipped_checkpoint(), tmp_path / "policy"))
+    state = next(folder.glob("policy_preprocessor_*.safetensors"))
+    state.write_bytes(b"\xff" * 64)
+    with pytest.raises(CheckpointError, match="processors"):
+        PolicyController(folder, {})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"tiny_depth": 10**9},
+        {"tiny_width": 10**9},
+        {"chunk_size": "16"},
+        {"image_resolution": [10**9, 56]},
+        {"type": "pi05"},
+        {"type": ["pi05_uniforce"]},
+        {"touch_slots": 7},
+        {"swap": 5},
+    ],
+)
+def test_a_policy_that_cannot_be(tmp_path: Path, changes: dict[str, Any]) -> None:
+    folder = Path(shutil.copytree(shipped_checkpoint(), tmp_path / "policy"))
+    set_in(folder / "config.json", **changes)
+    with pytest.raises((CheckpointError, ContractError)):
+        PolicyController(folder, {})
+
+
+def test_sizes_beyond_any_machine_cost_nothing(tmp_path: Path) -> None:
+    small = TokenizerConfig(side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
+    tokenizer = Tokenizer.random(small).save(tmp_path / "tokenizer")
+    head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "a").save(tmp_path / "head")
+    adapter = Calibration(LatentAdapter(6, 4), "a", "new", "anchor", 1.0, 0.5).save(tmp_path / "adapter")
+    facts = json.loads((tokenizer / "config.json").read_text())["model"]
+    for changes in ({"width": 8192, "depth": 64}, {"depth": 10**9}, {"side": 2048, "patch": 1}, {"patch": 0}):
+        set_in(tokenizer / "config.json", model=facts | changes)
+        with pytest.raises(CheckpointError):
+            Tokenizer.from_pretrained(tokenizer)
+    for changes in ({"hidden": 4096, "grid": 64}, {"mlp": 10**12}, {"channels": "6"}):
+        set_in(head / "config.json", head=changes)
+        with pytest.raises(CheckpointError):
+            ForceHead.from_pretrained(path=head)
+    for changes in ({"hidden": 16384}, {"latent": 10**12}, {"new": None, "imbalance_after": "x"}):
+        set_in(adapter / "config.json", **{"latent": 6, "hidden": 4} | changes)
+        with pytest.raises(CheckpointError):
+            Calibration.load(adapter, "a")
+
+
+def test_an_array_that_announces_more_than_it_holds(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.zeros((3, 4)))
+    data = (tmp_path / "a.npy").read_bytes()
+    (tmp_path / "a.npy").write_bytes(data.replace(b"(3, 4), ", b"(3, 4000000000), ", 1))
+    with pytest.raises(DatasetError, match="whole"):
+        read_array(tmp_path / "a.npy")
+
+
+def test_a_pickled_training_state_is_named_and_not_read(tmp_path: Path) -> None:
+    assert not is_there(tmp_path)
+    (tmp_path / "state.pt").write_bytes(b"")
+    with pytest.raises(CheckpointError, match=r"state\.pt"):
+        is_there(tmp_path)
+    (tmp_path / "state.safetensors").write_bytes(b"\x08" + bytes(20))
+    with pytest.raises(CheckpointError, match="whole training state"):
+        load_state(tmp_path)
+
+
+class Answering:
+    """A socket whose other side answers a request too shortly."""
+
+    def sendall(self, _: bytes) -> None:
+        return
+
+    def recv(self, _: int) -> bytes:
+        return HAND_HEADER.encode(Message(HandCommand.HOMING, 1, b"\0"))
+
+
+def test_an_answer_of_the_hand_that_is_too_short() -> None:
+    hand = RawHand.on(Answering(), Answering(), HAND_HEADER)  # type: ignore[arg-type]
+    with pytest.raises(ProtocolError, match="2 bytes"):
+        hand.status_of(HandCommand.HOMING)

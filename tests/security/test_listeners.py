@@ -1,0 +1,78 @@
+"""What listens, listens on loopback unless it is told otherwise."""
+
+from __future__ import annotations
+
+import ast
+import ipaddress
+import socket
+from pathlib import Path
+
+import psutil
+import pytest
+
+from uniforce_standins.fci.__main__ import parse
+from uniforce_standins.fci.process import StandIn as FciStandIn
+from uniforce_standins.fci.protocol import ARM_HEADER
+from uniforce_standins.fci.raw_client import RawClient
+from uniforce_standins.process import StandIn
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("uniforce_vtla", "policies", "envs", "datasets", "robots", "devices", "standins", "scripts")
+EVERYWHERE = ("0.0.0.0", "''", '""', "'::'", "INADDR_ANY")
+LISTENING = ("bind", "create_server", "HTTPServer", "ThreadingHTTPServer", "start_server", "serve")
+
+
+def listeners(source: str) -> list[str]:
+    """Return every call that makes something listen."""
+    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+    return [ast.unparse(call) for call in calls if ast.unparse(call.func).split(".")[-1] in LISTENING]
+
+
+def test_no_listener_in_the_source_is_open_to_everybody() -> None:
+    found = [
+        call
+        for folder in FOLDERS
+        for file in (ROOT / folder).rglob("*.py")
+        for call in listeners(file.read_text())
+    ]
+    assert len(found) >= 5  # the stand-ins'
+    assert not [call for call in found if any(word in call for word in EVERYWHERE)]
+    assert listeners("sock.bind(('', 0))") == ["sock.bind(('', 0))"]  # the search finds what it looks for
+
+
+def addresses(pid: int) -> list[str]:
+    """Return the addresses a process listens on, TCP, and is bound to, UDP."""
+    connections = psutil.Process(pid).net_connections("inet")
+    open_ones = [c for c in connections if c.status == psutil.CONN_LISTEN or c.type == socket.SOCK_DGRAM]
+    return [connection.laddr.ip for connection in open_ones]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mjpeg", "xela"])
+def test_tactile_stand_ins_listen_on_loopback(name: str) -> None:
+    with StandIn(name, "rest_s=0.2", "press_s=0", "rate_hz=5") as stand_in:
+        found = addresses(stand_in._process.pid)
+    assert found and all(ipaddress.ip_address(address).is_loopback for address in found)
+
+
+@pytest.mark.slow
+def test_the_arms_stand_in_listens_where_it_is_told() -> None:
+    with FciStandIn("127.0.0.77") as stand_in:
+        found = addresses(stand_in.process.pid)
+    assert len(found) >= 5 and set(found) == {"127.0.0.77"}
+
+
+def test_the_arms_stand_in_goes_nowhere_else_unasked(capsys: pytest.CaptureFixture[str]) -> None:
+    for address in ("0.0.0.0", "192.168.0.5"):
+        with pytest.raises(SystemExit):
+            parse([address])
+        assert "not a loopback address" in capsys.readouterr().err
+    assert parse(["192.168.0.5", "--anywhere"]).address == "192.168.0.5"
+
+
+def test_the_raw_client_takes_states_on_the_connections_address_alone() -> None:
+    with (
+        socket.create_server(("127.0.0.78", 0)) as server,
+        RawClient("127.0.0.78", server.getsockname()[1], ARM_HEADER) as client,
+    ):
+        assert ipaddress.ip_address(client.udp.getsockname()[0]).is_loopback

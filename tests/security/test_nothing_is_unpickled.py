@@ -1,0 +1,190 @@
+"""Only safetensors, JSON, parquet and plain arrays are read: the source says so, and poisoned files prove it."""
+
+from __future__ import annotations
+
+import ast
+import json
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from uniforce_datasets.readers import read_genforce  # noqa: F401  (importing the readers runs none of them)
+from uniforce_vtla.array_file import read_array, read_arrays
+from uniforce_vtla.errors import CheckpointError, DatasetError
+from uniforce_vtla.peers.checkpoint import read_tensors
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("uniforce_vtla", "policies", "envs", "datasets", "robots", "devices", "standins", "scripts")
+UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+NEVER = {
+    "eval",
+    "exec",
+    "compile",
+    "os.system",
+    "yaml.load",
+    "yaml.unsafe_load",
+    "yaml.full_load",
+    "pd.read_pickle",
+    "pandas.read_pickle",
+    "torch.package.PackageImporter",
+    "torch.jit.load",
+}
+# Foreign encoders exist as torch.save files only: tensors and plain containers alone are let through (weights_only).
+FOREIGN = "uniforce_vtla/peers/checkpoint.py"
+
+
+def breaches(source: str, name: str) -> Iterator[str]:
+    """Yield what in a module could run code that a file brings along."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (f"import {a.name}" for a in node.names if a.name.split(".")[0] in UNPICKLERS)
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in UNPICKLERS:
+            only_the_error = [a.name for a in node.names] == ["UnpicklingError"]
+            if not (only_the_error and name == FOREIGN):
+                yield f"from {node.module} import"
+        elif isinstance(node, ast.Call):
+            yield from call_breaches(node, name)
+
+
+def call_breaches(call: ast.Call, name: str) -> Iterator[str]:
+    called = ast.unparse(call.func)
+    given = {word.arg: ast.unparse(word.value) for word in call.keywords if word.arg}
+    if called in NEVER:
+        yield called
+    if called == "torch.load" and not (given.get("weights_only") == "True" and name == FOREIGN):
+        yield "torch.load"
+    if given.get("allow_pickle", "False") != "False" or given.get("trust_remote_code", "False") != "False":
+        yield f"{called} that trusts the file"
+    if given.get("shell", "False") != "False":
+        yield f"{called} through a shell"
+    if called in ("np.load", "numpy.load") and len(call.args) > 2:
+        yield "np.load with unnamed options"
+
+
+def modules() -> list[Path]:
+    return [file for folder in FOLDERS for file in (ROOT / folder).rglob("*.py")]
+
+
+def test_no_module_can_run_what_a_file_brings_along() -> None:
+    assert len(modules()) > 300
+    found = {
+        str(file.relative_to(ROOT)): list(breaches(file.read_text(), str(file.relative_to(ROOT))))
+        for file in modules()
+    }
+    assert not {name: what for name, what in found.items() if what}
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import pickle",
+        "from pickle import loads",
+        "from pickle import UnpicklingError",
+        "import joblib.memory",
+        "np.load(p, allow_pickle=True)",
+        "np.load(p, allow_pickle=yes)",
+        "np.load(p, None, True)",
+        "torch.load(p)",
+        "torch.load(p, weights_only=True)",
+        "yaml.load(s, Loader)",
+        "eval(text)",
+        "subprocess.run(c, shell=True)",
+        "AutoModel.from_pretrained(p, trust_remote_code=True)",
+    ],
+)
+def test_each_breach_would_be_seen(source: str) -> None:
+    assert list(breaches(source, "uniforce_vtla/somewhere.py"))
+
+
+class Bomb:
+    """Leaves a mark where it is unpickled."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple:
+        return (Path.touch, (self.mark,))
+
+
+@pytest.fixture
+def mark(tmp_path: Path) -> Path:
+    return tmp_path / "went_off"
+
+
+def test_the_bomb_works(mark: Path) -> None:
+    pickle.loads(pickle.dumps(Bomb(mark)))
+    assert mark.exists()
+
+
+def test_poisoned_arrays_are_refused(tmp_path: Path, mark: Path) -> None:
+    bomb = np.array([Bomb(mark)], dtype=object)
+    np.save(tmp_path / "a.npy", bomb)
+    np.savez(tmp_path / "a.npz", a=bomb)
+    (tmp_path / "b.npy").write_bytes(pickle.dumps(Bomb(mark)))
+    for read in (
+        lambda: read_array(tmp_path / "a.npy"),
+        lambda: read_arrays(tmp_path / "a.npz", ["a"]),
+        lambda: read_array(tmp_path / "b.npy"),
+    ):
+        with pytest.raises(DatasetError):
+            read()
+    assert not mark.exists()
+
+
+def test_a_poisoned_foreign_checkpoint_is_refused(tmp_path: Path, mark: Path) -> None:
+    torch.save({"weights": torch.zeros(2), "extra": Bomb(mark)}, tmp_path / "peer.pth")
+    with pytest.raises(CheckpointError, match="tensors only"):
+        read_tensors(tmp_path / "peer.pth")
+    assert not mark.exists()
+
+
+def copy_of_shipped(folder: Path) -> Path:
+    """Link the shipped policy's files into a folder, so that one of them may be replaced."""
+    folder.mkdir()
+    for file in shipped_checkpoint().iterdir():
+        (folder / file.name).symlink_to(file)
+    return folder
+
+
+def replace_steps(folder: Path, change) -> None:
+    file = folder / "policy_preprocessor.json"
+    content = json.loads(file.read_text())
+    change(content["steps"])
+    file.unlink()
+    file.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda steps: steps.insert(0, {"class": "os.mkdir", "config": {"path": "MARK"}}), "registry_name"),
+        (lambda steps: steps[0].update({"class": "os.mkdir", "config": {"path": "MARK"}}), "registry_name"),
+        (lambda steps: steps[3].update(state_file="../elsewhere.safetensors"), "a file beside it"),
+        (lambda steps: steps[3].update(state_file="/etc/passwd"), "a file beside it"),
+        (lambda steps: steps.clear(), "steps"),
+        (lambda steps: steps[0].update(registry_name="no_such_step"), "no_such_step"),
+    ],
+)
+def test_a_checkpoint_runs_no_class_of_its_choice(tmp_path: Path, mark: Path, change, says: str) -> None:
+    folder = copy_of_shipped(tmp_path / "policy")
+    replace_steps(folder, change)
+    file = folder / "policy_preprocessor.json"
+    file.write_text(file.read_text().replace("MARK", str(mark)))
+    with pytest.raises(CheckpointError, match=says):
+        PolicyController(folder, {})
+    assert not mark.exists()
+
+
+def test_a_checkpoint_follows_no_path_to_another_tokenizer(tmp_path: Path) -> None:
+    folder = copy_of_shipped(tmp_path / "policy")
+    config = json.loads((folder / "config.json").read_text())
+    (folder / "config.json").unlink()
+    config |= {"tokenizer_config": None, "tokenizer_path": "../../elsewhere"}
+    (folder / "config.json").write_text(json.dumps(config))
+    with pytest.raises(CheckpointError, match="never followed"):
+        PolicyController(folder, {})

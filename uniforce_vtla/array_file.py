@@ -1,0 +1,61 @@
+"""Reading numpy's own files: numbers only, never pickled objects, and never more than the file holds."""
+
+from __future__ import annotations
+
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from uniforce_vtla.errors import DatasetError, expected
+
+DAMAGE = (
+    *(ValueError, TypeError, KeyError, EOFError, OSError, OverflowError, MemoryError, RecursionError),
+    *(SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error, NotImplementedError),
+)  # what numpy and zipfile raise over damaged files
+
+
+def read_array(path: Path, mapped: bool = False) -> np.ndarray:
+    """Return the array in a .npy file.
+
+    It is mapped first, so that a header that announces more than the file holds costs nothing.
+
+    Args:
+        path: of the file.
+        mapped: leave it on disk, read only.
+
+    Raises:
+        DatasetError: truncated, pickled, empty, or no single array.
+    """
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        if isinstance(array, np.ndarray):
+            return array if mapped else np.array(array)
+    except DAMAGE as error:
+        raise DatasetError(_broken(path, "a whole .npy array", error)) from error
+    array.close()
+    raise DatasetError(_broken(path, "one array, saved with numpy.save", "an archive"))
+
+
+def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Return arrays of a .npz file by name.
+
+    Raises:
+        DatasetError: truncated, pickled, compressed (ours never are), or one is missing.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            packed = [entry for entry in archive.infolist() if entry.compress_type != zipfile.ZIP_STORED]
+        if packed:
+            raise DatasetError(_broken(path, "arrays as numpy.savez stores them", "compressed ones"))
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in names}
+    except DAMAGE as error:
+        raise DatasetError(_broken(path, f"arrays {', '.join(names)}", error)) from error
+
+
+def _broken(path: Path, wanted: str, came: object) -> str:
+    return expected(str(path), wanted, came, "Restore it from a copy.")

@@ -1,0 +1,98 @@
+"""Gather one recorded episode's story: pictures at telling moments, felt forces, latents, verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from uniforce_datasets.source import Episode, Source, episode_frames
+from uniforce_vtla.commands.felt_recording import FeltEpisode, FeltRecording, latent_change, marker_images
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.evaluation.episode_story import EpisodeStory, Moment
+from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
+from uniforce_vtla.evaluation.telling_moments import telling_moments
+from uniforce_vtla.keys import TACTILE_KEYS
+from uniforce_vtla.markers.overlay import overlay
+from uniforce_vtla.tokenizer import Tokenizer
+
+FILM = 12  # pictures in a film strip: square ones fill a line of it
+UNKNOWN_FRICTION = (np.inf, np.inf)  # no pad ever reaches its limit: slippage isn't judged
+IMAGES = "observation.images."
+
+
+def cameras(source: Source) -> dict[str, str]:
+    """Return key by name of every recorded video that is no marker image: scene cameras, raw tactile frames."""
+    videos = [key for key, feature in source.features.items() if feature["dtype"] == "video"]
+    return {key.removeprefix(IMAGES): key for key in videos if key not in TACTILE_KEYS}
+
+
+def tell(
+    recording: FeltRecording,
+    tokenizer: Tokenizer,
+    episode: Episode,
+    friction: tuple[float, float] | None,
+    title: str,
+) -> EpisodeStory:
+    """Return the story of an episode.
+
+    Raises:
+        DatasetError: a video that is missing or truncated.
+    """
+    felt = recording.feel(episode)
+    found, truth, note = _judged(felt, friction or UNKNOWN_FRICTION)
+    named = telling_moments(felt.force_N, felt.tool_z_m)
+    film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
+    seen = {
+        name: dict(_pictures(recording.source, episode, key, {*film, *named.values()}))
+        for name, key in cameras(recording.source).items()
+    }
+    touched = {finger: _overlays(recording.source, episode, finger, named) for finger in FINGERS}
+    moments = tuple(
+        Moment(
+            name,
+            frame,
+            {camera: pictures[frame] for camera, pictures in seen.items()},
+            {finger: pictures[frame] for finger, pictures in touched.items()},
+        )
+        for name, frame in named.items()
+    )
+    return EpisodeStory(
+        title=title,
+        time_s=felt.time_s,
+        films={camera: [pictures[frame] for frame in film] for camera, pictures in seen.items()},
+        force_N=felt.force_N,
+        true_force_N=felt.true_force_N,
+        change={f: latent_change(tokenizer, recording.source, episode, f) for f in FINGERS},
+        moments=moments,
+        found=found,
+        truth=truth,
+        judges_slip=friction is not None,
+        note=note,
+    )
+
+
+def _judged(
+    felt: FeltEpisode, friction: tuple[float, float]
+) -> tuple[FingerEstimate | None, FingerEstimate | None, str]:
+    try:
+        return *felt.judge(friction), ""
+    except DatasetError as error:  # an episode nobody can judge can still be looked at; the sheet says why
+        return None, None, str(error)
+
+
+def _pictures(
+    source: Source, episode: Episode, key: str, wanted: set[int]
+) -> Iterator[tuple[int, np.ndarray]]:
+    for number, frame in enumerate(episode_frames(episode.videos[key], episode.length, source.fps)):
+        if number in wanted:
+            yield number, frame
+
+
+def _overlays(
+    source: Source, episode: Episode, finger: Finger, named: dict[str, int]
+) -> dict[int, np.ndarray]:
+    reference, current = marker_images(source, episode, finger)
+    wanted = set(named.values())
+    return {n: overlay(reference, image) for n, image in enumerate(current()) if n in wanted}

@@ -1,0 +1,35 @@
+"""The rerun viewer, for those who have it: it isn't among the project's dependencies."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from types import ModuleType
+
+from uniforce_vtla.errors import ContractError, expected
+
+LOOPBACK = "127.0.0.1"
+
+
+def import_rerun(wanted_by: str, instead: str) -> ModuleType:
+    """Return the package ``rerun``.
+
+    Raises:
+        ContractError: it isn't installed; names the setting that wanted it and what to choose instead.
+    """
+    try:
+        return importlib.import_module("rerun")
+    except ImportError as error:
+        do = f"Run `pip install rerun-sdk`, or use {instead}."
+        raise ContractError(expected(wanted_by, "the package rerun-sdk", "none", do)) from error
+
+
+def open_viewer(*arguments: str) -> subprocess.Popen:
+    """Start rerun's viewer as a process of its own, which outlives this one, and return it.
+
+    It listens on loopback: rerun's own ``spawn`` listens on every interface of the machine.
+    """
+    return subprocess.Popen(
+        [sys.executable, "-m", "rerun", "--bind", LOOPBACK, *arguments], start_new_session=True
+    )
