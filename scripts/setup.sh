@@ -27,5 +27,5 @@ echo "set-up: uv $("$uv" --version | cut -d' ' -f2), python $(find_python)"
 "$uv" pip sync --quiet --python .venv/bin/python requirements.lock
 "$uv" pip install --quiet --python .venv/bin/python --no-deps --editable .
 "$uv" pip install --quiet --python .venv/bin/python --no-deps --only-binary :all: -r requirements-clients.lock ||
-  echo "set-up: no wheels of the Franka clients for this machine; their tests will be skipped, saying so"
+  echo "set-up: no wheels of the Franka clients or of rerun for this machine; their tests will be skipped, saying so"
 .venv/bin/python -c 'import cv2, mujoco, torch, lerobot; print("set-up: torch", torch.__version__, "mujoco", mujoco.__version__, "cv2", cv2.__version__)'

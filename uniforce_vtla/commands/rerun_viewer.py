@@ -1,4 +1,4 @@
-"""The rerun viewer, for those who have it: it isn't among the project's dependencies."""
+"""The rerun viewer, for those who have the extra `rerun`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def import_rerun(wanted_by: str, instead: str) -> ModuleType:
     try:
         return importlib.import_module("rerun")
     except ImportError as error:
-        do = f"Run `pip install rerun-sdk`, or use {instead}."
+        do = f"Run `pip install '.[rerun]'`, or use {instead}."
         raise ContractError(expected(wanted_by, "the package rerun-sdk", "none", do)) from error
 
 
