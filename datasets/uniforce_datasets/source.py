@@ -18,6 +18,7 @@ from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
 
+BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)  # ValueError: metadata that is no text
 MAX_PIXELS = 4096 * 2304  # of a frame; a damaged header may announce gigabytes
 LONGEST_VIDEO_S = 1e6  # eleven days; a start beyond is no number anybody wrote on purpose
 
@@ -210,7 +211,7 @@ def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> It
                     yield frame.to_ndarray(format="rgb24")
                 if not missing:
                     return
-    except (av.error.FFmpegError, OSError, IndexError) as error:
+    except BROKEN_VIDEO as error:
         raise DatasetError(
             expected(str(span.file), "a whole video", error, "Restore it from a copy or delete the episode.")
         ) from error
@@ -225,7 +226,7 @@ def stored_frames(file: Path) -> int:
     try:
         with av.open(str(file)) as video:
             frames = video.streams.video[0].frames
-    except (av.error.FFmpegError, OSError, IndexError) as error:
+    except BROKEN_VIDEO as error:
         raise DatasetError(
             expected(str(file), "a whole video", error, "Restore it from a copy or delete the episode.")
         ) from error

@@ -1,12 +1,13 @@
 """``python campaign.py GROUP INPUTS SEED [NAME …]``: injure inputs in a process that may die, hang or be out of memory.
 
 Prints a line of JSON per target when it is done with it. What nobody thought of ends the process with a traceback and
-leaves the input in ``$UNIFORCE_FUZZ_KEEP``, if that is set.
+leaves the input in the file ``$UNIFORCE_FUZZ_KEEP``, if that is set.
 """
 
 from __future__ import annotations
 
 import json
+import mmap
 import os
 import resource
 import signal
@@ -20,6 +21,8 @@ import numpy as np
 from mutations import mutate, mutate_json
 
 SLOWEST_S = 20.0  # CPU time of one input; the kernel ends the process
+KEPT_BYTES = 1 << 16  # the beginning of a larger input is enough to know it again
+IN_MEMORY = Path("/dev/shm")  # thousands of small files, written twice each
 WARM_UP = 20  # readings of what is right, before memory is counted
 ROOM_BYTES = 3 << 30  # address space beyond what the imports took; more ends in an error nobody expects
 
@@ -71,14 +74,15 @@ def byte_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
     from byte_targets import BYTE_TARGETS
 
     limit_memory()
+    held = Kept()
     for name in names or BYTE_TARGETS:
         target, rng = BYTE_TARGETS[name], np.random.default_rng(seed)
 
-        def read(i: int, target=target, rng=rng) -> None:
+        def read(i: int, target=target, rng=rng, name=name) -> None:
             noise = i % 10 == 9
             data = rng.bytes(int(rng.integers(0, 2000))) if noise else mutate(rng, target.seed)
-            with kept(data):
-                target.feed(rng, data)
+            held.hold(name, data)
+            target.feed(rng, data)
 
         calm = np.random.default_rng(0)
         yield run(
@@ -92,8 +96,9 @@ def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
     from file_targets import FILE_TARGETS, is_json
 
     torch.set_num_threads(1)
+    held = Kept()
     for name in names or FILE_TARGETS:
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory(dir=IN_MEMORY if IN_MEMORY.is_dir() else None) as folder:
             target, rng = FILE_TARGETS[name](Path(folder)), np.random.default_rng(seed)
             whole = {file: file.read_bytes() for file in target.files}
             textual = {file for file, data in whole.items() if is_json(data)}
@@ -102,10 +107,10 @@ def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
                 file = list(whole)[int(rng.integers(len(whole)))]
                 injure = mutate_json if file in textual and rng.random() < 0.7 else mutate
                 data = injure(rng, whole[file]) if injure is mutate_json else mutate(rng, whole[file], True)
+                held.hold(file.name, data)
                 file.write_bytes(data)
                 try:
-                    with kept(data, file.name):
-                        target.read()
+                    target.read()
                 finally:
                     for path, content in whole.items():
                         if path == file or path.name == "stats.json":  # written by one of the readers
@@ -115,21 +120,20 @@ def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
             yield run(name, inputs, read, target.read, target.typed)
 
 
-class kept:  # noqa: N801 (reads as a word)
-    """Keeps the input on disk while it is read: a process that dies can't tell what killed it."""
+class Kept:
+    """The input being read, in a mapped file: a process that dies can't tell what killed it. No call per input."""
 
-    def __init__(self, data: bytes, name: str = "input") -> None:
-        keep = os.environ.get("UNIFORCE_FUZZ_KEEP")
-        self._path = Path(keep) / name if keep else None
-        self._data = data
+    def __init__(self) -> None:
+        path = os.environ.get("UNIFORCE_FUZZ_KEEP")
+        if path:
+            Path(path).write_bytes(bytes(KEPT_BYTES))
+        self._map = mmap.mmap(os.open(path, os.O_RDWR), KEPT_BYTES) if path else None
 
-    def __enter__(self) -> None:
-        if self._path:
-            self._path.write_bytes(self._data)
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._path and kind is None:
-            self._path.unlink()
+    def hold(self, name: str, data: bytes) -> None:
+        """Note what is about to be read."""
+        if self._map is not None:
+            note = f"{name}, {len(data)} bytes: ".encode() + data[: KEPT_BYTES - 200]
+            self._map[: len(note) + 1] = note + b"\0"
 
 
 def limit_memory() -> None:

@@ -171,17 +171,17 @@ def arrays(folder: Path) -> FileTarget:
     return FileTarget(root, read)
 
 
-FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {
-    "dataset": dataset,
-    "view": view,
-    "tokenizer": tokenizer,
-    "force_head": force_head,
-    "gauge": gauge,
-    "adapter": adapter,
-    "policy": policy,
-    "training_state": training_state,
-    "foreign": foreign,
+FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones first
     "arrays": arrays,
+    "foreign": foreign,
+    "training_state": training_state,
+    "adapter": adapter,
+    "gauge": gauge,
+    "force_head": force_head,
+    "tokenizer": tokenizer,
+    "view": view,
+    "dataset": dataset,
+    "policy": policy,
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import json
 from typing import Any
@@ -84,10 +85,15 @@ def mutate_json(rng: np.random.Generator, data: bytes) -> bytes:
         if choice < 0.2:
             del node[key]
         elif choice < 0.3 and isinstance(node, dict):
-            node[str(STRANGE[int(rng.integers(len(STRANGE)))])] = node.pop(key)
+            node[str(_strange(rng))] = node.pop(key)
         else:
-            node[key] = STRANGE[int(rng.integers(len(STRANGE)))]
+            node[key] = _strange(rng)
     return json.dumps(content).encode()
+
+
+def _strange(rng: np.random.Generator) -> Any:
+    """Return a value of its own: the next injury may change it."""
+    return copy.deepcopy(STRANGE[int(rng.integers(len(STRANGE)))])
 
 
 def _nodes(content: Any) -> list[Any]:

@@ -36,23 +36,33 @@ MOST_MB = {"bytes": 64, "files": 512}  # of resident memory beyond what the soun
 @pytest.fixture(scope="module", params=TARGETS)
 def campaign(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Any]:
     """(group, counts by target) of a process that went through every target of a group."""
-    group, kept = request.param, tmp_path_factory.mktemp("input")
+    group, folder = request.param, tmp_path_factory.mktemp("input")
+    last, said = folder / "last", folder / "stderr"
     command = [sys.executable, str(HERE / "campaign.py"), group, str(SHARE[group]), SEED]
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
-        "UNIFORCE_FUZZ_KEEP": str(kept),
+        "UNIFORCE_FUZZ_KEEP": str(last),
     }
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", env=environment)
-    left = [f"{path.name}: {path.read_bytes()[:500]!r}" for path in kept.iterdir()]
-    assert done.returncode == 0, f"{done.returncode}, over {left}:\n{done.stderr[-3000:]}"
-    found = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    keep(group, found)
+    found = []
+    with (
+        said.open("w") as stderr,
+        subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment
+        ) as process,
+    ):
+        assert process.stdout is not None
+        for line in process.stdout:
+            found.append(json.loads(line))
+            keep(group, found)
+    over = last.read_bytes()[:500] if last.exists() else b""
+    tail = said.read_text(errors="replace")[-3000:]
+    assert process.returncode == 0, f"{process.returncode}, over {over!r}:\n{tail}"
     return group, {counts["target"]: counts for counts in found}
 
 
 def keep(group: str, found: list[dict[str, Any]]) -> None:
-    """Put a group's counts beside the other's in the results file, where one is wanted."""
+    """Put what a group has counted so far beside the other group, in the results file, where one is wanted."""
     if not RESULTS:
         return
     path = Path(RESULTS)

@@ -15,7 +15,7 @@ import torch
 
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
-from uniforce_datasets.source import read_source
+from uniforce_datasets.source import read_source, stored_frames
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_standins.fci.protocol import HAND_HEADER, HandCommand, Message, ProtocolError
 from uniforce_standins.fci.raw_client import RawHand
@@ -41,6 +41,15 @@ def test_statistics_that_are_no_text(dataset: Path) -> None:
     (dataset / "meta" / "stats.json").write_bytes(b'{"a": "\x99"}')
     with pytest.raises(DatasetError, match="JSON"):
         write_pooled_stats(dataset)
+
+
+def test_a_video_whose_metadata_is_no_text(dataset: Path) -> None:
+    video = next((dataset / "videos").rglob("*.mp4"))
+    data = video.read_bytes()
+    assert b"Lavf" in data  # the encoder's name
+    video.write_bytes(data.replace(b"Lavf", b"L\x83vf"))
+    with pytest.raises(DatasetError, match="whole video"):
+        stored_frames(video)
 
 
 @pytest.mark.parametrize(
