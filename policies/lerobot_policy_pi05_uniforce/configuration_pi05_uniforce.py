@@ -66,6 +66,8 @@ class PI05UniforceConfig(PI05Config):
     right_sensor: str = ""  # kind mounted on the right finger
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
+    # repo_id, episodes, frames, fps of the training data: provenance, for the model card
+    trained_on: dict[str, str] = field(default_factory=dict)
     latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     token_site: str = "prefix"

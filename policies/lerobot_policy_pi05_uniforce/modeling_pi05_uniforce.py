@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from huggingface_hub import ModelCard
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
@@ -16,7 +17,8 @@ from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, t
 from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.dataset_facts import read_touch_rms, read_view
+from lerobot_policy_pi05_uniforce.dataset_facts import read_provenance, read_touch_rms, read_view
+from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
@@ -70,6 +72,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
         read_view(meta, self.config)
+        if meta is not None:
+            read_provenance(meta, self.config)
         if not stats:
             return
         stats.update(floor_quantiles(stats) or {})
@@ -102,6 +106,15 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if policy.model.tactile_encoder is not None:
             check_hash(policy.model.tactile_encoder, config)
         return policy.to(config.device).eval()
+
+    def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
+        """Write config, weights (the frozen tactile tokenizer among them) and a model card."""
+        super()._save_pretrained(save_directory, state_dict)
+        model_card(self.config).save(save_directory / CARD)
+
+    def generate_model_card(self, *args: Any, cfg: Any = None, **kwargs: Any) -> ModelCard:
+        """Return our card where LeRobot's trainer would push its own; arguments as LeRobot's, ``cfg`` is read."""
+        return model_card(self.config, training=None if cfg is None else cfg.to_dict())
 
     @property
     def _action_size(self) -> int:
