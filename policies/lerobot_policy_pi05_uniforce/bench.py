@@ -22,7 +22,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import FlopCounterMode
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.fast_sampler import drop_dead
+from lerobot_policy_pi05_uniforce.fast_prefix import drop_dead
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
@@ -182,11 +182,11 @@ def _parts(
     fast = network.fast
     assert fast is not None, "the bench builds its networks with sampler=fast"
     kept = drop_dead(*given)
-    prefix = fast.encode_prefix(*kept, noise.shape[1])
-    table = fast.tables(steps)[0]
+    prefix = fast.encoder.encode(*kept, noise.shape[1])
+    table = fast.prepared.tables(steps)[0]
     parts = {
         "cameras": lambda: network.paligemma_with_expert.embed_image(torch.cat(kept[0])),
-        "prefix": lambda: fast.encode_prefix(*kept, noise.shape[1]),
+        "prefix": lambda: fast.encoder.encode(*kept, noise.shape[1]),
         "step": lambda: fast.velocity(prefix, noise, table),
     }
     return {name: statistics.median(_ms(part, device) for _ in range(rounds)) for name, part in parts.items()}

@@ -1,0 +1,132 @@
+"""Once per observation: cameras, text and extra tokens through the VLM, kept as keys and values of every layer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
+
+from lerobot_policy_pi05_uniforce.fast_math import Rotary, attend, mlp, project, rms, rotary_of, rotated
+from lerobot_policy_pi05_uniforce.force_tokens import SuffixTouch
+from lerobot_policy_pi05_uniforce.step_tables import Prepared
+from uniforce_vtla.errors import ContractError, expected
+
+Cache = list[Tensor]  # per layer (B, 2, L_prefix + L_suffix, head): key and value
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """Cameras, text and extra tokens after the VLM: cache with room for the suffix, and how it may be looked at.
+
+    Attributes:
+        cache: keys and values, the suffix's places still empty.
+        pads: (B, L_prefix) bool, which kept tokens are real.
+        touch: force tokens in front of the actions, or None.
+        mask: (B, 1, 1 or L_suffix, L_prefix + L_suffix) bool, or None where everyone may look at everything.
+        rotary: of the suffix's positions, for queries, key and value; the value's turns nothing.
+    """
+
+    cache: Cache
+    pads: Tensor
+    touch: SuffixTouch | None
+    mask: Tensor | None
+    rotary: Rotary
+
+    @property
+    def length(self) -> int:
+        """L_prefix, tokens kept."""
+        return self.pads.shape[1]
+
+
+class PrefixEncoder:
+    """Makes and refreshes prefixes for one network."""
+
+    def __init__(self, network: stock.PI05Pytorch, prepared: Prepared) -> None:
+        self._network = network
+        self._prepared = prepared
+
+    def encode(self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, chunk: int) -> Prefix:
+        """Run cameras, text and extra tokens through the VLM once and keep keys and values of every layer."""
+        eps, gains = self._prepared.eps, self._prepared.gains
+        joint = self._network.paligemma_with_expert
+        vlm = joint.paligemma.model.language_model
+        x, pads = self._embed(images, img_masks, tokens, masks)
+        x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)
+        mask = None if bool(pads.all()) else pads[:, None, None, :]  # what a padded token sees, nobody reads
+        touch = self._network.suffix_touch(*_extra(images, img_masks))
+        room = chunk + (0 if touch is None else touch.mask.shape[1])
+        rotary = rotary_of(vlm, x, pads.cumsum(dim=1) - 1)
+        cache: Cache = []
+        for depth, layer in enumerate(vlm.layers):
+            rows = project(layer, rms(x, eps).mul_(gains[depth][0]))
+            turned = rotated(rows, rotary)
+            cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
+            if depth == len(vlm.layers) - 1:
+                break  # nobody reads what the last layer makes of the prefix
+            mixed = attend(turned[:, :-2], turned[:, -2:], mask, layer)
+            x = layer.self_attn.o_proj(mixed).add_(x)  # in place: fresh memory costs more than the sum
+            x = mlp(layer.mlp, rms(x, eps).mul_(gains[depth][1]).to(x.dtype)).add_(x)
+        return self._looked_at(cache, pads, touch, chunk)
+
+    def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
+        """Return the same cameras and text with what is felt now: nothing of the VLM runs again.
+
+        Raises:
+            ContractError: a network whose touch is not in the suffix.
+        """
+        if prefix.touch is None or prefix.touch.tokens.shape != touch.tokens.shape:
+            came = None if prefix.touch is None else tuple(prefix.touch.tokens.shape)
+            do = "Refreshing needs token_site=suffix and the slots the prefix was made with."
+            raise ContractError(expected("touch of the prefix", tuple(touch.tokens.shape), came, do))
+        return self._looked_at(prefix.cache, prefix.pads, touch, chunk)
+
+    def _looked_at(self, cache: Cache, pads: Tensor, touch: SuffixTouch | None, chunk: int) -> Prefix:
+        expert = self._network.paligemma_with_expert.gemma_expert.model
+        behind = pads.new_ones(len(pads), chunk)
+        if touch is not None:
+            behind = torch.cat([touch.mask, behind], dim=1)  # (B, L_suffix)
+        after = pads.sum(dim=1, keepdim=True) + behind.cumsum(dim=1) - 1
+        columns = torch.cat([pads, behind], dim=1)[:, None, None, :]  # (B, 1, 1, L_prefix + L_suffix)
+        mask = None if bool(columns.all()) and touch is None else columns
+        if touch is not None:  # touch looks at the prefix and itself, actions at everything
+            rows = torch.ones(behind.shape[1], columns.shape[-1], dtype=torch.bool, device=pads.device)
+            rows[: touch.mask.shape[1], -chunk:] = False
+            mask = columns & rows
+        return Prefix(cache, pads, touch, mask, rotary_of(expert, cache[0], after))
+
+    def _embed(self, images: list, img_masks: list, tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (B, L, D) tokens in LeRobot's order and (B, L) whether each is real; cameras go in one batch."""
+        model = self._network.paligemma_with_expert
+        cameras = [image for image in images if image.ndim == 4]
+        parts: list[Tensor] = []
+        if cameras:
+            parts += model.embed_image(torch.cat(cameras)).chunk(len(cameras))
+        pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, img_masks, strict=False)]
+        parts.append(model.embed_language_tokens(tokens))
+        pads.append(masks.bool())
+        for part, mask in self._network.prefix_extra(*_extra(images, img_masks)):
+            parts.append(part.to(parts[0].dtype))
+            pads.append(mask[:, None].expand(-1, part.shape[1]))
+        return torch.cat(parts, dim=1), torch.cat(pads, dim=1)
+
+
+def drop_dead(
+    images: list, img_masks: list, tokens: Tensor, masks: Tensor
+) -> tuple[list, list, Tensor, Tensor]:
+    """Leave out inputs no row of the batch has, and text columns no prompt of the batch uses.
+
+    Positions count real tokens only, and masked ones are looked at by nobody, so nothing else changes. Extra tokens
+    (state, touch) stay in their places: which slot one belongs to is its place in the list.
+    """
+    kept = [(i, m) for i, m in zip(images, img_masks, strict=True) if i.ndim != 4 or bool(m.any())]
+    used = int(masks.any(dim=0).nonzero().max()) + 1 if bool(masks.any()) else 0
+    return [i for i, _ in kept], [m for _, m in kept], tokens[:, :used], masks[:, :used]
+
+
+def _extra(images: list, img_masks: list) -> tuple[list, list]:
+    """Return what rides behind the cameras, and its masks."""
+    cameras = sum(image.ndim == 4 for image in images)
+    return images[cameras:], img_masks[cameras:]
