@@ -7,6 +7,7 @@ cameras, prompt and flow steps at small widths, so that neither launches nor pro
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Callable
@@ -23,7 +24,9 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.fast_prefix import drop_dead
+from lerobot_policy_pi05_uniforce.fast_vision import see
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+from lerobot_policy_pi05_uniforce.onednn import AVAILABLE, linear
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
 Given = tuple[list, list, torch.Tensor, torch.Tensor]
@@ -185,7 +188,7 @@ def _parts(
     prefix = fast.encoder.encode(*kept, noise.shape[1])
     table = fast.prepared.tables(steps)[0]
     parts = {
-        "cameras": lambda: network.paligemma_with_expert.embed_image(torch.cat(kept[0])),
+        "cameras": lambda: see(network.paligemma_with_expert.paligemma.model, torch.cat(kept[0])),
         "prefix": lambda: fast.encoder.encode(*kept, noise.shape[1]),
         "step": lambda: fast.velocity(prefix, noise, table),
     }
@@ -208,12 +211,19 @@ def _wait(device: str) -> None:
 def _gemm_flops_per_s(device: str) -> float:
     dtype = torch.bfloat16 if device.startswith("cuda") else torch.float32
     square = torch.randn(GEMM_SIDE, GEMM_SIDE, device=device, dtype=dtype)
-    best = min(_ms(lambda: square @ square, device) for _ in range(5))
+    best = min(_ms(lambda: linear(square, square), device) for _ in range(5))
     return 2 * GEMM_SIDE**3 / best * 1000
 
 
+def _linear_flops(*given: Any, **_: Any) -> int:
+    """Return the work of oneDNN's linear, plain (x, weight, bias, …) or with an operand more (x, other, weight, …)."""
+    weight = given[1] if isinstance(given[3], str) else given[2]
+    return int(2 * math.prod(given[0]) * weight[0])
+
+
 def _flops(call: Callable) -> int:
-    with FlopCounterMode(display=False) as counter:
+    ours = {torch.ops.mkldnn._linear_pointwise: _linear_flops} if AVAILABLE else {}
+    with FlopCounterMode(display=False, custom_mapping=ours) as counter:
         call()
     return int(counter.get_total_flops())
 

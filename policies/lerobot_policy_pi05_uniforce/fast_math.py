@@ -8,6 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
+from lerobot_policy_pi05_uniforce.onednn import attend_one, linear, suits
+
 Rotary = tuple[Tensor, Tensor]  # cos, and sin with the sign rotate_half would give; (B, heads, L, head) each
 
 
@@ -35,24 +37,21 @@ def project(layer: nn.Module, normed: Tensor) -> Tensor:
     """Return (B, heads + 2, L, head): queries, key, value."""
     a = layer.self_attn
     normed = normed.to(a.q_proj.weight.dtype)
-    rows = torch.cat([a.q_proj(normed), a.k_proj(normed), a.v_proj(normed)], dim=-1)
+    rows = torch.cat([linear(normed, p.weight) for p in (a.q_proj, a.k_proj, a.v_proj)], dim=-1)
     return rows.unflatten(-1, (-1, a.head_dim)).transpose(1, 2)
 
 
-def mlp(mlp: nn.Module, x: Tensor) -> Tensor:
-    """Return Gemma's gated MLP of ``x``."""
-    return mlp.down_proj(mlp.act_fn(mlp.gate_proj(x)).mul_(mlp.up_proj(x)))
-
-
 def rotary_of(model: nn.Module, x: Tensor, positions: Tensor) -> Rotary:
-    """Return cos and signed sin for (B, heads + 2, L, head) rows, broadcast over the heads; values stay as they are."""
+    """Return cos and signed sin for (B, heads + 2, L, head) rows: queries also scaled, the value left as it is."""
     cos, sin = model.rotary_emb(x, positions)  # (B, L, head)
     half = cos.shape[-1] // 2
     sin = torch.cat([-sin[..., :half], sin[..., half:]], dim=-1)
-    heads = model.config.num_attention_heads + 1
-    turned = [part[:, None].expand(-1, heads, -1, -1) for part in (cos, sin)]
+    heads, scale = model.config.num_attention_heads, model.layers[0].self_attn.scaling
+    queries = [(part * scale)[:, None].expand(-1, heads, -1, -1) for part in (cos, sin)]
     still = torch.ones_like(cos)[:, None], torch.zeros_like(sin)[:, None]
-    return torch.cat([turned[0], still[0]], dim=1), torch.cat([turned[1], still[1]], dim=1)
+    return tuple(  # type: ignore[return-value]
+        torch.cat([queries[n], part[:, None], still[n]], dim=1) for n, part in enumerate((cos, sin))
+    )
 
 
 def rotated(rows: Tensor, rotary: Rotary) -> Tensor:
@@ -61,8 +60,11 @@ def rotated(rows: Tensor, rotary: Rotary) -> Tensor:
     return torch.addcmul(rows * cos, rows.roll(rows.shape[-1] // 2, dims=-1), sin)
 
 
-def attend(q: Tensor, cache: Tensor, mask: Tensor | None, layer: nn.Module) -> Tensor:
-    """Return (B, L, heads·head); one key/value head serves all queries."""
-    k, v = (cache[:, n : n + 1].expand(-1, q.shape[1], -1, -1) for n in (0, 1))
-    mixed = F.scaled_dot_product_attention(q, k, v, attn_mask=mask, scale=layer.self_attn.scaling)
+def attend(q: Tensor, cache: Tensor, mask: Tensor | None) -> Tensor:
+    """Return (B, L, heads·head) of scaled (B, heads, L, head) queries; one key/value head serves all of them."""
+    if suits(q, cache.shape[2]):
+        mixed = attend_one(q, cache[0, 0], cache[0, 1], mask)
+    else:
+        k, v = (cache[:, n : n + 1].expand(-1, q.shape[1], -1, -1) for n in (0, 1))
+        mixed = F.scaled_dot_product_attention(q, k, v, attn_mask=mask, scale=1.0)
     return mixed.transpose(1, 2).flatten(2)

@@ -9,8 +9,10 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.fast_math import Rotary, attend, mlp, project, rms, rotary_of, rotated
+from lerobot_policy_pi05_uniforce.fast_math import Rotary, attend, project, rms, rotary_of, rotated
+from lerobot_policy_pi05_uniforce.fast_vision import see
 from lerobot_policy_pi05_uniforce.force_tokens import SuffixTouch
+from lerobot_policy_pi05_uniforce.onednn import gated_hidden, linear_plus
 from lerobot_policy_pi05_uniforce.step_tables import Prepared
 from uniforce_vtla.errors import ContractError, expected
 
@@ -66,9 +68,10 @@ class PrefixEncoder:
             cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
             if depth == len(vlm.layers) - 1:
                 break  # nobody reads what the last layer makes of the prefix
-            mixed = attend(turned[:, :-2], turned[:, -2:], mask, layer)
-            x = layer.self_attn.o_proj(mixed).add_(x)  # in place: fresh memory costs more than the sum
-            x = mlp(layer.mlp, rms(x, eps).mul_(gains[depth][1]).to(x.dtype)).add_(x)
+            mixed = attend(turned[:, :-2], turned[:, -2:], mask)
+            x = linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
+            normed = rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
+            x = linear_plus(gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
         return self._looked_at(cache, pads, touch, chunk)
 
     def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
@@ -103,7 +106,7 @@ class PrefixEncoder:
         cameras = [image for image in images if image.ndim == 4]
         parts: list[Tensor] = []
         if cameras:
-            parts += model.embed_image(torch.cat(cameras)).chunk(len(cameras))
+            parts += see(model.paligemma.model, torch.cat(cameras)).chunk(len(cameras))
         pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, img_masks, strict=False)]
         parts.append(model.embed_language_tokens(tokens))
         pads.append(masks.bool())

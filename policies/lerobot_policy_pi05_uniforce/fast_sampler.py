@@ -14,11 +14,11 @@ import torch
 from lerobot.policies.common.flow_matching import euler_integrate
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
-from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.fast_math import attend, modulated, rotated
 from lerobot_policy_pi05_uniforce.fast_prefix import Prefix, PrefixEncoder, drop_dead
 from lerobot_policy_pi05_uniforce.force_tokens import SuffixTouch
+from lerobot_policy_pi05_uniforce.onednn import gated_hidden, linear
 from lerobot_policy_pi05_uniforce.step_tables import Prepared, StepTable
 from uniforce_vtla.errors import ContractError, expected
 
@@ -98,11 +98,11 @@ class FastSampler:
         x = x.to(expert.layers[0].self_attn.q_proj.weight.dtype)
         for depth, layer in enumerate(expert.layers):
             attention, mlp = table.layers[depth]
-            fused = self.prepared.fused[depth]
-            mixed = self._mix(prefix, depth, layer, F.linear(modulated(x, attention, eps), fused.qkv))
-            x = torch.addcmul(x, layer.self_attn.o_proj(mixed), attention.gate)
-            gate, up = F.linear(modulated(x, mlp, eps), fused.gate_up).chunk(2, dim=-1)
-            x = torch.addcmul(x, layer.mlp.down_proj(layer.mlp.act_fn(gate) * up), mlp.gate)
+            qkv = linear(modulated(x, attention, eps), self.prepared.qkv[depth])
+            mixed = self._mix(prefix, depth, layer, qkv)
+            x = torch.addcmul(x, linear(mixed, layer.self_attn.o_proj.weight), attention.gate)
+            hidden = gated_hidden(layer.mlp, modulated(x, mlp, eps))
+            x = torch.addcmul(x, linear(hidden, layer.mlp.down_proj.weight), mlp.gate)
         x = x[:, -actions.shape[1] :]
         return network.action_out_proj(modulated(x, table.last, eps).float())
 
@@ -115,4 +115,4 @@ class FastSampler:
             cache = torch.cat([cache[:, :, : prefix.length], turned[:, -2:]], dim=2)
         else:
             cache[:, :, prefix.length :] = turned[:, -2:]
-        return attend(turned[:, :-2], cache, prefix.mask, layer)
+        return attend(turned[:, :-2], cache, prefix.mask)

@@ -21,21 +21,13 @@ class StepTable:
     last: Modulation
 
 
-@dataclass(frozen=True)
-class FusedLayer:
-    """Weights of an expert layer side by side, so that one product gives what three or two did."""
-
-    qkv: Tensor  # ((heads + 2)·head, D)
-    gate_up: Tensor  # (2·mlp, D)
-
-
 class Prepared:
     """Tables of one network; made anew when a weight changed since the last call.
 
     Attributes:
         eps: the norms' epsilon, one for all of π0.5, as a tensor.
         gains: of the VLM's norms, (before attention, before MLP) per layer.
-        fused: weights of the expert's layers side by side.
+        qkv: query, key and value weights of the expert's layers side by side, ((heads + 2)·head, D) each.
     """
 
     def __init__(self, network: stock.PI05Pytorch) -> None:
@@ -44,7 +36,7 @@ class Prepared:
         self._tables: dict[int, list[StepTable]] = {}
         self.eps = torch.empty(0)
         self.gains: list[tuple[Tensor, Tensor]] = []
-        self.fused: list[FusedLayer] = []
+        self.qkv: list[Tensor] = []
 
     def tables(self, num_steps: int) -> list[StepTable]:
         """Return the step tables of these weights; made anew when a weight changed since the last call."""
@@ -57,7 +49,7 @@ class Prepared:
                 (1 + layer.input_layernorm.weight.float(), 1 + layer.post_attention_layernorm.weight.float())
                 for layer in vlm.layers
             ]
-            self.fused = [
+            self.qkv = [
                 _fuse(layer) for layer in self._network.paligemma_with_expert.gemma_expert.model.layers
             ]
         if num_steps not in self._tables:
@@ -102,9 +94,6 @@ def _modulation(norm: nn.Module, cond: Tensor, dtype: torch.dtype) -> list[Modul
     ]
 
 
-def _fuse(layer: nn.Module) -> FusedLayer:
-    attention, mlp = layer.self_attn, layer.mlp
-    return FusedLayer(
-        torch.cat([attention.q_proj.weight, attention.k_proj.weight, attention.v_proj.weight]),
-        torch.cat([mlp.gate_proj.weight, mlp.up_proj.weight]),
-    )
+def _fuse(layer: nn.Module) -> Tensor:
+    attention = layer.self_attn
+    return torch.cat([attention.q_proj.weight, attention.k_proj.weight, attention.v_proj.weight])
