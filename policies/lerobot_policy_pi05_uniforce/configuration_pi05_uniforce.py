@@ -71,6 +71,8 @@ class PI05UniforceConfig(PI05Config):
     latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     token_site: str = "prefix"
+    # True: training starts at the base policy exactly, touch behind a gate that is learnt (touch_gate.py). tiny off
+    start_at_base: bool = _BY_SIZE
     force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
@@ -111,6 +113,7 @@ class PI05UniforceConfig(PI05Config):
     # Training
     optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
     new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4
+    touch_gate_lr: float = 1e-3  # of the gate alone: it goes from 1e-6 to the order of 1
     scheduler_warmup_steps: int = _BY_SIZE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
     scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
     scheduler_decay_lr: float = _BY_SIZE  # tiny 1e-5; base 2.5e-6

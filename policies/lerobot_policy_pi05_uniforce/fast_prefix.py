@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
@@ -14,6 +14,7 @@ from lerobot_policy_pi05_uniforce.fast_vision import see
 from lerobot_policy_pi05_uniforce.force_tokens import SuffixTouch
 from lerobot_policy_pi05_uniforce.onednn import gated_hidden, linear_plus
 from lerobot_policy_pi05_uniforce.step_tables import Prepared
+from lerobot_policy_pi05_uniforce.touch_gate import Heard
 from uniforce_vtla.errors import ContractError, expected
 
 Cache = list[Tensor]  # per layer (B, 2, L_prefix + L_suffix, head): key and value
@@ -27,13 +28,15 @@ class Prefix:
         cache: keys and values, the suffix's places still empty.
         pads: (B, L_prefix) bool, which kept tokens are real.
         touch: force tokens in front of the actions, or None.
-        mask: (B, 1, 1 or L_suffix, L_prefix + L_suffix) bool, or None where everyone may look at everything.
+        heard: how loud touch is, or None: as any other token.
+        mask: (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or (touch behind a gate) additive; None: all see all.
         rotary: of the suffix's positions, for queries, key and value; the value's turns nothing.
     """
 
     cache: Cache
     pads: Tensor
     touch: SuffixTouch | None
+    heard: Heard | None
     mask: Tensor | None
     rotary: Rotary
 
@@ -55,12 +58,15 @@ class PrefixEncoder:
         eps, gains = self._prepared.eps, self._prepared.gains
         joint = self._network.paligemma_with_expert
         vlm = joint.paligemma.model.language_model
-        x, pads = self._embed(images, img_masks, tokens, masks)
+        x, pads, heard = self._embed(images, img_masks, tokens, masks)
         x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)
-        mask = None if bool(pads.all()) else pads[:, None, None, :]  # what a padded token sees, nobody reads
         touch = self._network.suffix_touch(*_extra(images, img_masks))
+        columns = (
+            None if bool(pads.all()) else pads[:, None, None, :]
+        )  # what a padded token sees, nobody reads
+        mask = columns if touch is not None else _loud(columns, pads, heard, x.dtype)
         room = chunk + (0 if touch is None else touch.mask.shape[1])
-        rotary = rotary_of(vlm, x, pads.cumsum(dim=1) - 1)
+        rotary = rotary_of(vlm, x, _positions(pads, heard))
         cache: Cache = []
         for depth, layer in enumerate(vlm.layers):
             rows = project(layer, rms(x, eps).mul_(gains[depth][0]))
@@ -72,7 +78,7 @@ class PrefixEncoder:
             x = linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
             normed = rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
             x = linear_plus(gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
-        return self._looked_at(cache, pads, touch, chunk)
+        return self._looked_at(cache, pads, touch, heard, chunk)
 
     def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
         """Return the same cameras and text with what is felt now: nothing of the VLM runs again.
@@ -84,24 +90,31 @@ class PrefixEncoder:
             came = None if prefix.touch is None else tuple(prefix.touch.tokens.shape)
             do = "Refreshing needs token_site=suffix and the slots the prefix was made with."
             raise ContractError(expected("touch of the prefix", tuple(touch.tokens.shape), came, do))
-        return self._looked_at(prefix.cache, prefix.pads, touch, chunk)
+        heard = None if prefix.heard is None else replace(prefix.heard, real=touch.mask)
+        return self._looked_at(prefix.cache, prefix.pads, touch, heard, chunk)
 
-    def _looked_at(self, cache: Cache, pads: Tensor, touch: SuffixTouch | None, chunk: int) -> Prefix:
+    def _looked_at(
+        self, cache: Cache, pads: Tensor, touch: SuffixTouch | None, heard: Heard | None, chunk: int
+    ) -> Prefix:
         expert = self._network.paligemma_with_expert.gemma_expert.model
         behind = pads.new_ones(len(pads), chunk)
         if touch is not None:
             behind = torch.cat([touch.mask, behind], dim=1)  # (B, L_suffix)
-        after = pads.sum(dim=1, keepdim=True) + behind.cumsum(dim=1) - 1
-        columns = torch.cat([pads, behind], dim=1)[:, None, None, :]  # (B, 1, 1, L_prefix + L_suffix)
+        real = torch.cat([pads, behind], dim=1)  # (B, L_prefix + L_suffix)
+        after = _positions(real, heard)[:, pads.shape[1] :]
+        columns = real[:, None, None, :]
         mask = None if bool(columns.all()) and touch is None else columns
         if touch is not None:  # touch looks at the prefix and itself, actions at everything
             rows = torch.ones(behind.shape[1], columns.shape[-1], dtype=torch.bool, device=pads.device)
             rows[: touch.mask.shape[1], -chunk:] = False
             mask = columns & rows
-        return Prefix(cache, pads, touch, mask, rotary_of(expert, cache[0], after))
+        mask = _loud(mask, real, heard, cache[0].dtype)
+        return Prefix(cache, pads, touch, heard, mask, rotary_of(expert, cache[0], after))
 
-    def _embed(self, images: list, img_masks: list, tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, L, D) tokens in LeRobot's order and (B, L) whether each is real; cameras go in one batch."""
+    def _embed(
+        self, images: list, img_masks: list, tokens: Tensor, masks: Tensor
+    ) -> tuple[Tensor, Tensor, Heard | None]:
+        """Return (B, L, D) tokens in LeRobot's order, (B, L) whether each is real, and how touch is heard."""
         model = self._network.paligemma_with_expert
         cameras = [image for image in images if image.ndim == 4]
         parts: list[Tensor] = []
@@ -110,10 +123,12 @@ class PrefixEncoder:
         pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, img_masks, strict=False)]
         parts.append(model.embed_language_tokens(tokens))
         pads.append(masks.bool())
-        for part, mask in self._network.prefix_extra(*_extra(images, img_masks)):
+        extra = _extra(images, img_masks)
+        heard = self._network.heard(*extra, before=sum(part.shape[1] for part in parts))
+        for part, mask in self._network.prefix_extra(*extra):
             parts.append(part.to(parts[0].dtype))
             pads.append(mask[:, None].expand(-1, part.shape[1]))
-        return torch.cat(parts, dim=1), torch.cat(pads, dim=1)
+        return torch.cat(parts, dim=1), torch.cat(pads, dim=1), heard
 
 
 def drop_dead(
@@ -127,6 +142,21 @@ def drop_dead(
     kept = [(i, m) for i, m in zip(images, img_masks, strict=True) if i.ndim != 4 or bool(m.any())]
     used = int(masks.any(dim=0).nonzero().max()) + 1 if bool(masks.any()) else 0
     return [i for i, _ in kept], [m for _, m in kept], tokens[:, :used], masks[:, :used]
+
+
+def _positions(real: Tensor, heard: Heard | None) -> Tensor:
+    """Return (B, L) positions: real tokens counted, touch behind a gate not."""
+    positions = real.cumsum(dim=1) - 1
+    return positions if heard is None else heard.placed(positions, real.shape[1])
+
+
+def _loud(mask: Tensor | None, real: Tensor, heard: Heard | None, dtype: torch.dtype) -> Tensor | None:
+    """Return a bool mask (B, 1, rows, L) as an additive one with touch's logits; unchanged without a gate."""
+    if heard is None:
+        return mask
+    seen = real.new_ones(1, 1, 1, real.shape[1]) if mask is None else mask
+    additive = torch.zeros(seen.shape, device=real.device).masked_fill_(~seen, -torch.inf)
+    return heard.masked(additive).to(dtype)
 
 
 def _extra(images: list, img_masks: list) -> tuple[list, list]:

@@ -28,7 +28,11 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import ACTION, STATE
 
 LANGUAGE = ("observation.language.tokens", "observation.language.attention_mask")
-NEW_MODULES = ("force_tokens", "state_token")  # start random even when the backbone is pretrained
+NEW_MODULES = (
+    "force_tokens",
+    "state_token",
+    "touch_gate",
+)  # start random even when the backbone is pretrained
 
 
 class PI05UniforcePolicy(stock.PI05Policy):
@@ -271,11 +275,17 @@ class PI05UniforcePolicy(stock.PI05Policy):
         return batch[MEASURED_STATE].to(self.delta_scale)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
-        """Return trainable parameters in two groups: the backbone, and what starts random."""
-        named = [(n, p) for n, p in self.named_parameters() if p.requires_grad]
-        new = [p for n, p in named if _is_new(n)]
-        groups = [{"params": [p for n, p in named if not _is_new(n)]}]
-        return groups + ([{"params": new, "lr": self.config.new_module_lr}] if new else [])
+        """Return trainable parameters in groups: the backbone, what starts random, the gate of touch."""
+        rates = {"": None, "new": self.config.new_module_lr, "gate": self.config.touch_gate_lr}
+        groups: dict[str, dict[str, Any]] = {}
+        for name, parameter in self.named_parameters():
+            if parameter.requires_grad:
+                groups.setdefault(_group(name), {"params": []})["params"].append(parameter)
+        return [
+            groups[name] | ({} if rate is None else {"lr": rate})
+            for name, rate in rates.items()
+            if name in groups
+        ]
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
         targets = super()._get_default_peft_targets()
@@ -283,8 +293,11 @@ class PI05UniforcePolicy(stock.PI05Policy):
         return {**targets, "modules_to_save": [*targets["modules_to_save"], *new]}
 
 
-def _is_new(name: str) -> bool:
-    return name.split(".")[1] in NEW_MODULES
+def _group(name: str) -> str:
+    parts = name.split(".")  # a wrapper (PEFT) may stand before or behind the module's name
+    if "touch_gate" in parts:
+        return "gate"
+    return "new" if set(NEW_MODULES) & set(parts) else ""
 
 
 def _known(kwargs: dict[str, Any]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from lerobot_policy_pi05_uniforce.force_tokens import (
 )
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
+from lerobot_policy_pi05_uniforce.touch_gate import GatedBackbone, Heard, TouchGate
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.keys import STATE
@@ -37,12 +38,17 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         with no_weights() if empty else nullcontext():
             if config.size == "base":
                 super().__init__(config, rtc_processor=rtc_processor)
+                self.paligemma_with_expert.__class__ = (
+                    GatedBackbone  # LeRobot's constructor names its own class
+                )
             else:
                 self._init_tiny(config, rtc_processor)
         self._drop_heads()
         self._touch: SuffixTouch | None = None  # of the call in progress, at token_site=suffix
         self.tactile_encoder = _make_encoder(config)
         self.force_tokens = self._make_force_tokens(config)
+        gated = config.start_at_base and bool(config.slots)
+        self.touch_gate = TouchGate(len(config.slots)) if gated else None
         self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
         self.fast = FastSampler(self) if config.sampler == "fast" else None
 
@@ -127,6 +133,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         )
         extra = images[cameras:], img_masks[cameras:]
         self._touch = self.suffix_touch(*extra)
+        self.paligemma_with_expert.heard = self.heard(*extra, before=embs.shape[1])
         for embedded, mask in self.prefix_extra(*extra):
             count = embedded.shape[1]
             embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
@@ -157,6 +164,15 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if self.config.token_site == "prefix":
             embedded += self._touches(extra[states:], masks[states:])
         return embedded
+
+    def heard(self, extra: list[Tensor], masks: list[Tensor], before: int) -> Heard | None:
+        """Return how touch is heard behind ``before`` tokens of cameras and text; None: as any other token."""
+        states = self._states(extra)
+        pads = [mask[:, None].expand(-1, self.config.tokens_per_slot) for mask in masks[states:]]
+        if self.touch_gate is None or not pads:
+            return None
+        bias = self.touch_gate(len(pads), self.config.tokens_per_slot)
+        return Heard(before + states, bias, torch.cat(pads, dim=1))
 
     def suffix_touch(self, extra: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
         """Return all slots' tokens for the suffix; None at the other site or without touch."""

@@ -69,12 +69,13 @@ def attend_one(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
         q: (1, heads, L, head), scaled.
         k: (L_keys, head).
         v: (L_keys, head).
-        mask: (1, 1, 1 or L, L_keys) bool (True is seen), or None.
+        mask: (1, 1, 1 or L, L_keys), bool (True is seen) or additive, or None.
 
     Returns:
         (1, heads, L, head).
     """
     scores = linear(q.flatten(0, 2), k)  # (heads·L, L_keys)
     if mask is not None:
-        scores.view(*q.shape[:3], -1).masked_fill_(~mask, -torch.inf)
+        apart = scores.view(*q.shape[:3], -1)
+        apart.masked_fill_(~mask, -torch.inf) if mask.dtype == torch.bool else apart.add_(mask)
     return linear(scores.softmax(dim=-1), v.t()).view(q.shape)
