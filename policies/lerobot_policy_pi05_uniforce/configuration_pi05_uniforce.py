@@ -113,6 +113,8 @@ class PI05UniforceConfig(PI05Config):
     # Training
     optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
     new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4
+    # weight of an auxiliary loss: what is felt when the next chunk begins (next_force.py); latents from a view only
+    next_force_weight: float = 0.0
     touch_gate_lr: float = 1e-3  # of the gate alone: it goes from 1e-6 to the order of 1
     scheduler_warmup_steps: int = _BY_SIZE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
     scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
@@ -143,6 +145,9 @@ class PI05UniforceConfig(PI05Config):
         ):
             came = "compile_model, gradient_checkpointing or bfloat16"
             raise ContractError(expected("size=tiny", "plain float32", came, "Leave these to size=base."))
+        if self.next_force_weight and (self.touch_input != "latent" or not self.touch_slots):
+            came = f"touch_input={self.touch_input} with slots {sorted(self.touch_slots)}"
+            raise ContractError(expected("next_force_weight", "latents to predict", came, "Set it to 0."))
         for slot, finger in self.touch_slots.items():
             _check_slot(slot)
             check_finger(finger)

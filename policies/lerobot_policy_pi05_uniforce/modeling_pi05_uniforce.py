@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +25,13 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
 from lerobot_policy_pi05_uniforce.tactile_encoder import check_hash
 from lerobot_policy_pi05_uniforce.touch_input import TouchInput
+from lerobot_policy_pi05_uniforce.trainable import NEW_MODULES, lora_targets, parameter_groups
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import ACTION, STATE
 
+logger = logging.getLogger(__name__)
+
 LANGUAGE = ("observation.language.tokens", "observation.language.attention_mask")
-NEW_MODULES = (
-    "force_tokens",
-    "state_token",
-    "touch_gate",
-)  # start random even when the backbone is pretrained
 
 
 class PI05UniforcePolicy(stock.PI05Policy):
@@ -186,10 +185,12 @@ class PI05UniforcePolicy(stock.PI05Policy):
             if reduction == "none"
             else (losses * keep).sum() / (keep.sum() * self._action_size).clamp_min(1)
         )
-        return loss, {
-            "loss": float(loss.detach().mean()),
-            "target_rms": float(actions.square().mean().sqrt()),
-        }
+        facts = {"loss": float(loss.detach().mean()), "target_rms": float(actions.square().mean().sqrt())}
+        told = self.model.next_force_loss(batch)
+        if told is not None:
+            loss = loss + self.config.next_force_weight * (told if reduction == "none" else told.mean())
+            facts["next_force_loss"] = float(told.detach().mean())
+        return loss, facts
 
     def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Return noise (B, chunk, ·) and flow time (B,): random for flow matching.
@@ -211,6 +212,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """Return (B, chunk, A) actions for the postprocessor: absolute targets whatever the action form."""
+        self._notice_adapters()
         tokens, mask = self._text(batch)
         batch = {**batch, LANGUAGE[0]: tokens, LANGUAGE[1]: mask}
         start = self._start_noise(len(tokens), tokens.device)
@@ -234,15 +236,25 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self.eval()
         device = self.delta_scale.device
         felt = self.model.felt_now(*self.touch.gather(batch, device, training=False))
-        if felt is None or self.model.fast is None:
-            came = f"touch_input={self.config.touch_input}, sampler={self.config.sampler}"
-            do = "Only touch can be refreshed, by the fast sampler."
+        self._notice_adapters()
+        if felt is None or self.model.fast is None or self.model.adapted:
+            came = f"touch_input={self.config.touch_input}, sampler={self.config.sampler}, LoRA {self.model.adapted}"
+            do = "Only touch can be refreshed, by the fast sampler; uniforce-share merges LoRA."
             raise ContractError(expected("refresh", "touch and sampler=fast", came, do))
         noise = self._start_noise(len(felt.tokens), device)
         chunk = self.model.fast.refresh(felt, noise, self.config.num_inference_steps)[
             ..., : self._action_size
         ]
         return self._targets(chunk, batch)
+
+    def _notice_adapters(self) -> None:
+        """Let LeRobot's loop sample while PEFT's adapters are in: the fast one reads plain weights."""
+        adapted = hasattr(self, "peft_config")
+        if adapted and not self.model.adapted and self.model.fast is not None:
+            logger.warning(
+                "LoRA isn't merged: LeRobot's loop samples, at its speed. uniforce-share merges it."
+            )
+        self.model.adapted = adapted
 
     def _targets(self, chunk: Tensor, batch: dict[str, Tensor]) -> Tensor:
         """Return what the postprocessor takes: the network's chunk, deltas put on the last command."""
@@ -276,28 +288,11 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return trainable parameters in groups: the backbone, what starts random, the gate of touch."""
-        rates = {"": None, "new": self.config.new_module_lr, "gate": self.config.touch_gate_lr}
-        groups: dict[str, dict[str, Any]] = {}
-        for name, parameter in self.named_parameters():
-            if parameter.requires_grad:
-                groups.setdefault(_group(name), {"params": []})["params"].append(parameter)
-        return [
-            groups[name] | ({} if rate is None else {"lr": rate})
-            for name, rate in rates.items()
-            if name in groups
-        ]
+        return parameter_groups(self.named_parameters(), self.config)
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
-        targets = super()._get_default_peft_targets()
         new = [name for name in NEW_MODULES if getattr(self.model, name) is not None]
-        return {**targets, "modules_to_save": [*targets["modules_to_save"], *new]}
-
-
-def _group(name: str) -> str:
-    parts = name.split(".")  # a wrapper (PEFT) may stand before or behind the module's name
-    if "touch_gate" in parts:
-        return "gate"
-    return "new" if set(NEW_MODULES) & set(parts) else ""
+        return lora_targets(self.model, new)
 
 
 def _known(kwargs: dict[str, Any]) -> dict[str, Any]:

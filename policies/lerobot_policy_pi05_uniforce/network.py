@@ -18,10 +18,12 @@ from lerobot_policy_pi05_uniforce.force_tokens import (
     SuffixTouch,
     wrench_rms,
 )
+from lerobot_policy_pi05_uniforce.next_force import NextForce
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
 from lerobot_policy_pi05_uniforce.touch_gate import GatedBackbone, Heard, TouchGate
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
+from lerobot_policy_pi05_uniforce.trainable import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.keys import STATE
 
@@ -50,6 +52,9 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         gated = config.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
         self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
+        self.next_force = self._make_next_force(config)
+        freeze_unread(self)
+        self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
         self.fast = FastSampler(self) if config.sampler == "fast" else None
 
     def _drop_heads(self) -> None:
@@ -80,6 +85,13 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             tokens.input_rms.copy_(wrench_rms())
         return tokens
 
+    def _make_next_force(self, config: PI05UniforceConfig) -> NextForce | None:
+        if not config.next_force_weight:
+            return None
+        self.paligemma_with_expert.keep_suffix = True
+        size = config.tokens_per_slot * config.latent_size
+        return NextForce(self.action_in_proj.out_features, config.slots, size)
+
     def sample_actions(
         self,
         images: list,
@@ -91,7 +103,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         **kwargs: Any,
     ) -> Tensor:
         """Return (B, chunk, max_action_dim); LeRobot's own way, or the fast one with the same result."""
-        if self.fast is None:
+        if self.fast is None or self.adapted:
             try:
                 return super().sample_actions(images, img_masks, tokens, masks, noise, num_steps, **kwargs)
             finally:
@@ -118,6 +130,13 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             return super().forward(*args, **kwargs)
         finally:
             self._touch = None
+
+    def next_force_loss(self, batch: dict[str, Tensor]) -> Tensor | None:
+        """Return the (B,) auxiliary loss of the latest training call; None where it isn't asked for."""
+        suffix = self.paligemma_with_expert.suffix
+        if self.next_force is None or self.force_tokens is None or suffix is None:
+            return None
+        return self.next_force(suffix[:, -self.config.chunk_size :], batch, self.force_tokens.input_rms)
 
     def embed_prefix(
         self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any

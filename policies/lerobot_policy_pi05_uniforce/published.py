@@ -7,6 +7,7 @@ from collections.abc import Iterable
 TOUCH = (
     "model.force_tokens.",
     "model.touch_gate.",
+    "model.next_force.",
     "model.tactile_encoder.",
 )  # start fresh whatever the source felt
 FRESH = (*TOUCH, "model.state_token.")  # nobody else's checkpoint has them

@@ -68,6 +68,10 @@ class GatedBackbone(stock.PaliGemmaWithExpertModel):
     """
 
     heard: Heard | None = None
+    keep_suffix = (
+        False  # True: the expert's outputs of the latest call stay in ``suffix``, for an auxiliary loss
+    )
+    suffix: Tensor | None = None
 
     def forward(
         self,
@@ -82,14 +86,10 @@ class GatedBackbone(stock.PaliGemmaWithExpertModel):
         if self.heard is not None and attention_mask is not None and position_ids is not None:
             position_ids = self.heard.placed(position_ids, attention_mask.shape[-1])
             attention_mask = self.heard.masked(attention_mask)
-        return self.run_layers(
-            attention_mask,
-            position_ids,
-            past_key_values,
-            inputs_embeds or [None, None],
-            use_cache,
-            adarms_cond or [None, None],
-        )
+        streams, cond = inputs_embeds or [None, None], adarms_cond or [None, None]
+        out, past = self.run_layers(attention_mask, position_ids, past_key_values, streams, use_cache, cond)
+        self.suffix = out[1] if self.keep_suffix and self.training else None
+        return out, past
 
     def run_layers(
         self,

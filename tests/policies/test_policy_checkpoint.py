@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import importlib.util
 import json
 
 import pytest
@@ -200,5 +199,3 @@ def test_auto_size_is_tiny_on_a_cpu():
 def test_lora_trains_the_new_modules(make_policy):
     targets = make_policy()._get_default_peft_targets()
     assert {"force_tokens", "state_token"} <= set(targets["modules_to_save"])
-    if importlib.util.find_spec("peft") is None:
-        pytest.skip("peft isn't installed: only the list of targets was checked")

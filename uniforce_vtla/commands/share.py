@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import torch
 from huggingface_hub import HfApi
+from lerobot.configs import PreTrainedConfig
 from lerobot.policies.factory import make_pre_post_processors
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
@@ -17,7 +19,7 @@ from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.errors import CheckpointError, UniForceError, expected
 from uniforce_vtla.results_file import write_json
 
-SCORES, TRAIN_CONFIG = "scores.json", "train_config.json"
+SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
 UPLOADED = ["*.safetensors", "*.json", CARD]
 
 
@@ -44,7 +46,7 @@ def share(config: ShareConfig) -> Path:
         ContractError: scores that aren't.
     """
     source, out = Path(config.checkpoint), Path(config.out)
-    policy = PI05UniforcePolicy.from_pretrained(source)
+    policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
     _forget_this_machine(policy.config)
     policy.config.repo_id = config.push or policy.config.repo_id
@@ -56,6 +58,30 @@ def share(config: ShareConfig) -> Path:
     if scores is not None:
         write_json(out / SCORES, scores)
     return out
+
+
+def _load(source: Path) -> PI05UniforcePolicy:
+    """Return the policy, LoRA merged into its weights, without what only training needs."""
+    adapter = _read(source / ADAPTER)
+    if adapter is None:
+        policy = PI05UniforcePolicy.from_pretrained(source)
+    else:
+        policy = _merged(source, adapter["base_model_name_or_path"])
+    policy.model.next_force, policy.config.next_force_weight = None, 0.0
+    return policy
+
+
+def _merged(source: Path, base: str) -> PI05UniforcePolicy:
+    if find_spec("peft") is None:
+        raise CheckpointError(
+            expected(str(source), "the package peft", "none", "pip install 'lerobot[peft]'")
+        )
+    from peft import PeftModel  # an extra: only who trains adapters has it
+
+    policy = PeftModel.from_pretrained(PI05UniforcePolicy.from_pretrained(base), source).merge_and_unload()
+    policy.config = PreTrainedConfig.from_pretrained(source)
+    policy.config.use_peft = False
+    return policy
 
 
 def push(folder: Path, config: ShareConfig) -> str:
