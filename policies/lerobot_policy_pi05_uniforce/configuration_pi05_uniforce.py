@@ -93,6 +93,7 @@ class PI05UniforceConfig(PI05Config):
         _BY_SIZE  # scale of the flow's starting noise: tiny 0, see docs/experiments; base 1
     )
     sampler: str = "fast"  # "fast": fast_sampler.py, equal within 1e-4 | "stock": LeRobot's own loop
+    cuda_graphs: bool = True  # sampler=fast replays CUDA graphs on cuda (cuda_graphs.py; never run on a GPU)
     # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
     delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
 

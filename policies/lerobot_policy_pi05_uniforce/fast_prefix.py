@@ -21,29 +21,45 @@ Cache = list[Tensor]  # per layer (B, 2, L_prefix + L_suffix, head): key and val
 
 
 @dataclass(frozen=True)
-class Prefix:
-    """Cameras, text and extra tokens after the VLM: cache with room for the suffix, and how it may be looked at.
+class Seen:
+    """Cameras, text and extra tokens after the VLM.
 
     Attributes:
         cache: keys and values, the suffix's places still empty.
         pads: (B, L_prefix) bool, which kept tokens are real.
-        touch: force tokens in front of the actions, or None.
         heard: how loud touch is, or None: as any other token.
-        mask: (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or (touch behind a gate) additive; None: all see all.
-        rotary: of the suffix's positions, for queries, key and value; the value's turns nothing.
     """
 
     cache: Cache
     pads: Tensor
-    touch: SuffixTouch | None
     heard: Heard | None
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """What was seen, ready for the flow: with what is felt in the suffix, and how it may be looked at.
+
+    Attributes:
+        seen: keys and values; the suffix's own take their places in every step.
+        touch: force tokens in front of the actions, or None.
+        mask: (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or (touch behind a gate) additive; None: all see all.
+        rotary: of the suffix's positions, for queries, key and value; the value's turns nothing.
+    """
+
+    seen: Seen
+    touch: SuffixTouch | None
     mask: Tensor | None
     rotary: Rotary
 
     @property
+    def cache(self) -> Cache:
+        """Keys and values per layer."""
+        return self.seen.cache
+
+    @property
     def length(self) -> int:
         """L_prefix, tokens kept."""
-        return self.pads.shape[1]
+        return self.seen.pads.shape[1]
 
 
 class PrefixEncoder:
@@ -54,18 +70,38 @@ class PrefixEncoder:
         self._prepared = prepared
 
     def encode(self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, chunk: int) -> Prefix:
-        """Run cameras, text and extra tokens through the VLM once and keep keys and values of every layer."""
+        """Look at an observation and make its prefix ready for a chunk of that many steps."""
+        touch = suffix_touch_of(self._network, images, img_masks)
+        room = chunk + (0 if touch is None else touch.mask.shape[1])
+        return self.looked_at(self.look(images, img_masks, tokens, masks, room), touch, chunk)
+
+    def look(
+        self,
+        images: list,
+        img_masks: list,
+        tokens: Tensor,
+        masks: Tensor,
+        room: int,
+        always_mask: bool = False,
+    ) -> Seen:
+        """Run cameras, text and extra tokens through the VLM once and keep keys and values of every layer.
+
+        Args:
+            images: cameras, then state and touch as ``PI05UniforcePytorch`` takes them.
+            img_masks: (B,) bool each.
+            tokens: (B, L) text.
+            masks: (B, L) bool.
+            room: places to leave for the suffix.
+            always_mask: don't ask whether all tokens are real, which would wait for the device.
+        """
         eps, gains = self._prepared.eps, self._prepared.gains
-        joint = self._network.paligemma_with_expert
-        vlm = joint.paligemma.model.language_model
+        vlm = self._network.paligemma_with_expert.paligemma.model.language_model
         x, pads, heard = self._embed(images, img_masks, tokens, masks)
         x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)
-        touch = self._network.suffix_touch(*_extra(images, img_masks))
-        columns = (
-            None if bool(pads.all()) else pads[:, None, None, :]
-        )  # what a padded token sees, nobody reads
-        mask = columns if touch is not None else _loud(columns, pads, heard, x.dtype)
-        room = chunk + (0 if touch is None else touch.mask.shape[1])
+        plain = not always_mask and bool(pads.all())
+        mask = None if plain else pads[:, None, None, :]  # what a padded token sees, nobody reads
+        if heard is not None and heard.first < pads.shape[1]:  # touch is in the prefix
+            mask = _loud(mask, pads, heard, x.dtype)
         rotary = rotary_of(vlm, x, _positions(pads, heard))
         cache: Cache = []
         for depth, layer in enumerate(vlm.layers):
@@ -78,7 +114,7 @@ class PrefixEncoder:
             x = linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
             normed = rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
             x = linear_plus(gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
-        return self._looked_at(cache, pads, touch, heard, chunk)
+        return Seen(cache, pads, heard)
 
     def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
         """Return the same cameras and text with what is felt now: nothing of the VLM runs again.
@@ -90,26 +126,28 @@ class PrefixEncoder:
             came = None if prefix.touch is None else tuple(prefix.touch.tokens.shape)
             do = "Refreshing needs token_site=suffix and the slots the prefix was made with."
             raise ContractError(expected("touch of the prefix", tuple(touch.tokens.shape), came, do))
-        heard = None if prefix.heard is None else replace(prefix.heard, real=touch.mask)
-        return self._looked_at(prefix.cache, prefix.pads, touch, heard, chunk)
+        heard = prefix.seen.heard
+        heard = None if heard is None else replace(heard, real=touch.mask)
+        return self.looked_at(replace(prefix.seen, heard=heard), touch, chunk)
 
-    def _looked_at(
-        self, cache: Cache, pads: Tensor, touch: SuffixTouch | None, heard: Heard | None, chunk: int
+    def looked_at(
+        self, seen: Seen, touch: SuffixTouch | None, chunk: int, always_mask: bool = False
     ) -> Prefix:
+        """Return who of the suffix may look at whom and where it stands; ``always_mask`` as in :meth:`look`."""
         expert = self._network.paligemma_with_expert.gemma_expert.model
-        behind = pads.new_ones(len(pads), chunk)
+        behind = seen.pads.new_ones(len(seen.pads), chunk)
         if touch is not None:
             behind = torch.cat([touch.mask, behind], dim=1)  # (B, L_suffix)
-        real = torch.cat([pads, behind], dim=1)  # (B, L_prefix + L_suffix)
-        after = _positions(real, heard)[:, pads.shape[1] :]
+        real = torch.cat([seen.pads, behind], dim=1)  # (B, L_prefix + L_suffix)
+        after = _positions(real, seen.heard)[:, seen.pads.shape[1] :]
         columns = real[:, None, None, :]
-        mask = None if bool(columns.all()) and touch is None else columns
+        mask = None if touch is None and not always_mask and bool(columns.all()) else columns
         if touch is not None:  # touch looks at the prefix and itself, actions at everything
-            rows = torch.ones(behind.shape[1], columns.shape[-1], dtype=torch.bool, device=pads.device)
-            rows[: touch.mask.shape[1], -chunk:] = False
+            rows = real.new_ones(behind.shape[1], columns.shape[-1])
+            rows[: touch.mask.shape[1], -chunk:].fill_(False)
             mask = columns & rows
-        mask = _loud(mask, real, heard, cache[0].dtype)
-        return Prefix(cache, pads, touch, heard, mask, rotary_of(expert, cache[0], after))
+        mask = _loud(mask, real, seen.heard, seen.cache[0].dtype)
+        return Prefix(seen, touch, mask, rotary_of(expert, seen.cache[0], after))
 
     def _embed(
         self, images: list, img_masks: list, tokens: Tensor, masks: Tensor
@@ -142,6 +180,11 @@ def drop_dead(
     kept = [(i, m) for i, m in zip(images, img_masks, strict=True) if i.ndim != 4 or bool(m.any())]
     used = int(masks.any(dim=0).nonzero().max()) + 1 if bool(masks.any()) else 0
     return [i for i, _ in kept], [m for _, m in kept], tokens[:, :used], masks[:, :used]
+
+
+def suffix_touch_of(network: stock.PI05Pytorch, images: list, img_masks: list) -> SuffixTouch | None:
+    """Return the force tokens that stand before the actions, or None."""
+    return network.suffix_touch(*_extra(images, img_masks))
 
 
 def _positions(real: Tensor, heard: Heard | None) -> Tensor:

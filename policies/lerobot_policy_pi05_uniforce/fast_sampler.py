@@ -15,6 +15,7 @@ from lerobot.policies.common.flow_matching import euler_integrate
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
+from lerobot_policy_pi05_uniforce.cuda_graphs import GraphedSampler
 from lerobot_policy_pi05_uniforce.fast_math import attend, modulated, rotated
 from lerobot_policy_pi05_uniforce.fast_prefix import Prefix, PrefixEncoder, drop_dead
 from lerobot_policy_pi05_uniforce.force_tokens import SuffixTouch
@@ -31,10 +32,11 @@ class FastSampler:
         if groups != 1:
             do = "Use sampler=stock."
             raise ContractError(expected("key/value heads of the expert", 1, groups, do))
-        self._network = network
+        self.network = network
         self.latest: Prefix | None = None  # of the last sample, for ``refresh``
         self.prepared = Prepared(network)
         self.encoder = PrefixEncoder(network, self.prepared)
+        self.graphed: GraphedSampler | None = None  # replays CUDA graphs; cuda devices only
 
     @torch.no_grad()
     def sample(
@@ -49,11 +51,15 @@ class FastSampler:
     ) -> Tensor:
         """Return (B, chunk, max_action_dim) actions; arguments as ``PI05Pytorch.sample_actions``."""
         tables = self.prepared.tables(num_steps)
+        rtc_wanted = self.network._rtc_enabled() or self.network.rtc_processor is not None
+        graphed = self._graphs(noise)
+        if graphed is not None and not rtc_wanted:
+            return graphed.sample(images, img_masks, tokens, masks, noise, num_steps)
         prefix = self.encoder.encode(*drop_dead(images, img_masks, tokens, masks), noise.shape[1])
-        if self._network._rtc_enabled() or self._network.rtc_processor is not None:
+        if rtc_wanted:
             return self._with_rtc(prefix, noise, tables, rtc)
         self.latest = prefix
-        return self._flow(prefix, noise, tables)
+        return self.flow(prefix, noise, tables)
 
     @torch.no_grad()
     def refresh(self, touch: SuffixTouch, noise: Tensor, num_steps: int) -> Tensor:
@@ -62,12 +68,22 @@ class FastSampler:
         Raises:
             ContractError: nothing was sampled before, or the touch isn't in the suffix.
         """
+        tables = self.prepared.tables(num_steps)
+        chunk = None if self.graphed is None else self.graphed.refresh(touch, noise)
+        if chunk is not None:
+            return chunk
         if self.latest is None:
             raise ContractError(expected("refresh", "a sample before it", "none", "Call sample first."))
         self.latest = self.encoder.refreshed(self.latest, touch, noise.shape[1])
-        return self._flow(self.latest, noise, self.prepared.tables(num_steps))
+        return self.flow(self.latest, noise, tables)
 
-    def _flow(self, prefix: Prefix, noise: Tensor, tables: list[StepTable]) -> Tensor:
+    def _graphs(self, noise: Tensor) -> GraphedSampler | None:
+        if self.graphed is None and noise.device.type == "cuda" and self.network.config.cuda_graphs:
+            self.graphed = GraphedSampler(self)
+        return self.graphed
+
+    def flow(self, prefix: Prefix, noise: Tensor, tables: list[StepTable]) -> Tensor:
+        """Return the actions at the end of the flow from ``noise``, by Euler's method."""
         x, num_steps = noise, len(tables)
         for table in tables:
             x = torch.add(x, self.velocity(prefix, x, table), alpha=-1.0 / num_steps)
@@ -81,8 +97,8 @@ class FastSampler:
             lambda x, time: self.velocity(prefix, x, tables[round((1 - float(time[0])) * num_steps)]),
             noise,
             num_steps,
-            rtc_processor=self._network.rtc_processor,
-            rtc_enabled=self._network._rtc_enabled(),
+            rtc_processor=self.network.rtc_processor,
+            rtc_enabled=self.network._rtc_enabled(),
             inference_delay=rtc.get("inference_delay"),
             prev_chunk_left_over=rtc.get("prev_chunk_left_over"),
             execution_horizon=rtc.get("execution_horizon"),
@@ -90,7 +106,7 @@ class FastSampler:
 
     def velocity(self, prefix: Prefix, actions: Tensor, table: StepTable) -> Tensor:
         """Return (B, chunk, max_action_dim) velocity of noisy ``actions`` at the table's flow time."""
-        network, expert = self._network, self._network.paligemma_with_expert.gemma_expert.model
+        network, expert = self.network, self.network.paligemma_with_expert.gemma_expert.model
         eps = self.prepared.eps
         x = network.action_in_proj(actions)
         if prefix.touch is not None:

@@ -207,7 +207,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         return SuffixTouch(torch.cat([tokens for tokens, _ in embedded], dim=1), torch.cat(pads, dim=1))
 
     def _states(self, extra: list[Tensor]) -> int:
-        return int(self.state_token is not None and bool(extra))
+        return 1 if self.state_token is not None and len(extra) > 0 else 0
 
     def _touches(self, touches: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
         if self.force_tokens is None:

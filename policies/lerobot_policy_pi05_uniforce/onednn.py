@@ -2,8 +2,8 @@
 
 torch sends a float32 ``linear`` to MKL, which on AMD processors runs at half of oneDNN's speed (measured: 44–90 against
 93–212 GFLOP/s on one core, docs/results/policy_latency.json), and its tanh GELU takes as long as the product before
-it. Where oneDNN is missing, on another device, in another dtype, or where a gradient is wanted (RTC's guidance), plain
-torch runs; results agree within rounding.
+it. Where oneDNN is missing, on another device, in another dtype, where a gradient is wanted (RTC's guidance) or where
+torch.compile traces (it has kernels of its own), plain torch runs; results agree within rounding.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ SCORES = (
 
 def here(x: Tensor) -> bool:
     """Return whether oneDNN takes this tensor's products."""
-    return AVAILABLE and x.device.type == "cpu" and x.dtype == torch.float32 and not torch.is_grad_enabled()
+    wanted = x.device.type == "cpu" and x.dtype == torch.float32
+    return AVAILABLE and wanted and not torch.is_grad_enabled() and not torch.compiler.is_compiling()
 
 
 def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:

@@ -34,6 +34,7 @@ class Prepared:
         self._network = network
         self._prepared_for: Any = None
         self._tables: dict[int, list[StepTable]] = {}
+        self.version = 0  # counts preparations
         self.eps = torch.empty(0)
         self.gains: list[tuple[Tensor, Tensor]] = []
         self.qkv: list[Tensor] = []
@@ -43,6 +44,7 @@ class Prepared:
         weights = tuple((p.data_ptr(), p._version) for p in self._prepared_parameters())
         if weights != self._prepared_for:
             self._prepared_for, self._tables = weights, {}
+            self.version += 1
             vlm = self._network.paligemma_with_expert.paligemma.model.language_model
             self.eps = torch.full((), vlm.norm.eps, device=vlm.norm.weight.device)
             self.gains = [
@@ -54,6 +56,10 @@ class Prepared:
             ]
         if num_steps not in self._tables:
             self._tables[num_steps] = self._step_tables(num_steps)
+        return self._tables[num_steps]
+
+    def current(self, num_steps: int) -> list[StepTable]:
+        """Return the step tables made by the latest :meth:`tables`, without a look at the weights."""
         return self._tables[num_steps]
 
     def _prepared_parameters(self) -> list[Tensor]:
