@@ -85,10 +85,10 @@ CASES = {
 }
 
 
-def build(case: BenchCase, device: str) -> PI05UniforcePytorch:
-    """Return a network of random weights, its adaptive norms included."""
+def build(case: BenchCase, device: str, touch: dict[str, Any] | None = None) -> PI05UniforcePytorch:
+    """Return a network of random weights, its adaptive norms included; without touch unless asked for."""
     torch.manual_seed(0)
-    touch: dict[str, Any] = {"touch_input": "none", "touch_slots": {}}
+    touch = touch or {"touch_input": "none", "touch_slots": {}}
     config = PI05UniforceConfig(size=case.size, device=device, **touch, **case.settings)
     config.state_token = False  # LeRobot's loop knows none
     config.input_features = {STATE: PolicyFeature(FeatureType.STATE, (len(AXES),))}
@@ -152,7 +152,7 @@ def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[st
     for _ in range(rounds):
         gemm.append(_gemm_flops_per_s(device))
         for name, sample in both.items():
-            times[name].append(_ms(sample, device))
+            times[name].append(milliseconds(sample, device))
     flops, operations = _flops(both["fast"]), {name: _operations(sample) for name, sample in both.items()}
     report: dict[str, Any] = {
         "config": case.name,
@@ -190,10 +190,14 @@ def _parts(
         "prefix": lambda: fast.encoder.encode(*kept, noise.shape[1]),
         "step": lambda: fast.velocity(prefix, noise, table),
     }
-    return {name: statistics.median(_ms(part, device) for _ in range(rounds)) for name, part in parts.items()}
+    return {
+        name: statistics.median(milliseconds(part, device) for _ in range(rounds))
+        for name, part in parts.items()
+    }
 
 
-def _ms(call: Callable, device: str) -> float:
+def milliseconds(call: Callable, device: str) -> float:
+    """Return how long a call takes, the device waited for."""
     _wait(device)
     start = time.perf_counter()
     call()
@@ -209,7 +213,7 @@ def _wait(device: str) -> None:
 def _gemm_flops_per_s(device: str) -> float:
     dtype = torch.bfloat16 if device.startswith("cuda") else torch.float32
     square = torch.randn(GEMM_SIDE, GEMM_SIDE, device=device, dtype=dtype)
-    best = min(_ms(lambda: linear(square, square), device) for _ in range(5))
+    best = min(milliseconds(lambda: linear(square, square), device) for _ in range(5))
     return 2 * GEMM_SIDE**3 / best * 1000
 
 
