@@ -7,7 +7,6 @@ cameras, prompt and flow steps at small widths, so that neither launches nor pro
 
 from __future__ import annotations
 
-import math
 import statistics
 import time
 from collections.abc import Callable
@@ -18,35 +17,16 @@ from typing import Any
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils.flop_counter import FlopCounterMode
 
+from lerobot_policy_pi05_uniforce.bench_counts import count_flops, count_operations
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.fast_prefix import drop_dead
 from lerobot_policy_pi05_uniforce.fast_vision import see
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.onednn import AVAILABLE, linear
+from lerobot_policy_pi05_uniforce.onednn import linear
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
 Given = tuple[list, list, torch.Tensor, torch.Tensor]
-VIEWS = {  # operations that move no data
-    "alias",
-    "as_strided",
-    "detach",
-    "expand",
-    "permute",
-    "select",
-    "slice",
-    "split",
-    "split_with_sizes",
-    "squeeze",
-    "t",
-    "transpose",
-    "unbind",
-    "unsqueeze",
-    "view",
-    "_unsafe_view",
-}
 GEMM_SIDE = 1024  # of the square product that anchors the floor
 
 
@@ -153,7 +133,10 @@ def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[st
         gemm.append(_gemm_flops_per_s(device))
         for name, sample in both.items():
             times[name].append(milliseconds(sample, device))
-    flops, operations = _flops(both["fast"]), {name: _operations(sample) for name, sample in both.items()}
+    flops, operations = (
+        count_flops(both["fast"]),
+        {name: count_operations(sample) for name, sample in both.items()},
+    )
     report: dict[str, Any] = {
         "config": case.name,
         "device": _device_name(device),
@@ -215,37 +198,6 @@ def _gemm_flops_per_s(device: str) -> float:
     square = torch.randn(GEMM_SIDE, GEMM_SIDE, device=device, dtype=dtype)
     best = min(milliseconds(lambda: linear(square, square), device) for _ in range(5))
     return 2 * GEMM_SIDE**3 / best * 1000
-
-
-def _linear_flops(*given: Any, **_: Any) -> int:
-    """Return the work of oneDNN's linear, plain (x, weight, bias, …) or with an operand more (x, other, weight, …)."""
-    weight = given[1] if isinstance(given[3], str) else given[2]
-    return int(2 * math.prod(given[0]) * weight[0])
-
-
-def _flops(call: Callable) -> int:
-    ours = {torch.ops.mkldnn._linear_pointwise: _linear_flops} if AVAILABLE else {}
-    with FlopCounterMode(display=False, custom_mapping=ours) as counter:
-        call()
-    return int(counter.get_total_flops())
-
-
-class _Operations(TorchDispatchMode):
-    """Counts what the dispatcher is asked for, views aside: a launch each on a GPU."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.count = 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        self.count += func._schema.name.split("::")[1] not in VIEWS
-        return func(*args, **(kwargs or {}))
-
-
-def _operations(call: Callable) -> int:
-    with _Operations() as counter:
-        call()
-    return counter.count
 
 
 def _device_name(device: str) -> str:

@@ -8,33 +8,30 @@ from typing import Any
 
 import torch
 from huggingface_hub import ModelCard
-from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import weights
-from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_deltas, to_targets
+from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_targets
+from lerobot_policy_pi05_uniforce.action_loss import LANGUAGE, ActionLoss
 from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.dataset_facts import read_provenance, read_touch_rms, read_view
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
-from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
 from lerobot_policy_pi05_uniforce.tactile_encoder import check_hash
 from lerobot_policy_pi05_uniforce.touch_input import TouchInput
 from lerobot_policy_pi05_uniforce.trainable import NEW_MODULES, lora_targets, parameter_groups
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.keys import ACTION, STATE
+from uniforce_vtla.keys import STATE
 
 logger = logging.getLogger(__name__)
 
-LANGUAGE = ("observation.language.tokens", "observation.language.attention_mask")
 
-
-class PI05UniforcePolicy(stock.PI05Policy):
+class PI05UniforcePolicy(ActionLoss):
     """π0.5 with a sense of force, as a LeRobot policy.
 
     Args:
@@ -119,10 +116,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Return our card where LeRobot's trainer would push its own; arguments as LeRobot's, ``cfg`` is read."""
         return model_card(self.config, training=None if cfg is None else cfg.to_dict())
 
-    @property
-    def _action_size(self) -> int:
-        return self.config.output_features[ACTION].shape[0]
-
     def reset(self) -> None:
         """Forget the queue, the issued targets and the cached references: an episode begins."""
         super().reset()
@@ -150,64 +143,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
             k: batch[k] for k in self.config.image_features if k in batch and batch[k].shape[-1] > size[1]
         }
         return {**batch, **{k: F.interpolate(image, size, mode="area") for k, image in cameras.items()}}
-
-    def _text(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return text tokens and mask, (B, L); tiny drops the padding no prompt of the batch uses."""
-        tokens, mask = (batch[key] for key in LANGUAGE)
-        if self.config.size == "tiny":  # base keeps one length, so that a compiled graph stays valid
-            longest = int(mask.sum(dim=1).max())
-            tokens, mask = tokens[:, :longest], mask[:, :longest]
-        return tokens, mask
-
-    def prepare_action(self, batch: dict[str, Tensor]) -> Tensor:
-        """Return (B, chunk, max_action_dim) in network units."""
-        actions = batch[ACTION]
-        if self.config.action_form == "target_delta":
-            actions = to_deltas(actions, batch.get("action_is_pad"), self._measured(batch), self.delta_scale)
-        return stock.pad_vector(actions, self.config.max_action_dim)
-
-    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:
-        """Return the flow-matching loss over real steps and axes.
-
-        Args:
-            batch: preprocessed observations, text tokens and actions (B, [1 +] chunk, A).
-            reduction: "mean" → scalar; "none" → (B,) for weighted training.
-        """
-        images, masks = self._preprocess_images(batch)
-        actions = self.prepare_action(batch)
-        noise, time = self._flow_start(actions)
-        losses = self.model.forward(images, masks, *self._text(batch), actions, noise, time)
-        losses = losses[:, :, : self._action_size]  # (B, chunk, A)
-        keep = self._real_steps(batch, losses)  # (B, chunk, 1)
-        per_sample = (losses * keep).sum(dim=(1, 2)) / (keep.sum(dim=(1, 2)) * self._action_size).clamp_min(1)
-        loss = (
-            per_sample
-            if reduction == "none"
-            else (losses * keep).sum() / (keep.sum() * self._action_size).clamp_min(1)
-        )
-        facts = {"loss": float(loss.detach().mean()), "target_rms": float(actions.square().mean().sqrt())}
-        told = self.model.next_force_loss(batch)
-        if told is not None:
-            loss = loss + self.config.next_force_weight * (told if reduction == "none" else told.mean())
-            facts["next_force_loss"] = float(told.detach().mean())
-        return loss, facts
-
-    def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return noise (B, chunk, ·) and flow time (B,): random for flow matching.
-
-        Regression is the flow's first step from zero noise: its velocity there is minus the action itself, the squared
-        error is the action's, and one Euler step samples it.
-        """
-        if self.config.action_objective == "regression":
-            return torch.zeros_like(actions), actions.new_ones(len(actions))
-        noise = self.model.sample_noise(actions.shape, actions.device)
-        return noise, self.model.sample_time(len(actions), actions.device)
-
-    def _real_steps(self, batch: dict[str, Tensor], losses: Tensor) -> Tensor:
-        is_pad = batch.get("action_is_pad")
-        if is_pad is None:
-            return losses.new_ones(*losses.shape[:2], 1)
-        return (~is_pad[:, -losses.shape[1] :]).to(losses)[..., None]
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
@@ -279,12 +214,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
             check_leap(action, self.issued.last, self.delta_scale)
         self.issued.record(action)
         return action
-
-    def _measured(self, batch: dict[str, Tensor]) -> Tensor:
-        if MEASURED_STATE not in batch:
-            do = "Run the policy's own preprocessor (make_pi05_uniforce_pre_post_processors)."
-            raise ContractError(expected(MEASURED_STATE, "the state in SI units", "no such key", do))
-        return batch[MEASURED_STATE].to(self.delta_scale)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return trainable parameters in groups: the backbone, what starts random, the gate of touch."""
