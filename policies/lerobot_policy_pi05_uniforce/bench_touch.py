@@ -30,8 +30,8 @@ def variants() -> dict[str, dict[str, Any]]:
     }
 
 
-def bench_touch(case: BenchCase, device: str, rounds: int, steps: int) -> dict[str, Any]:
-    """Return medians [ms] and ratios to "none" of a whole call, a refresh and a training step."""
+def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bool = True) -> dict[str, Any]:
+    """Return medians [ms] and ratios to "none" of a whole call, a refresh and (``train``) a training step."""
     calls: dict[str, Call] = {}
     trains: dict[str, Call] = {}
     for name, settings in variants().items():
@@ -44,6 +44,8 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int) -> dict[s
     report: dict[str, Any] = {"config": case.name, "tokens": len(SLOTS) * 16, "rounds": rounds}
     with torch.no_grad():
         report |= _in_turns(calls, device, rounds, "call")
+    if not train:
+        return report
     return report | _in_turns(trains, device, max(3, rounds // 3), "train_step")
 
 

@@ -1,6 +1,6 @@
 """Projections of the fast sampler on a CPU, by oneDNN: same float32 products, another library and fused epilogues.
 
-torch sends a float32 ``linear`` to MKL, which on AMD processors runs at half of oneDNN's speed (44–91 against 93–196
+torch sends a float32 ``linear`` to MKL, which on AMD processors runs at half of oneDNN's speed (37–91 against 81–196
 GFLOP/s on one core, docs/experiments/policy_speed.md), and its tanh GELU takes as long as the product before
 it. Where oneDNN is missing, on another device, in another dtype, where a gradient is wanted (RTC's guidance) or where
 torch.compile traces (it has kernels of its own), plain torch runs; results agree within rounding.

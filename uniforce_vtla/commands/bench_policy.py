@@ -29,7 +29,7 @@ class BenchPolicyConfig:
 
     Example: uniforce-bench-policy rounds=9
     With what touch costs and what loading takes: uniforce-bench-policy touch=mid_3_cameras memory=base
-    On a GPU: uniforce-bench-policy device=cuda only=base_3_cameras rounds=30
+    On a GPU: uniforce-bench-policy device=cuda rounds=30 touch=base_3_cameras touch_train=false
     """
 
     device: str = "cpu"  # cpu (one thread) | cuda
@@ -37,6 +37,9 @@ class BenchPolicyConfig:
     rounds: int = 9  # stock and fast once each per round; medians and the median of the ratios are reported
     steps: int = 10  # flow steps
     touch: str = ""  # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not
+    touch_train: bool = (
+        True  # a training step too: three networks with their optimisers at once, 94 GB for base
+    )
     memory: str = ""  # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
     out: str = "docs/results"  # policy_latency.json and .png
 
@@ -60,7 +63,7 @@ def measure(config: BenchPolicyConfig) -> dict[str, Any]:
     more: dict[str, Any] = {}
     if config.touch:
         case = choose(CASES, config.touch)[config.touch]
-        more["touch"] = bench_touch(case, config.device, config.rounds, config.steps)
+        more["touch"] = bench_touch(case, config.device, config.rounds, config.steps, config.touch_train)
     if config.memory:
         more["memory"] = {config.memory: bench_memory(size=config.memory, dtype="bfloat16")}
     return more | {

@@ -38,6 +38,8 @@ NOT_TAKEN = (  # what the new policy decides for itself, or what its own data sa
     "touch_slots",
     "token_site",
     "start_at_base",
+    "next_force_weight",
+    "trained_on",
     "swap",
     "left_sensor",
     "right_sensor",
