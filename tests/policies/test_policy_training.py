@@ -167,7 +167,11 @@ def test_two_processes_train_without_a_search_for_unused_parameters(dataset, tok
         )
         for rank in ("0", "1")
     ]
-    said = [worker.communicate(timeout=280)[0] for worker in workers]
+    try:
+        said = [worker.communicate(timeout=280)[0] for worker in workers]
+    finally:
+        for worker in workers:  # one that waits for the other for ever
+            worker.kill()
     assert [worker.returncode for worker in workers] == [0, 0], said[0][-2000:] + said[1][-2000:]
     assert (tmp_path / "run/checkpoints/last/pretrained_model/model.safetensors").exists()
     assert "2 x 2" in said[0] or "num_processes" in said[0] or "Effective batch size" in said[0]
