@@ -12,39 +12,21 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import MethodType
 from typing import Any
 
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
-from torch.utils._python_dispatch import TorchDispatchMode
-from torch.utils.flop_counter import FlopCounterMode
 
+from lerobot_policy_pi05_uniforce.bench_counts import count_flops, count_operations
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.fast_sampler import drop_dead
+from lerobot_policy_pi05_uniforce.fast_prefix import drop_dead
+from lerobot_policy_pi05_uniforce.fast_vision import see
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+from lerobot_policy_pi05_uniforce.onednn import linear
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
 Given = tuple[list, list, torch.Tensor, torch.Tensor]
-VIEWS = {  # operations that move no data
-    "alias",
-    "as_strided",
-    "detach",
-    "expand",
-    "permute",
-    "select",
-    "slice",
-    "split",
-    "split_with_sizes",
-    "squeeze",
-    "t",
-    "transpose",
-    "unbind",
-    "unsqueeze",
-    "view",
-    "_unsafe_view",
-}
 GEMM_SIDE = 1024  # of the square product that anchors the floor
 
 
@@ -83,10 +65,10 @@ CASES = {
 }
 
 
-def build(case: BenchCase, device: str) -> PI05UniforcePytorch:
-    """Return a network of random weights, its adaptive norms included."""
+def build(case: BenchCase, device: str, touch: dict[str, Any] | None = None) -> PI05UniforcePytorch:
+    """Return a network of random weights, its adaptive norms included; without touch unless asked for."""
     torch.manual_seed(0)
-    touch: dict[str, Any] = {"touch_input": "none", "touch_slots": {}}
+    touch = touch or {"touch_input": "none", "touch_slots": {}}
     config = PI05UniforceConfig(size=case.size, device=device, **touch, **case.settings)
     config.state_token = False  # LeRobot's loop knows none
     config.input_features = {STATE: PolicyFeature(FeatureType.STATE, (len(AXES),))}
@@ -116,12 +98,24 @@ def observe(case: BenchCase, network: PI05UniforcePytorch, device: str) -> tuple
 def lerobots_layers(network: PI05UniforcePytorch) -> Any:
     """Run LeRobot's own layers in the tiny network, whose training path is ours."""
     joint = network.paligemma_with_expert
-    own = joint.forward
-    joint.forward = MethodType(stock.PaliGemmaWithExpertModel.forward, joint)  # type: ignore[method-assign]
+    joint.fused = False  # base has no others
     try:
         yield
     finally:
-        joint.forward = own  # type: ignore[method-assign]
+        joint.fused = True
+
+
+@contextmanager
+def without_graphs(network: PI05UniforcePytorch) -> Any:
+    """Let the fast sampler run eagerly, also on a GPU."""
+    fast, config = network.fast, network.config
+    assert fast is not None, "the bench builds its networks with sampler=fast"
+    before = fast.graphed, config.cuda_graphs
+    fast.graphed, config.cuda_graphs = None, False
+    try:
+        yield
+    finally:
+        fast.graphed, config.cuda_graphs = before
 
 
 def samplers(
@@ -151,8 +145,10 @@ def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[st
     for _ in range(rounds):
         gemm.append(_gemm_flops_per_s(device))
         for name, sample in both.items():
-            times[name].append(_ms(sample, device))
-    flops, operations = _flops(both["fast"]), {name: _operations(sample) for name, sample in both.items()}
+            times[name].append(milliseconds(sample, device))
+    with without_graphs(network):  # a replay asks the dispatcher for nothing
+        flops = count_flops(both["fast"])
+        operations = {name: count_operations(sample) for name, sample in both.items()}
     report: dict[str, Any] = {
         "config": case.name,
         "device": _device_name(device),
@@ -182,17 +178,21 @@ def _parts(
     fast = network.fast
     assert fast is not None, "the bench builds its networks with sampler=fast"
     kept = drop_dead(*given)
-    prefix = fast.encode_prefix(*kept, noise.shape[1])
-    table = fast.tables(steps)[0]
+    prefix = fast.encoder.encode(*kept, noise.shape[1])
+    table = fast.prepared.tables(steps)[0]
     parts = {
-        "cameras": lambda: network.paligemma_with_expert.embed_image(torch.cat(kept[0])),
-        "prefix": lambda: fast.encode_prefix(*kept, noise.shape[1]),
+        "cameras": lambda: see(network.paligemma_with_expert.paligemma.model, torch.cat(kept[0])),
+        "prefix": lambda: fast.encoder.encode(*kept, noise.shape[1]),
         "step": lambda: fast.velocity(prefix, noise, table),
     }
-    return {name: statistics.median(_ms(part, device) for _ in range(rounds)) for name, part in parts.items()}
+    return {
+        name: statistics.median(milliseconds(part, device) for _ in range(rounds))
+        for name, part in parts.items()
+    }
 
 
-def _ms(call: Callable, device: str) -> float:
+def milliseconds(call: Callable, device: str) -> float:
+    """Return how long a call takes, the device waited for."""
     _wait(device)
     start = time.perf_counter()
     call()
@@ -208,32 +208,8 @@ def _wait(device: str) -> None:
 def _gemm_flops_per_s(device: str) -> float:
     dtype = torch.bfloat16 if device.startswith("cuda") else torch.float32
     square = torch.randn(GEMM_SIDE, GEMM_SIDE, device=device, dtype=dtype)
-    best = min(_ms(lambda: square @ square, device) for _ in range(5))
+    best = min(milliseconds(lambda: linear(square, square), device) for _ in range(5))
     return 2 * GEMM_SIDE**3 / best * 1000
-
-
-def _flops(call: Callable) -> int:
-    with FlopCounterMode(display=False) as counter:
-        call()
-    return int(counter.get_total_flops())
-
-
-class _Operations(TorchDispatchMode):
-    """Counts what the dispatcher is asked for, views aside: a launch each on a GPU."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.count = 0
-
-    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        self.count += func._schema.name.split("::")[1] not in VIEWS
-        return func(*args, **(kwargs or {}))
-
-
-def _operations(call: Callable) -> int:
-    with _Operations() as counter:
-        call()
-    return counter.count
 
 
 def _device_name(device: str) -> str:

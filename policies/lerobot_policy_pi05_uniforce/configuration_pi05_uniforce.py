@@ -66,9 +66,13 @@ class PI05UniforceConfig(PI05Config):
     right_sensor: str = ""  # kind mounted on the right finger
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
+    # repo_id, episodes, frames, fps of the training data: provenance, for the model card
+    trained_on: dict[str, str] = field(default_factory=dict)
     latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     token_site: str = "prefix"
+    # True: training starts at the base policy exactly, touch behind a gate that is learnt (touch_gate.py). tiny off
+    start_at_base: bool = _BY_SIZE
     force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
@@ -90,6 +94,7 @@ class PI05UniforceConfig(PI05Config):
         _BY_SIZE  # scale of the flow's starting noise: tiny 0, see docs/experiments; base 1
     )
     sampler: str = "fast"  # "fast": fast_sampler.py, equal within 1e-4 | "stock": LeRobot's own loop
+    cuda_graphs: bool = True  # sampler=fast replays CUDA graphs on cuda (cuda_graphs.py; never run on a GPU)
     # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
     delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
 
@@ -110,6 +115,9 @@ class PI05UniforceConfig(PI05Config):
     # Training
     optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
     new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4
+    # weight of an auxiliary loss: what is felt when the next chunk begins (next_force.py); latents from a view only
+    next_force_weight: float = 0.0
+    touch_gate_lr: float = 1e-3  # of the gate alone: it goes from 1e-6 to the order of 1
     scheduler_warmup_steps: int = _BY_SIZE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
     scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
     scheduler_decay_lr: float = _BY_SIZE  # tiny 1e-5; base 2.5e-6
@@ -139,6 +147,9 @@ class PI05UniforceConfig(PI05Config):
         ):
             came = "compile_model, gradient_checkpointing or bfloat16"
             raise ContractError(expected("size=tiny", "plain float32", came, "Leave these to size=base."))
+        if self.next_force_weight and (self.touch_input != "latent" or not self.touch_slots):
+            came = f"touch_input={self.touch_input} with slots {sorted(self.touch_slots)}"
+            raise ContractError(expected("next_force_weight", "latents to predict", came, "Set it to 0."))
         for slot, finger in self.touch_slots.items():
             _check_slot(slot)
             check_finger(finger)

@@ -18,12 +18,14 @@ from lerobot.policies.factory import make_pre_post_processors
 from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.compatibility import check_sensors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.deadlines import Deadlines
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.stored_settings import check_processors, check_settings, misfits_named
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import wrench_key
 
+CONTROL_HZ = 30.0  # where an environment doesn't say its own rate
 SHIPPED = Path(__file__).parent / "assets" / "wiping_vt"
 
 
@@ -78,6 +80,7 @@ class PolicyController:
         self.notes = check_sensors(config, mounted)
         self.policy = PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
         self.config: PI05UniforceConfig = self.policy.config
+        self._deadlines = Deadlines(CONTROL_HZ)
         with misfits_named(f"processors of {checkpoint}"):
             self._before, self._after = make_pre_post_processors(config, pretrained_path=str(checkpoint))
 
@@ -86,14 +89,22 @@ class PolicyController:
         """Whether this is the ceiling control, which is fed the simulator's wrench."""
         return self.config.touch_input == "wrench"
 
-    def reset(self, env: object) -> None:
-        """Forget the previous episode: action queue, issued target, cached references."""
+    def reset(self, env: Any) -> None:
+        """Forget the previous episode: action queue, issued target, cached references, latencies."""
         self.policy.reset()
+        self._deadlines = Deadlines(getattr(env, "metadata", {}).get("render_fps", CONTROL_HZ))
+
+    def facts(self) -> dict[str, float]:
+        """Return calls, missed deadlines and latencies since the last reset (``Deadlines.facts``)."""
+        return self._deadlines.facts()
 
     @torch.no_grad()
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the next (n_action_steps, 5) absolute targets [m, m, m, rad, m]."""
-        batch = self._batch(observation, task)
+        with self._deadlines.call(queued=len(self.policy._action_queue)):
+            return self._issue(self._batch(observation, task))
+
+    def _issue(self, batch: dict[str, Any]) -> np.ndarray:
         steps = [self._after(self.policy.select_action(batch)) for _ in range(self.config.n_action_steps)]
         return torch.cat(steps).numpy()
 
@@ -138,6 +149,10 @@ class ScriptController:
         """Start the script's episode."""
         self._env = env
         self._script.reset(env)
+
+    def facts(self) -> dict[str, float]:
+        """Return nothing: a script isn't timed."""
+        return {}
 
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the script's next target as a chunk of one."""

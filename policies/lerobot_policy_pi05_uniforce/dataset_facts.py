@@ -39,6 +39,13 @@ def read_touch_scale(
     return mean, spreads.square().mean(dim=0).sqrt()
 
 
+def read_provenance(dataset_meta: Any, config: PI05UniforceConfig) -> None:
+    """Write into ``config`` which recordings it is trained on; a model card quotes it."""
+    names = {"repo_id": "repo_id", "episodes": "total_episodes", "frames": "total_frames", "fps": "fps"}
+    found = {name: getattr(dataset_meta, attribute, None) for name, attribute in names.items()}
+    config.trained_on = {name: str(value) for name, value in found.items() if value is not None}
+
+
 def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     """Take provenance from a training view: refuse latents of another tokenizer, note which sensors it holds.
 

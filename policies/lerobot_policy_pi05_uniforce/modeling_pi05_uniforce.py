@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import torch
-from lerobot.policies.pi05 import modeling_pi05 as stock
+from huggingface_hub import ModelCard
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import weights
-from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_deltas, to_targets
+from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_targets
+from lerobot_policy_pi05_uniforce.action_loss import LANGUAGE, ActionLoss
 from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.dataset_facts import read_touch_scale, read_view
+from lerobot_policy_pi05_uniforce.dataset_facts import read_provenance, read_touch_scale, read_view
+from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
-from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
 from lerobot_policy_pi05_uniforce.stored_settings import (
     PROCESSORS,
@@ -29,14 +31,14 @@ from lerobot_policy_pi05_uniforce.stored_settings import (
 )
 from lerobot_policy_pi05_uniforce.tactile_encoder import check_hash
 from lerobot_policy_pi05_uniforce.touch_input import TouchInput
+from lerobot_policy_pi05_uniforce.trainable import NEW_MODULES, lora_targets, parameter_groups
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.keys import ACTION, STATE
+from uniforce_vtla.keys import STATE
 
-LANGUAGE = ("observation.language.tokens", "observation.language.attention_mask")
-NEW_MODULES = ("force_tokens", "state_token")  # start random even when the backbone is pretrained
+logger = logging.getLogger(__name__)
 
 
-class PI05UniforcePolicy(stock.PI05Policy):
+class PI05UniforcePolicy(ActionLoss):
     """π0.5 with a sense of force, as a LeRobot policy.
 
     Args:
@@ -77,6 +79,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
         read_view(meta, self.config)
+        if meta is not None:
+            read_provenance(meta, self.config)
         if not stats:
             return
         stats.update(floor_quantiles(stats) or {})
@@ -121,9 +125,14 @@ class PI05UniforcePolicy(stock.PI05Policy):
             check_hash(policy.model.tactile_encoder, config)
         return policy.to(config.device).eval()
 
-    @property
-    def _action_size(self) -> int:
-        return self.config.output_features[ACTION].shape[0]
+    def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
+        """Write config, weights (the frozen tactile tokenizer among them) and a model card."""
+        super()._save_pretrained(save_directory, state_dict)
+        model_card(self.config).save(save_directory / CARD)
+
+    def generate_model_card(self, *args: Any, cfg: Any = None, **kwargs: Any) -> ModelCard:
+        """Return our card where LeRobot's trainer would push its own; arguments as LeRobot's, ``cfg`` is read."""
+        return model_card(self.config, training=None if cfg is None else cfg.to_dict())
 
     def reset(self) -> None:
         """Forget the queue, the issued targets and the cached references: an episode begins."""
@@ -153,65 +162,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         }
         return {**batch, **{k: F.interpolate(image, size, mode="area") for k, image in cameras.items()}}
 
-    def _text(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return text tokens and mask, (B, L); tiny drops the padding no prompt of the batch uses."""
-        tokens, mask = (batch[key] for key in LANGUAGE)
-        if self.config.size == "tiny":  # base keeps one length, so that a compiled graph stays valid
-            longest = int(mask.sum(dim=1).max())
-            tokens, mask = tokens[:, :longest], mask[:, :longest]
-        return tokens, mask
-
-    def prepare_action(self, batch: dict[str, Tensor]) -> Tensor:
-        """Return (B, chunk, max_action_dim) in network units."""
-        actions = batch[ACTION]
-        if self.config.action_form == "target_delta":
-            actions = to_deltas(actions, batch.get("action_is_pad"), self._measured(batch), self.delta_scale)
-        return stock.pad_vector(actions, self.config.max_action_dim)
-
-    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:
-        """Return the flow-matching loss over real steps and axes.
-
-        Args:
-            batch: preprocessed observations, text tokens and actions (B, [1 +] chunk, A).
-            reduction: "mean" → scalar; "none" → (B,) for weighted training.
-        """
-        images, masks = self._preprocess_images(batch)
-        actions = self.prepare_action(batch)
-        noise, time = self._flow_start(actions)
-        losses = self.model.forward(images, masks, *self._text(batch), actions, noise, time)
-        losses = losses[:, :, : self._action_size]  # (B, chunk, A)
-        keep = self._real_steps(batch, losses)  # (B, chunk, 1)
-        per_sample = (losses * keep).sum(dim=(1, 2)) / (keep.sum(dim=(1, 2)) * self._action_size).clamp_min(1)
-        loss = (
-            per_sample
-            if reduction == "none"
-            else (losses * keep).sum() / (keep.sum() * self._action_size).clamp_min(1)
-        )
-        return loss, {
-            "loss": float(loss.detach().mean()),
-            "target_rms": float(actions.square().mean().sqrt()),
-        }
-
-    def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return noise (B, chunk, ·) and flow time (B,): random for flow matching.
-
-        Regression is the flow's first step from zero noise: its velocity there is minus the action itself, the squared
-        error is the action's, and one Euler step samples it.
-        """
-        if self.config.action_objective == "regression":
-            return torch.zeros_like(actions), actions.new_ones(len(actions))
-        noise = self.model.sample_noise(actions.shape, actions.device)
-        return noise, self.model.sample_time(len(actions), actions.device)
-
-    def _real_steps(self, batch: dict[str, Tensor], losses: Tensor) -> Tensor:
-        is_pad = batch.get("action_is_pad")
-        if is_pad is None:
-            return losses.new_ones(*losses.shape[:2], 1)
-        return (~is_pad[:, -losses.shape[1] :]).to(losses)[..., None]
-
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """Return (B, chunk, A) actions for the postprocessor: absolute targets whatever the action form."""
+        self._notice_adapters()
         tokens, mask = self._text(batch)
         batch = {**batch, LANGUAGE[0]: tokens, LANGUAGE[1]: mask}
         start = self._start_noise(len(tokens), tokens.device)
@@ -235,15 +189,25 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self.eval()
         device = self.delta_scale.device
         felt = self.model.felt_now(*self.touch.gather(batch, device, training=False))
-        if felt is None or self.model.fast is None:
-            came = f"touch_input={self.config.touch_input}, sampler={self.config.sampler}"
-            do = "Only touch can be refreshed, by the fast sampler."
+        self._notice_adapters()
+        if felt is None or self.model.fast is None or self.model.adapted:
+            came = f"touch_input={self.config.touch_input}, sampler={self.config.sampler}, LoRA {self.model.adapted}"
+            do = "Only touch can be refreshed, by the fast sampler; uniforce-share merges LoRA."
             raise ContractError(expected("refresh", "touch and sampler=fast", came, do))
         noise = self._start_noise(len(felt.tokens), device)
         chunk = self.model.fast.refresh(felt, noise, self.config.num_inference_steps)[
             ..., : self._action_size
         ]
         return self._targets(chunk, batch)
+
+    def _notice_adapters(self) -> None:
+        """Let LeRobot's loop sample while PEFT's adapters are in: the fast one reads plain weights."""
+        adapted = hasattr(self, "peft_config")
+        if adapted and not self.model.adapted and self.model.fast is not None:
+            logger.warning(
+                "LoRA isn't merged: LeRobot's loop samples, at its speed. uniforce-share merges it."
+            )
+        self.model.adapted = adapted
 
     def _targets(self, chunk: Tensor, batch: dict[str, Tensor]) -> Tensor:
         """Return what the postprocessor takes: the network's chunk, deltas put on the last command."""
@@ -269,27 +233,13 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self.issued.record(action)
         return action
 
-    def _measured(self, batch: dict[str, Tensor]) -> Tensor:
-        if MEASURED_STATE not in batch:
-            do = "Run the policy's own preprocessor (make_pi05_uniforce_pre_post_processors)."
-            raise ContractError(expected(MEASURED_STATE, "the state in SI units", "no such key", do))
-        return batch[MEASURED_STATE].to(self.delta_scale)
-
     def get_optim_params(self) -> list[dict[str, Any]]:
-        """Return trainable parameters in two groups: the backbone, and what starts random."""
-        named = [(n, p) for n, p in self.named_parameters() if p.requires_grad]
-        new = [p for n, p in named if _is_new(n)]
-        groups = [{"params": [p for n, p in named if not _is_new(n)]}]
-        return groups + ([{"params": new, "lr": self.config.new_module_lr}] if new else [])
+        """Return trainable parameters in groups: the backbone, what starts random, the gate of touch."""
+        return parameter_groups(self.named_parameters(), self.config)
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
-        targets = super()._get_default_peft_targets()
         new = [name for name in NEW_MODULES if getattr(self.model, name) is not None]
-        return {**targets, "modules_to_save": [*targets["modules_to_save"], *new]}
-
-
-def _is_new(name: str) -> bool:
-    return name.split(".")[1] in NEW_MODULES
+        return lora_targets(self.model, new)
 
 
 def _known(kwargs: dict[str, Any]) -> dict[str, Any]:

@@ -18,9 +18,12 @@ from lerobot_policy_pi05_uniforce.force_tokens import (
     SuffixTouch,
     wrench_scale,
 )
+from lerobot_policy_pi05_uniforce.next_force import NextForce
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
+from lerobot_policy_pi05_uniforce.touch_gate import GatedBackbone, Heard, TouchGate
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
+from lerobot_policy_pi05_uniforce.trainable import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.keys import STATE
 
@@ -37,13 +40,21 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         with no_weights() if empty else nullcontext():
             if config.size == "base":
                 super().__init__(config, rtc_processor=rtc_processor)
+                self.paligemma_with_expert.__class__ = (
+                    GatedBackbone  # LeRobot's constructor names its own class
+                )
             else:
                 self._init_tiny(config, rtc_processor)
         self._drop_heads()
         self._touch: SuffixTouch | None = None  # of the call in progress, at token_site=suffix
         self.tactile_encoder = _make_encoder(config, empty)
         self.force_tokens = self._make_force_tokens(config)
+        gated = config.start_at_base and bool(config.slots)
+        self.touch_gate = TouchGate(len(config.slots)) if gated else None
         self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
+        self.next_force = self._make_next_force(config)
+        freeze_unread(self)
+        self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
         self.fast = FastSampler(self) if config.sampler == "fast" else None
 
     def _drop_heads(self) -> None:
@@ -74,6 +85,13 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             tokens.input_scale.copy_(wrench_scale())
         return tokens
 
+    def _make_next_force(self, config: PI05UniforceConfig) -> NextForce | None:
+        if not config.next_force_weight:
+            return None
+        self.paligemma_with_expert.keep_suffix = True
+        size = config.tokens_per_slot * config.latent_size
+        return NextForce(self.action_in_proj.out_features, config.slots, size)
+
     def sample_actions(
         self,
         images: list,
@@ -85,7 +103,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         **kwargs: Any,
     ) -> Tensor:
         """Return (B, chunk, max_action_dim); LeRobot's own way, or the fast one with the same result."""
-        if self.fast is None:
+        if self.fast is None or self.adapted:
             try:
                 return super().sample_actions(images, img_masks, tokens, masks, noise, num_steps, **kwargs)
             finally:
@@ -113,6 +131,15 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         finally:
             self._touch = None
 
+    def next_force_loss(self, batch: dict[str, Tensor]) -> Tensor | None:
+        """Return the (B,) auxiliary loss of the latest training call; None where it isn't asked for."""
+        suffix = self.paligemma_with_expert.suffix
+        if self.next_force is None or self.force_tokens is None or suffix is None:
+            return None
+        tokens = self.force_tokens
+        hidden = suffix[:, -self.config.chunk_size :]  # (B, chunk, D_expert)
+        return self.next_force(hidden, batch, tokens.input_mean, tokens.input_scale)
+
     def embed_prefix(
         self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any
     ) -> tuple[Tensor, Tensor, Tensor]:
@@ -127,6 +154,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         )
         extra = images[cameras:], img_masks[cameras:]
         self._touch = self.suffix_touch(*extra)
+        self.paligemma_with_expert.heard = self.heard(*extra, before=embs.shape[1])
         for embedded, mask in self.prefix_extra(*extra):
             count = embedded.shape[1]
             embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
@@ -158,6 +186,15 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             embedded += self._touches(extra[states:], masks[states:])
         return embedded
 
+    def heard(self, extra: list[Tensor], masks: list[Tensor], before: int) -> Heard | None:
+        """Return how touch is heard behind ``before`` tokens of cameras and text; None: as any other token."""
+        states = self._states(extra)
+        pads = [mask[:, None].expand(-1, self.config.tokens_per_slot) for mask in masks[states:]]
+        if self.touch_gate is None or not pads:
+            return None
+        bias = self.touch_gate(len(pads), self.config.tokens_per_slot)
+        return Heard(before + states, bias, torch.cat(pads, dim=1))
+
     def suffix_touch(self, extra: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
         """Return all slots' tokens for the suffix; None at the other site or without touch."""
         states = self._states(extra)
@@ -172,7 +209,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         return SuffixTouch(torch.cat([tokens for tokens, _ in embedded], dim=1), torch.cat(pads, dim=1))
 
     def _states(self, extra: list[Tensor]) -> int:
-        return int(self.state_token is not None and bool(extra))
+        return 1 if self.state_token is not None and len(extra) > 0 else 0
 
     def _touches(self, touches: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
         if self.force_tokens is None:

@@ -22,10 +22,11 @@ from lerobot.processor import (
     make_policy_processor_pipelines,
 )
 
-from lerobot_policy_pi05_uniforce import local_tokenizer
+from lerobot_policy_pi05_uniforce import local_tokenizer, saved_tokenizer
 from lerobot_policy_pi05_uniforce.check_action import CheckActionStep
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
+from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import STATE
 
 logger = logging.getLogger(__name__)
@@ -36,18 +37,48 @@ MEASURED_STATE = "observation.measured_state"  # the state in SI units, beside t
 @ProcessorStepRegistry.register(name="uniforce_tokenizer_processor")
 @dataclass
 class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
-    """Tokenize the prompt; the packaged tokenizer is stored by name and found again wherever it is installed."""
+    """Tokenize the prompt, with nothing but the checkpoint at hand.
+
+    The packaged tokenizer is stored by name and found again wherever the package is installed; any other is saved
+    whole, as this step's state.
+    """
 
     tokenizer_name: str | None = local_tokenizer.PACKAGED
 
     def __post_init__(self) -> None:
-        stored = self.tokenizer_name
-        self.tokenizer_name = local_tokenizer.location(stored or local_tokenizer.PACKAGED)
+        self._files: dict[str, torch.Tensor] = {}
+        self._warned = False
+        if self.tokenizer_name == saved_tokenizer.SAVED:
+            return  # load_state_dict brings it
+        stored = self.tokenizer_name or local_tokenizer.PACKAGED
+        self.tokenizer_name = local_tokenizer.location(stored)
         super().__post_init__()
         self.tokenizer_name = stored
-        self._warned = False
+
+    def get_config(self) -> dict[str, Any]:
+        """Return what the pipeline's JSON holds."""
+        return {**super().get_config(), "tokenizer_name": self._saved_name}
+
+    @property
+    def _saved_name(self) -> str:
+        packaged = self.tokenizer_name == local_tokenizer.PACKAGED
+        return local_tokenizer.PACKAGED if packaged else saved_tokenizer.SAVED
+
+    def state_dict(self) -> dict[str, torch.Tensor]:
+        """Return the tokenizer's files; nothing for the packaged one."""
+        if self._saved_name == saved_tokenizer.SAVED and not self._files:
+            self._files = saved_tokenizer.to_tensors(self.input_tokenizer)
+        return dict(self._files)
+
+    def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
+        """Take the tokenizer from its files."""
+        self._files = dict(state)
+        self.input_tokenizer = saved_tokenizer.from_tensors(state)
 
     def _tokenize_text(self, text: str | list[str]) -> dict[str, torch.Tensor]:
+        if self.input_tokenizer is None:
+            do = "Copy the checkpoint again, with every file of its preprocessor."
+            raise CheckpointError(expected("text tokenizer", "its files in the preprocessor", "none", do))
         tokens = super()._tokenize_text(text)
         if not self._warned and bool(tokens["attention_mask"].all(dim=-1).any()):
             self._warned = True

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-TOUCH = ("model.force_tokens.", "model.tactile_encoder.")  # start fresh whatever the source felt
+TOUCH = (
+    "model.force_tokens.",
+    "model.touch_gate.",
+    "model.next_force.",
+    "model.tactile_encoder.",
+)  # start fresh whatever the source felt
 FRESH = (*TOUCH, "model.state_token.")  # nobody else's checkpoint has them
 BACKBONE = "model.paligemma_with_expert."
 EMBEDDING = f"{BACKBONE}paligemma.model.language_model.embed_tokens.weight"

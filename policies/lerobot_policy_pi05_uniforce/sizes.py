@@ -19,6 +19,7 @@ TINY: dict[str, Any] = {
     "max_state_dim": 8,
     "tokenizer_max_length": 64,
     "state_token": True,
+    "start_at_base": False,  # from scratch there is no base
     "action_form": "target_delta",
     "action_objective": "regression",
     "sampling_noise": 0.0,
@@ -37,6 +38,7 @@ BASE: dict[str, Any] = {  # LeRobot's own π0.5 values; published weights fit th
     "max_state_dim": 32,
     "tokenizer_max_length": 200,
     "state_token": False,
+    "start_at_base": True,
     "action_form": "absolute",
     "action_objective": "flow",
     "sampling_noise": 1.0,

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.joint_layers import joint_layer
 from lerobot_policy_pi05_uniforce.local_tokenizer import vocabulary_size
+from lerobot_policy_pi05_uniforce.touch_gate import GatedBackbone
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -17,8 +18,10 @@ NUM_HEADS = 8  # LeRobot's joint layer multiplies by 8
 PATCH_PX = 14  # SigLIP's patch, as in the real model
 
 
-class TinyPaliGemmaWithExpert(stock.PaliGemmaWithExpertModel):
+class TinyPaliGemmaWithExpert(GatedBackbone):
     """PaliGemma and the action expert with small widths; everything after construction is LeRobot's code."""
+
+    fused = True  # False: LeRobot's own layers, which the bench and tests compare with
 
     def __init__(self, config: PI05UniforceConfig) -> None:
         nn.Module.__init__(self)  # the parent would build the 4 B model
@@ -44,26 +47,22 @@ class TinyPaliGemmaWithExpert(stock.PaliGemmaWithExpertModel):
         self.to_bfloat16_for_selected_params(config.dtype)
         self._set_requires_grad()
 
-    def forward(
+    def run_layers(
         self,
-        attention_mask: Tensor | None = None,
-        position_ids: Tensor | None = None,
-        past_key_values: Any = None,
-        inputs_embeds: list | None = None,
-        use_cache: bool | None = None,
-        adarms_cond: list | None = None,
+        mask: Tensor | None,
+        positions: Tensor | None,
+        past: Any,
+        streams: list,
+        use_cache: bool | None,
+        cond: list,
     ) -> tuple[list, Any]:
         """Embed the prefix as LeRobot does; run both streams (training) or the suffix (sampling) fused."""
-        streams, cond = inputs_embeds or [None, None], adarms_cond or [None, None]
-        if streams[1] is None:
-            return super().forward(
-                attention_mask, position_ids, past_key_values, streams, use_cache=use_cache, adarms_cond=cond
-            )
+        if streams[1] is None or not self.fused:
+            return super().run_layers(mask, positions, past, streams, use_cache, cond)
+        assert mask is not None and positions is not None, "LeRobot always gives both"
         both = [self.paligemma.model.language_model, self.gemma_expert.model]
         first = 0 if streams[0] is not None else 1
-        suffix = _run(
-            both[first:], streams[first:], attention_mask, position_ids, cond[first:], past_key_values
-        )
+        suffix = _run(both[first:], streams[first:], mask, positions, cond[first:], past)
         return [None, suffix], None  # LeRobot reads the prefix for its cache alone
 
 

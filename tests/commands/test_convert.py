@@ -13,7 +13,7 @@ from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.published import EMBEDDING, HEADS, own_names
+from lerobot_policy_pi05_uniforce.published import EMBEDDING, FRESH, HEADS, own_names
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
@@ -39,7 +39,9 @@ def test_every_tensor_of_the_real_size_finds_its_place(site: str) -> None:
     published = {f"model.{name}": tuple(t.shape) for name, t in theirs.state_dict().items()}
     names = own_names(published)
     assert set(published) - set(names) == set(HEADS)
-    wanted = {f"model.{n}": tuple(t.shape) for n, t in ours.state_dict().items() if "force_tokens" not in n}
+    wanted = {f"model.{n}": tuple(t.shape) for n, t in ours.state_dict().items()}
+    assert any(name.startswith("model.touch_gate.") for name in wanted)  # training starts at the base
+    wanted = {name: shape for name, shape in wanted.items() if not name.startswith(FRESH)}
     assert {names[name]: published[name] for name in names} == wanted
     assert sum(p.numel() for p in ours.parameters()) > 3.3e9
     dtypes = {p.dtype for n, p in ours.named_parameters() if "gemma_expert.model.layers.0.mlp" in n}

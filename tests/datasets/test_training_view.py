@@ -23,6 +23,7 @@ from uniforce_vtla.keys import (
     descriptor_key,
     latent_key,
     marker_pair_key,
+    next_latent_key,
     truth_wrench_key,
     wrench_key,
 )
@@ -58,6 +59,15 @@ def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
     for sample in (straight[FRAMES + 7], only_left[FRAMES + 7]):
         np.testing.assert_array_equal(sample[latent_key("touch0")], wanted)
     assert latent_key("touch1") not in only_left[0] and latent_key("touch1") not in only_left.features
+
+
+def test_what_is_felt_later_comes_with_the_sample_until_the_episode_ends(view: Path) -> None:
+    slots = {"touch0": "right", "touch1": "left"}
+    now, later = TrainingView(view, slots=slots), TrainingView(view, slots=slots, ahead=3)
+    for slot in slots:
+        assert torch.equal(later[4][next_latent_key(slot)], now[7][latent_key(slot)])
+        assert later[FRAMES - 2][next_latent_key(slot)].isnan().all()  # the next episode is somebody else's
+    assert next_latent_key("touch0") not in now[4]
 
 
 def test_fingers_are_not_confused(demos: Path, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_policy_pi05_uniforce.bench import CASES, BenchCase, bench_case
+from lerobot_policy_pi05_uniforce.bench_touch import bench_touch
 from uniforce_vtla.commands import bench_policy
 from uniforce_vtla.commands.bench_policy import main
 
@@ -26,9 +27,17 @@ def test_the_command_writes_its_table_and_picture(tmp_path: Path, monkeypatch: p
     monkeypatch.setitem(bench_policy.CASES, "tiny", BenchCase("tiny", missing=1, prompt=12, settings=SMALL))
     assert main(["only=tiny", "rounds=2", "steps=2", f"out={tmp_path}"]) == 0
     table = json.loads((tmp_path / "policy_latency.json").read_text())
-    assert table["gpu"] is None and table["cpu"]["stock_ms"] > 0
+    assert table["gpu"] == "not run" and table["cpu"]["stock_ms"] > 0
     assert table["cases"]["tiny"]["cameras"] == 2
     assert (tmp_path / "policy_latency.png").stat().st_size > 5_000
+
+
+def test_touch_is_timed_in_turns_with_none() -> None:
+    report = bench_touch(BenchCase("small", prompt=12, settings=SMALL), "cpu", rounds=2, steps=2)
+    assert report["tokens"] == 32
+    assert set(report["call_ms"]) == {"none", "prefix", "suffix", "refresh"}
+    assert set(report["train_step_ms"]) == {"none", "prefix", "suffix"}
+    assert report["call_ratio_to_none"]["none"] == 1 and report["call_ms"]["refresh"] > 0
 
 
 @pytest.mark.parametrize(("given", "says"), [("only=huge", "base_3_cameras"), ("device=cuda", "CUDA")])

@@ -8,7 +8,7 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.rtc.configuration_rtc import RTCConfig
 
 from lerobot_policy_pi05_uniforce.bench import lerobots_layers
-from lerobot_policy_pi05_uniforce.fast_sampler import drop_dead
+from lerobot_policy_pi05_uniforce.fast_prefix import drop_dead
 from uniforce_vtla.errors import ContractError
 
 TOLERANCE = 1e-4  # on actions in network units, of order 1

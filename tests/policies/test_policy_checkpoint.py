@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import importlib.util
 import json
 
 import pytest
@@ -123,15 +122,22 @@ def test_swap_runs_the_same_checkpoint(make_policy, make_batch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("touch_slots", {"touch0": "left"}), ("tokenizer_hash", "beef"), ("latent_grid", 2)]
+    ("name", "value"),
+    [
+        ("touch_slots", {"touch0": "left"}),
+        ("tokenizer_hash", "beef"),
+        ("latent_grid", 2),
+        ("token_site", "suffix"),
+    ],
 )
 def test_touch_settings_must_be_the_checkpoints_own(checkpoint, name, value):
     config = PreTrainedConfig.from_pretrained(checkpoint)
     setattr(config, name, value)
-    with pytest.raises(
-        CheckpointError, match=f"touch settings.*{'slots' if name == 'touch_slots' else name}"
-    ):
+    said = "slots" if name == "touch_slots" else name
+    with pytest.raises(CheckpointError, match=f"touch settings.*'{said}'") as error:
         PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
+    others = {"slots", "tokenizer_hash", "latent_grid", "token_site"} - {said}
+    assert not any(f"'{other}'" in str(error.value) for other in others)  # only what differs is named
 
 
 def test_other_sensors_must_be_asked_for(make_config):
@@ -200,5 +206,3 @@ def test_auto_size_is_tiny_on_a_cpu():
 def test_lora_trains_the_new_modules(make_policy):
     targets = make_policy()._get_default_peft_targets()
     assert {"force_tokens", "state_token"} <= set(targets["modules_to_save"])
-    if importlib.util.find_spec("peft") is None:
-        pytest.skip("peft isn't installed: only the list of targets was checked")

@@ -7,7 +7,7 @@ import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 
-from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import LANGUAGE
+from lerobot_policy_pi05_uniforce.action_loss import LANGUAGE
 from uniforce_vtla.errors import ContractError, RolloutError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
 from uniforce_vtla.probes.plain_touch import descriptors, marker_pairs

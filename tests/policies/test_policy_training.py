@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+import importlib.util
 import json
+import os
+import socket
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -14,7 +18,7 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from safetensors.torch import load_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-from uniforce_vtla.commands import train
+from uniforce_vtla.commands import share, train
 from uniforce_vtla.errors import ContractError
 
 AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
@@ -123,3 +127,76 @@ def test_command_line_becomes_lerobots():
 def test_help_teaches_with_an_example(capsys):
     train.main(["--help"])
     assert "python scripts/train.py policy=pi05_uniforce" in capsys.readouterr().out
+
+
+SMALL = "tiny_width=32 tiny_depth=2 tiny_head_dim=8 tiny_mlp_dim=32 image_resolution=[28,28]"
+
+
+def settings(dataset: Path, tokenizer_path: Path, out: Path) -> list[str]:
+    model = [f"policy.{entry}" for entry in SMALL.split()]
+    touch = [f"policy.tokenizer_path={tokenizer_path}", "policy.touch_slots={touch0: right}"]
+    data = ["dataset.repo_id=local/wipe", f"dataset.root={dataset}", f"output_dir={out}", "num_workers=0"]
+    run = ["steps=2", "batch_size=2", "log_freq=1", "save_freq=2", "env_eval_freq=0"]
+    return ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *model, *touch, *data, *run]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("peft") is None, reason="peft isn't installed (an extra)")
+def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_path, tmp_path, monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    train.main([*settings(dataset, tokenizer_path, tmp_path / "start"), "policy.start_at_base=true"])
+    start = tmp_path / "start/checkpoints/last/pretrained_model"
+    more = [f"policy.path={start}", "policy.device=cpu", "--peft.method_type=LORA", "--peft.r=2"]
+    train.main([*more, *settings(dataset, tokenizer_path, tmp_path / "lora")[10:]])
+    trained = tmp_path / "lora/checkpoints/last/pretrained_model"
+    assert (trained / "adapter_model.safetensors").exists() and not (trained / "model.safetensors").exists()
+    assert share.main([f"checkpoint={trained}", f"out={tmp_path / 'shared'}"]) == 0
+    merged, before = (load_file(folder / "model.safetensors") for folder in (tmp_path / "shared", start))
+    assert merged.keys() == before.keys()
+    moved = {name for name in merged if not torch.equal(merged[name], before[name])}
+    assert any("gemma_expert" in name for name in moved) and "model.touch_gate.gate" in moved
+    assert not any("vision_tower" in name or "tactile_encoder" in name for name in moved)
+    assert not PI05UniforcePolicy.from_pretrained(tmp_path / "shared").config.use_peft
+
+
+@pytest.mark.slow  # two processes import LeRobot, 10 s each
+def test_two_processes_train_without_a_search_for_unused_parameters(dataset, tokenizer_path, tmp_path):
+    """The second step would stop with an error, had any weight of any process been left without a gradient."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    common = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "HF_HUB_OFFLINE": "1"}
+    common |= {"ACCELERATE_USE_CPU": "true", "OMP_NUM_THREADS": "1"}
+    call = [sys.executable, "-c", "from uniforce_vtla.commands.train import main; main()"]
+    call += [*settings(dataset, tokenizer_path, tmp_path / "run"), "policy.touch_dropout=0.5"]
+    workers = [
+        subprocess.Popen(
+            call,
+            env=os.environ | common | {"RANK": rank, "LOCAL_RANK": rank},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        for rank in ("0", "1")
+    ]
+    try:
+        said = [worker.communicate(timeout=280)[0] for worker in workers]
+    finally:
+        for worker in workers:  # one that waits for the other for ever
+            worker.kill()
+    assert [worker.returncode for worker in workers] == [0, 0], said[0][-2000:] + said[1][-2000:]
+    assert (tmp_path / "run/checkpoints/last/pretrained_model/model.safetensors").exists()
+    assert "2 x 2" in said[0] or "num_processes" in said[0] or "Effective batch size" in said[0]
+
+
+def test_only_our_policy_skips_the_search(tmp_path):
+    from accelerate import utils
+
+    stock = utils.DistributedDataParallelKwargs
+    with train.every_weight_used(["--policy.type=act"]):
+        assert utils.DistributedDataParallelKwargs is stock
+    (tmp_path / "config.json").write_text('{"type": "pi05_uniforce"}')
+    for flags in (["--policy.type=pi05_uniforce"], [f"--policy.path={tmp_path}"]):
+        with train.every_weight_used(flags):
+            handler = utils.DistributedDataParallelKwargs(find_unused_parameters=True)
+            assert handler.find_unused_parameters is False
+    assert utils.DistributedDataParallelKwargs is stock

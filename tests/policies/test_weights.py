@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,21 +9,9 @@ import torch
 from safetensors.torch import save_file
 from torch import nn
 
+from lerobot_policy_pi05_uniforce.bench_memory import bench_memory
 from lerobot_policy_pi05_uniforce.weights import fill, no_weights
 from uniforce_vtla.errors import CheckpointError
-
-LOAD = """
-import sys, psutil, torch
-from pathlib import Path
-torch.set_num_threads(1)
-from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-before = psutil.Process().memory_info().rss
-policy = PI05UniforcePolicy.from_pretrained(sys.argv[1])
-total = sum(float(p.sum()) for p in policy.parameters())  # every page was really there
-status = Path("/proc/self/status").read_text()  # getrusage would tell the parent's peak, inherited over fork
-peak = 1024 * int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
-print((peak - before) / int(sys.argv[2]))
-"""
 
 
 def test_an_empty_module_is_filled_and_equal(tmp_path: Path) -> None:
@@ -57,18 +43,11 @@ def test_names_are_changed_dropped_or_left_to_the_module(tmp_path: Path) -> None
     assert bool((module.weight == 1).all()) and torch.equal(module.bias, own)
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # a fresh process imports LeRobot: 10 s
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc")
-def test_a_checkpoint_is_never_held_twice(make_config, make_policy, tmp_path: Path) -> None:
+def test_a_checkpoint_is_never_held_twice() -> None:
     """200 MB of weights in a process of their own: memory grows by the weights and little else."""
     wide = {"tiny_width": 1024, "tiny_depth": 3, "tiny_mlp_dim": 2048, "tiny_head_dim": 64}
-    policy = make_policy(touch_input="none", **wide)
-    policy.save_pretrained(tmp_path)
-    size = (tmp_path / "model.safetensors").stat().st_size
-    assert size > 150e6
-    del policy
-    call = [sys.executable, "-c", LOAD, str(tmp_path), str(size)]
-    found = subprocess.run(call, capture_output=True, text=True, check=True, timeout=240)
-    assert (
-        0.9 < float(found.stdout.split()[-1]) < 1.15 + 20e6 / size
-    )  # 20 MB: what a forward's buffers may take
+    found = bench_memory(size="tiny", image_resolution=(28, 28), **wide)
+    assert found["checkpoint_GB"] > 0.15
+    assert 0.9 < found["ratio"] < 1.15 + 0.02 / found["checkpoint_GB"]  # 20 MB: buffers of a forward

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from lerobot_policy_pi05_uniforce.bench import CASES, bench_case
+from lerobot_policy_pi05_uniforce.bench_memory import bench_memory
+from lerobot_policy_pi05_uniforce.bench_touch import bench_touch
 from uniforce_vtla.commands.arguments import choose, parse
 from uniforce_vtla.errors import ContractError, UniForceError, expected
 from uniforce_vtla.figure_file import save_figure
@@ -25,13 +28,19 @@ class BenchPolicyConfig:
     """Time a chunk with random weights, stock and fast in turns; write policy_latency.json and a figure.
 
     Example: uniforce-bench-policy rounds=9
-    On a GPU: uniforce-bench-policy device=cuda only=base_3_cameras rounds=30
+    With what touch costs and what loading takes: uniforce-bench-policy touch=mid_3_cameras memory=base
+    On a GPU: uniforce-bench-policy device=cuda rounds=30 touch=base_3_cameras touch_train=false
     """
 
     device: str = "cpu"  # cpu (one thread) | cuda
     only: str = ""  # cases, comma between them; empty = all that fit the device
     rounds: int = 9  # stock and fast once each per round; medians and the median of the ratios are reported
     steps: int = 10  # flow steps
+    touch: str = ""  # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not
+    touch_train: bool = (
+        True  # a training step too: three networks with their optimisers at once, 94 GB for base
+    )
+    memory: str = ""  # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
     out: str = "docs/results"  # policy_latency.json and .png
 
 
@@ -51,10 +60,16 @@ def measure(config: BenchPolicyConfig) -> dict[str, Any]:
     }
     head = reports.get(BAR_CASE) or next(iter(reports.values()))
     short = {key: head[key] for key in ("config", "device", "stock_ms", "fast_ms", "ratio")}
-    return {
+    more: dict[str, Any] = {}
+    if config.touch:
+        case = choose(CASES, config.touch)[config.touch]
+        more["touch"] = bench_touch(case, config.device, config.rounds, config.steps, config.touch_train)
+    if config.memory:
+        more["memory"] = {config.memory: bench_memory(size=config.memory, dtype="bfloat16")}
+    return more | {
         "what": "random weights, batch 1, float32 on CPU, bfloat16 on GPU",
         "cpu": None if on_gpu else short,
-        "gpu": short if on_gpu else None,
+        "gpu": short if on_gpu else "not run",
         "cases": reports,
     }
 
@@ -90,5 +105,8 @@ def main(argv: list[str] | None = None) -> int:
             f"{name}: stock {r['stock_ms']:.1f} ms, fast {r['fast_ms']:.1f} ms ({r['ratio']:.2f}×), floor "
             f"{r['floor_ms']:.1f} ms; operations {r['operations']['fast']} of {r['operations']['stock']}"
         )
+    for name in ("touch", "memory"):
+        if name in content:
+            print(f"{name}: {json.dumps(content[name])}")
     print(f"written to {path}")
     return 0

@@ -37,6 +37,9 @@ NOT_TAKEN = (  # what the new policy decides for itself, or what its own data sa
     "touch_input",
     "touch_slots",
     "token_site",
+    "start_at_base",
+    "next_force_weight",
+    "trained_on",
     "swap",
     "left_sensor",
     "right_sensor",
@@ -65,6 +68,9 @@ class ConvertConfig:
     touch_input: str = "latent"  # latent | none, or a control: wrench | descriptor | marker_pair
     touch_slots: str = "touch0:right,touch1:left"  # slot:finger, comma between them
     token_site: str = "prefix"  # prefix | suffix (docs/design.md)
+    start_at_base: bool = (
+        True  # training starts with the source's actions, touch behind a gate (touch_gate.py)
+    )
     dtype: str = "bfloat16"  # of the backbone; a tiny source stays float32
     revision: str = ""  # of a hub repository
 
@@ -118,6 +124,7 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
         touch_input=config.touch_input,
         touch_slots=slots,
         token_site=config.token_site,
+        start_at_base=config.start_at_base,
     )
 
 

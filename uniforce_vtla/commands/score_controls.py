@@ -66,6 +66,10 @@ class ShuffledTouch:
         self._rng = np.random.default_rng([env.scene.seed, 31])
         self._inner.reset(env)
 
+    def facts(self) -> dict[str, float]:
+        """Return the inner controller's facts."""
+        return self._inner.facts()
+
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the inner controller's chunk for this observation with touch exchanged."""
         bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from accelerate import utils
 from lerobot.datasets import factory
 from lerobot.scripts import lerobot_train
 from lerobot.utils.import_utils import register_third_party_plugins
@@ -25,6 +27,9 @@ Train a policy with LeRobot's trainer; everything after the script's name is a s
   policy.touch_slots="{touch0: right, touch1: left}"   which finger fills which touch slot; {} or
   policy.touch_input=none                              trains without touch
   resume=true config_path=outputs/train/checkpoints/last/pretrained_model/train_config.json
+  policy.train_expert_only=true | policy.freeze_vision_encoder=true | --peft.method_type=LORA   train less
+  policy.next_force_weight=0.1   also predict what is felt when the next chunk begins (training views only)
+  accelerate launch --num_processes=4 scripts/train.py …   several devices; no search for unused parameters
   more: lerobot-train --help (run with --policy.type=pi05_uniforce to see this policy's settings)
 
 Added unless given: policy.push_to_hub=false, wandb.enable=false.  A dataset root that holds a training view
@@ -32,6 +37,7 @@ Added unless given: policy.push_to_hub=false, wandb.enable=false.  A dataset roo
 """
 
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
+OURS = "pi05_uniforce"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
 
 
@@ -76,6 +82,36 @@ def training_views() -> Iterator[None]:
         factory.make_dataset = stock
 
 
+@contextmanager
+def every_weight_used(flags: Sequence[str]) -> Iterator[None]:
+    """Let data-parallel training of our policy skip the search for unused parameters, which LeRobot asks for.
+
+    A walk over the graph in every step; ours has none left (``trainable.py``, and a test per training option).
+    """
+    stock = utils.DistributedDataParallelKwargs
+
+    def handler(**given: Any) -> Any:
+        return stock(**{**given, "find_unused_parameters": False})
+
+    if trains_ours(flags):
+        utils.DistributedDataParallelKwargs = handler
+    try:
+        yield
+    finally:
+        utils.DistributedDataParallelKwargs = stock
+
+
+def trains_ours(flags: Sequence[str]) -> bool:
+    """Return whether these flags name a pi05_uniforce, by type or by the folder it starts or goes on from."""
+    given = dict(flag[2:].split("=", 1) for flag in flags if flag.startswith("--") and "=" in flag)
+    started = Path(given.get("policy.path", "")) / "config.json"
+    resumed = Path(given.get("config_path", "")).parent / "config.json"
+    for key, config in (("policy.path", started), ("config_path", resumed)):
+        if key in given and config.is_file():
+            return json.loads(config.read_text()).get("type") == OURS
+    return given.get("policy.type") == OURS
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Run ``lerobot-train`` on the given arguments (the process's own when None)."""
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -83,12 +119,10 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(HELP)
         return
     register_third_party_plugins()
-    before, sys.argv = (
-        sys.argv,
-        [sys.argv[0], *to_lerobot(arguments)],
-    )  # LeRobot's parser reads sys.argv itself
+    flags = to_lerobot(arguments)
+    before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
-        with training_views():
+        with training_views(), every_weight_used(flags):
             lerobot_train.main()
     finally:
         sys.argv = before

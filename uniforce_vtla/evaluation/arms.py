@@ -34,6 +34,7 @@ class EpisodeRow:
     seconds: float
     think_p50_ms: float
     think_p95_ms: float
+    missed_deadlines: int = 0  # calls answered after the action queue ran dry
     z_profile_mm: tuple[
         float, ...
     ] = ()  # tool height while wiping, at PROFILE_POINTS even shares of that time
@@ -61,6 +62,7 @@ def row_of(rollout: Rollout) -> EpisodeRow:
         seconds=float(np.asarray(trace.time_s)[-1]),
         think_p50_ms=float(np.percentile(rollout.think_ms, 50)),
         think_p95_ms=float(np.percentile(rollout.think_ms, 95)),
+        missed_deadlines=int(rollout.facts.get("missed_deadlines", 0)),
         z_profile_mm=_z_profile(trace),
     )
 

@@ -44,6 +44,9 @@ class Controller(Protocol):
     def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
         """Return the next (n, 5) absolute targets to execute before looking again."""
 
+    def facts(self) -> dict[str, float]:
+        """Return what it has to say of itself since the last reset: missed deadlines, latencies."""
+
 
 @dataclass(frozen=True)
 class Rollout:
@@ -55,6 +58,7 @@ class Rollout:
         trace: what was measured at each control step.
         think_ms: controller time per chunk.
         frames: front-camera pictures, one per chunk, when asked for.
+        facts: what the controller says of itself, e.g. ``missed_deadlines``.
     """
 
     seed: int
@@ -62,6 +66,7 @@ class Rollout:
     trace: EpisodeTrace
     think_ms: np.ndarray
     frames: list[np.ndarray] = field(default_factory=list)
+    facts: dict[str, float] = field(default_factory=dict)
 
 
 def roll_out(
@@ -90,7 +95,7 @@ def roll_out(
         done = _execute(env, chunk, on_step)
         if not done:
             observation = env.observe()
-    return Rollout(seed, env.result(), env.trace, np.asarray(think_ms), frames)
+    return Rollout(seed, env.result(), env.trace, np.asarray(think_ms), frames, controller.facts())
 
 
 def _execute(env: Environment, chunk: np.ndarray, on_step: Callable[[], None] | None) -> bool:

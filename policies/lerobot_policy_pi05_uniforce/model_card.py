@@ -1,0 +1,145 @@
+"""The model card of a checkpoint: what it feels, what it was trained on, how well it did, under which licence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from huggingface_hub import ModelCard, ModelCardData
+
+from uniforce_vtla.errors import ContractError, expected
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+
+CARD = "README.md"
+BASE_MODEL = "lerobot/pi05_base"
+LICENCE = {
+    "base": "The weights derive from π0.5, which builds on PaliGemma: they are provided under and subject to the "
+    "[Gemma Terms of Use](https://ai.google.dev/gemma/terms), passed on with every copy, and so is the text tokenizer "
+    "in the preprocessor. The code is Apache-2.0.",
+    "tiny": "Weights and code: Apache-2.0. Nothing of Gemma is inside.",
+}
+TEXT = """\
+---
+{data}
+---
+
+# {title}
+
+π0.5 with a sense of force for LeRobot, made with the package `lerobot_policy_pi05_uniforce`. Size `{config.size}`.
+
+## What it feels
+
+{touch}
+
+## Use
+
+```bash
+pip install lerobot_policy_pi05_uniforce
+lerobot-rollout --policy.path=THIS_FOLDER_OR_HUB_ID …
+```
+
+Weights, normalisation, text tokenizer and the frozen tactile tokenizer are all in this folder. A file that is missing
+or does not fit is an error at load, and so is another tactile tokenizer, slot or token site.
+
+## Data
+
+{data_text}
+
+## Training
+
+{training}
+
+## Scores
+
+{scores}
+
+## Limits
+
+Trained and scored as said above, and nowhere else. It is research, no certified robot controller: keep the robot's own
+force and speed limits on.
+
+## Licence
+
+{licence}
+"""
+
+
+def model_card(
+    config: PI05UniforceConfig,
+    training: Mapping[str, Any] | None = None,
+    scores: Mapping[str, Any] | None = None,
+) -> ModelCard:
+    """Return the card of a policy.
+
+    Args:
+        config: the policy's settings and provenance.
+        training: settings of the training run (``train_config.json``).
+        scores: what ``uniforce-score`` wrote (``wiping.json``).
+
+    Raises:
+        ContractError: scores without arms.
+    """
+    base = config.size == "base"
+    data = ModelCardData(
+        license=config.license or ("gemma" if base else "apache-2.0"),
+        library_name="lerobot",
+        pipeline_tag="robotics",
+        tags=sorted({*(config.tags or []), "robotics", "lerobot", "tactile", config.type}),
+        datasets=config.trained_on.get("repo_id"),
+        base_model=BASE_MODEL if base else None,
+    )
+    return ModelCard(
+        TEXT.format(
+            data=data.to_yaml(),
+            title=(config.repo_id or config.type).split("/")[-1],
+            config=config,
+            touch=_touch(config),
+            data_text=_lines(config.trained_on),
+            training=_training(training),
+            scores=_scores(scores),
+            licence=LICENCE[config.size],
+        )
+    )
+
+
+def _touch(config: PI05UniforceConfig) -> str:
+    if not config.slots:
+        return "Nothing: it was trained without touch."
+    worn = {slot: config.trained_sensors.get(slot) or "a sensor not stated" for slot in config.slots}
+    facts = {f"slot `{s}`": f"{config.touch_slots[s]} finger, trained on {worn[s]}" for s in config.slots}
+    facts |= {
+        "input": config.touch_input,
+        "tokens per slot": str(config.tokens_per_slot),
+        "token site": config.token_site,
+        "tactile tokenizer": f"{config.tokenizer_hash or 'none'} ({config.num_patches} patches)",
+    }
+    return _lines(facts)
+
+
+def _training(training: Mapping[str, Any] | None) -> str:
+    asked = ("steps", "batch_size", "seed")
+    return _lines({name: str(training[name]) for name in asked if name in training} if training else {})
+
+
+def _scores(scores: Mapping[str, Any] | None) -> str:
+    if scores is None:
+        return "Not scored."
+    if not isinstance(scores.get("arms"), Mapping):
+        do = "Give the wiping.json that uniforce-score wrote."
+        raise ContractError(expected("scores", "a table of arms", sorted(scores), do))
+    head = [
+        f"Simulated wiping, level `{scores.get('level', 'not stated')}`:",
+        "",
+        "| arm | clean | success |",
+    ]
+    rows = [
+        f"| {name} | {arm['clean']}/{arm['n']} | {arm['success']}/{arm['n']} |"
+        for name, arm in scores["arms"].items()
+    ]
+    return "\n".join([*head, "|---|---|---|", *rows])
+
+
+def _lines(facts: Mapping[str, str]) -> str:
+    return "\n".join(f"- {name}: {value}" for name, value in facts.items()) or "Not stated."

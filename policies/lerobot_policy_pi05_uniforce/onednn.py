@@ -1,0 +1,82 @@
+"""Projections of the fast sampler on a CPU, by oneDNN: same float32 products, another library and fused epilogues.
+
+torch sends a float32 ``linear`` to MKL, which on AMD processors runs at half of oneDNN's speed (37–91 against 81–196
+GFLOP/s on one core, docs/experiments/policy_speed.md), and its tanh GELU takes as long as the product before
+it. Where oneDNN is missing, on another device, in another dtype, where a gradient is wanted (RTC's guidance) or where
+torch.compile traces (it has kernels of its own), plain torch runs; results agree within rounding.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+
+AVAILABLE = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_linear_pointwise")
+SCORES = (
+    2**16,
+    2**20,
+)  # fewer: not worth five operations; more leave the cache, and torch's tiled attention wins
+
+
+def here(x: Tensor) -> bool:
+    """Return whether oneDNN takes this tensor's products."""
+    wanted = x.device.type == "cpu" and x.dtype == torch.float32
+    return AVAILABLE and wanted and not torch.is_grad_enabled() and not torch.compiler.is_compiling()
+
+
+def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """Return ``x`` (…, K) times ``weight`` (N, K) transposed, plus ``bias`` (N,)."""
+    if not here(x):
+        return F.linear(x, weight, bias)
+    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
+
+
+def linear_gelu(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """Return the tanh GELU of :func:`linear`."""
+    if not here(x):
+        return F.gelu(F.linear(x, weight, bias), approximate="tanh")
+    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "gelu", [], "tanh")
+
+
+def linear_times(x: Tensor, weight: Tensor, factor: Tensor) -> Tensor:
+    """Return :func:`linear` times ``factor`` (…, N)."""
+    if not here(x):
+        return F.linear(x, weight) * factor
+    return torch.ops.mkldnn._linear_pointwise.binary(x, factor, weight, None, "mul")
+
+
+def linear_plus(x: Tensor, weight: Tensor, bias: Tensor | None, summand: Tensor) -> Tensor:
+    """Return :func:`linear` plus ``summand`` (…, N), a residual stream."""
+    if not here(x):
+        return F.linear(x, weight, bias) + summand
+    return torch.ops.mkldnn._linear_pointwise.binary(x, summand, weight, bias, "add")
+
+
+def gated_hidden(mlp: nn.Module, x: Tensor) -> Tensor:
+    """Return the hidden layer of Gemma's MLP, gelu(gate) · up."""
+    return linear_times(x, mlp.up_proj.weight, linear_gelu(x, mlp.gate_proj.weight))
+
+
+def suits(q: Tensor, keys: int) -> bool:
+    """Return whether :func:`attend_one` is the faster way for (B, heads, L, head) queries."""
+    return here(q) and len(q) == 1 and SCORES[0] <= q.shape[1] * q.shape[2] * keys <= SCORES[1]
+
+
+def attend_one(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
+    """Return attention of a batch of one whose heads share keys and values: all heads in one product.
+
+    Args:
+        q: (1, heads, L, head), scaled.
+        k: (L_keys, head).
+        v: (L_keys, head).
+        mask: (1, 1, 1 or L, L_keys), bool (True is seen) or additive, or None.
+
+    Returns:
+        (1, heads, L, head).
+    """
+    scores = linear(q.flatten(0, 2), k)  # (heads·L, L_keys)
+    if mask is not None:
+        apart = scores.view(*q.shape[:3], -1)
+        apart.masked_fill_(~mask, -torch.inf) if mask.dtype == torch.bool else apart.add_(mask)
+    return linear(scores.softmax(dim=-1), v.t()).view(q.shape)
