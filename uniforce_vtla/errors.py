@@ -23,6 +23,14 @@ class DatasetError(UniForceError):
     """A dataset can't be trusted: lossy tactile video, dropped frame, missing reference."""
 
 
+class DiskFullError(DatasetError):
+    """No room to store the episode; those saved before are intact."""
+
+
+class DroppedFrameError(DatasetError):
+    """A video frame could not be encoded in time; the episode is discarded."""
+
+
 class RolloutError(UniForceError):
     """A rollout had to stop: lost touch, non-finite action, broken episode."""
 

@@ -13,11 +13,13 @@ import numpy as np
 from lerobot.configs import RGBEncoderConfig
 from lerobot.datasets.video_utils import StreamingVideoEncoder
 
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.keys import TACTILE_KEYS
+from uniforce_vtla.keys import TACTILE_KEYS, tactile_name
 
 PATIENCE_s = 60.0  # how long a simulation waits for a stuck encoder before it gives the episode up
 POLL_s = 0.002  # between looks at a full queue
+RAW_NAMES = tuple(tactile_name(finger) for finger in FINGERS)  # of raw streams: names, never LeRobot keys
 
 
 def camera_codec() -> RGBEncoderConfig:
@@ -30,8 +32,15 @@ def marker_codec() -> RGBEncoderConfig:
     return RGBEncoderConfig(vcodec="h264", crf=0, preset="veryfast", g=15)
 
 
+def raw_codec() -> RGBEncoderConfig:
+    """H.264 at crf 10, for raw tactile frames; docs/recording.md has what it costs and what it keeps."""
+    return RGBEncoderConfig(vcodec="h264", crf=10, preset="ultrafast", g=15)
+
+
 def codec_of(key: str) -> RGBEncoderConfig:
     """Return the codec a video key is stored with."""
+    if key in RAW_NAMES:
+        return raw_codec()
     return marker_codec() if key in TACTILE_KEYS else camera_codec()
 
 

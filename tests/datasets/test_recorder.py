@@ -252,7 +252,7 @@ def test_wrong_places_are_refused(tmp_path: Path, demos: Path) -> None:
     with open_recorder(tmp_path / "data"), pytest.raises(DatasetError, match="one recorder"):
         open_recorder(tmp_path / "data")
     with pytest.raises(DatasetError, match="features"):
-        open_recorder(demos, truth=True, camera_shape=(64, 64, 3))
+        open_recorder(demos, truth=True, cameras=(64, 64, 3))
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("mine")
     with pytest.raises(DatasetError, match="empty folder"):
