@@ -17,20 +17,31 @@ LINKS = ("slcan", "server", "replay")
 
 
 @dataclass(kw_only=True)
-class TactileFingerConfig(CameraConfig):
+class SampledCameraConfig(CameraConfig):
+    """What every camera read in the background has."""
+
+    fps: int | None = 30  # camera frames per second; for taxels the robot loop's, their own rate is measured
+    max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
+    connect_ms: float = 5000.0  # the first sample must come within
+    frozen_after: int = 10  # equal samples in a row that mean a frozen sensor; 0 never looks
+    rotation_deg: int = 0  # 0 | 90 | 180 | 270, counter-clockwise; see `uniforce-touch check=orientation`
+
+    @property
+    def orientation(self) -> Orientation:
+        """How it is turned on its mount."""
+        return Orientation(self.rotation_deg)
+
+
+@dataclass(kw_only=True)
+class TactileFingerConfig(SampledCameraConfig):
     """What every tactile finger has.
 
     ``width`` and ``height`` become those of the delivered image, as LeRobot expects of a camera.
     """
 
     finger: str = "left"  # who wears it: left | right; names it in errors, nothing is mirrored here
-    fps: int | None = 30  # camera frames per second; for taxels the robot loop's, their own rate is measured
-    max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
-    connect_ms: float = 5000.0  # the first sample must come within
     reference_on_connect: bool = True  # take the free-air reference when connecting; needs open fingers
     reference_samples: int = 10  # samples it is the median of; touched while they come = refused
-    frozen_after: int = 10  # equal samples in a row that mean a frozen sensor; 0 never looks
-    rotation_deg: int = 0  # 0 | 90 | 180 | 270, counter-clockwise; see `uniforce-touch check=orientation`
     sensor: str = ""  # registry name
 
     def __post_init__(self) -> None:
@@ -44,11 +55,6 @@ class TactileFingerConfig(CameraConfig):
     def label(self) -> str:
         """How errors call the sensor, e.g. ``tactip on the right finger``."""
         return f"{self.sensor} on the {self.finger} finger"
-
-    @property
-    def orientation(self) -> Orientation:
-        """How it is turned on its finger."""
-        return Orientation(self.rotation_deg)
 
 
 @CameraConfig.register_subclass("uniforce_tactile")
@@ -141,3 +147,41 @@ class UniforceUskinConfig(TactileFingerConfig):
     def orientation(self) -> Orientation:
         """How it is turned on its finger."""
         return Orientation(self.rotation_deg, self.flip)
+
+
+@CameraConfig.register_subclass("uniforce_scene")
+@dataclass(kw_only=True)
+class UniforceSceneCameraConfig(SampledCameraConfig):
+    """A camera that looks at the scene: like LeRobot's ``opencv``, but stamped, reopened, and refused once frozen.
+
+    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 640, "height": 480}``
+    """
+
+    source: str = ""  # device number, /dev/v4l/by-path/… or http://…
+    width: int | None = 640  # px
+    height: int | None = 480
+    fourcc: str | None = "MJPG"  # null leaves the camera's own
+    exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
+    white_balance_K: float | None = None  # locked; null leaves the automatic
+    gain: float | None = None  # locked; null leaves it
+    clock: str = "host"  # host: stamped on arrival | driver: stamped by the camera's driver
+
+    def __post_init__(self) -> None:
+        if not self.source:
+            do = "Set source=/dev/v4l/by-path/… or http://…"
+            raise ContractError(expected("source", "a camera", "nothing", do))
+        if self.clock not in CLOCKS:
+            raise ContractError(expected("clock", " | ".join(CLOCKS), self.clock, "Choose one."))
+
+    @property
+    def label(self) -> str:
+        """How errors call it."""
+        return "scene camera"
+
+    def capture_settings(self) -> CaptureSettings:
+        """What is asked of the camera; its frames are turned after that."""
+        sideways = self.rotation_deg in (90, 270)
+        width, height = (self.height, self.width) if sideways else (self.width, self.height)
+        return CaptureSettings(
+            self.fourcc, width, height, self.fps, self.exposure_100us, self.white_balance_K, self.gain
+        )
