@@ -132,6 +132,12 @@ class ArmStream:
             self._ramp = Ramp(start, target, now, self.settings.action_period_s)
             self._submitted_s, self._holding = now, False
 
+    def hold(self) -> None:
+        """Pull towards where the arm is now, at once. Does nothing before the first action or after a fault."""
+        with self._lock:
+            if self._ramp is not None:
+                self._rest_here()
+
     def _check(self) -> None:
         if self._fault is not None:
             raise self._fault
@@ -182,15 +188,17 @@ class ArmStream:
             if self._ramp is None:
                 return None
             if now_s - self._submitted_s > self.settings.stale_s and not self._holding:
-                self._hold(now_s)
+                self._hold_stale()
             return self._ramp.at(now_s)
 
-    def _hold(self, now_s: float) -> None:
-        """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""
-        self._holding = True
-        self.stale_count += 1
+    def _rest_here(self) -> None:
         here = self._measured()
-        self._ramp = Ramp(here, here, now_s, 0.0)
+        self._ramp, self._holding = Ramp(here, here, time.monotonic(), 0.0), True
+
+    def _hold_stale(self) -> None:
+        """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""
+        self.stale_count += 1
+        self._rest_here()
         log.warning("no action for %.0f ms: holding the measured pose", 1000 * self.settings.stale_s)
 
     def _let_go(self) -> None:
