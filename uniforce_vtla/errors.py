@@ -40,7 +40,8 @@ class RobotError(UniForceError):
 
     Attributes:
         fault: one word for what happened: ``connection``, ``version``, ``reflex``, ``user_stop``, ``guiding``,
-            ``action``, ``stale``, ``sensor``, ``ended``, ``backend`` or ``other``. Programs branch on it, people read the message.
+            ``action``, ``stale``, ``sensor``, ``ended``, ``backend`` or ``other``. Programs branch on it,
+            people read the message.
     """
 
     def __init__(self, message: str, fault: str = "other") -> None:

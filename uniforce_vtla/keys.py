@@ -109,13 +109,18 @@ SEED = "provenance.seed"  # the integer that rebuilds the scene; on a robot, cou
 CAUSE = "provenance.cause"  # index into ABORT_CAUSES
 STAMPS = "provenance.stamps"  # (3,) float64 s on the episode's clock, see STAMP_NAMES
 STAMP_NAMES = ("tick_begun", "observed", "acted")
-REQUESTED = "provenance.requested"  # (5,) what the teleoperator asked for; ``action`` is what the guards let through
+REQUESTED = (
+    "provenance.requested"  # (5,) what the teleoperator asked for; ``action`` is what the guards let through
+)
 
 # Why an episode was aborted. Append only: datasets store the index.
 ABORT_CAUSES = (
     "none",
     *(f"{how}_{what}" for what in ("camera", "touch") for how in ("lost", "stale", "frozen", "bad")),
-    *(f"robot_{fault}" for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")),
+    *(
+        f"robot_{fault}"
+        for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")
+    ),
     *("robot_ended", "robot_backend", "robot_other", "teleop", "disk_full", "storage", "dropped_frame"),
     *("interrupt", "other"),
 )

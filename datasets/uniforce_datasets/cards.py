@@ -1,4 +1,4 @@
-"""What is known of an episode besides its numbers: ``cards/episode_000017.json``, written with the episode or not at all."""
+"""An episode in words, ``cards/episode_000017.json``: written with the episode or not at all."""
 
 from __future__ import annotations
 

@@ -101,11 +101,23 @@ class EpisodeRecorder:
         return self._writer._meta.total_episodes
 
     @property
+    def total_frames(self) -> int:
+        """Frames of all saved episodes."""
+        return int(self._writer._meta.total_frames)
+
+    @property
+    def features(self) -> dict[str, dict]:
+        """LeRobot's features dict of what is recorded."""
+        return dict(self._features)
+
+    @property
     def num_frames(self) -> int:
         """Frames waiting in the current episode."""
         return self._writer.episode_buffer["size"]
 
-    def add(self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None) -> None:
+    def add(
+        self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None
+    ) -> None:
         """Append one observation and the action commanded at it.
 
         Args:
@@ -129,7 +141,12 @@ class EpisodeRecorder:
         return tuple(key for key in AT_THE_END if key in self._features)
 
     def save(
-        self, success: bool, outcome: str, seed: int, cause: str = "none", card: Mapping[str, Any] | None = None
+        self,
+        success: bool,
+        outcome: str,
+        seed: int,
+        cause: str = "none",
+        card: Mapping[str, Any] | None = None,
     ) -> None:
         """Make the episode durable; on any error it is discarded and the saved ones stay as they are.
 

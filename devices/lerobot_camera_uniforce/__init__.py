@@ -1,5 +1,6 @@
-"""Tactile fingers as LeRobot cameras.  Importing this package registers ``uniforce_tactile``, ``uniforce_uskin`` and
-``uniforce_scene``.
+"""Tactile fingers, and scene cameras read like them, as LeRobot cameras.
+
+Importing this package registers ``uniforce_tactile``, ``uniforce_uskin`` and ``uniforce_scene``.
 
 device → ``SampleReader`` (thread, ring of stamped samples) → ``TactileFinger`` (reference, marker image) → robot.
 """

@@ -89,7 +89,7 @@ class UniforceTactileCameraConfig(TactileFingerConfig):
             do = "Set source=/dev/v4l/by-path/… or http://…"
             raise ContractError(expected("source", "a camera", "nothing", do))
         if self.delivers == "raw":
-            self._deliver_raw_size()
+            self.height, self.width, _ = self.raw_shape
 
     def capture_settings(self) -> CaptureSettings:
         """What is asked of the camera."""
@@ -103,13 +103,23 @@ class UniforceTactileCameraConfig(TactileFingerConfig):
             self.gain,
         )
 
-    def _deliver_raw_size(self) -> None:
+    @property
+    def raw_shape(self) -> tuple[int, int, int]:
+        """(rows, columns, 3) of the camera's own frames, upright.
+
+        Raises:
+            ContractError: the config leaves the size to the camera.
+        """
         if self.capture_width is None or self.capture_height is None:
             do = "A dataset needs to know the size of raw frames."
             raise ContractError(expected("capture_width, capture_height", "numbers", "null", do))
-        self.width, self.height = self.capture_width, self.capture_height
-        if self.rotation_deg in (90, 270):
-            self.width, self.height = self.height, self.width
+        sideways = self.rotation_deg in (90, 270)
+        rows, columns = (
+            (self.capture_width, self.capture_height)
+            if sideways
+            else (self.capture_height, self.capture_width)
+        )
+        return rows, columns, 3
 
 
 @CameraConfig.register_subclass("uniforce_uskin")

@@ -19,7 +19,7 @@ from uniforce_vtla.keys import ABORT_CAUSES
 HOW = ((LostSensorError, "lost"), (StaleSensorError, "stale"), (FrozenSensorError, "frozen"))
 
 
-class DeviceFault(UniForceError):
+class DeviceError(UniForceError):
     """A camera or finger can't be recorded from.
 
     Attributes:
@@ -32,20 +32,20 @@ class DeviceFault(UniForceError):
         self.cause, self.device = cause, device
 
 
-class Interrupted(UniForceError):
+class StopRequestedError(UniForceError):
     """Somebody asked the program to end."""
 
 
-def device_fault(kind: Literal["camera", "touch"], device: str, error: SensorError) -> DeviceFault:
+def device_fault(kind: Literal["camera", "touch"], device: str, error: SensorError) -> DeviceError:
     """Return the fault that a sensor's error means."""
     how = next((name for error_type, name in HOW if isinstance(error, error_type)), "bad")
-    return DeviceFault(f"{how}_{kind}", device, str(error))
+    return DeviceError(f"{how}_{kind}", device, str(error))
 
 
 def cause_of(error: UniForceError) -> str:
     """Return the cause, one of ``keys.ABORT_CAUSES``."""
     match error:
-        case DeviceFault():
+        case DeviceError():
             return error.cause
         case RobotError():
             name = f"robot_{error.fault}"
@@ -58,7 +58,7 @@ def cause_of(error: UniForceError) -> str:
             return "dropped_frame"
         case DatasetError():
             return "storage"
-        case Interrupted():
+        case StopRequestedError():
             return "interrupt"
         case _:
             return "other"

@@ -1,4 +1,4 @@
-"""What a rig tells at one tick: the five axes, newest frame of each camera and finger with its time, and what else it measures.
+"""What a rig tells at one tick: the five axes, the newest of each camera and finger with its time, and more.
 
 All times of one rig are seconds on one clock: the host's monotonic one on a robot, the scene's own in simulation.
 """
@@ -65,7 +65,8 @@ class Observation:
         cameras: by name.
         fingers: both.
         measured: further columns by key, dtype and shape as ``RigFacts.measured`` announces.
-        force_N: (3,) force of the world on the hand since the references were taken, base frame; an estimate on a robot.
+        force_N: (3,) force of the world on the hand since the references were taken, base frame; on a robot an
+            estimate.
     """
 
     time_s: float

@@ -60,6 +60,10 @@ class Rig(Protocol):
         """Whether the task itself has ended; a robot never knows."""
 
     @property
+    def can_drive_between(self) -> bool:
+        """Whether ``act`` may be called between episodes; a scene only steps inside one."""
+
+    @property
     def prompt(self) -> str | None:
         """The instruction a scene comes with; None where a person gives it."""
 
@@ -86,7 +90,7 @@ class Rig(Protocol):
         """Return the newest of everything.
 
         Raises:
-            DeviceFault: a camera or finger that is lost, stale, frozen or bad.
+            DeviceError: a camera or finger that is lost, stale, frozen or bad.
             RobotError: a fault of the arm or the hand.
         """
 

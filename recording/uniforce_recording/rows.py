@@ -78,10 +78,14 @@ def make_row(
 
 def raw_frames(seen: Observation) -> dict[Finger, np.ndarray]:
     """Return the raw camera frames of an observation by finger."""
-    return {f: touch.raw for f, touch in seen.fingers.items() if touch.raw is not None and touch.window is None}
+    return {
+        f: touch.raw for f, touch in seen.fingers.items() if touch.raw is not None and touch.window is None
+    }
 
 
-def _when(source: str, index: int, taken_s: float, observed_s: float, begun_s: float) -> dict[str, np.ndarray]:
+def _when(
+    source: str, index: int, taken_s: float, observed_s: float, begun_s: float
+) -> dict[str, np.ndarray]:
     return {
         index_key(source): np.array([index]),
         time_key(source): np.array([taken_s - begun_s]),

@@ -48,6 +48,11 @@ class SimRig:
         return self._done
 
     @property
+    def can_drive_between(self) -> bool:
+        """Never: a new scene is built anyway."""
+        return False
+
+    @property
     def prompt(self) -> str | None:
         """The scene's own words."""
         return self.env.task

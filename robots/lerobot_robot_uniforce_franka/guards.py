@@ -15,7 +15,13 @@ from uniforce_vtla.errors import ContractError, RobotError, expected
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
-GUARDS = ("finite", "box", "step", "rate", "sensor")  # the last one acts on the robot's word, not on an action
+GUARDS = (
+    "finite",
+    "box",
+    "step",
+    "rate",
+    "sensor",
+)  # the last one acts on the robot's word, not on an action
 
 
 @dataclass(frozen=True)
