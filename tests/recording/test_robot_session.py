@@ -1,0 +1,145 @@
+"""A whole session on a fake robot: episodes, labels, faults, resume."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_fakes import FakeRig, Sway
+
+from uniforce_datasets.cards import read_card
+from uniforce_datasets.lossless import open_dataset
+from uniforce_datasets.raw_video import raw_path
+from uniforce_datasets.source import read_source, stored_frames
+from uniforce_recording.assemble import StoreSettings, run_session
+from uniforce_recording.operators import Command, Nobody, Operator, Phase, Script
+from uniforce_recording.session import SessionEnd, SessionSettings
+from uniforce_vtla.keys import (
+    ABORT_CAUSES,
+    ACTION,
+    CAUSE,
+    OUTCOME,
+    OUTCOME_NAMES,
+    STAMPS,
+    STATE,
+    age_key,
+    index_key,
+    measured_key,
+    tactile_key,
+    time_key,
+)
+
+SHORT_S = 0.5
+
+
+@pytest.fixture
+def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
+    return FakeRig(tmp_path / "calibration", monkeypatch)
+
+
+def go(
+    fake: FakeRig, root: Path, operator: Operator, teleop: Sway | None = None, **settings: object
+) -> SessionEnd:
+    plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0}
+    teleop = teleop or Sway(root.parent)
+    store = StoreSettings(root, "local/test", reserve_MB=1.0)
+    end = run_session(fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)))  # type: ignore[arg-type]
+    assert not fake.robot.is_connected and not teleop.is_connected
+    assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
+    return end
+
+
+def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    end = go(fake, root, Nobody("success"), episodes=2, prompts=("wipe", "clean the board"))
+    assert end.exit_code == 0 and [e.label for e in end.endings] == ["success"] * 2
+    assert go(fake, root, Nobody("success"), episodes=3).message == "3 of 3 episodes"
+    dataset = open_dataset(root, return_uint8=True)
+    assert dataset.num_episodes == 3 and len(dataset) == 45
+    assert {dataset[i]["task"] for i in (0, 15)} == {"wipe", "clean the board"}
+    reference = dataset[3][tactile_key("left", reference=True)].numpy()
+    assert set(np.unique(reference)) == {0, 255}
+    for episode in range(3):
+        assert stored_frames(raw_path(root, "left", episode)) == 15
+        assert read_card(root, episode)["label"] == "success"
+
+
+def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
+    go(fake, tmp_path / "data", Nobody("success"))
+    keys = (STATE, ACTION, STAMPS, *(k(s) for k in (time_key, age_key, index_key) for s in ("front", "left")))
+    columns = read_source(tmp_path / "data").columns((*keys, measured_key("wrench"), measured_key("hand")))
+    ticks = columns[STAMPS]
+    assert (np.diff(ticks, axis=1) >= 0).all() and ticks[0, 0] < 0.1
+    assert abs(np.diff(ticks[:, 0]).mean() - 1 / 30) < 0.01
+    for source in ("front", "left"):
+        age, taken = columns[age_key(source)], columns[time_key(source)]
+        assert (age >= 0).all() and age.max() < 0.2
+        np.testing.assert_allclose(taken + age, ticks[:, 1], atol=1e-4)
+        assert (np.diff(columns[index_key(source)]) >= 0).all() and columns[index_key(source)][-1] > 5
+    assert np.ptp(columns[ACTION][:, 0]) > 0.001, "the sway was stored"
+    np.testing.assert_allclose(columns[measured_key("hand")][:, 0], 0.08, atol=1e-6)
+
+
+def labels(root: Path) -> list[str]:
+    source = read_source(root)
+    columns = source.columns((OUTCOME, CAUSE))
+    starts = [episode.start for episode in source.episodes]
+    outcomes = [OUTCOME_NAMES[columns[OUTCOME][i]] for i in starts]
+    causes = [ABORT_CAUSES[columns[CAUSE][i]] for i in starts]
+    return [o if c == "none" else f"{o}:{c}" for o, c in zip(outcomes, causes, strict=True)]
+
+
+def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], list[Command]]:
+    """Begin whenever waiting; say the command once, at that question of that phase."""
+    return lambda now, n: [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
+
+
+@pytest.mark.parametrize(
+    ("command", "stored"),
+    [
+        (Command.SUCCESS, ["success"]),
+        (Command.RESIDUAL, ["residual"]),
+        (Command.FAILED_GRASP, ["failed_grasp"]),
+    ],
+)
+def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command, stored: list[str]) -> None:
+    end = go(fake, tmp_path / "data", Script(at(Phase.RUNNING, 6, command)), episode_s=30.0)
+    assert end.exit_code == 0 and labels(tmp_path / "data") == stored
+    assert read_source(tmp_path / "data").num_frames == 6
+
+
+BREAKS: dict[str, tuple[Callable[[FakeRig, Sway], None], str]] = {
+    "camera unplugged": (lambda f, t: setattr(f.captures["front"], "fault", "stop"), "camera"),
+    "camera silent": (lambda f, t: setattr(f.captures["front"], "fault", "stall"), "stale_camera"),
+    "camera frozen": (lambda f, t: setattr(f.captures["front"], "fault", "freeze"), "frozen_camera"),
+    "finger silent": (lambda f, t: setattr(f.captures["tactile_left"], "fault", "stall"), "stale_touch"),
+    "finger frozen": (lambda f, t: setattr(f.captures["tactile_right"], "fault", "freeze"), "frozen_touch"),
+    "reflex": (lambda f, t: setattr(f.arm, "mode", "reflex"), "robot_reflex"),
+    "user stop": (lambda f, t: setattr(f.arm, "mode", "user_stopped"), "robot_user_stop"),
+    "teleoperator": (lambda f, t: setattr(t, "error", RuntimeError("unplugged")), "teleop"),
+}
+
+
+@pytest.mark.parametrize("name", BREAKS)
+def test_a_fault_ends_the_episode_held_and_labelled(fake: FakeRig, tmp_path: Path, name: str) -> None:
+    breaks, cause = BREAKS[name]
+    teleop, begun = Sway(tmp_path), []
+
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.WAITING:
+            begun.append(phase)
+            return [Command.GO if len(begun) == 1 else Command.QUIT]
+        if phase is Phase.RUNNING and asked == 6:
+            breaks(fake, teleop)
+        return []
+
+    end = go(fake, tmp_path / "data", Script(say), teleop, episode_s=5.0)
+    assert end.exit_code == 0 and len(end.endings) == 1, end
+    ending = end.endings[0]
+    assert ending.label.startswith("aborted:") and cause in ending.label, ending
+    assert ending.held_s < 0.5
+    assert labels(tmp_path / "data") == [ending.label]
+    assert cause in read_card(tmp_path / "data", 0)["label"]
