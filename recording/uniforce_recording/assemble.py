@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
 from lerobot.teleoperators import Teleoperator
 
-from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source
 from uniforce_recording.disk_guard import DiskGuard
 from uniforce_recording.episode_loop import Parts
@@ -19,44 +17,22 @@ from uniforce_recording.expert_demos import next_seed
 from uniforce_recording.interrupts import Interrupts
 from uniforce_recording.live_view import ForceLimits, LiveView
 from uniforce_recording.operators import KeyOperator, Nobody, Operator
-from uniforce_recording.rig import Rig
-from uniforce_recording.rows import further_columns
+from uniforce_recording.rig import Rig, RigFacts
 from uniforce_recording.session import RecordingSession, SessionEnd, SessionSettings
 from uniforce_recording.steering import Steering
+from uniforce_recording.store import Store, StoreSettings, open_recorder
+from uniforce_recording.store_process import StoreProcess
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES
 
 
-@dataclass(frozen=True)
-class StoreSettings:
-    """Where to, and how much must stay free."""
-
-    root: Path
-    repo_id: str
-    reserve_MB: float = 500.0
-    queue_frames: int = 60  # that may wait per video: 2 s of a busy computer
-
-
-def open_recorder(rig: Rig, store: StoreSettings) -> EpisodeRecorder:
-    """Return the recorder of a rig's columns.
+def open_store(facts: RigFacts, settings: StoreSettings) -> Store:
+    """Return the recorder, in a process of its own or in this one.
 
     Raises:
         DatasetError: another recorder writes there, or the dataset has other features.
     """
-    facts = rig.facts
-    return EpisodeRecorder(
-        store.root,
-        store.repo_id,
-        facts.sensors["left"],
-        facts.sensors["right"],
-        facts.fps,
-        cameras=facts.cameras,
-        truth=facts.truth,
-        realtime=facts.paced,
-        queue_frames=store.queue_frames,
-        further=further_columns(facts),
-        raw_shapes=facts.raw_frames,
-    )
+    return StoreProcess(facts, settings) if settings.own_process else open_recorder(facts, settings)
 
 
 def make_operator(kind: str, verdict: str, quick_notes: Sequence[str], teleop: Teleoperator) -> Operator:
@@ -119,7 +95,8 @@ def run_session(
     """
     steering = Steering(teleop)
     with Interrupts() as interrupts, ExitStack() as closing:
-        recorder = closing.enter_context(open_recorder(rig, store))
+        recorder = open_store(rig.facts, store)
+        closing.callback(recorder.close)
         closing.callback(operator.stop)
         closing.callback(steering.close)
         closing.callback(rig.close)  # first to be let go

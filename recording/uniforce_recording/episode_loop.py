@@ -6,7 +6,6 @@ import time
 from dataclasses import dataclass, field
 from typing import Any
 
-from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_recording.disk_guard import DiskGuard
 from uniforce_recording.ending import Ending, How
 from uniforce_recording.faults import StopRequestedError, cause_of
@@ -16,6 +15,7 @@ from uniforce_recording.operators import VERDICTS, Command, Event, Operator, Pha
 from uniforce_recording.rig import Rig
 from uniforce_recording.rows import make_row, raw_frames
 from uniforce_recording.steering import Steering
+from uniforce_recording.store import Store
 from uniforce_recording.ticker import Ticker
 from uniforce_vtla.errors import TeleoperatorError, UniForceError
 
@@ -27,7 +27,7 @@ class Parts:
     rig: Rig
     steering: Steering
     operator: Operator
-    recorder: EpisodeRecorder
+    recorder: Store
     disk: DiskGuard
     view: LiveView
     interrupts: Interrupts = field(default_factory=Interrupts)

@@ -39,7 +39,7 @@ class FingerTouch:
     """What a finger feels.
 
     Attributes:
-        image: (480, 640, 3) uint8 marker image, as the sensor sees it.
+        image: (480, 640) uint8 marker image, as the sensor sees it.
         reference: the same in free air; one array for the whole episode.
         index: number of the sample since connecting.
         time_s: when it was taken.

@@ -44,6 +44,7 @@ class Sensing:
 
     def __init__(self, cameras: Mapping[str, Camera], window: int, keep_raw: bool) -> None:
         self._window, self._keep_raw = window, keep_raw
+        self._references: dict[Finger, np.ndarray] = {}
         self.fingers: dict[Finger, TactileFinger] = {f: _finger(cameras, f) for f in FINGERS}
         worn = {tactile_name(finger) for finger in FINGERS}
         scene = {name: camera for name, camera in cameras.items() if name not in worn}
@@ -60,7 +61,7 @@ class Sensing:
         """
         for finger, device in self.fingers.items():
             with named("touch", tactile_name(finger)):
-                device.take_reference()
+                self._references[finger] = device.take_reference()
 
     def pictures(self) -> dict[str, Picture]:
         """Return the newest frame of each scene camera."""
@@ -86,7 +87,7 @@ class Sensing:
     def _touch(self, finger: Finger, device: TactileFinger) -> FingerTouch:
         with named("touch", tactile_name(finger)):
             sample = device.latest()
-            image, reference = device.marker_image(sample.raw), device.reference_image()
+            image, reference = device.marker_image(sample.raw), self._references[finger]
             is_taxel = isinstance(device, UniforceUskin)
             window = _window(device, self._window) if isinstance(device, UniforceUskin) else None
         raw = sample.raw if is_taxel or self._keep_raw else None

@@ -10,7 +10,7 @@ from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.cameras import CAMERA_PX
 from uniforce_recording.observation import FingerTouch, Observation, Picture
 from uniforce_recording.rig import RigFacts, Verdict
-from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.keys import CAMERAS, tactile_name, truth_wrench_key
 
 
@@ -28,6 +28,7 @@ class SimRig:
         self._paced = paced
         self._step = 0
         self._seen: dict[str, Any] = {}
+        self._references: dict[Finger, np.ndarray] = {}
         self._done = False
 
     @property
@@ -77,6 +78,8 @@ class SimRig:
         """Build the scene of ``seed``; its pads are in free air."""
         self._seen, _ = self.env.reset(seed=seed)
         self._step, self._done = 0, False
+        pixels = self._seen["pixels"]
+        self._references = {f: pixels[tactile_name(f, reference=True)][..., 0].copy() for f in FINGERS}
 
     def observe(self) -> Observation:
         """Return the scene as it is after the last step."""
@@ -87,7 +90,7 @@ class SimRig:
             axes=self._seen["agent_pos"],
             cameras={name: Picture(pixels[name], self._step, now_s) for name in CAMERAS},
             fingers={
-                f: FingerTouch(pixels[tactile_name(f)], pixels[tactile_name(f, True)], self._step, now_s)
+                f: FingerTouch(pixels[tactile_name(f)][..., 0], self._references[f], self._step, now_s)
                 for f in FINGERS
             },
             measured={truth_wrench_key(f): wrench.astype(np.float32) for f, wrench in wrenches.items()},

@@ -14,9 +14,10 @@ from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.source import read_source, stored_frames
-from uniforce_recording.assemble import StoreSettings, run_session
+from uniforce_recording.assemble import run_session
 from uniforce_recording.operators import Command, Nobody, Operator, Phase, Script
 from uniforce_recording.session import SessionEnd, SessionSettings
+from uniforce_recording.store import StoreSettings
 from uniforce_vtla.keys import (
     ABORT_CAUSES,
     ACTION,
@@ -41,11 +42,16 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
 
 
 def go(
-    fake: FakeRig, root: Path, operator: Operator, teleop: Sway | None = None, **settings: object
+    fake: FakeRig,
+    root: Path,
+    operator: Operator,
+    teleop: Sway | None = None,
+    own_process: bool = False,
+    **settings: object,
 ) -> SessionEnd:
     plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0}
     teleop = teleop or Sway(root.parent)
-    store = StoreSettings(root, "local/test", reserve_MB=1.0)
+    store = StoreSettings(root, "local/test", reserve_MB=1.0, own_process=own_process)
     end = run_session(fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)))  # type: ignore[arg-type]
     assert not fake.robot.is_connected and not teleop.is_connected
     assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]

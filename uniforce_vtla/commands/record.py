@@ -29,8 +29,8 @@ class RecordConfig:
     Simulation, scripted: uniforce-record episodes=50 level=paper left_sensor=gelsight root=outputs/demos
     Simulation, by hand:  uniforce-record teleop=keyboard root=outputs/by_hand
     Robot, for example:   uniforce-record robot=franka rig=rig.yaml teleop=spacemouse root=outputs/real
-    ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with them.
-    docs/recording.md for the keys to press. Exit codes: 0 done, 2 could not start, 3 ended by a fault, 4 disk full, 130 interrupted.
+    ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with them. The keys to
+    press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted.
     """
 
     robot: str = "sim"  # sim | franka
@@ -75,9 +75,10 @@ def record(config: RecordConfig, device_flags: Sequence[str] = ()) -> SessionEnd
     _check(config)
     if config.robot == "sim" and config.teleop == "expert":
         return _record_expert(config)
-    from uniforce_recording.assemble import StoreSettings, make_operator, run_session
+    from uniforce_recording.assemble import make_operator, run_session
     from uniforce_recording.build import make_teleoperator, read_devices
     from uniforce_recording.session import SessionSettings
+    from uniforce_recording.store import StoreSettings
 
     devices = read_devices(device_flags, config.robot.replace("sim", ""), config.teleop, config.rig)
     assert devices.teleop is not None  # read_devices gives its type
