@@ -81,7 +81,6 @@ def record(config: RecordConfig, device_flags: Sequence[str] = ()) -> SessionEnd
     from uniforce_recording.store import StoreSettings
 
     devices = read_devices(device_flags, config.robot.replace("sim", ""), config.teleop, config.rig)
-    assert devices.teleop is not None  # read_devices gives its type
     teleop = make_teleoperator(devices.teleop)
     return run_session(
         _rig(config, devices, teleop),
