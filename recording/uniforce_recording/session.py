@@ -188,7 +188,8 @@ class RecordingSession:
         verdict = self._parts.rig.verdict()
         if verdict is not None:
             return replace(ending, how="judged", outcome=verdict.outcome, clean=verdict.clean)
-        self._parts.view.say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
+        if self._parts.operator.is_attended:
+            self._parts.view.say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
         beat, notes = Ticker(self._fps), list(ending.notes)
         while True:
             if self._parts.interrupts.count:
