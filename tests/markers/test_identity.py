@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 
@@ -36,3 +39,13 @@ def test_missing_markers_and_a_stray_blob_change_nothing() -> None:
 def test_real_gels_have_a_rectangles_outline() -> None:
     rectangle = np.stack(np.meshgrid(np.arange(12), np.arange(9)), -1).reshape(-1, 2).astype(float)
     assert abs(outline(rectangle) - 1.6) < 0.13
+
+
+@pytest.mark.real
+def test_a_real_gelsight_is_one_and_no_tactip() -> None:
+    files = sorted((Path(__file__).parents[2].parent / "shared" / "real" / "gelsight_fots").glob("*.png"))
+    if not files:
+        pytest.skip("no ../shared/real/gelsight_fots here")
+    centres = Canonicalizer("gelsight").markers(cv2.imread(str(files[0]))[..., ::-1].copy())
+    assert why_not(get_sensor("gelsight"), centres, "it") is None
+    assert why_not(get_sensor("tactip"), centres, "it") is not None
