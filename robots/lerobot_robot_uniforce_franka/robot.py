@@ -224,7 +224,7 @@ class UniforceFranka(Robot):
 
     def _reference(self, name: str) -> np.ndarray:
         image: np.ndarray = self.cameras[name].reference_image()
-        return image
+        return image.copy()  # what LeRobot gets it may write to
 
     def hold(self) -> None:
         """Let the arm rest where it is, at once; nothing is refused afterwards. Does nothing once it has stopped."""

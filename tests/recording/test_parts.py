@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_fakes import Sway
+from lerobot.teleoperators import TeleoperatorConfig
+from recording_fakes import Sway, SwayConfig, sway
 
 from lerobot_camera_uniforce.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_datasets.features import dataset_features
@@ -71,7 +73,7 @@ def test_every_fault_has_a_name_that_datasets_know() -> None:
 
 
 def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
-    teleop = Sway(tmp_path)
+    teleop = sway(tmp_path)
     steering = Steering(teleop)
     steering.connect()
     start = np.array([0.4, 0.0, 0.3, 0.0, 0.08])
@@ -93,7 +95,7 @@ def test_a_teleoperator_of_other_axes_is_refused(tmp_path: Path) -> None:
         action_features = property(lambda self: {"joint_1.pos": float})
 
     with pytest.raises(ContractError, match=r"x\.pos"):
-        Steering(Joints(tmp_path))
+        Steering(Joints(SwayConfig(id="test", calibration_dir=tmp_path)))
 
 
 def seen(force_N: float) -> Observation:
@@ -210,7 +212,17 @@ def test_every_teleoperator_can_be_named() -> None:
         assert read_devices([], "", name).teleop is not None
 
 
-def test_what_cant_be_built_is_told(tmp_path: Path) -> None:
-    config = read_devices([f"--teleop.calibration_dir={tmp_path}"], "", "recording_test").teleop
+def test_a_teleoperator_is_built_from_its_settings(tmp_path: Path) -> None:
+    flags = [f"--teleop.calibration_dir={tmp_path}", "--teleop.id=a", "--teleop.width_m=0.05"]
+    teleop = make_teleoperator(read_devices(flags, "", "recording_test").teleop)
+    assert isinstance(teleop, Sway) and teleop.width_m == 0.05
+
+
+def test_what_cant_be_built_is_told() -> None:
+    @TeleoperatorConfig.register_subclass("recording_nothing")
+    @dataclass
+    class NothingConfig(TeleoperatorConfig):
+        pass
+
     with pytest.raises(ContractError, match="teleop"):
-        make_teleoperator(config)  # its class takes a folder, not a config
+        make_teleoperator(NothingConfig())
