@@ -18,7 +18,7 @@ from uniforce_recording.store import StoreSettings, open_recorder
 from uniforce_vtla.errors import UniForceError
 
 log = logging.getLogger(__name__)
-NICE = 5  # the loop comes first
+NICE = 2  # the loop comes first, but a little only: frames must not pile up either
 WARM_UP_FRAMES = 3  # the first ones import, open and allocate for half a second
 
 
