@@ -23,6 +23,9 @@ from uniforce_vtla.errors import (
 )
 
 MIN_FRAMES = 2  # of an aborted episode worth keeping: LeRobot stores no shorter one
+ABORTS_IN_A_ROW = (
+    3  # after which an unattended session gives up: a fault that comes back each time needs a person
+)
 RETRY_s = 0.1  # between two tries to begin, unattended
 FAULT, DISK_FULL, INTERRUPTED = 3, 4, 130  # exit codes
 
@@ -222,6 +225,7 @@ class RecordingSession:
             "held_s": round(ending.held_s, 4),
             "peak_force_N": round(self._parts.view.peak_N, 3),
             "ticks": ending.ticks.as_dict(),
+            "frames": ending.frames,
             "teleop": self._parts.steering.name,
             "rig": self._parts.rig.facts.name,
             **self._parts.rig.summary(),
@@ -237,8 +241,12 @@ class RecordingSession:
             raise StopRequestedError(ending.message)
         if ending.cause == "disk_full":
             raise _End(DISK_FULL, ending.message)
+        attended = self._parts.operator.is_attended
+        recent = [past.how for past in self._endings[-ABORTS_IN_A_ROW:]]
+        if not attended and recent == ["aborted"] * ABORTS_IN_A_ROW:
+            raise _End(FAULT, f"{ABORTS_IN_A_ROW} times in a row, {ending.label}: {ending.message}")
         by_hand = ending.cause.startswith("robot_") or ending.cause in ("teleop", "storage", "other")
-        if by_hand and not self._parts.operator.is_attended:
+        if by_hand and not attended:
             raise _End(FAULT, f"{ending.label}: {ending.message}")
         hint = " (v clears it)" if ending.cause.startswith("robot_") else ""
         self._parts.view.say(f"{ending.label}: {ending.message}{hint}")

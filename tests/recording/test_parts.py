@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,10 @@ from uniforce_datasets.features import dataset_features
 from uniforce_recording.build import make_teleoperator, read_devices, teleoperator_names
 from uniforce_recording.disk_guard import DiskGuard
 from uniforce_recording.faults import StopRequestedError, cause_of, device_fault
+from uniforce_recording.frame_count import FrameCount
+from uniforce_recording.garbage_watch import GarbageWatch
 from uniforce_recording.live_view import LiveView
-from uniforce_recording.observation import FingerTouch, Observation, Picture
+from uniforce_recording.observation import FingerTouch, Observation, Picture, ScanWindow
 from uniforce_recording.plain_camera import PlainCamera
 from uniforce_recording.steering import Steering
 from uniforce_vtla.errors import (
@@ -226,3 +228,26 @@ def test_what_cant_be_built_is_told() -> None:
 
     with pytest.raises(ContractError, match="teleop"):
         make_teleoperator(NothingConfig())
+
+
+def test_samples_repeated_and_skipped_are_counted() -> None:
+    count = FrameCount()
+    window = ScanWindow(np.zeros((3, 16, 3)), np.zeros(3))
+    for camera, finger in ((10, 100), (11, 103), (11, 108), (14, 111)):
+        observation = seen(0.0)
+        observation.cameras["front"] = replace(observation.cameras["front"], index=camera)
+        touch = replace(observation.fingers["left"], index=finger, window=window)
+        observation.fingers.update(left=touch)
+        count.add(observation)
+    told = count.as_dict()
+    assert told["front"] == {"repeated": 1, "skipped": 2}
+    assert told["left"] == {"repeated": 0, "skipped": 2} and told["right"]["repeated"] == 3
+
+
+def test_a_little_garbage_is_borne_and_much_is_not() -> None:
+    watch = GarbageWatch("tactile_left")
+    for step in range(300):
+        watch.look(step / 30, step // 8)  # four a second
+    with pytest.raises(SensorError, match="bad pieces"):
+        for step in range(30):
+            watch.look(10 + step / 30, 38 + step)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_fakes import FakeRig, Sway, sway
+from recording_fakes import FakeRig, Sway, SwayConfig, sway
 
 from lerobot_camera_uniforce.faults import WrongSensorError
 from uniforce_datasets.cards import read_card
@@ -295,3 +296,23 @@ def test_another_sensor_than_configured_is_refused_before_anything_moves(
     with pytest.raises(WrongSensorError, match="Another sensor answers"):
         go(fake, tmp_path / "data", Nobody("success"))
     assert not fake.arm.targets and not fake.robot.is_connected
+
+
+def test_nobody_gives_up_on_a_fault_that_comes_back(fake: FakeRig, tmp_path: Path) -> None:
+    class Flaky(Sway):
+        def get_action(self) -> dict[str, float]:
+            if self.calls == 4:
+                fake.captures["front"].fault = "stall"
+            return super().get_action()
+
+    begin = fake.rig.begin_episode
+
+    def mended(seed: int) -> None:
+        fake.captures["front"].fault = ""
+        time.sleep(0.2)
+        begin(seed)
+
+    fake.rig.begin_episode = mended  # type: ignore[method-assign]
+    teleop = Flaky(SwayConfig(id="test", calibration_dir=tmp_path))
+    end = go(fake, tmp_path / "data", Nobody("success"), teleop, episode_s=3.0)
+    assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3
