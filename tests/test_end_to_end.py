@@ -26,9 +26,9 @@ TINY = ["policy.tiny_width=32", "policy.tiny_depth=1", "policy.tiny_mlp_dim=32",
 @pytest.fixture(scope="module")
 def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One recorded demo, scene 3."""
-    return record(
-        RecordConfig(episodes=1, level="easy", root=str(tmp_path_factory.mktemp("line") / "demos"), seed=3)
-    )
+    root = tmp_path_factory.mktemp("line") / "demos"
+    record(RecordConfig(episodes=1, level="easy", root=str(root), seed=3))
+    return root
 
 
 @pytest.fixture(scope="module")

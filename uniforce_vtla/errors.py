@@ -23,6 +23,14 @@ class DatasetError(UniForceError):
     """A dataset can't be trusted: lossy tactile video, dropped frame, missing reference."""
 
 
+class DiskFullError(DatasetError):
+    """No room to store the episode; those saved before are intact."""
+
+
+class DroppedFrameError(DatasetError):
+    """A video frame could not be encoded in time; the episode is discarded."""
+
+
 class RolloutError(UniForceError):
     """A rollout had to stop: lost touch, non-finite action, broken episode."""
 
@@ -32,7 +40,22 @@ class RobotError(UniForceError):
 
     Attributes:
         fault: one word for what happened: ``connection``, ``version``, ``reflex``, ``user_stop``, ``guiding``,
-            ``action``, ``stale``, ``ended``, ``backend`` or ``other``. Programs branch on it, people read the message.
+            ``action``, ``stale``, ``sensor``, ``ended``, ``backend`` or ``other``. Programs branch on it,
+            people read the message.
+    """
+
+    def __init__(self, message: str, fault: str = "other") -> None:
+        super().__init__(message)
+        self.fault = fault
+
+
+class TeleoperatorError(UniForceError):
+    """What a person steers with can't be followed: unplugged, silent, garbage, too far from the robot, at its end.
+
+    Attributes:
+        fault: one word for what happened: ``connection``, ``stale``, ``garbage``, ``far``, ``not_started``,
+            ``not_connected``, ``missing`` (a library), ``simulation_only``, ``ended`` or ``other``. Programs branch on
+            it, people read the message.
     """
 
     def __init__(self, message: str, fault: str = "other") -> None:

@@ -71,18 +71,61 @@ def sensor_key(finger: Finger) -> str:
     return f"provenance.sensor.{finger}"
 
 
-def time_key(finger: Finger) -> str:
-    """Per-frame column: when the finger's frame was captured, float64 seconds on the episode's clock."""
-    return f"provenance.time.{finger}"
+def time_key(source: str) -> str:
+    """Per-frame column: when a finger's or camera's frame was captured, float64 s on the episode's clock."""
+    return f"provenance.time.{source}"
 
 
-def age_key(finger: Finger) -> str:
+def age_key(source: str) -> str:
     """Per-frame column: how old that frame was when the observation was taken, float32 seconds."""
-    return f"provenance.age.{finger}"
+    return f"provenance.age.{source}"
+
+
+def index_key(source: str) -> str:
+    """Per-frame column: number of that frame since its sensor connected, int64; gaps tell what was left out."""
+    return f"provenance.index.{source}"
+
+
+def measured_key(name: str) -> str:
+    """Per-frame column a robot measures besides the state, e.g. ``measured.wrench``; no policy reads it."""
+    return f"measured.{name}"
+
+
+def counts_key(finger: Finger) -> str:
+    """Per-frame column: newest raw scan of a finger's taxels, upright, (48,) int32."""
+    return f"raw.counts.{finger}"
+
+
+def window_key(finger: Finger) -> str:
+    """Per-frame column: the newest scans of a finger's taxels, oldest first, upright, (size · 48,) int32."""
+    return f"raw.window.{finger}"
+
+
+def window_time_key(finger: Finger) -> str:
+    """Per-frame column: when those scans were taken, (size,) float64 s on the episode's clock."""
+    return f"raw.window_time.{finger}"
 
 
 TACTILE_NAMES = tuple(tactile_name(f, r) for f in FINGERS for r in (False, True))
 TACTILE_KEYS = tuple(tactile_key(f, r) for f in FINGERS for r in (False, True))
 SUCCESS = "provenance.success"  # 1.0 if the episode ended in clean success
 OUTCOME = "provenance.outcome"  # index into OUTCOME_NAMES
-SEED = "provenance.seed"  # the integer that rebuilds the scene
+SEED = "provenance.seed"  # the integer that rebuilds the scene; on a robot, counts the attempts
+CAUSE = "provenance.cause"  # index into ABORT_CAUSES
+STAMPS = "provenance.stamps"  # (3,) float64 s on the episode's clock, see STAMP_NAMES
+STAMP_NAMES = ("tick_begun", "observed", "acted")
+REQUESTED = (
+    "provenance.requested"  # (5,) what the teleoperator asked for; ``action`` is what the guards let through
+)
+
+# Why an episode was aborted. Append only: datasets store the index.
+ABORT_CAUSES = (
+    "none",
+    *(f"{how}_{what}" for what in ("camera", "touch") for how in ("lost", "stale", "frozen", "bad")),
+    *(
+        f"robot_{fault}"
+        for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")
+    ),
+    *("robot_ended", "robot_backend", "robot_other", "teleop", "disk_full", "storage", "dropped_frame"),
+    *("interrupt", "other"),
+)

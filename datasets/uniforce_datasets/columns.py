@@ -28,6 +28,22 @@ def as_column(key: str, value: Any) -> np.ndarray:
     return np.repeat(image[..., None], 3, axis=2)
 
 
+class ColumnMaker:
+    """``as_column`` that does a reference, the same array object all episode long, only once."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[Any, np.ndarray]] = {}
+
+    def __call__(self, key: str, value: Any) -> np.ndarray:
+        """Return the value as stored; an array that was passed must not be written to afterwards."""
+        if key not in TACTILE_KEYS:
+            return as_column(key, value)
+        last = self._last.get(key)
+        if last is None or last[0] is not value:
+            last = self._last[key] = (value, as_column(key, value))
+        return last[1]
+
+
 def check_row(row: dict[str, np.ndarray], features: dict[str, dict]) -> None:
     """Raise ContractError for a missing or unknown column, a wrong shape or dtype, NaN or inf."""
     missing, unknown = sorted(features.keys() - row.keys()), sorted(row.keys() - features.keys())

@@ -6,10 +6,13 @@ and split drop per-episode columns, and they carry no ``observation.`` prefix, s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lerobot.utils.constants import DEFAULT_FEATURES
+
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import (
     ACTION,
     AXES,
@@ -29,36 +32,74 @@ from uniforce_vtla.keys import (
 CAMERA_SHAPE = (224, 224, 3)  # rows, columns, RGB
 MARKER_VIDEO_SHAPE = (*MARKER_IMAGE_SHAPE, 3)  # R = G = B: LeRobot has no one-channel cameras
 WRENCH_AXES = ("fx_N", "fy_N", "fz_N", "torsion_Nmm")
+Shape = tuple[int, int, int]
 
 
-def _video(shape: tuple[int, int, int]) -> dict[str, Any]:
+def _video(shape: Shape) -> dict[str, Any]:
     return {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"]}
 
 
-def _vector(names: Sequence[str]) -> dict[str, Any]:
-    return {"dtype": "float32", "shape": (len(names),), "names": list(names)}
+def vector_column(names: Sequence[str], dtype: str = "float32") -> dict[str, Any]:
+    """Return the feature of a per-frame vector with a name per number."""
+    return {"dtype": dtype, "shape": (len(names),), "names": list(names)}
 
 
-def _scalar(dtype: str) -> dict[str, Any]:
-    return {"dtype": dtype, "shape": (1,), "names": None}
+def flat_column(size: int, dtype: str) -> dict[str, Any]:
+    """Return the feature of a per-frame vector whose numbers need no names; LeRobot's tools break on more axes."""
+    return {"dtype": dtype, "shape": (size,), "names": None}
+
+
+def scalar_column(dtype: str) -> dict[str, Any]:
+    """Return the feature of one number per frame."""
+    return flat_column(1, dtype)
 
 
 def dataset_features(
-    camera_shape: tuple[int, int, int] = CAMERA_SHAPE, truth: bool = True
+    cameras: Shape | Mapping[str, Shape] = CAMERA_SHAPE,
+    truth: bool = True,
+    further: Mapping[str, dict[str, Any]] | None = None,
 ) -> dict[str, dict]:
     """Return LeRobot's features dict.
 
     Args:
-        camera_shape: (rows, columns, 3) of both scene cameras.
+        cameras: (rows, columns, 3) by scene camera, or one shape for the two of ``keys.CAMERAS``.
         truth: whether the true pad wrench is known (simulation) and stored.
+        further: columns a robot stores beside these, by key.
     """
-    features = {camera_key(camera): _video(camera_shape) for camera in CAMERAS}
+    shapes = cameras if isinstance(cameras, Mapping) else dict.fromkeys(CAMERAS, cameras)
+    features = {camera_key(camera): _video(shape) for camera, shape in shapes.items()}
     features |= {key: _video(MARKER_VIDEO_SHAPE) for key in TACTILE_KEYS}
-    features |= {STATE: _vector(AXES), ACTION: _vector(AXES)}
+    features |= {STATE: vector_column(AXES), ACTION: vector_column(AXES)}
     if truth:
-        features |= {truth_wrench_key(finger): _vector(WRENCH_AXES) for finger in FINGERS}
+        features |= {truth_wrench_key(finger): vector_column(WRENCH_AXES) for finger in FINGERS}
     for finger in FINGERS:
-        features[sensor_key(finger)] = _scalar("int64")  # index into sensors.list_sensors()
-        features[time_key(finger)] = _scalar("float64")
-        features[age_key(finger)] = _scalar("float32")
-    return features | {SUCCESS: _scalar("float32"), OUTCOME: _scalar("int64"), SEED: _scalar("int64")}
+        features[sensor_key(finger)] = scalar_column("int64")  # index into sensors.list_sensors()
+        features[time_key(finger)] = scalar_column("float64")
+        features[age_key(finger)] = scalar_column("float32")
+    features |= {
+        SUCCESS: scalar_column("float32"),
+        OUTCOME: scalar_column("int64"),
+        SEED: scalar_column("int64"),
+    }
+    return features | dict(further or {})
+
+
+def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, Any]]) -> None:
+    """Refuse to go on with a dataset of other columns.
+
+    Args:
+        meta: LeRobot's metadata of the dataset.
+        fps: to record at.
+        features: to record.
+
+    Raises:
+        DatasetError: a column is missing, too many, or of another form; another rate.
+    """
+    wanted = {key: (f["dtype"], tuple(f["shape"])) for key, f in features.items()}
+    stored = {key: f for key, f in meta.features.items() if key not in DEFAULT_FEATURES}
+    came = {key: (f["dtype"], tuple(f["shape"])) for key, f in stored.items()}
+    if came == wanted and meta.fps == fps:
+        return
+    odd = sorted(k for k in wanted | came if came.get(k) != wanted.get(k)) or f"{meta.fps} fps"
+    do = "Record into another root."
+    raise DatasetError(expected("dataset", "the features to record", f"others: {odd}", do))

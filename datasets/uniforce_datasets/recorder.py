@@ -3,34 +3,45 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import logging
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.io_utils import write_info
 
-from uniforce_datasets.columns import as_column, check_row, sensor_index
-from uniforce_datasets.features import CAMERA_SHAPE, dataset_features
+from uniforce_datasets.cards import write_card
+from uniforce_datasets.columns import ColumnMaker, check_row, sensor_index
+from uniforce_datasets.features import CAMERA_SHAPE, Shape, dataset_features, refuse_other_features
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
+from uniforce_datasets.raw_video import RawVideo
+from uniforce_datasets.recorder_lock import lock
 from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, commit, recover
 from uniforce_datasets.stored_check import check_stored
-from uniforce_datasets.video_encoder import codec_of
-from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KEYS, sensor_key
+from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import ContractError, DatasetError, DiskFullError, DroppedFrameError, expected
+from uniforce_vtla.keys import (
+    ABORT_CAUSES,
+    CAUSE,
+    OUTCOME,
+    OUTCOME_NAMES,
+    SEED,
+    SUCCESS,
+    TACTILE_KEYS,
+    sensor_key,
+)
 
 logger = logging.getLogger(__name__)
 
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
-AT_THE_END = (SUCCESS, OUTCOME, SEED)  # columns known only when the episode is over
+AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)  # columns known only when the episode is over
 
 
 class EpisodeRecorder:
@@ -42,10 +53,13 @@ class EpisodeRecorder:
         left_sensor: registry name of the sensor on the left finger.
         right_sensor: registry name of the sensor on the right finger.
         fps: observations per second.
-        camera_shape: (rows, columns, 3) of the scene cameras.
+        cameras: (rows, columns, 3) by scene camera, or one shape for the two usual ones.
         truth: whether the true pad wrench is stored (simulation).
         realtime: True on hardware: a video frame that can't be stored in time fails the episode.
         queue_frames: video frames that may wait per key.
+        further: features of columns a robot stores beside the usual ones.
+        raw_shapes: shape of the raw tactile frames to keep beside the dataset, by finger.
+        lock_wait_s: how long to wait for another recorder that is about to end.
 
     Raises:
         DatasetError: another recorder writes here, the folder holds something else or other features, the disk
@@ -60,10 +74,13 @@ class EpisodeRecorder:
         left_sensor: str,
         right_sensor: str,
         fps: int = 30,
-        camera_shape: tuple[int, int, int] = CAMERA_SHAPE,
+        cameras: Shape | Mapping[str, Shape] = CAMERA_SHAPE,
         truth: bool = True,
         realtime: bool = False,
         queue_frames: int = 30,
+        further: Mapping[str, dict[str, Any]] | None = None,
+        raw_shapes: Mapping[Finger, tuple[int, ...]] | None = None,
+        lock_wait_s: float = 0.0,
     ) -> None:
         self.root = Path(root)
         self._repo_id, self._fps = repo_id, fps
@@ -72,9 +89,11 @@ class EpisodeRecorder:
             sensor_key(f): np.array([sensor_index(name)], dtype=np.int64)
             for f, name in zip(FINGERS, (left_sensor, right_sensor), strict=True)
         }
-        self._features = dataset_features(camera_shape, truth)
+        self._features = dataset_features(cameras, truth, further)
+        self._columns = ColumnMaker()
+        self._raw_shapes = dict(raw_shapes or {})
         self.root.mkdir(parents=True, exist_ok=True)
-        self._lock = _lock(self.root)
+        self._lock = lock(self.root, lock_wait_s)
         recover(self.root)
         self._writer = self._open()
 
@@ -84,48 +103,80 @@ class EpisodeRecorder:
         return self._writer._meta.total_episodes
 
     @property
+    def total_frames(self) -> int:
+        """Frames of all saved episodes."""
+        return int(self._writer._meta.total_frames)
+
+    @property
+    def features(self) -> dict[str, dict]:
+        """LeRobot's features dict of what is recorded."""
+        return dict(self._features)
+
+    @property
     def num_frames(self) -> int:
         """Frames waiting in the current episode."""
         return self._writer.episode_buffer["size"]
 
-    def add(self, frame: Mapping[str, Any], task: str) -> None:
+    def add(
+        self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None
+    ) -> None:
         """Append one observation and the action commanded at it.
 
         Args:
             frame: every column but provenance that the recorder knows: cameras (H, W, 3) uint8, marker images
                 (480, 640) or (480, 640, 3) uint8, state, action, truth, capture time and age.
             task: the instruction, in words.
+            raw: raw frame (H, W, 3) uint8 by finger, exactly those announced.
         """
-        row = {key: as_column(key, value) for key, value in frame.items()} | self._sensors
-        row |= {key: np.zeros(1, dtype=self._features[key]["dtype"]) for key in AT_THE_END}
+        row = {key: self._columns(key, value) for key, value in frame.items()} | self._sensors
+        row |= {key: np.zeros(1, dtype=self._features[key]["dtype"]) for key in self._at_the_end}
         check_row(row, self._features)
         with _typed_errors(self):
+            self._raw.add(raw or {})
             self._writer.add_frame(row | {"task": task})
         for key in TACTILE_KEYS:
             self._ends[key] = (self._ends.get(key, (row[key],))[0], row[key])
         self._refuse_dropped()
 
-    def save(self, success: bool, outcome: str, seed: int) -> None:
+    @property
+    def _at_the_end(self) -> tuple[str, ...]:
+        return tuple(key for key in AT_THE_END if key in self._features)
+
+    def save(
+        self,
+        success: bool,
+        outcome: str,
+        seed: int,
+        cause: str = "none",
+        card: Mapping[str, Any] | None = None,
+    ) -> None:
         """Make the episode durable; on any error it is discarded and the saved ones stay as they are.
 
         Args:
             success: clean success.
             outcome: one of ``keys.OUTCOME_NAMES``.
             seed: the integer that rebuilds the scene.
+            cause: one of ``keys.ABORT_CAUSES``, stored where the dataset has the column.
+            card: whatever else is to be known of the episode, kept as ``cards/episode_000017.json``.
         """
         if outcome not in OUTCOME_NAMES:
             raise ContractError(
                 expected("outcome", " | ".join(OUTCOME_NAMES), repr(outcome), "Take evaluation's outcome.")
             )
+        if cause not in ABORT_CAUSES:
+            raise ContractError(expected("cause", " | ".join(ABORT_CAUSES), repr(cause), "Name one."))
         if self.num_frames < MIN_FRAMES:
             came = self.num_frames
             self.discard()
             raise DatasetError(expected("episode", f"≥ {MIN_FRAMES} frames", came, "Record longer."))
         self._refuse_dropped()
-        self._write_at_the_end(float(success), OUTCOME_NAMES.index(outcome), seed)
-        frames = self.num_frames
+        ends = (float(success), OUTCOME_NAMES.index(outcome), seed, ABORT_CAUSES.index(cause))
+        self._write_at_the_end(dict(zip(AT_THE_END, ends, strict=True)))
+        frames, episode = self.num_frames, self.num_episodes
         with _typed_errors(self):
             self._writer.save_episode()
+            self._raw.save(episode)
+            write_card(self.root / STAGING, episode, card)
             self._name_marker_codec()
             self._writer.finalize()
             check_stored(self.root / STAGING, frames, self._fps, self._ends)
@@ -161,7 +212,9 @@ class EpisodeRecorder:
         writer = open_writer(
             self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime
         )
-        _check_same(writer._meta, self._fps, self._features)
+        refuse_other_features(writer._meta, self._fps, self._features)
+        encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
+        self._raw = RawVideo(self.root / STAGING, self._raw_shapes, encoder)
         self._ends: dict[str, tuple[np.ndarray, ...]] = {}  # first and last marker images of the episode
         return writer
 
@@ -179,6 +232,7 @@ class EpisodeRecorder:
     def _abandon(self) -> None:
         """Let go of the LeRobot writer without writing: what it staged is deleted."""
         writer = self._writer
+        self._raw.cancel()
         writer.cancel_pending_videos()
         writer._meta._metadata_buffer.clear()
         if (self.root / STAGING).exists():
@@ -186,18 +240,19 @@ class EpisodeRecorder:
         shutil.rmtree(self.root / STAGING, ignore_errors=True)
 
     def _refuse_dropped(self) -> None:
-        dropped = self._writer._streaming_encoder.dropped
+        dropped = self._writer._streaming_encoder.dropped | self._raw.dropped
         if dropped:
             self.discard()
-            raise DatasetError(
+            raise DroppedFrameError(
                 expected(
                     "video", "every frame stored", f"{dropped} dropped", "Episode discarded; record it again."
                 )
             )
 
-    def _write_at_the_end(self, success: float, outcome: int, seed: int) -> None:
+    def _write_at_the_end(self, ends: Mapping[str, float]) -> None:
         buffer = self._writer.episode_buffer
-        for key, value in zip(AT_THE_END, (success, outcome, seed), strict=True):
+        for key in self._at_the_end:
+            value = ends[key]
             buffer[key] = [np.array([value], dtype=self._features[key]["dtype"])] * buffer["size"]
 
     def _name_marker_codec(self) -> None:
@@ -221,28 +276,7 @@ def _typed_errors(recorder: EpisodeRecorder) -> Iterator[None]:
         full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
         do = "Free some space" if full else "See the error above"
         saved = f"{recorder.num_episodes} saved episodes are intact"
-        raise DatasetError(
+        kind = DiskFullError if full else DatasetError
+        raise kind(
             expected("episode", "room to store it", error, f"{do} and record it again; {saved}.")
         ) from error
-
-
-def _check_same(meta: Any, fps: int, features: dict[str, dict]) -> None:
-    wanted = {key: (f["dtype"], tuple(f["shape"])) for key, f in features.items()}
-    came = {key: (f["dtype"], tuple(f["shape"])) for key, f in meta.features.items() if key in wanted}
-    if came != wanted or meta.fps != fps:
-        odd = sorted(k for k in wanted if came.get(k) != wanted[k]) or f"{meta.fps} fps"
-        raise DatasetError(
-            expected("dataset", "the features to record", f"others: {odd}", "Record into another root.")
-        )
-
-
-def _lock(root: Path) -> IO[str]:
-    handle = open(root / ".recorder.lock", "w")  # noqa: SIM115  held until close()
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        handle.close()
-        raise DatasetError(
-            expected(str(root), "one recorder at a time", "another one", "Wait, or use another root.")
-        ) from error
-    return handle

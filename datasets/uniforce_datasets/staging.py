@@ -12,7 +12,10 @@ import shutil
 from pathlib import Path
 
 STAGING, COMMIT = ".staging", ".commit"
-ORDER = ("data", "videos", "meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/info.json")
+ORDER = (
+    *("data", "videos", "raw", "cards"),
+    *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/info.json"),
+)
 
 
 def recover(root: Path) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from uniforce_datasets.lossless import end_frames
+from uniforce_datasets.raw_video import FOLDER
 from uniforce_datasets.source import VideoSpan, stored_frames
 from uniforce_vtla.errors import DatasetError, expected
 
@@ -26,12 +27,19 @@ def check_stored(staged: Path, frames: int, fps: int, ends: Mapping[str, tuple[n
     Raises:
         DatasetError: a frame is missing, or a decoded marker image differs from the recorded one.
     """
+    for file in sorted((staged / FOLDER).rglob("*.mp4")):
+        _check_whole(file, f"raw {file.parts[-2]}", frames)
     for file in sorted((staged / "videos").rglob("*.mp4")):
-        key, stored = file.parts[-3], stored_frames(file)
-        if stored != frames:
-            raise DatasetError(expected(key, f"{frames} frames", stored, DO))
+        key = file.parts[-3]
+        _check_whole(file, key, frames)
         if key in ends and not _same_ends(file, frames, fps, ends[key]):
             raise DatasetError(expected(key, "the recorded marker images after decoding", "others", DO))
+
+
+def _check_whole(file: Path, key: str, frames: int) -> None:
+    stored = stored_frames(file)
+    if stored != frames:
+        raise DatasetError(expected(key, f"{frames} frames", stored, DO))
 
 
 def _same_ends(file: Path, frames: int, fps: int, ends: tuple[np.ndarray, ...]) -> bool:

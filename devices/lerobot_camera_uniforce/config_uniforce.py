@@ -17,20 +17,32 @@ LINKS = ("slcan", "server", "replay")
 
 
 @dataclass(kw_only=True)
-class TactileFingerConfig(CameraConfig):
+class SampledCameraConfig(CameraConfig):
+    """What every camera read in the background has."""
+
+    fps: int | None = 30  # camera frames per second; for taxels the robot loop's, their own rate is measured
+    max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
+    connect_ms: float = 5000.0  # the first sample must come within
+    frozen_after: int = 10  # equal samples in a row that mean a frozen sensor; 0 never looks
+    rotation_deg: int = 0  # 0 | 90 | 180 | 270, counter-clockwise; see `uniforce-touch check=orientation`
+
+    @property
+    def orientation(self) -> Orientation:
+        """How it is turned on its mount."""
+        return Orientation(self.rotation_deg)
+
+
+@dataclass(kw_only=True)
+class TactileFingerConfig(SampledCameraConfig):
     """What every tactile finger has.
 
     ``width`` and ``height`` become those of the delivered image, as LeRobot expects of a camera.
     """
 
     finger: str = "left"  # who wears it: left | right; names it in errors, nothing is mirrored here
-    fps: int | None = 30  # camera frames per second; for taxels the robot loop's, their own rate is measured
-    max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
-    connect_ms: float = 5000.0  # the first sample must come within
+    check_identity: bool = True  # refuse another sensor than the configured one when connecting
     reference_on_connect: bool = True  # take the free-air reference when connecting; needs open fingers
     reference_samples: int = 10  # samples it is the median of; touched while they come = refused
-    frozen_after: int = 10  # equal samples in a row that mean a frozen sensor; 0 never looks
-    rotation_deg: int = 0  # 0 | 90 | 180 | 270, counter-clockwise; see `uniforce-touch check=orientation`
     sensor: str = ""  # registry name
 
     def __post_init__(self) -> None:
@@ -44,11 +56,6 @@ class TactileFingerConfig(CameraConfig):
     def label(self) -> str:
         """How errors call the sensor, e.g. ``tactip on the right finger``."""
         return f"{self.sensor} on the {self.finger} finger"
-
-    @property
-    def orientation(self) -> Orientation:
-        """How it is turned on its finger."""
-        return Orientation(self.rotation_deg)
 
 
 @CameraConfig.register_subclass("uniforce_tactile")
@@ -83,7 +90,7 @@ class UniforceTactileCameraConfig(TactileFingerConfig):
             do = "Set source=/dev/v4l/by-path/… or http://…"
             raise ContractError(expected("source", "a camera", "nothing", do))
         if self.delivers == "raw":
-            self._deliver_raw_size()
+            self.height, self.width, _ = self.raw_shape
 
     def capture_settings(self) -> CaptureSettings:
         """What is asked of the camera."""
@@ -97,13 +104,23 @@ class UniforceTactileCameraConfig(TactileFingerConfig):
             self.gain,
         )
 
-    def _deliver_raw_size(self) -> None:
+    @property
+    def raw_shape(self) -> tuple[int, int, int]:
+        """(rows, columns, 3) of the camera's own frames, upright.
+
+        Raises:
+            ContractError: the config leaves the size to the camera.
+        """
         if self.capture_width is None or self.capture_height is None:
             do = "A dataset needs to know the size of raw frames."
             raise ContractError(expected("capture_width, capture_height", "numbers", "null", do))
-        self.width, self.height = self.capture_width, self.capture_height
-        if self.rotation_deg in (90, 270):
-            self.width, self.height = self.height, self.width
+        sideways = self.rotation_deg in (90, 270)
+        rows, columns = (
+            (self.capture_width, self.capture_height)
+            if sideways
+            else (self.capture_height, self.capture_width)
+        )
+        return rows, columns, 3
 
 
 @CameraConfig.register_subclass("uniforce_uskin")
@@ -128,7 +145,7 @@ class UniforceUskinConfig(TactileFingerConfig):
     )
     max_age_ms: float = 100.0
     reference_samples: int = 50
-    frozen_after: int = 50  # scans; live taxels move by a few counts at rest
+    frozen_after: int = 25  # scans, 0.3 s at the slowest rate seen; live taxels move by a few counts at rest
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -141,3 +158,45 @@ class UniforceUskinConfig(TactileFingerConfig):
     def orientation(self) -> Orientation:
         """How it is turned on its finger."""
         return Orientation(self.rotation_deg, self.flip)
+
+
+@CameraConfig.register_subclass("uniforce_scene")
+@dataclass(kw_only=True)
+class UniforceSceneCameraConfig(SampledCameraConfig):
+    """A camera that looks at the scene: like LeRobot's ``opencv``, but stamped, reopened, and refused once frozen.
+
+    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 224, "height": 224,
+    "capture_width": 640, "capture_height": 480}``
+    """
+
+    source: str = ""  # device number, /dev/v4l/by-path/… or http://…
+    width: int | None = 640  # px delivered; the middle of what was captured, in this shape, made smaller
+    height: int | None = 480
+    capture_width: int | None = None  # px asked of the camera; null = as delivered
+    capture_height: int | None = None
+    fourcc: str | None = "MJPG"  # null leaves the camera's own
+    exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
+    white_balance_K: float | None = None  # locked; null leaves the automatic
+    gain: float | None = None  # locked; null leaves it
+    clock: str = "host"  # host: stamped on arrival | driver: stamped by the camera's driver
+
+    def __post_init__(self) -> None:
+        if not self.source:
+            do = "Set source=/dev/v4l/by-path/… or http://…"
+            raise ContractError(expected("source", "a camera", "nothing", do))
+        if self.clock not in CLOCKS:
+            raise ContractError(expected("clock", " | ".join(CLOCKS), self.clock, "Choose one."))
+
+    @property
+    def label(self) -> str:
+        """How errors call it."""
+        return "scene camera"
+
+    def capture_settings(self) -> CaptureSettings:
+        """What is asked of the camera; its frames are turned after that."""
+        sideways = self.rotation_deg in (90, 270)
+        width, height = (self.height, self.width) if sideways else (self.width, self.height)
+        width, height = self.capture_width or width, self.capture_height or height
+        return CaptureSettings(
+            self.fourcc, width, height, self.fps, self.exposure_100us, self.white_balance_K, self.gain
+        )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from lerobot_camera_uniforce.config_uniforce import UniforceUskinConfig
 from lerobot_camera_uniforce.finger import TactileFinger, taxel_median
+from lerobot_camera_uniforce.samples import Window
 from lerobot_camera_uniforce.sources import USkinSource
 from lerobot_camera_uniforce.uskin_replay import ReplayUSkin
 from lerobot_camera_uniforce.uskin_server import ServerUSkin
@@ -36,6 +39,11 @@ class UniforceUskin(TactileFinger):
 
     def _make_source(self) -> USkinSource:
         return make_uskin_source(self._uskin_config)
+
+    def upright_window(self, size: int) -> Window:
+        """Return the newest ``size`` scans turned as ``latest`` turns them; raises as ``read_latest``."""
+        window = self.window(size)
+        return replace(window, data=np.stack([self._upright(scan) for scan in window.data]))
 
     def _upright(self, raw: np.ndarray) -> np.ndarray:
         return self._orientation.of_counts(raw)

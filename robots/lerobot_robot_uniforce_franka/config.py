@@ -8,6 +8,7 @@ from typing import Literal
 from lerobot.cameras import CameraConfig
 from lerobot.robots.config import RobotConfig
 
+from lerobot_camera_uniforce.config_uniforce import TactileFingerConfig
 from lerobot_robot_uniforce_franka.arm import ROLLOUT, ArmSettings, Gains
 from lerobot_robot_uniforce_franka.guards import GuardLimits
 from lerobot_robot_uniforce_franka.hand import HandSettings
@@ -30,7 +31,9 @@ class UniforceFrankaConfig(RobotConfig):
         reflex_torque_Nm, reflex_force_N: the robot's own stop.
         connect_deadline_s: for an answer, once the client is loaded.
         realtime: ``ignore`` or ``enforce`` (needs PREEMPT_RT).
-        cameras: scene and tactile cameras by name; each is one image of the observation.
+        cameras: scene and tactile cameras by name; each is one image of the observation, and a tactile one two: its
+            free-air reference is ``NAME_ref``.
+        open_width_m: fingers at least so far apart count as open, which a free-air reference needs.
     """
 
     address: str = "172.16.0.2"  # the controller's default
@@ -45,6 +48,12 @@ class UniforceFrankaConfig(RobotConfig):
     connect_deadline_s: float = 2.5
     realtime: Literal["ignore", "enforce"] = "ignore"
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
+    open_width_m: float = 0.06  # the hand opens to 0.08
+
+    @property
+    def fingers(self) -> dict[str, TactileFingerConfig]:
+        """The tactile ones of the cameras."""
+        return {name: c for name, c in self.cameras.items() if isinstance(c, TactileFingerConfig)}
 
     @property
     def arm_settings(self) -> ArmSettings:

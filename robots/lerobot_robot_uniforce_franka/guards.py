@@ -15,7 +15,13 @@ from uniforce_vtla.errors import ContractError, RobotError, expected
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
-GUARDS = ("finite", "box", "step", "rate")
+GUARDS = (
+    "finite",
+    "box",
+    "step",
+    "rate",
+    "sensor",
+)  # the last one acts on the robot's word, not on an action
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,11 @@ class GuardChain:
     def reset(self) -> None:
         """Forget the last target; the next one is counted from the measured pose."""
         self._last = None
+
+    def count_sensor_fault(self, camera: str, error: Exception) -> None:
+        """Count and log a camera or finger that was lost, stale or frozen while it was needed."""
+        self.counts["sensor"] += 1
+        log.warning("guard sensor: %s: %s", camera, error)
 
     def __call__(self, action: np.ndarray, measured: np.ndarray, now_s: float) -> np.ndarray:
         """Return the action that may be sent.

@@ -12,28 +12,18 @@ import numpy as np
 from lerobot.cameras import Camera, make_cameras_from_configs
 from lerobot.robots import Robot
 
-from lerobot_robot_uniforce_franka.arm import Arm
+from lerobot_robot_uniforce_franka.arm import ArmState
 from lerobot_robot_uniforce_franka.config import UniforceFrankaConfig
-from lerobot_robot_uniforce_franka.franky_arm import FrankyArm
-from lerobot_robot_uniforce_franka.franky_hand import FrankyHand
 from lerobot_robot_uniforce_franka.guards import GuardChain
-from lerobot_robot_uniforce_franka.hand import HandDriver, HandThread
+from lerobot_robot_uniforce_franka.hand import HandReading, HandThread, require_open
+from lerobot_robot_uniforce_franka.make_backend import make_backend
 from lerobot_robot_uniforce_franka.poses import ToolPose
-from lerobot_robot_uniforce_franka.pylibfranka_arm import PylibfrankaArm
-from lerobot_robot_uniforce_franka.pylibfranka_hand import PylibfrankaHand
 from lerobot_robot_uniforce_franka.shutdown import forbid_return_motion
 from lerobot_robot_uniforce_franka.stream import ArmStream
-from uniforce_vtla.errors import RobotError, expected
+from uniforce_vtla.errors import RobotError, SensorError, expected
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
-
-
-def make_backend(config: UniforceFrankaConfig) -> tuple[Arm, HandDriver]:
-    """Return the arm and hand of the configured backend, not yet connected."""
-    if config.backend == "pylibfranka":
-        return PylibfrankaArm(config.arm_settings), PylibfrankaHand(config.address, config.connect_deadline_s)
-    return FrankyArm(config.arm_settings, has_hand=True), FrankyHand(config.address)
 
 
 class UniforceFranka(Robot):
@@ -61,8 +51,9 @@ class UniforceFranka(Robot):
 
     @property
     def observation_features(self) -> dict[str, Any]:
-        """Five measured axes, and (height, width, 3) for each camera."""
+        """Five measured axes, (height, width, 3) for each camera, and again for each finger's reference."""
         images = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
+        images |= {f"{name}_ref": images[name] for name in self.config.fingers}
         return {**dict.fromkeys(AXES, float), **images}
 
     @property
@@ -93,6 +84,8 @@ class UniforceFranka(Robot):
 
         Raises:
             RobotError: already connected, no answer within the deadline, wrong version, no client installed.
+            SensorError: a camera or finger without signal, another sensor than configured, or no free air for its
+                reference.
         """
         if self.is_connected:
             raise RobotError(
@@ -110,9 +103,20 @@ class UniforceFranka(Robot):
         hand = HandThread(self._hand_driver, self.config.gripper)
         hand.start()
         self._hand = hand
+        if any(finger.reference_on_connect for finger in self.config.fingers.values()):
+            require_open(hand.reading, self.config.open_width_m)
         for camera in self.cameras.values():
             camera.connect()
         self._start_stream()
+
+    def require_open_hand(self) -> None:
+        """Refuse a free-air reference while the fingers may hold something.
+
+        Raises:
+            SensorError: the hand is not open.
+            RobotError: a fault of the hand, or not connected.
+        """
+        require_open(self._parts()[1].reading, self.config.open_width_m)
 
     def _start_stream(self) -> None:
         stream = ArmStream(self._arm, replace(self.config.stream, action_period_s=1 / self.config.fps))
@@ -141,8 +145,9 @@ class UniforceFranka(Robot):
         """
         stream, self._stream = self._stream, None
         hand, self._hand = self._hand, None
+        stale_count = stream.stale_count if stream is not None else 0
         with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
-            closing.callback(log.info, "guards acted: %s", self.guards.counts)
+            closing.callback(log.info, "guards acted: %s", {**self.guards.counts, "watchdog": stale_count})
             for camera in self.cameras.values():
                 closing.callback(_disconnect_camera, camera)
             closing.callback(self._arm.close)
@@ -164,10 +169,51 @@ class UniforceFranka(Robot):
         pose = ToolPose.from_ee(stream.state.ee_to_base)
         return np.array([*pose.position_m, pose.yaw_rad, hand.reading.width_m])
 
+    @property
+    def reading(self) -> tuple[ArmState, HandReading]:
+        """All that arm and hand told last, for a recorder. Never blocks.
+
+        Raises:
+            RobotError: as ``measured``.
+        """
+        stream, hand = self._parts()
+        return stream.state, hand.reading
+
+    @property
+    def guard_counts(self) -> dict[str, int]:
+        """How often each guard acted since this object was made; ``watchdog`` since the last connect."""
+        watchdog = 0 if self._stream is None else self._stream.stale_count
+        return {**self.guards.counts, "watchdog": watchdog}
+
     def get_observation(self) -> dict[str, Any]:
-        """Return the measured axes and the newest image of each camera."""
+        """Return the measured axes and the newest image of each camera.
+
+        Raises:
+            RobotError: a fault of arm or hand.
+            SensorError, RuntimeError, OSError: a camera or finger that is lost, stale or frozen; the arm has stopped.
+        """
         axes = dict(zip(AXES, self._halting(self.measured).tolist(), strict=True))
-        return {**axes, **{name: camera.read_latest() for name, camera in self.cameras.items()}}
+        images = {name: self._image(name, camera) for name, camera in self.cameras.items()}
+        return {**axes, **images, **{f"{name}_ref": self._reference(name) for name in self.config.fingers}}
+
+    def _image(self, name: str, camera: Camera) -> np.ndarray:
+        try:
+            image: np.ndarray = camera.read_latest()
+        except (SensorError, RuntimeError, OSError) as error:  # how LeRobot's own cameras fail: the last two
+            self.guards.count_sensor_fault(name, error)
+            self._halt(RobotError(f"{name}: {error}", "sensor"))
+            raise
+        return image
+
+    def _reference(self, name: str) -> np.ndarray:
+        image: np.ndarray = self.cameras[name].reference_image()
+        return image.copy()  # what LeRobot gets it may write to
+
+    def hold(self) -> None:
+        """Let the arm rest where it is, at once; nothing is refused afterwards. Does nothing once it has stopped."""
+        if self._stream is not None:
+            self._stream.hold()
+        self.guards.reset()
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Guard an action and make it the target; return what was sent. Never blocks.
@@ -196,11 +242,14 @@ class UniforceFranka(Robot):
         try:
             result: np.ndarray = do()
         except RobotError as fault:
-            if self._stream is not None and self._fault is None:
-                self._fault = fault
-                self._stream.stop()
+            self._halt(fault)
             raise
         return result
+
+    def _halt(self, fault: RobotError) -> None:
+        if self._stream is not None and self._fault is None:
+            self._fault = fault
+            self._stream.stop()
 
     def _parts(self) -> tuple[ArmStream, HandThread]:
         if self._stream is None or self._hand is None:

@@ -17,6 +17,7 @@ from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
 JOIN_s = 10.0  # a backend's own deadlines are shorter
+SILENT_AGES = 2  # a robot's clock that stands still for so many of ``state_age_s``: nobody is there
 GOOD_RATE = 0.9  # share of commands in time, below which someone should look at the computer
 
 
@@ -28,7 +29,8 @@ class StreamSettings:
         rate_hz: targets per second.
         action_period_s: how long a ramp to a new action takes; the policy's own period.
         stale_s: an action older than this is no longer followed.
-        state_age_s: a reading older than this is not given to anybody.
+        state_age_s: a reading older than this is not given to anybody; a robot that tells nothing new for twice as
+            long is gone.
     """
 
     rate_hz: float = 100.0
@@ -68,6 +70,7 @@ class ArmStream:
         self._state: ArmState | None = None
         self._ramp: Ramp | None = None
         self._submitted_s = 0.0
+        self._robot_time_s = self._advanced_s = 0.0
         self._holding = self._late = False
         self._fault: RobotError | None = None
         self._ending = threading.Event()
@@ -76,6 +79,7 @@ class ArmStream:
     def start(self) -> None:
         """Read the arm once, so that a state is there, and begin."""
         self._state = self._arm.state()
+        self._robot_time_s, self._advanced_s = self._state.robot_time_s, time.monotonic()
         self._thread.start()
 
     def stop(self) -> None:
@@ -132,6 +136,12 @@ class ArmStream:
             self._ramp = Ramp(start, target, now, self.settings.action_period_s)
             self._submitted_s, self._holding = now, False
 
+    def hold(self) -> None:
+        """Pull towards where the arm is now, at once. Does nothing before the first action or after a fault."""
+        with self._lock:
+            if self._ramp is not None:
+                self._rest_here()
+
     def _check(self) -> None:
         if self._fault is not None:
             raise self._fault
@@ -162,6 +172,7 @@ class ArmStream:
 
     def _tick(self) -> None:
         state = self._arm.state()
+        self._refuse_silent(state)
         with self._lock:
             self._state = state
         _refuse_stopped(state)
@@ -169,6 +180,17 @@ class ArmStream:
         target = self._target(time.monotonic())
         if target is not None:
             self._arm.set_target(target.ee_to_base())
+
+    def _refuse_silent(self, state: ArmState) -> None:
+        """Notice a robot whose clock stands still; its client does so only after a second."""
+        now = time.monotonic()
+        if state.robot_time_s != self._robot_time_s:
+            self._robot_time_s, self._advanced_s = state.robot_time_s, now
+        silent_s = now - self._advanced_s
+        if silent_s > SILENT_AGES * self.settings.state_age_s:
+            do = "Check the cable and the robot's controller."
+            came = f"none for {silent_s:.2f} s"
+            raise RobotError(expected("arm", "new states from the robot", came, do), "connection")
 
     def _warn_of_late_commands(self, state: ArmState) -> None:
         late = state.mode == "move" and state.success_rate < GOOD_RATE
@@ -182,15 +204,17 @@ class ArmStream:
             if self._ramp is None:
                 return None
             if now_s - self._submitted_s > self.settings.stale_s and not self._holding:
-                self._hold(now_s)
+                self._hold_stale()
             return self._ramp.at(now_s)
 
-    def _hold(self, now_s: float) -> None:
-        """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""
-        self._holding = True
-        self.stale_count += 1
+    def _rest_here(self) -> None:
         here = self._measured()
-        self._ramp = Ramp(here, here, now_s, 0.0)
+        self._ramp, self._holding = Ramp(here, here, time.monotonic(), 0.0), True
+
+    def _hold_stale(self) -> None:
+        """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""
+        self.stale_count += 1
+        self._rest_here()
         log.warning("no action for %.0f ms: holding the measured pose", 1000 * self.settings.stale_s)
 
     def _let_go(self) -> None:

@@ -38,7 +38,7 @@ def test_the_box_clamps() -> None:
     chain = GuardChain(WIDE)
     sent = chain(np.array([5.0, -5.0, -1.0, 9.0, 0.5]), HERE, 0.0)
     np.testing.assert_allclose(sent, [0.70, -0.30, 0.005, np.pi / 2, 0.08])
-    assert chain.counts == {"finite": 0, "box": 1, "step": 0, "rate": 0}
+    assert chain.counts == {"finite": 0, "box": 1, "step": 0, "rate": 0, "sensor": 0}
 
 
 def test_a_step_is_counted_from_the_measured_pose_and_keeps_its_direction() -> None:

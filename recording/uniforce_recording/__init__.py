@@ -1,0 +1,1 @@
+"""Demonstrations from a rig, real or simulated: observe, steer, act, store, and stop in order."""

@@ -1,0 +1,88 @@
+"""Any LeRobot teleoperator whose actions are the five absolute axes, as a function of the measured ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from lerobot.teleoperators import Teleoperator
+
+from uniforce_vtla.errors import ContractError, TeleoperatorError, UniForceError, expected
+from uniforce_vtla.keys import AXES
+
+
+class Steering:
+    """Drive by a teleoperator.
+
+    Beyond LeRobot's interface it uses what is there: ``start_from(axes)`` at each start, ``send_feedback(axes)`` where
+    ``feedback_features`` lists the five axes.
+
+    Args:
+        teleop: not connected.
+
+    Raises:
+        ContractError: its actions aren't the five axes.
+    """
+
+    def __init__(self, teleop: Teleoperator) -> None:
+        missing = [axis for axis in AXES if axis not in teleop.action_features]
+        if missing:
+            do = "Take one of ours (teleop=keyboard, spacemouse, gello, hand_guide, replay), or wrap it."
+            raise ContractError(
+                expected(f"teleop {teleop.name}", f"actions {AXES}", f"{missing} missing", do)
+            )
+        self._teleop: Any = teleop
+        self._wants_feedback = all(axis in teleop.feedback_features for axis in AXES)
+
+    @property
+    def name(self) -> str:
+        """Of the teleoperator."""
+        return str(self._teleop.name)
+
+    def connect(self) -> None:
+        """Open the device."""
+        self._call(self._teleop.connect)
+
+    def close(self) -> None:
+        """Let go of it."""
+        if self._teleop.is_connected:
+            self._call(self._teleop.disconnect)
+
+    def start_from(self, axes: np.ndarray) -> None:
+        """Begin with the target on (5,) measured axes.
+
+        Raises:
+            TeleoperatorError: it can't start from here.
+        """
+        if hasattr(self._teleop, "start_from"):
+            self._call(self._teleop.start_from, _named(axes))
+
+    def target(self, axes: np.ndarray) -> np.ndarray:
+        """Return (5,) absolute targets, told the (5,) measured axes.
+
+        Raises:
+            TeleoperatorError: the device failed, or what it says can't be followed. ``fault`` is ``ended`` where a
+                recording is over.
+        """
+        if self._wants_feedback:
+            self._call(self._teleop.send_feedback, _named(axes))
+        action = self._call(self._teleop.get_action)
+        target = np.array([float(action.get(axis, np.nan)) for axis in AXES])
+        if not np.isfinite(target).all():
+            do = "The teleoperator is broken; the robot holds."
+            raise TeleoperatorError(expected(self.name, f"finite {AXES}", action, do), "garbage")
+        return target
+
+    def _call(self, function: Any, *arguments: Any) -> Any:
+        """Call the device; what LeRobot's own raise becomes one kind of error."""
+        try:
+            return function(*arguments)
+        except UniForceError:
+            raise
+        except (RuntimeError, OSError, ValueError) as error:
+            do = "Check the device."
+            raise TeleoperatorError(expected(self.name, "an answer", error, do), "connection") from error
+
+
+def _named(axes: np.ndarray) -> dict[str, float]:
+    return dict(zip(AXES, axes.tolist(), strict=True))

@@ -1,0 +1,92 @@
+"""A steady beat with absolute deadlines, and how well it was kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class TickStats:
+    """How a beat was kept.
+
+    Attributes:
+        ticks: how many there were.
+        mean_hz: over the whole stretch; 0 with fewer than two ticks.
+        jitter_p50_ms, jitter_p99_ms, jitter_max_ms: how late ticks came after their deadlines.
+        missed: deadlines that passed without a tick, because the one before took too long.
+    """
+
+    ticks: int
+    mean_hz: float
+    jitter_p50_ms: float
+    jitter_p99_ms: float
+    jitter_max_ms: float
+    missed: int
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the numbers by name, rounded for people."""
+        return {name: round(value, 3) for name, value in asdict(self).items()}
+
+
+class Ticker:
+    """Wait for the beats of ``rate_hz``.
+
+    Args:
+        rate_hz: beats per second.
+        paced: False never waits: for a scene that steps as fast as it can.
+        clock: seconds; tests put their own.
+        sleep: waits seconds.
+    """
+
+    def __init__(
+        self,
+        rate_hz: float,
+        paced: bool = True,
+        clock: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._period_s, self._paced = 1 / rate_hz, paced
+        self._clock, self._sleep = clock, sleep
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: the next beat is now, and nothing has been counted."""
+        self._due_s = self._clock()
+        self._times: list[float] = []
+        self._late_s: list[float] = []
+        self._paused_s = 0.0
+        self._missed = 0
+
+    def resume(self) -> None:
+        """Go on after a pause that shall not count: the next beat is one period away."""
+        due_s = self._clock() + self._period_s
+        self._paused_s += due_s - self._due_s
+        self._due_s = due_s
+
+    def wait(self) -> float:
+        """Wait for the next beat; return how late it is in seconds."""
+        now_s = self._clock()
+        if self._paced and now_s < self._due_s:
+            self._sleep(self._due_s - now_s)
+            now_s = self._clock()
+        late_s = max(now_s - self._due_s, 0.0) if self._paced else 0.0
+        skipped = int(late_s / self._period_s)
+        self._missed += skipped
+        self._due_s += (1 + skipped) * self._period_s
+        self._times.append(now_s)
+        self._late_s.append(late_s)
+        return late_s
+
+    @property
+    def stats(self) -> TickStats:
+        """How the beat was kept since the start."""
+        count = len(self._times)
+        if count < 2:
+            return TickStats(count, 0.0, 0.0, 0.0, 0.0, self._missed)
+        span_s = self._times[-1] - self._times[0] - self._paused_s
+        p50, p99, most = np.percentile(np.array(self._late_s) * 1000, (50, 99, 100)).tolist()
+        return TickStats(count, (count - 1) / span_s if span_s > 0 else 0.0, p50, p99, most, self._missed)
