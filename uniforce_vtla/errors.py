@@ -40,6 +40,20 @@ class RobotError(UniForceError):
         self.fault = fault
 
 
+class TeleoperatorError(UniForceError):
+    """What a person steers with can't be followed: unplugged, silent, garbage, too far from the robot, at its end.
+
+    Attributes:
+        fault: one word for what happened: ``connection``, ``stale``, ``garbage``, ``far``, ``not_started``,
+            ``not_connected``, ``missing`` (a library), ``simulation_only``, ``ended`` or ``other``. Programs branch on
+            it, people read the message.
+    """
+
+    def __init__(self, message: str, fault: str = "other") -> None:
+        super().__init__(message)
+        self.fault = fault
+
+
 def expected(what: str, wanted: object, came: object, do: str) -> str:
     """Compose a message in the one form all our errors share."""
     return f"{what}: expected {wanted}, got {came}. {do}"
