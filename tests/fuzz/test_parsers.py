@@ -19,6 +19,10 @@ from lerobot_camera_uniforce.multipart_jpeg import MAX_HEADER_BYTES, MAX_JPEG_BY
 from lerobot_camera_uniforce.slcan_lines import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
 from lerobot_camera_uniforce.websocket import MAX_MESSAGE_BYTES, TEXT, FrameReader
 from lerobot_camera_uniforce.xela_message import read_message
+from lerobot_teleoperator_uniforce.dynamixel import StatusReader
+from lerobot_teleoperator_uniforce.spacemouse_reports import LARGEST_COUNT, SpaceMouseReports
+from uniforce_standins import spacemouse
+from uniforce_standins.gello import status
 from uniforce_standins.mjpeg import encode, part
 from uniforce_standins.slcan import scan_lines
 from uniforce_standins.xela import frame, message
@@ -99,6 +103,21 @@ def feed_mjpeg(rng: np.random.Generator, data: bytes) -> None:
         assert len(reader._buffer) <= MAX_JPEG_BYTES + MAX_HEADER_BYTES + len(data)
 
 
+def feed_dynamixel(rng: np.random.Generator, data: bytes) -> None:
+    reader = StatusReader()
+    for chunk in chunks(rng, data):
+        for got in reader.feed(chunk):
+            assert 0 <= got.device_id <= 255 and len(got.parameters) < 300
+        assert len(reader._buffer) <= 300
+
+
+def feed_spacemouse(rng: np.random.Generator, data: bytes) -> None:
+    reader = SpaceMouseReports()
+    for report in chunks(rng, data):
+        reader.feed(report)
+        assert np.abs(reader.state).max() <= LARGEST_COUNT
+
+
 SLCAN = b"\r\rV1013\r" + b"".join(b"".join(lines) for lines in scan_lines(SCANS, 0))
 JSON = message(7, SCANS[0], "null").encode()
 WEBSOCKET = (
@@ -113,7 +132,10 @@ PARSERS: dict[str, tuple[Callable, bytes]] = {
     "websocket": (feed_websocket, WEBSOCKET),
     "json": (feed_json, JSON),
     "mjpeg": (feed_mjpeg, MJPEG),
+    "dynamixel": (feed_dynamixel, b"".join(status(i, bytes([i, 255, 255, 253]), 0) for i in range(1, 9))),
+    "spacemouse": (feed_spacemouse, b"".join(spacemouse.reports((1, -350, 0, 9, 350, -2), 3, "three"))),
 }
+NEVER_REFUSE = ("slcan", "dynamixel", "spacemouse")  # they count what is broken, and look for what isn't
 
 
 @pytest.mark.parametrize("name", PARSERS)
@@ -131,7 +153,7 @@ def test_mutated_bytes_are_survived(name: str):
             pytest.fail(f"input {i}: {type(error).__name__}: {error}; bytes {data!r}")
         assert time.process_time() - began_s < SLOWEST_S, f"input {i} took too long: {data!r}"
     assert refused < INPUTS  # some still make sense, or nothing was tested
-    assert name == "slcan" or refused > 0
+    assert name in NEVER_REFUSE or refused > 0
 
 
 @pytest.mark.parametrize("name", PARSERS)
