@@ -46,6 +46,8 @@ class EpisodeRecorder:
         truth: whether the true pad wrench is stored (simulation).
         realtime: True on hardware: a video frame that can't be stored in time fails the episode.
         queue_frames: video frames that may wait per key.
+        features: columns of another kind of recording, in place of a demonstration's (``truth`` and
+            ``camera_shape`` then say nothing); marker images are stored exactly there too.
 
     Raises:
         DatasetError: another recorder writes here, the folder holds something else or other features, the disk
@@ -64,6 +66,7 @@ class EpisodeRecorder:
         truth: bool = True,
         realtime: bool = False,
         queue_frames: int = 30,
+        features: dict[str, dict] | None = None,
     ) -> None:
         self.root = Path(root)
         self._repo_id, self._fps = repo_id, fps
@@ -72,7 +75,7 @@ class EpisodeRecorder:
             sensor_key(f): np.array([sensor_index(name)], dtype=np.int64)
             for f, name in zip(FINGERS, (left_sensor, right_sensor), strict=True)
         }
-        self._features = dataset_features(camera_shape, truth)
+        self._features = dataset_features(camera_shape, truth) if features is None else features
         self.root.mkdir(parents=True, exist_ok=True)
         self._lock = _lock(self.root)
         recover(self.root)
@@ -97,7 +100,7 @@ class EpisodeRecorder:
             task: the instruction, in words.
         """
         row = {key: as_column(key, value) for key, value in frame.items()} | self._sensors
-        row |= {key: np.zeros(1, dtype=self._features[key]["dtype"]) for key in AT_THE_END}
+        row |= {key: np.zeros(1, dtype=self._features[key]["dtype"]) for key in self._at_the_end}
         check_row(row, self._features)
         with _typed_errors(self):
             self._writer.add_frame(row | {"task": task})
@@ -154,6 +157,10 @@ class EpisodeRecorder:
     ) -> None:
         self.close()
 
+    @property
+    def _at_the_end(self) -> tuple[str, ...]:
+        return tuple(key for key in AT_THE_END if key in self._features)
+
     def _open(self) -> DatasetWriter:
         """A LeRobot writer whose files all go to the staging folder."""
         if not (self.root / "meta" / "info.json").exists():
@@ -197,7 +204,9 @@ class EpisodeRecorder:
 
     def _write_at_the_end(self, success: float, outcome: int, seed: int) -> None:
         buffer = self._writer.episode_buffer
-        for key, value in zip(AT_THE_END, (success, outcome, seed), strict=True):
+        values = dict(zip(AT_THE_END, (success, outcome, seed), strict=True))
+        for key in self._at_the_end:
+            value = values[key]
             buffer[key] = [np.array([value], dtype=self._features[key]["dtype"])] * buffer["size"]
 
     def _name_marker_codec(self) -> None:

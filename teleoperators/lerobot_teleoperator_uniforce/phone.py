@@ -1,6 +1,7 @@
 """LeRobot's phone as a pose that moves the target while its button is held. Never run with one.
 
-Needs ``lerobot[phone]``. LeRobot's own processor maps the phone's axes to the robot's. Pressing the button latches where target and phone are;
+Needs ``lerobot[phone]``. LeRobot's own processor maps the phone's axes to the robot's. Pressing the button latches
+where target and phone are;
 letting go holds the target, so that the arm can be led in several strokes.
 """
 
