@@ -56,11 +56,16 @@ class Coverage:
 
     def add(self, force_N: np.ndarray, place: np.ndarray) -> None:
         """Count pairs: (N, 3) forces and (N, 2) places; what lies beyond an edge counts in the last cell."""
-        normal = _bin(force_N[:, 2], NORMAL_EDGES_N)
-        shear = _bin(np.linalg.norm(force_N[:, :2], axis=1), SHEAR_EDGES_N)
-        np.add.at(self.force, (normal, shear), 1)
+        for force in force_N:
+            self.force[self.cell(force)] += 1
         column, row = np.clip(((place + 1) / 2 * PLACE_CELLS).astype(int), 0, PLACE_CELLS - 1).T
         np.add.at(self.place, (row, column), 1)
+
+    @staticmethod
+    def cell(force_N: np.ndarray) -> tuple[int, int]:
+        """Return (normal, shear) cell of a force (3,)."""
+        pull = float(np.linalg.norm(force_N[:2]))
+        return _bin(float(force_N[2]), NORMAL_EDGES_N), _bin(pull, SHEAR_EDGES_N)
 
     @property
     def covered(self) -> float:
@@ -75,5 +80,5 @@ class Coverage:
         return f"grip {press}, pull {pull}"
 
 
-def _bin(values: np.ndarray, edges: tuple[float, ...]) -> np.ndarray:
-    return np.clip(np.digitize(values, edges) - 1, 0, len(edges) - 2)
+def _bin(value: float, edges: tuple[float, ...]) -> int:
+    return int(np.clip(np.digitize(value, edges) - 1, 0, len(edges) - 2))

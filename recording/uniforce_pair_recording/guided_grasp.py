@@ -14,9 +14,10 @@ Magnitudes are plausible, not measured. Nothing here knows sensors or images.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 CLOSING = 0  # index of the closing axis in the hand's velocities and accelerations
 FAULTS = ("jerked", "free", "slipping", "one_finger", "pushed")
@@ -33,11 +34,9 @@ class GraspSettings:
             then, so that each grasp shows how its two fingers compare.
         grip_N: range of the firmest grip; while guided it varies below that.
         shear_share: largest load pulled through the object, as a share of what friction would hold.
-        mass_kg: of the object with what moves of its holder.
         slow_m_s2: root mean square acceleration of a hand that is led slowly.
         fault_share: share of the grasps in which something goes wrong, the faults taking equal parts.
         residual: root mean square of the small differences no grasp is free of, share of the force.
-        mass_known: relative standard deviation of the mass the operator enters.
         speed_noise_m_s, acceleration_noise_m_s2: of what the robot measures.
         grip_noise: relative standard deviation of the gripper's force estimate, one bias per session and grasp.
     """
@@ -47,12 +46,10 @@ class GraspSettings:
     rest_s: float = 1.0
     grip_N: tuple[float, float] = (2.0, 12.0)
     shear_share: float = 0.6
-    mass_kg: tuple[float, float] = (0.15, 0.40)
     slow_m_s2: float = 0.10
     fault_share: float = 0.5
     faults: tuple[str, ...] = FAULTS
     residual: float = 0.01
-    mass_known: float = 0.05
     speed_noise_m_s: float = 0.002
     acceleration_noise_m_s2: float = 0.10
     grip_noise: float = 0.08
@@ -66,13 +63,11 @@ class RobotReadings:
         velocity_m_s: (T, 3) of the hand in its own frame; x is the closing axis.
         acceleration_m_s2: (T, 3) likewise.
         grip_N: (T,) the gripper's own estimate.
-        mass_kg: of object and moving holder, as the operator weighed it.
     """
 
     velocity_m_s: np.ndarray
     acceleration_m_s2: np.ndarray
     grip_N: np.ndarray
-    mass_kg: float
 
 
 @dataclass(frozen=True)
@@ -89,15 +84,17 @@ class GuidedGrasp:
     right_N: np.ndarray
     readings: RobotReadings
     fault: str = "none"
-    friction: tuple[float, float] = field(default=(1.0, 1.0))
 
 
-def draw_grasp(rng: np.random.Generator, settings: GraspSettings, friction: float = 1.0) -> GuidedGrasp:
+def draw_grasp(
+    rng: np.random.Generator, settings: GraspSettings, mass_kg: float, friction: float = 1.0
+) -> GuidedGrasp:
     """Return a random guided grasp.
 
     Args:
         rng: draws everything.
         settings: how.
+        mass_kg: of the object with what moves of its holder.
         friction: of the pads; the loads asked for stay below it.
     """
     fault = str(rng.choice(settings.faults)) if rng.random() < settings.fault_share else "none"
@@ -107,10 +104,9 @@ def draw_grasp(rng: np.random.Generator, settings: GraspSettings, friction: floa
     acceleration = settings.slow_m_s2 * _wander(rng, T, 3, 4) * led[:, None]
     if fault == "jerked":
         acceleration[:, CLOSING] += _jerk(rng, settings)
-    mass = float(rng.uniform(*settings.mass_kg))
     shear = _shear(rng, settings, grip, friction) * led[:, None]
     difference = settings.residual * grip[:, None] * _wander(rng, T, 3, 8)
-    difference[:, 2] += mass * acceleration[:, CLOSING]
+    difference[:, 2] += mass_kg * acceleration[:, CLOSING]
     left, right = _faulty(rng, settings, fault, grip, shear, difference, friction)
     velocity = np.cumsum(acceleration, axis=0) * dt
     velocity += 0.03 * _wander(rng, T, 3, 6) * led[:, None]  # slow leading, whose acceleration is in slow_m_s2
@@ -118,7 +114,6 @@ def draw_grasp(rng: np.random.Generator, settings: GraspSettings, friction: floa
         velocity + settings.speed_noise_m_s * rng.standard_normal((T, 3)),
         acceleration + settings.acceleration_noise_m_s2 * rng.standard_normal((T, 3)),
         grip * (1 + settings.grip_noise * rng.standard_normal()) + 0.1 * rng.standard_normal(T),
-        mass * (1 + settings.mass_known * rng.standard_normal()),
     )
     return GuidedGrasp(left, right, readings, fault)
 
@@ -140,14 +135,13 @@ def _faulty(
     if fault == "free":
         mean[:, :2] *= 0.15  # only the object's weight is left to pull
         direction = rng.uniform(-np.pi, np.pi)
-        askew = rng.uniform(0.12, 0.8) * friction * grip * _after_rest(settings, soft=0.3)
+        askew = rng.uniform(0.12, 0.8) * friction * grip  # as soon as the pads close
         difference[:, :2] += askew[:, None] * [np.cos(direction), np.sin(direction)]
     elif fault == "pushed":
         difference[:, 2] += side * rng.uniform(0.15, 0.9) * grip * window
     elif fault == "slipping":
-        lost = rng.uniform(0.3, 0.9) * window[:, None] * _at_least(shear, 0.35 * friction * grip, rng)
-        mean[:, :2] = _at_least(shear, 0.35 * friction * grip, rng) * np.maximum(window, _after_rest(settings))[:, None]
-        difference[:, :2] += side * 2 * lost * 0.5
+        mean[:, :2] = _at_least(rng, shear, 0.35 * friction * grip) * _after_rest(settings)[:, None]
+        difference[:, :2] += side * rng.uniform(0.3, 0.9) * window[:, None] * mean[:, :2]
     left, right = mean + difference / 2, mean - difference / 2
     if fault == "one_finger":
         (left if side > 0 else right)[:] *= (1 - window)[:, None] if rng.random() < 0.5 else 0.0
@@ -163,7 +157,7 @@ def _carried(load: np.ndarray, friction: float) -> np.ndarray:
     return load
 
 
-def _at_least(shear: np.ndarray, least: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _at_least(rng: np.random.Generator, shear: np.ndarray, least: np.ndarray) -> np.ndarray:
     """Return shear whose size is nowhere below ``least`` (T,): what does not pull can't slip."""
     size = np.linalg.norm(shear, axis=1)
     along = shear / np.maximum(size, 1e-9)[:, None]
@@ -190,8 +184,6 @@ def _shear(rng: np.random.Generator, settings: GraspSettings, grip: np.ndarray, 
 
 def _wander(rng: np.random.Generator, frames: int, axes: int, knots: int) -> np.ndarray:
     """(T, axes) smooth random ways of unit variance through so many knots."""
-    from scipy.interpolate import CubicSpline
-
     at = np.linspace(0, 1, knots + 2)
     return CubicSpline(at, rng.standard_normal((knots + 2, axes)))(np.linspace(0, 1, frames))
 

@@ -10,14 +10,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from uniforce_pair_recording.guided_grasp import GraspSettings, RobotReadings, draw_grasp
+from uniforce_pair_recording.guided_grasp import GraspSettings, draw_grasp
+from uniforce_pair_recording.rig import RigFrame
 from uniforce_pair_recording.truth import equilibrium_error
 from uniforce_vtla.contact.indenters import gap_maps
 from uniforce_vtla.contact.mirror import mirrored
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.views import draw_simulator, images_of
-from uniforce_vtla.contracts import ContactState, Finger
+from uniforce_vtla.contracts import FINGERS, ContactState, Finger
 
 REACH_mm = 4.0  # how far from the pad's centre an object is grasped
 CANONICAL = np.array([-1.0, 1.0, 1.0])  # the right finger's own x against the canonical one
@@ -31,6 +32,8 @@ class Rehearsal:
         left_sensor, right_sensor: registry names.
         seed: of units, grasps and noise.
         unit_strength: unit-to-unit variation.
+        mass_kg: range of the object's mass with what moves of its holder; one per session.
+        mass_known: relative standard deviation of the mass an operator enters.
         misaligned_mm: fingers that don't face each other exactly: the right contact lies off by up to so much.
         grasps: how a hand guides.
         options: terms of the contact model.
@@ -40,25 +43,11 @@ class Rehearsal:
     right_sensor: str = "tactip"
     seed: int = 0
     unit_strength: float = 1.0
+    mass_kg: tuple[float, float] = (0.15, 0.40)
+    mass_known: float = 0.05
     misaligned_mm: float = 0.5
     grasps: GraspSettings = field(default_factory=GraspSettings)
     options: ContactOptions = field(default_factory=ContactOptions)
-
-
-@dataclass(frozen=True)
-class GraspFrames:
-    """What a rig delivers of one grasp, T frames; images as each sensor saw them.
-
-    Attributes:
-        indenter: what is held.
-        left, right: (T, 480, 640) uint8 marker images.
-        readings: the robot's own measurements.
-    """
-
-    indenter: str
-    left: np.ndarray
-    right: np.ndarray
-    readings: RobotReadings
 
 
 @dataclass(frozen=True)
@@ -72,38 +61,53 @@ class GraspTruth:
 
 
 class SimulatedRig:
-    """Two units that live for a session, and as many grasps of any indenter as one asks for."""
+    """A ``PairRig``: two units that live for a session, and as many grasps of any indenter as one asks for."""
 
     def __init__(self, rehearsal: Rehearsal) -> None:
         self.rehearsal = rehearsal
+        self.rate_hz = rehearsal.grasps.rate_hz
+        self.sensors: dict[Finger, str] = {"left": rehearsal.left_sensor, "right": rehearsal.right_sensor}
         self._rng = np.random.default_rng([rehearsal.seed, 77])
-        self._fingers: dict[Finger, TactileSimulator] = {
-            "left": self._draw(rehearsal.left_sensor),
-            "right": self._draw(rehearsal.right_sensor),
-        }
+        self._fingers = {f: self._draw(sensor) for f, sensor in self.sensors.items()}
+        self._true_mass_kg = float(self._rng.uniform(*rehearsal.mass_kg))
+        self.mass_kg = self._true_mass_kg * (1 + rehearsal.mass_known * float(self._rng.standard_normal()))
+        self._truths: list[GraspTruth] = []
+
+    def references(self) -> dict[Finger, np.ndarray]:
+        """Return both free-air marker images (480, 640)."""
+        return {finger: simulator.reference() for finger, simulator in self._fingers.items()}
+
+    def frames(self, indenter: str) -> Iterator[RigFrame]:
+        """Yield frames of grasps of one indenter without end."""
+        while True:
+            yield from self._grasp(indenter)
+
+    def truth_of(self, grasp: int) -> GraspTruth:
+        """Return the truth of a grasp by its number: for whoever judges the score, never for the score."""
+        return self._truths[grasp]
 
     def _draw(self, sensor: str) -> TactileSimulator:
         return draw_simulator(self._rng, sensor, self.rehearsal.unit_strength, self.rehearsal.options)
 
-    def reference(self, finger: Finger) -> np.ndarray:
-        """(480, 640) marker image in free air."""
-        return self._fingers[finger].reference()
-
-    def grasps(self, indenter: str) -> Iterator[tuple[GraspFrames, GraspTruth]]:
-        """Yield grasps of one indenter without end."""
-        while True:
-            yield self._grasp(indenter)
-
-    def _grasp(self, indenter: str) -> tuple[GraspFrames, GraspTruth]:
-        grasp = draw_grasp(self._rng, self.rehearsal.grasps, self.rehearsal.options.friction)
-        left, right = self._contacts(indenter, grasp.left_N, grasp.right_N)
-        images = [
-            images_of(self._fingers[finger], contact)
-            for finger, contact in (("left", left), ("right", right))  # type: ignore[index]
+    def _grasp(self, indenter: str) -> list[RigFrame]:
+        settings, friction = self.rehearsal.grasps, self.rehearsal.options.friction
+        grasp = draw_grasp(self._rng, settings, self._true_mass_kg, friction)
+        contacts = dict(zip(FINGERS, self._contacts(indenter, grasp.left_N, grasp.right_N), strict=True))
+        images = {f: images_of(self._fingers[f], contact) for f, contact in contacts.items()}
+        left, right = (self._fingers[f].carried(contact)[0] for f, contact in contacts.items())
+        error = equilibrium_error(left, right * CANONICAL)
+        self._truths.append(GraspTruth(left, right * CANONICAL, error, grasp.fault))
+        number, r = len(self._truths) - 1, grasp.readings
+        return [
+            RigFrame(
+                number,
+                {f: images[f][k] for f in FINGERS},
+                r.velocity_m_s[k],
+                r.acceleration_m_s2[k],
+                float(r.grip_N[k]),
+            )
+            for k in range(len(left))
         ]
-        carried = [self._fingers["left"].carried(left)[0], self._fingers["right"].carried(right)[0] * CANONICAL]
-        truth = GraspTruth(*carried, equilibrium_error(*carried), grasp.fault)
-        return GraspFrames(indenter, images[0], images[1], grasp.readings), truth
 
     def _contacts(
         self, indenter: str, left_N: np.ndarray, right_N: np.ndarray

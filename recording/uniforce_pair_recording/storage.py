@@ -18,6 +18,7 @@ from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import Episode, Source, episode_frames, read_source
+from uniforce_pair_recording.coverage import Coverage
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import (
@@ -25,6 +26,7 @@ from uniforce_vtla.keys import (
     PAIR_ERROR,
     PAIR_GRIP,
     PAIR_INDENTER,
+    PAIR_PLACE,
     PAIR_SESSION,
     PAIR_VELOCITY,
     TACTILE_KEYS,
@@ -48,6 +50,7 @@ class PairChunk:
         references: finger → (480, 640) uint8.
         images: finger → (n, 480, 640) uint8, as each sensor saw them.
         force_N: finger → (n, 3) estimates, canonical frame.
+        place: (n, 2) estimated, see ``coverage.contact_place``.
         error: (n,) estimated equilibrium error.
         velocity_m_s, acceleration_m_s2: (n, 3) of the hand.
         grip_N: (n,) the gripper's estimate.
@@ -58,6 +61,7 @@ class PairChunk:
     references: dict[Finger, np.ndarray]
     images: dict[Finger, np.ndarray]
     force_N: dict[Finger, np.ndarray]
+    place: np.ndarray
     error: np.ndarray
     velocity_m_s: np.ndarray
     acceleration_m_s2: np.ndarray
@@ -76,6 +80,7 @@ class PairChunk:
         row: dict[str, Any] = {tactile_key(f): self.images[f][k] for f in FINGERS}
         row |= {pair_force_key(f): self.force_N[f][k].astype(np.float32) for f in FINGERS}
         return row | {
+            PAIR_PLACE: self.place[k].astype(np.float32),
             PAIR_ERROR: np.array([self.error[k]], np.float32),
             PAIR_VELOCITY: self.velocity_m_s[k].astype(np.float32),
             PAIR_ACCELERATION: self.acceleration_m_s2[k].astype(np.float32),
@@ -94,6 +99,7 @@ def pair_features() -> dict[str, dict]:
     features |= {pair_force_key(f): column(3, names=["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
     features |= {sensor_key(f): column(1, "int64") for f in FINGERS}
     features |= {key: column(3, names=["x", "y", "z"]) for key in (PAIR_VELOCITY, PAIR_ACCELERATION)}
+    features[PAIR_PLACE] = column(2, names=["x", "y"])
     features |= {key: column(1) for key in (PAIR_ERROR, PAIR_GRIP)}
     return features | {key: column(1, "int64") for key in (PAIR_INDENTER, PAIR_SESSION)}
 
@@ -123,6 +129,7 @@ class PairStore:
             self.root / DATASET, "local/uniforce_pairs", left_sensor, right_sensor, rate_hz, features=pair_features()
         )
         self.counts = np.zeros(len(indenters), int)
+        self.coverage = [Coverage.empty() for _ in indenters]
         self.next_session = 0
         self._go_on()
 
@@ -150,7 +157,7 @@ class PairStore:
         for row in chunk.rows():
             self._recorder.add(row, f"hold the {self.indenters[chunk.indenter]}")
         self._recorder.save(success=True, outcome="success", seed=0)  # a pair dataset has no such columns
-        self.counts[chunk.indenter] += len(chunk)
+        self._count(chunk.indenter, (chunk.force_N["left"] + chunk.force_N["right"]) / 2, chunk.place)
         self.next_session = max(self.next_session, chunk.session + 1)
         self._write_layout(chunk.indenter, chunk.session, chunk.references, chunk.images)
 
@@ -166,6 +173,10 @@ class PairStore:
     ) -> None:
         self.close()
 
+    def _count(self, indenter: int, force_N: np.ndarray, place: np.ndarray) -> None:
+        self.counts[indenter] += len(force_N)
+        self.coverage[indenter].add(force_N, place)
+
     # --- going on ----------------------------------------------------------------------------------------------------
 
     def _go_on(self) -> None:
@@ -173,13 +184,16 @@ class PairStore:
         if not self._recorder.num_episodes:
             return
         source = read_source(self.dataset)
-        columns = source.columns((PAIR_INDENTER, PAIR_SESSION))
+        forces = tuple(pair_force_key(f) for f in FINGERS)
+        columns = source.columns((PAIR_INDENTER, PAIR_SESSION, PAIR_PLACE, *forces))
         indenter, session = (columns[key].reshape(-1) for key in (PAIR_INDENTER, PAIR_SESSION))
         if indenter.max() >= len(self.indenters):
             came = f"indenter {indenter.max()}"
             do = "Give the same indenters as before."
             raise DatasetError(expected(str(self.root), f"{len(self.indenters)} indenters", came, do))
-        self.counts = np.bincount(indenter, minlength=len(self.indenters))
+        force_N = (columns[forces[0]] + columns[forces[1]]) / 2
+        for index in np.unique(indenter):
+            self._count(int(index), force_N[indenter == index], columns[PAIR_PLACE][indenter == index])
         self.next_session = int(session.max()) + 1
         for place in sorted(set(zip(indenter.tolist(), session.tolist(), strict=True))):
             self._catch_up(source, *place, rows=(indenter == place[0]) & (session == place[1]))
