@@ -32,7 +32,7 @@ class ScoredPairs:
         gate_open: (N,) bool, whether the hand was slow.
         fault: (N,) what went wrong in their grasp.
         indenter: (N,) names.
-        normal_N: (N,) true mean normal force.
+        grasp: (N,) number of the grasp within the session.
     """
 
     sensors: str
@@ -42,7 +42,7 @@ class ScoredPairs:
     gate_open: np.ndarray
     fault: np.ndarray
     indenter: np.ndarray
-    normal_N: np.ndarray
+    grasp: np.ndarray
 
 
 def score_session(
@@ -57,8 +57,8 @@ def score_session(
         frames = rig.frames(indenter)
         for _ in range(grasps):
             parts.append(_score_grasp(rig, judge, readers, frames, indenter))
-    estimated, error, flagged, gate, fault, name, normal = (np.concatenate(c) for c in zip(*parts, strict=True))
-    return ScoredPairs("_".join(rig.sensors.values()), estimated, error, flagged, gate, fault, name, normal)
+    columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return ScoredPairs("_".join(rig.sensors.values()), *columns)
 
 
 def _score_grasp(
@@ -77,12 +77,10 @@ def _score_grasp(
     judge.learn(signals)
     contact = np.maximum(signals.left_N[:, 2], signals.right_N[:, 2])
     gate = quasi_static(signals.velocity_m_s, signals.acceleration_m_s2, contact, rig.rate_hz)
-    truth = rig.truth_of(track.frames[0].grasp)
-    normal = (truth.left_N[:, 2] + truth.right_N[:, 2]) / 2
-    return (
-        quality.error, truth.error, quality.flagged, gate.is_open, np.repeat(truth.fault, T), np.repeat(indenter, T),
-        normal,
-    )  # fmt: skip
+    number = track.frames[0].grasp
+    truth = rig.truth_of(number)
+    labels = (np.repeat(label, T) for label in (truth.fault, indenter, number))
+    return quality.error, truth.error, quality.flagged, gate.is_open, *labels
 
 
 def precision_recall(flagged: np.ndarray, bad: np.ndarray) -> dict[str, float]:

@@ -39,7 +39,7 @@ class JudgeSettings:
         grasps_kept: from which a session's comparison is learnt; the newest.
     """
 
-    limit: float = 0.12
+    limit: float = 0.115
     trust: float = 4.0
     smooth: int = 3
     alone: float = 0.3

@@ -78,6 +78,7 @@ class RobotRig:
         rate_hz: frames per second.
         mass_kg: of the object and what moves of its holder: weigh it.
         grip_N: force the gripper was told to hold with.
+        steer: called with each measured pose (5,); lets a soft arm follow the hand that leads it.
         clock: seconds; tests put their own.
     """
 
@@ -89,10 +90,12 @@ class RobotRig:
         rate_hz: float,
         mass_kg: float,
         grip_N: float,
+        steer: Callable[[np.ndarray], None] = lambda measured: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.sensors, self.rate_hz, self.mass_kg = sensors, rate_hz, mass_kg
-        self._robot, self._fingers, self._grip_N, self._clock = robot, fingers, grip_N, clock
+        self._robot, self._fingers, self._grip_N = robot, fingers, grip_N
+        self._steer, self._clock = steer, clock
         self._grasp = 0
         self._is_open, self._turning_m = True, 0.0  # widest since they opened, or narrowest since they closed
 
@@ -115,6 +118,7 @@ class RobotRig:
         while True:
             images = {f: np.ascontiguousarray(c.async_read()[..., 0]) for f, c in self._fingers.items()}
             axes = self._robot.measured()
+            self._steer(axes)
             velocity, acceleration = motion(self._clock(), axes)
             yield RigFrame(self._count_grasps(float(axes[4])), images, velocity, acceleration, self._grip_N)
 
