@@ -50,4 +50,6 @@ def _numbers(axis: Axes, counts: np.ndarray) -> None:
     for row in range(counts.shape[0]):
         for column in range(counts.shape[1]):
             colour = "white" if counts[row, column] > dark else "black"
-            axis.text(column, row, str(counts[row, column]), ha="center", va="center", fontsize=6, color=colour)
+            axis.text(
+                column, row, str(counts[row, column]), ha="center", va="center", fontsize=6, color=colour
+            )

@@ -51,7 +51,9 @@ def score_session(
     """Rehearse ``grasps`` grasps of each indenter with one pair of units and score every frame."""
     rig, judge = SimulatedRig(rehearsal), PairJudge(settings)
     references = rig.references()
-    readers = {f: FingerReader(references[f], f, FingerForce.from_pretrained(rig.sensors[f])) for f in FINGERS}
+    readers = {
+        f: FingerReader(references[f], f, FingerForce.from_pretrained(rig.sensors[f])) for f in FINGERS
+    }
     parts: list[tuple[np.ndarray, ...]] = []
     for indenter in indenters:
         frames = rig.frames(indenter)

@@ -9,7 +9,9 @@ import numpy as np
 
 from uniforce_pair_recording.evaluation import ScoredPairs, is_bad, precision_recall
 
-BEYOND_THE_GOAL = "pushed"  # a lean along the closing axis: asked for by nobody, but real, and the hardest to feel
+BEYOND_THE_GOAL = (
+    "pushed"  # a lean along the closing axis: asked for by nobody, but real, and the hardest to feel
+)
 BANDS = ((0.0, 0.05), (0.05, 0.08), (0.08, 0.10), (0.10, 0.12), (0.12, 0.20), (0.20, 0.50), (0.50, 9.0))
 THRESHOLDS = (0.06, 0.08, 0.10, 0.12, 0.14, 0.17, 0.20, 0.30)
 DRAWS = 1000  # of the bootstrap
@@ -33,7 +35,8 @@ def report(scored: Sequence[ScoredPairs]) -> dict[str, Any]:
         "by_indenter": _by(indenter, flagged & goal, bad & goal, goal),
         "by_fault": _by(fault, flagged, bad),
         "by_true_error": {
-            f"{low:g}-{high:g}": _share(flagged, (error > low) & (error <= high) & goal) for low, high in BANDS
+            f"{low:g}-{high:g}": _share(flagged, (error > low) & (error <= high) & goal)
+            for low, high in BANDS
         },
         "by_threshold": {
             f"{limit:g}": precision_recall((estimated > limit)[goal], bad[goal]) for limit in THRESHOLDS

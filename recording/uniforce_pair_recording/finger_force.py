@@ -1,13 +1,13 @@
 """Force on one pad from its touch field: a small network per kind of sensor, trained in simulation on many units.
 
-It reads marker motion, not the tokenizer's latents, because a tenth of the force must be told apart: on simulated grasps of
-units it has not seen its shear is off by less than 0.1 N, where heads on latents are off by a sixth of the force. Its
-normal force leans on the shape of what is held and is corrected per grasp (see ``pair_judge``).
+It reads marker motion, not the tokenizer's latents, because a tenth of the force must be told apart: on simulated
+grasps of units it has not seen its shear is off by less than 0.1 N, where heads on latents are off by a sixth of the
+force. Its normal force leans on the shape of what is held and is corrected per grasp (see ``pair_judge``).
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,7 @@ class ForceTraining:
     learning_rate: float = 3e-3
     weight_decay: float = 1e-2
     dropout: float = 0.05
-    loads: ForceRange = ForceRange(normal_N=13.0, shear_N=6.0, friction=0.8)
+    loads: ForceRange = field(default_factory=lambda: ForceRange(normal_N=13.0, shear_N=6.0, friction=0.8))
     seed: int = 0
 
 
@@ -89,7 +89,9 @@ class FingerForce(nn.Module):
             raise CheckpointError(expected(f"force reader of {sensor}", known, "none", do))
         facts = read_config(path)
         if facts.get("sensor") != sensor:
-            raise CheckpointError(expected(str(path), f"a reader of {sensor}", facts.get("sensor"), "Name another."))
+            raise CheckpointError(
+                expected(str(path), f"a reader of {sensor}", facts.get("sensor"), "Name another.")
+            )
         model = cls()
         load_weights(path, model)
         return model.eval()
@@ -136,7 +138,9 @@ def _fit(model: FingerForce, x: torch.Tensor, y: torch.Tensor, training: ForceTr
         schedule.step()
 
 
-def save_finger_force(model: FingerForce, sensor: str, training: ForceTraining, folder: Path | None = None) -> Path:
+def save_finger_force(
+    model: FingerForce, sensor: str, training: ForceTraining, folder: Path | None = None
+) -> Path:
     """Write weights and facts to a folder ``from_pretrained`` reads; the package's own by default."""
     facts = {"sensor": sensor, "training": asdict(training)}
     return save_checkpoint(folder or ASSETS / sensor, model, facts)

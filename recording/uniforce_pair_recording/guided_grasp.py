@@ -109,7 +109,9 @@ def draw_grasp(
     difference[:, 2] += mass_kg * acceleration[:, CLOSING]
     left, right = _faulty(rng, settings, fault, grip, shear, difference, friction)
     velocity = np.cumsum(acceleration, axis=0) * dt
-    velocity += 0.03 * _wander(rng, T, 3, 6) * led[:, None]  # slow leading, whose acceleration is in slow_m_s2
+    velocity += (
+        0.03 * _wander(rng, T, 3, 6) * led[:, None]
+    )  # slow leading, whose acceleration is in slow_m_s2
     readings = RobotReadings(
         velocity + settings.speed_noise_m_s * rng.standard_normal((T, 3)),
         acceleration + settings.acceleration_noise_m_s2 * rng.standard_normal((T, 3)),
@@ -128,7 +130,6 @@ def _faulty(
     friction: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return what left and right carry once the fault has had its say."""
-    T = len(grip)
     window = _window(rng, settings)
     side = 1 if rng.random() < 0.5 else -1
     mean = np.column_stack([shear, grip])
@@ -175,7 +176,9 @@ def _grip(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
     return peak * closing * (1 - looser)
 
 
-def _shear(rng: np.random.Generator, settings: GraspSettings, grip: np.ndarray, friction: float) -> np.ndarray:
+def _shear(
+    rng: np.random.Generator, settings: GraspSettings, grip: np.ndarray, friction: float
+) -> np.ndarray:
     """(T, 2) load per finger that the holder pulls through the object, slowly turning."""
     share = settings.shear_share * friction * rng.random()
     way = _wander(rng, len(grip), 2, 3)

@@ -1,4 +1,4 @@
-"""How far a pair is from equilibrium, from what a real rig has: two tactile images, the hand's motion, the object's mass.
+"""How far a pair is from equilibrium, from what a rig has: two tactile images, the hand's motion, the object's mass.
 
 The truth is never used. Three sources, each trusted for what it tells best:
 
@@ -8,8 +8,8 @@ The truth is never used. Three sources, each trusted for what it tells best:
   only where both fingers' normals disagree by far more than they did in the session so far;
 - *a finger that is not touching* from the touch.
 
-How two units' normals compare depends on what is held and where, so every grasp brings its own answer: while the fingers
-close with the hand at rest, both pads carry the same growing force.
+How two units' normals compare depends on what is held and where, so every grasp brings its own answer: while the
+fingers close with the hand at rest, both pads carry the same growing force.
 """
 
 from __future__ import annotations
@@ -23,6 +23,12 @@ from uniforce_pair_recording.truth import FLOOR_N
 
 TOUCH_N = 1.0  # lighter normals tell nothing of how two units compare
 LEAST_N = 0.05  # keeps logarithms finite
+PULL_N2 = (
+    200.0,
+    200.0,
+    2000.0,
+)  # belief that two units' shears are alike, and not made of normals: some ten grasps
+SPREAD_GRASPS = 4  # grasps the first guess of the spread is worth
 
 
 @dataclass(frozen=True)
@@ -35,17 +41,17 @@ class JudgeSettings:
         smooth: frames of the moving mean of forces; odd.
         alone: share of the other finger's normal below which a finger counts as not touching.
         rest_speed_m_s, rest_acceleration_m_s2: a hand below both is at rest.
-        first_spread: log ratio of normals expected of a session that has not shown its own yet.
+        first_spread: of the log ratio of normals, expected of a session that has not shown its own yet.
         grasps_kept: from which a session's comparison is learnt; the newest.
     """
 
     limit: float = 0.115
-    trust: float = 4.0
+    trust: float = 3.0
     smooth: int = 3
     alone: float = 0.3
     rest_speed_m_s: float = 0.02
     rest_acceleration_m_s2: float = 0.6
-    first_spread: float = 0.15
+    first_spread: float = 0.2
     grasps_kept: int = 48
 
 
@@ -73,12 +79,10 @@ class PairQuality:
     Attributes:
         error: (T,) estimated ‖F_left − F_right‖ over the mean of both; 2 where one finger doesn't touch.
         flagged: (T,) bool, not to be trained on.
-        force_N: (T, 3) the load both carry, the left finger's estimate.
     """
 
     error: np.ndarray
     flagged: np.ndarray
-    force_N: np.ndarray
 
 
 @dataclass
@@ -93,7 +97,7 @@ class Comparison:
 
     shear: np.ndarray = field(default_factory=lambda: np.eye(3, 2))
     log_ratio: float = 0.0
-    spread: float = 0.15
+    spread: float = 0.2
 
 
 class PairJudge:
@@ -116,7 +120,7 @@ class PairJudge:
         apart = np.hypot(np.linalg.norm(left[:, :2] - shear, axis=1), difference)
         mean = (_size(left[:, :2], normals.left) + _size(shear, normals.right)) / 2
         error = np.where(self._one_alone(normals), 2.0, apart / np.maximum(mean, FLOOR_N))
-        return PairQuality(error, error > s.limit, np.column_stack([left[:, :2], normals.left]))
+        return PairQuality(error, error > s.limit)
 
     def learn(self, grasp: GraspSignals) -> None:
         """Take a finished grasp into the session's comparison."""
@@ -141,10 +145,15 @@ class PairJudge:
         weight = rest * np.clip(np.minimum(a, b), 0, 3)
         around = np.average(np.log(a), weights=weight + 1e-6)
         terms = np.column_stack([np.ones_like(a), np.log(a) - around])
-        prior, pull = np.array([self.comparison.log_ratio, 0.0]), np.diag([1.0, 4.0])  # as if from one, four frames
+        prior, pull = (
+            np.array([self.comparison.log_ratio, 0.0]),
+            np.diag([1.0, 4.0]),
+        )  # as if from one, four frames
         normal = terms.T @ (weight[:, None] * terms) + pull
         found = np.linalg.solve(normal, terms.T @ (weight * np.log(b / a)) + pull @ prior)
-        found[0] = np.clip(found[0], prior[0] - 0.7, prior[0] + 0.7)  # a factor of 2: more is a finger not touching
+        found[0] = np.clip(
+            found[0], prior[0] - 0.7, prior[0] + 0.7
+        )  # a factor of 2: more is a finger not touching
         return _Normals(a, b * np.exp(-terms @ found))
 
     def _rest(self, grasp: GraspSignals) -> np.ndarray:
@@ -164,14 +173,17 @@ class PairJudge:
         return float(np.median(np.log(grasp.right_N[touching, 2] / grasp.left_N[touching, 2])))
 
     def _spread(self) -> float:
-        """Return the robust spread of the log ratio of normals while guided, over the session's grasps."""
+        """Return the spread of the log ratio of normals while guided: robust, and mixed with the first guess."""
         deviations = []
         for grasp in self._grasps:
             _, _, normals = self._compared(grasp)
             guided = ~self._rest(grasp) & (normals.left > TOUCH_N)
             deviations.append(np.abs(np.log(normals.right / normals.left))[guided])
-        found = np.concatenate(deviations)
-        return float(1.4826 * np.median(found)) + 0.02 if len(found) else self.settings.first_spread
+        felt, first = np.concatenate(deviations), self.settings.first_spread
+        if not len(felt):
+            return first
+        own, grasps = 1.4826 * float(np.median(felt)) + 0.02, len(self._grasps)
+        return float(np.sqrt((SPREAD_GRASPS * first**2 + grasps * own**2) / (SPREAD_GRASPS + grasps)))
 
     def _one_alone(self, normals: _Normals) -> np.ndarray:
         weaker, stronger = np.minimum(normals.left, normals.right), np.maximum(normals.left, normals.right)
@@ -199,20 +211,21 @@ def _size(shear: np.ndarray, normal: np.ndarray) -> np.ndarray:
 def _compare_shear(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Return (3, 2) that takes the right force to the left shear: robust, since a part of the pairs is out of balance.
 
-    Least squares whose rows count less the worse they fit (Cauchy weights), pulled towards the identity while there are
-    few.
+    Least squares whose rows count less the worse they fit (Cauchy weights), from the identity on and pulled towards it:
+    without that, a session that begins with a bad grasp learns that grasp.
     """
     touching = np.minimum(left[:, 2], right[:, 2]) > TOUCH_N / 2
     left, right = left[touching], right[touching]
-    found, pull = np.eye(3, 2), np.diag([20.0, 20.0, 100.0])  # N², as if that much had been seen in balance
     size = np.linalg.norm(left, axis=1)
     noise, importance = 0.1 + 0.04 * size, 1 / (0.5 + 0.05 * size) ** 2
+    identity, pull = np.eye(3, 2), np.diag(PULL_N2)
+    found = identity.copy()
     for axis in range(2):
-        weight, solution = np.ones(len(left)), found[:, axis].copy()
+        solution = identity[:, axis]
         for _ in range(15):
-            scaled = right * (weight * importance)[:, None]
-            wanted = scaled.T @ left[:, axis] + pull @ np.eye(3, 2)[:, axis]
+            weight = importance / (1 + ((left[:, axis] - right @ solution) / (1.5 * noise)) ** 2)
+            scaled = right * weight[:, None]
+            wanted = scaled.T @ left[:, axis] + pull @ identity[:, axis]
             solution = np.linalg.solve(scaled.T @ right + pull, wanted)
-            weight = 1 / (1 + ((left[:, axis] - right @ solution) / (1.5 * noise)) ** 2)
         found[:, axis] = solution
     return found

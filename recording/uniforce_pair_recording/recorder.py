@@ -1,7 +1,8 @@
 """Record equilibrium pairs: guide grasps of one indenter after the other until enough pairs are slow and balanced.
 
-A frame is kept when the hand is slow (``gate``), the score finds it balanced (``pair_judge``), and its force cell is not
-crowded yet (``coverage``). Kept pairs are saved chunk by chunk; a recorder started again goes on where the disk stops.
+A frame is kept when the hand is slow (``gate``), the score finds it balanced (``pair_judge``), and its force cell is
+not crowded yet (``coverage``). Kept pairs are saved chunk by chunk; a recorder started again goes on where the disk
+stops.
 """
 
 from __future__ import annotations
@@ -224,7 +225,7 @@ class _Pairs:
     def _keep(self, track: GraspTrack, k: int, quality: PairQuality, place: np.ndarray) -> str:
         if self.missing <= 0:
             return "enough"
-        cell = Coverage.cell(quality.force_N[k])
+        cell = Coverage.cell((track.forces["left"][k] + track.forces["right"][k]) / 2)
         if self._cells[cell] >= max(1.0, self._plan.crowded * self._plan.pairs):
             return "crowded"
         self._cells[cell] += 1

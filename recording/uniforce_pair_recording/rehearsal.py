@@ -117,7 +117,10 @@ class SimulatedRig:
         centre = rng.uniform(-REACH_mm, REACH_mm, 2)
         angle, scale = rng.uniform(-np.pi, np.pi), rng.uniform(0.85, 1.15)
         off = rng.uniform(-1, 1, 2) * self.rehearsal.misaligned_mm
-        gaps = [gap_maps([indenter], at[None], np.array([angle]), np.array([scale])) for at in (centre, centre + off)]
+        gaps = [
+            gap_maps([indenter], at[None], np.array([angle]), np.array([scale]))
+            for at in (centre, centre + off)
+        ]
         states = [
             ContactState(_repeated(gap, load), load.astype(np.float32), np.zeros(T, np.float32))
             for gap, load in zip(gaps, (left_N, right_N), strict=True)

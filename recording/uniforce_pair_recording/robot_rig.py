@@ -1,7 +1,8 @@
 """The real rig: a Franka led by hand, two tactile fingers. Never run on hardware.
 
 The hand's velocity and acceleration come from its measured poses, by a polynomial through the last moments; the robot
-must be soft (``HAND_GUIDED`` gains). A Franka Hand measures its width, not its force: the grip is the force it was told.
+must be soft (``HAND_GUIDED`` gains). A Franka Hand measures its width, not its force: the grip is the force it was
+told to hold with.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class TactileImages(Protocol):
 
 
 class HandMotion:
-    """Velocity and acceleration (3,) of the hand in its own frame from measured poses: a parabola through the last few."""
+    """Velocity and acceleration (3,) of the hand in its own frame: a parabola through the last measured poses."""
 
     def __init__(self, poses: int = POSES) -> None:
         self._times: deque[float] = deque(maxlen=poses)
@@ -62,9 +63,13 @@ class HandMotion:
         if len(self._times) < POSES:
             return np.zeros(3), np.zeros(3)
         now = np.array(self._times) - self._times[-1]
-        curve = np.polynomial.polynomial.polyfit(now, np.array(self._positions), 2)  # (3, 3) by power and axis
+        curve = np.polynomial.polynomial.polyfit(
+            now, np.array(self._positions), 2
+        )  # (3, 3) by power and axis
         c, s = np.cos(axes[3]), np.sin(axes[3])
-        to_hand = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])  # at yaw 0 the fingers close along the base's x
+        to_hand = np.array(
+            [[c, s, 0], [-s, c, 0], [0, 0, 1]]
+        )  # at yaw 0 the fingers close along the base's x
         return to_hand @ curve[1], 2 * to_hand @ curve[2]
 
 

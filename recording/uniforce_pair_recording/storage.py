@@ -1,7 +1,8 @@
 """Kept pairs on disk, twice: as a LeRobot dataset and in the UniForce-pair layout. Each saved chunk survives a kill.
 
 The dataset comes first and is the one that counts: a chunk is an episode, committed in one step, marker images exact.
-The layout follows; where a kill leaves it behind, ``PairStore`` writes the missing images from the dataset when it opens.
+The layout follows; where a kill leaves it behind, ``PairStore`` writes the missing images from the dataset when it
+opens.
 """
 
 from __future__ import annotations
@@ -126,7 +127,12 @@ class PairStore:
         same = left_sensor == right_sensor
         self.names = (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
         self._recorder = EpisodeRecorder(
-            self.root / DATASET, "local/uniforce_pairs", left_sensor, right_sensor, rate_hz, features=pair_features()
+            self.root / DATASET,
+            "local/uniforce_pairs",
+            left_sensor,
+            right_sensor,
+            rate_hz,
+            features=pair_features(),
         )
         self.counts = np.zeros(len(indenters), int)
         self.coverage = [Coverage.empty() for _ in indenters]
@@ -200,11 +206,10 @@ class PairStore:
 
     def _catch_up(self, source: Source, indenter: int, session: int, rows: np.ndarray) -> None:
         """Write the layout's images that a kill left out; drop those the dataset does not know."""
-        folders = {f: self._folder(indenter, session, f) for f in FINGERS}
-        for folder in folders.values():
-            for image in sorted(folder.glob("[0-9]*.jpg"))[int(rows.sum()) :]:
-                image.unlink()
-        have = min(len(list(folder.glob("[0-9]*.jpg"))) for folder in folders.values())
+        stored = [sorted(self._folder(indenter, session, f).glob("[0-9]*.jpg")) for f in FINGERS]
+        have = min(int(rows.sum()), *map(len, stored))
+        for image in (image for images in stored for image in images[have:]):
+            image.unlink()
         seen = 0
         for episode in source.episodes:
             if not rows[episode.start]:
@@ -213,7 +218,9 @@ class PairStore:
                 self._write_episode(source, episode, indenter, session, max(have - seen, 0))
             seen += episode.length
 
-    def _write_episode(self, source: Source, episode: Episode, indenter: int, session: int, skip: int) -> None:
+    def _write_episode(
+        self, source: Source, episode: Episode, indenter: int, session: int, skip: int
+    ) -> None:
         def frames(finger: Finger, reference: bool, count: int) -> np.ndarray:
             span = episode.videos[tactile_key(finger, reference)]
             return np.stack([image[..., 0] for image in episode_frames(span, count, source.fps)])
@@ -230,7 +237,13 @@ class PairStore:
         images: dict[Finger, np.ndarray],
     ) -> None:
         recording = PairRecording(
-            self.names, self.indenters[indenter], "", *references.values(), *images.values()
+            sensors=self.names,
+            indenter=self.indenters[indenter],
+            name="",
+            left_reference=references["left"],
+            right_reference=references["right"],
+            left_frames=images["left"],
+            right_frames=images["right"],
         )
         write_uniforce_pairs(self.layout, recording, PATTERN, self._date(session))
 
@@ -241,4 +254,3 @@ class PairStore:
     def _folder(self, indenter: int, session: int, finger: Finger) -> Path:
         pairs = self.layout / PATTERN / self._date(session) / "_".join(self.names)
         return pairs / "marker" / self.names[FINGERS.index(finger)] / self.indenters[indenter]
-

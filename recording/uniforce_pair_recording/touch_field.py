@@ -59,7 +59,9 @@ class TouchField:
 
     def _nearness(self) -> np.ndarray:
         rows, columns = MARKER_IMAGE_SHAPE
-        y, x = np.meshgrid((np.arange(GRID) + 0.5) * rows / GRID, (np.arange(GRID) + 0.5) * columns / GRID, indexing="ij")
+        y, x = np.meshgrid(
+            (np.arange(GRID) + 0.5) * rows / GRID, (np.arange(GRID) + 0.5) * columns / GRID, indexing="ij"
+        )
         cells = np.column_stack([x.ravel(), y.ravel()])
         distance = np.linalg.norm(cells[:, None] - self._before.centre_px[None], axis=-1)
         return np.exp(-0.5 * (distance / (0.7 * self._reach_px)) ** 2) + 1e-9

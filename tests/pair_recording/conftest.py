@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -33,16 +35,28 @@ def marker_image(seed: int) -> np.ndarray:
 
 
 @pytest.fixture
-def make_chunk():  # noqa: ANN201  a function of (indenter, session, n, seed)
+def make_chunk() -> Callable[..., PairChunk]:
+    """Return a function of (indenter, session, n, seed)."""
+
     def make(indenter: int = 0, session: int = 0, n: int = 3, seed: int = 0) -> PairChunk:
         rng = np.random.default_rng(seed)
-        images = {f: np.stack([marker_image(seed + k + 3 * i) for k in range(n)]) for i, f in enumerate(FINGERS)}
+        images = {
+            f: np.stack([marker_image(seed + k + 3 * i) for k in range(n)]) for i, f in enumerate(FINGERS)
+        }
         references = {f: marker_image(100 * session + i) for i, f in enumerate(FINGERS)}
         force = {f: rng.uniform(0, 5, (n, 3)) for f in FINGERS}
         three = rng.standard_normal((2, n, 3))
         place = rng.uniform(-1, 1, (n, 2))
         return PairChunk(
-            indenter, session, references, images, force, place, rng.uniform(0, 0.1, n), *three, rng.uniform(1, 9, n)
+            indenter,
+            session,
+            references,
+            images,
+            force,
+            place,
+            rng.uniform(0, 0.1, n),
+            *three,
+            rng.uniform(1, 9, n),
         )
 
     return make

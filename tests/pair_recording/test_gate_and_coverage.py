@@ -19,7 +19,9 @@ def test_a_hand_at_rest_passes() -> None:
     assert quasi_static(STILL, STILL, HELD, 30.0).is_open.all()
 
 
-@pytest.mark.parametrize(("what", "reason"), [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")])
+@pytest.mark.parametrize(
+    ("what", "reason"), [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")]
+)
 def test_each_limit_closes_it_and_says_why(what: str, reason: str) -> None:
     speed, acceleration, grip = STILL.copy(), STILL.copy(), HELD.copy()
     {"speed": speed, "acceleration": acceleration, "grip": grip}[what][10] = 0.0 if what == "grip" else 2.0
@@ -47,7 +49,10 @@ def test_impossible_limits_are_refused() -> None:
         MotionLimits(speed_m_s=0.0)
 
 
-@given(arrays(np.float64, (30, 3), elements=st.floats(-50, 50)), arrays(np.float64, (30, 2), elements=st.floats(-2, 2)))
+@given(
+    arrays(np.float64, (30, 3), elements=st.floats(-50, 50)),
+    arrays(np.float64, (30, 2), elements=st.floats(-2, 2)),
+)
 def test_every_pair_counts_once_wherever_it_lies(force: np.ndarray, place: np.ndarray) -> None:
     coverage = Coverage.empty()
     coverage.add(force, place)

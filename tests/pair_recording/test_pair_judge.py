@@ -76,7 +76,11 @@ def test_learning_is_not_led_astray_by_a_fifth_of_bad_grasps(calm: GraspSignals)
 def test_a_grasp_may_be_judged_while_it_grows(calm: GraspSignals) -> None:
     for count in (1, 2, 3, 20):
         part = GraspSignals(
-            calm.left_N[:count], calm.right_N[:count], calm.velocity_m_s[:count], calm.acceleration_m_s2[:count], 0.3
+            calm.left_N[:count],
+            calm.right_N[:count],
+            calm.velocity_m_s[:count],
+            calm.acceleration_m_s2[:count],
+            0.3,
         )
         quality = PairJudge().judge(part)
         assert len(quality.error) == count and np.isfinite(quality.error).all()

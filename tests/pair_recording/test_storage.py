@@ -35,7 +35,9 @@ def test_both_forms_give_the_images_back(tmp_path: Path, make_chunk: Make) -> No
         store.add(chunk)
         assert store.counts.tolist() == [4, 0] and store.coverage[0].force.sum() == 4
     [(left, right)] = layout(tmp_path).values()
-    assert np.array_equal(left, bordered(chunk.images["left"])) and np.array_equal(right, bordered(chunk.images["right"]))
+    assert np.array_equal(left, bordered(chunk.images["left"])) and np.array_equal(
+        right, bordered(chunk.images["right"])
+    )
     source = read_source(tmp_path / "lerobot")
     for finger in FINGERS:
         stored = list(episode_frames(source.episodes[0].videos[tactile_key(finger)], 4, 15))
@@ -59,7 +61,9 @@ def test_it_goes_on_where_it_stopped(tmp_path: Path, make_chunk: Make) -> None:
 
 
 @pytest.mark.parametrize("damage", ["behind", "half a pair", "ahead", "gone"])
-def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(tmp_path: Path, make_chunk: Make, damage: str) -> None:
+def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
+    tmp_path: Path, make_chunk: Make, damage: str
+) -> None:
     with opened(tmp_path) as store:
         store.add(make_chunk(n=3))
         store.add(make_chunk(n=3, seed=7))
@@ -67,7 +71,11 @@ def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(tmp_path: Path, m
     images = sorted((tmp_path / "uniforce_pairs").rglob("[0-9]*.jpg"))
     for image in images:
         index = int(image.stem)
-        if damage == "gone" or (damage == "behind" and index >= 2) or (damage == "half a pair" and image is images[-1]):
+        if (
+            damage == "gone"
+            or (damage == "behind" and index >= 2)
+            or (damage == "half a pair" and image is images[-1])
+        ):
             image.unlink()
         if damage == "ahead" and index == 5:
             image.with_name("000006.jpg").write_bytes(image.read_bytes())

@@ -1,4 +1,4 @@
-"""The robot's side of ``uniforce-record-pairs``: a soft Franka led by hand, two tactile fingers. Never run on hardware."""
+"""The robot's side of ``uniforce-record-pairs``: a soft Franka led by hand, two fingers. Never run on hardware."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.keys import AXES
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def opened_rig(session: RobotSession) -> Iterator[RobotRig]:
         stack.callback(guide.disconnect)
         robot.connect()
         stack.callback(robot.disconnect)
-        sensors = {"left": session.left_sensor, "right": session.right_sensor}
+        sensors: dict[Finger, str] = {"left": session.left_sensor, "right": session.right_sensor}
         guide.start_from(robot.measured())
         yield RobotRig(
             robot, {"left": left, "right": right}, sensors, session.rate_hz, session.mass_kg, session.grip_N,
