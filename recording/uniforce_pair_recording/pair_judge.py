@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uniforce_pair_recording.guided_grasp import CLOSING
-from uniforce_pair_recording.truth import FLOOR_N
 
+FLOOR_N = 1.0  # below this mean force errors count against it: a tenth of a newton is not worth a flag
 TOUCH_N = 1.0  # lighter normals tell nothing of how two units compare
 LEAST_N = 0.05  # keeps logarithms finite
 PULL_N2 = (

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from uniforce_pair_recording.pair_judge import FLOOR_N
+
 LIMIT = 0.10  # relative error above which a pair must not be trained on
-FLOOR_N = 1.0  # below this mean force errors count against it: a tenth of a newton is not worth a flag
 
 
 def equilibrium_error(left_N: np.ndarray, right_N: np.ndarray) -> np.ndarray:
