@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+import datasets
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
 from uniforce_vtla.errors import ContractError, UniForceError, expected
@@ -163,6 +164,7 @@ def main(argv: list[str] | None = None) -> int:
     config = parse(RecordPairsConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
+    datasets.disable_progress_bars()  # LeRobot's own, one per saved chunk, would tear ours apart
     try:
         content = record_pairs(config)
     except UniForceError as error:
