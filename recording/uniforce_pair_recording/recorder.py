@@ -178,7 +178,7 @@ class PairRecorder:
         )
 
     def _refuse_endless(self, frames: int, pairs: _Pairs) -> None:
-        if frames < self._plan.give_up * self._plan.pairs:
+        if frames < self._plan.longest_grasp + self._plan.give_up * self._plan.pairs:
             return
         why = ", ".join(f"{name} {count}" for name, count in self.report.outcomes.most_common(4))
         wanted = f"{self._plan.pairs} pairs of {self._store.indenters[pairs.indenter]}"

@@ -35,7 +35,10 @@ def test_what_makes_no_sense_is_refused_in_words(
 
 def test_the_score_is_measured_and_written_with_its_figure(tmp_path: Path) -> None:
     out = tmp_path / "score.json"
-    assert pair_quality(["rigs=uskin+tactip", "sessions=1", "grasps=2", "indenters=sphere,line", f"out={out}"]) == 0
+    assert (
+        pair_quality(["rigs=uskin+tactip", "sessions=1", "grasps=2", "indenters=sphere,line", f"out={out}"])
+        == 0
+    )
     content = json.loads(out.read_text())
     assert content["all_faults"]["pairs"] == 180 and out.with_suffix(".png").exists()
     assert sum(row["pairs"] for row in content["by_fault"].values()) == 180

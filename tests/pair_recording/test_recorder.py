@@ -85,7 +85,7 @@ def test_hopeless_grasps_are_given_up_with_the_reason(tmp_path: Path) -> None:
     askew = replace(QUICK, fault_share=1.0, faults=("free",))
     rig = SimulatedRig(Rehearsal("uskin", "tactip", seed=5, grasps=askew))
     with pytest.raises(DatasetError, match="out of balance"):
-        rehearse(tmp_path, replace(PLAN, give_up=10), rig)
+        rehearse(tmp_path, replace(PLAN, give_up=10, longest_grasp=30), rig)
 
 
 @pytest.mark.slow
