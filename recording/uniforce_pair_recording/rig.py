@@ -43,7 +43,7 @@ class PairRig(Protocol):
     mass_kg: float
 
     def references(self) -> dict[Finger, np.ndarray]:
-        """Take the free-air references (480, 640) of a session; the fingers must touch nothing."""
+        """Return the session's free-air references (480, 640)."""
         ...
 
     def frames(self, indenter: str) -> Iterator[RigFrame]:

@@ -33,8 +33,8 @@ class MeasuresPose(Protocol):
 class TactileImages(Protocol):
     """What of ``TactileFinger`` is used."""
 
-    def take_reference(self) -> np.ndarray:
-        """Take free air; return (480, 640)."""
+    def reference_image(self) -> np.ndarray:
+        """Return the free-air image (480, 640, 3) taken when it was opened."""
         ...
 
     def async_read(self, timeout_ms: float = 200.0) -> np.ndarray:
@@ -105,12 +105,13 @@ class RobotRig:
         self._is_open, self._turning_m = True, 0.0  # widest since they opened, or narrowest since they closed
 
     def references(self) -> dict[Finger, np.ndarray]:
-        """Take both references; open the fingers first.
+        """Return the references taken when the fingers were opened, in free air.
 
         Raises:
-            SensorError: touched, as far as that can be known; or lost.
+            ContractError: none was taken.
         """
-        return {finger: camera.take_reference() for finger, camera in self._fingers.items()}
+        images = {finger: camera.reference_image()[..., 0] for finger, camera in self._fingers.items()}
+        return {finger: np.ascontiguousarray(image) for finger, image in images.items()}
 
     def frames(self, indenter: str) -> Iterator[RigFrame]:
         """Yield a frame whenever both fingers have a new image.

@@ -73,8 +73,8 @@ class FakeRobot:
 
 
 class FakeFinger:
-    def take_reference(self) -> np.ndarray:
-        return np.zeros((480, 640), np.uint8)
+    def reference_image(self) -> np.ndarray:
+        return np.zeros((480, 640, 3), np.uint8)
 
     def async_read(self, timeout_ms: float = 200.0) -> np.ndarray:
         return np.zeros((480, 640, 3), np.uint8)
@@ -97,4 +97,7 @@ def test_a_grasp_ends_once_when_the_fingers_open() -> None:
     frames = list(itertools.islice(rig.frames("sphere"), len(widths)))
     assert [frame.grasp for frame in frames] == [0] * 6 + [1] * 5 + [2]
     assert frames[0].images["left"].shape == (480, 640) and len(steered) == len(widths)
-    assert rig.references().keys() == {"left", "right"}
+    assert {finger: image.shape for finger, image in rig.references().items()} == {
+        "left": (480, 640),
+        "right": (480, 640),
+    }
