@@ -113,6 +113,23 @@ def test_devices_know_sensors_and_markers_only() -> None:
         )
 
 
+def test_teleoperators_know_no_policy_and_of_stand_ins_the_published_kinematics_only() -> None:
+    teleoperators = ROOT / "teleoperators" / "lerobot_teleoperator_uniforce"
+    assert not foreign_imports(teleoperators, ("lerobot_policy_pi05_uniforce", "uniforce_datasets"))
+    for file in teleoperators.rglob("*.py"):
+        others = [line for line in file.read_text().splitlines() if "uniforce_standins" in line]
+        assert all("fci.kinematics" in line for line in others), f"{file.name}: {others}"
+
+
+def test_what_scores_pairs_never_sees_the_truth() -> None:
+    recording = ROOT / "recording" / "uniforce_pair_recording"
+    may_know = {"truth.py", "rehearsal.py", "evaluation.py", "evaluation_figure.py", "guided_grasp.py"}
+    for file in recording.glob("*.py"):
+        if file.name not in may_know:
+            text = file.read_text()
+            assert "recording.truth" not in text and "truth_of" not in text, f"{file.name} knows the truth"
+
+
 def test_no_folder_shadows_the_datasets_library() -> None:
     assert not (ROOT / "datasets" / "__init__.py").exists()
     import lerobot.datasets

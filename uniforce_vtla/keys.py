@@ -106,6 +106,21 @@ def window_time_key(finger: Finger) -> str:
     return f"raw.window_time.{finger}"
 
 
+# Per-frame columns of recorded equilibrium pairs; everything in them is measured or estimated, nothing is truth.
+PAIR_ERROR = "pair.error"  # estimated ‖F_left − F_right‖ over their mean
+PAIR_VELOCITY = "pair.velocity"  # (3,) m/s of the hand in its own frame, x = closing axis
+PAIR_ACCELERATION = "pair.acceleration"  # (3,) m/s² likewise
+PAIR_GRIP = "pair.grip"  # N, the gripper's own estimate
+PAIR_PLACE = "pair.place"  # (2,) estimated place of the contact, x right and y down, −1 … 1 over the image
+PAIR_INDENTER = "pair.indenter"  # index into the recording's indenters
+PAIR_SESSION = "pair.session"  # counts reference captures: pairs of one number share their references
+
+
+def pair_force_key(finger: Finger) -> str:
+    """Per-frame column: estimated force on a pad, canonical frame, (3,) float32 N."""
+    return f"pair.force.{finger}"
+
+
 TACTILE_NAMES = tuple(tactile_name(f, r) for f in FINGERS for r in (False, True))
 TACTILE_KEYS = tuple(tactile_key(f, r) for f in FINGERS for r in (False, True))
 SUCCESS = "provenance.success"  # 1.0 if the episode ended in clean success

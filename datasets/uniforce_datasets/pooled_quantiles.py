@@ -36,14 +36,14 @@ def pooled_stats(values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def write_pooled_stats(root: str | Path) -> None:
-    """Replace the statistics of state and action in ``meta/stats.json`` by pooled ones.
+    """Replace the statistics of state and action, where a recording has them, in ``meta/stats.json`` by pooled ones.
 
     Raises:
         DatasetError: the statistics or the columns are damaged.
     """
     path = Path(root) / "meta" / "stats.json"
     stats = read_object(path, DatasetError)
-    columns = read_source(root).columns(POOLED_KEYS)
+    columns = read_source(root).columns(tuple(key for key in POOLED_KEYS if key in stats))
     for key, values in columns.items():
         stats[key] = {name: value.tolist() for name, value in pooled_stats(values).items()}
     fresh = path.with_suffix(".json.new")

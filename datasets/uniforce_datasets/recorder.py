@@ -60,6 +60,8 @@ class EpisodeRecorder:
         further: features of columns a robot stores beside the usual ones.
         raw_shapes: shape of the raw tactile frames to keep beside the dataset, by finger.
         lock_wait_s: how long to wait for another recorder that is about to end.
+        features: columns of another kind of recording, in place of a demonstration's (``truth`` and
+            ``camera_shape`` then say nothing); marker images are stored exactly there too.
 
     Raises:
         DatasetError: another recorder writes here, the folder holds something else or other features, the disk
@@ -81,6 +83,7 @@ class EpisodeRecorder:
         further: Mapping[str, dict[str, Any]] | None = None,
         raw_shapes: Mapping[Finger, tuple[int, ...]] | None = None,
         lock_wait_s: float = 0.0,
+        features: dict[str, dict] | None = None,
     ) -> None:
         self.root = Path(root)
         self._repo_id, self._fps = repo_id, fps
@@ -89,7 +92,7 @@ class EpisodeRecorder:
             sensor_key(f): np.array([sensor_index(name)], dtype=np.int64)
             for f, name in zip(FINGERS, (left_sensor, right_sensor), strict=True)
         }
-        self._features = dataset_features(cameras, truth, further)
+        self._features = dataset_features(cameras, truth, further) if features is None else features
         self._columns = ColumnMaker()
         self._raw_shapes = dict(raw_shapes or {})
         self.root.mkdir(parents=True, exist_ok=True)

@@ -11,16 +11,13 @@ import contextlib
 import os
 import select
 import sys
-import tempfile
-import termios
-import tty
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from uniforce_standins.control import Control
 from uniforce_standins.pace import Pace
+from uniforce_standins.pseudo_terminal import PseudoTerminal
 from uniforce_standins.scene import SceneConfig, taxel_cycle
 from uniforce_vtla.commands.arguments import parse
 
@@ -58,36 +55,32 @@ class SlcanStandIn:
         self._control = Control(FAULTS, self._on_fault, self._stats, config.fault)
         self._pace = Pace(config.rate_hz)
         self._rng = np.random.default_rng(config.seed)
-        self._folder = tempfile.TemporaryDirectory(prefix="uniforce-slcan-")
-        self._link = Path(self._folder.name) / "port"
-        self._master = self._slave = -1
+        self._port = PseudoTerminal("slcan")
         self._out, self._in = bytearray(), b""
         self._is_open = False
         self._step = self._sent = self._dropped = 0
-        self._plug()
 
     def run(self) -> None:
         """Serve until told to quit."""
-        self._control.ready(str(self._link))
+        self._control.ready(str(self._port.path))
         try:
             while not self._control.quit:
                 self._serve_once()
         finally:
-            self._unplug()
-            self._folder.cleanup()
+            self._port.close()
 
     def _serve_once(self) -> None:
-        plugged = [self._master] if self._master >= 0 else []
+        plugged = [self._port.master] if self._port.master >= 0 else []
         wait_s = self._pace.wait_s() if self._is_open else 0.1
         writable = plugged if self._out else []
         ready, can_write, _ = select.select([*plugged, *self._control.inputs()], writable, [], wait_s)
         if 0 in ready:
             self._control.read()
-        if self._master in ready:
-            self._answer(os.read(self._master, 4096))
+        if self._port.master in ready:
+            self._answer(os.read(self._port.master, 4096))
         if self._is_open:
             self._stream()
-        if self._out and (can_write or not writable) and self._master >= 0:
+        if self._out and (can_write or not writable) and self._port.master >= 0:
             self._flush()
 
     # -- the adapter's commands -------------------------------------------------------------------------
@@ -142,31 +135,16 @@ class SlcanStandIn:
         size = int(self._rng.integers(1, 9)) if self._control.fault == "split" else len(self._out)
         with contextlib.suppress(BlockingIOError):
             for _ in range(64 if self._control.fault == "split" else 1):
-                written = os.write(self._master, self._out[:size])
+                written = os.write(self._port.master, self._out[:size])
                 del self._out[:written]
 
     # -- plugging ---------------------------------------------------------------------------------------
 
     def _on_fault(self, name: str) -> None:
-        if name == "unplug":
-            self._unplug()
-        elif self._master < 0:
-            self._plug()
-
-    def _plug(self) -> None:
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave, termios.TCSANOW)
-        os.set_blocking(self._master, False)
-        self._link.unlink(missing_ok=True)
-        self._link.symlink_to(os.ttyname(self._slave))
-
-    def _unplug(self) -> None:
-        if self._master < 0:
+        if name != "unplug":
+            self._port.plug()
             return
-        self._link.unlink(missing_ok=True)
-        os.close(self._slave)
-        os.close(self._master)
-        self._master = self._slave = -1
+        self._port.unplug()
         self._out.clear()
         self._is_open = False
 

@@ -14,6 +14,9 @@ from lerobot_camera_uniforce.multipart_jpeg import MAX_HEADER_BYTES, MAX_JPEG_BY
 from lerobot_camera_uniforce.slcan_lines import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
 from lerobot_camera_uniforce.websocket import MAX_MESSAGE_BYTES, TEXT, FrameReader
 from lerobot_camera_uniforce.xela_message import read_message
+from lerobot_teleoperator_uniforce.dynamixel import StatusReader
+from lerobot_teleoperator_uniforce.spacemouse_reports import LARGEST_COUNT, SpaceMouseReports
+from uniforce_standins import spacemouse
 from uniforce_standins.fci.protocol import (
     ARM_HEADER,
     ARM_VERSION,
@@ -32,10 +35,11 @@ from uniforce_standins.fci.protocol import (
     RobotState,
 )
 from uniforce_standins.fci.raw_client import RawArm, RawClient, RawHand
+from uniforce_standins.gello import status
 from uniforce_standins.mjpeg import encode, part
 from uniforce_standins.slcan import scan_lines
 from uniforce_standins.xela import frame, message
-from uniforce_vtla.errors import SensorError
+from uniforce_vtla.errors import SensorError, TeleoperatorError
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,21 @@ def feed_mjpeg(rng: np.random.Generator, data: bytes) -> None:
             assert len(got.jpeg) <= MAX_JPEG_BYTES
             decode_bgr(got.jpeg)
         assert len(reader._buffer) <= MAX_JPEG_BYTES + MAX_HEADER_BYTES + len(data)
+
+
+def feed_dynamixel(rng: np.random.Generator, data: bytes) -> None:
+    reader = StatusReader()
+    for chunk in chunks(rng, data):
+        for got in reader.feed(chunk):
+            assert 0 <= got.device_id <= 255 and len(got.parameters) < 300
+        assert len(reader._buffer) <= 300
+
+
+def feed_spacemouse(rng: np.random.Generator, data: bytes) -> None:
+    reader = SpaceMouseReports()
+    for report in chunks(rng, data):
+        reader.feed(report)
+        assert np.abs(reader.state).max() <= LARGEST_COUNT
 
 
 class Wire:
@@ -157,6 +176,18 @@ BYTE_TARGETS = {
     "json": ByteTarget(feed_json, JSON),
     "mjpeg": ByteTarget(
         feed_mjpeg, HTTP + part(JPEG, 1.5) + part(JPEG, 2.5, with_length=False) + part(JPEG, 3.5)
+    ),
+    "dynamixel": ByteTarget(
+        feed_dynamixel,
+        b"".join(status(i, bytes([i, 255, 255, 253]), 0) for i in range(1, 9)),
+        (TeleoperatorError,),
+        refuses=False,
+    ),
+    "spacemouse": ByteTarget(
+        feed_spacemouse,
+        b"".join(spacemouse.reports((1, -350, 0, 9, 350, -2), 3, "three")),
+        (TeleoperatorError,),
+        refuses=False,
     ),
     "fci_arm": ByteTarget(feed_arm, ARM, FCI_ERRORS),
     "fci_hand": ByteTarget(feed_hand, HAND, FCI_ERRORS),

@@ -1,0 +1,53 @@
+"""Hand guiding with impedance, the paper's way: a person leads the soft arm, and the measured pose is the action.
+
+The arm needs ``HAND_GUIDED`` gains: soft but along the closing axis, so that a squeeze does not drag it. Since the
+target follows the measured pose, nothing pulls the arm back; what its gravity model leaves over lets it creep slowly.
+Never run on hardware.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lerobot_robot_uniforce_franka.arm import HAND_GUIDED
+from lerobot_teleoperator_uniforce.base import FEEDBACK_AGE_S, UniforceTeleoperator
+from lerobot_teleoperator_uniforce.configs import UniforceHandGuideConfig
+from lerobot_teleoperator_uniforce.keyboard import WIDTH, WIDTH_KEYS
+from lerobot_teleoperator_uniforce.terminal_keys import TerminalKeys
+from uniforce_vtla.errors import TeleoperatorError, expected
+
+
+class UniforceHandGuide(UniforceTeleoperator):
+    """The measured x, y, z and yaw, and a width commanded by the keys o (open) and p (close)."""
+
+    config_class = UniforceHandGuideConfig
+    name = "uniforce_hand_guide"
+    wants_gains = HAND_GUIDED
+
+    def __init__(self, config: UniforceHandGuideConfig) -> None:
+        super().__init__(config, config.limits)
+        self.config = config
+        self.keys = TerminalKeys(WIDTH_KEYS)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether keys are read."""
+        return self.keys.is_listening
+
+    def _open(self) -> None:
+        self.keys.start()
+
+    def _close(self) -> None:
+        self.keys.stop()
+
+    def _begin(self, measured: np.ndarray) -> None:
+        self.keys.forget()
+
+    def _next(self, elapsed_s: float) -> np.ndarray:
+        measured = self.measured
+        if measured is None:
+            wanted = f"a measured pose younger than {FEEDBACK_AGE_S} s"
+            do = "Call send_feedback(observation) before each get_action()."
+            raise TeleoperatorError(expected("hand guiding", wanted, "none", do), "stale")
+        width = self.integrator.advance(self.keys.rates(), elapsed_s, measured)[WIDTH]
+        return np.array([*measured[:WIDTH], width])

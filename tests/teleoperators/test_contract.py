@@ -1,0 +1,76 @@
+"""What every registered teleoperator promises."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
+
+import lerobot_policy_pi05_uniforce  # noqa: F401  the one package LeRobot imports must register them all
+from uniforce_vtla.errors import TeleoperatorError
+from uniforce_vtla.keys import AXES
+
+NAMES = sorted(name for name in TeleoperatorConfig.get_known_choices() if name.startswith("uniforce_"))
+LARGEST_STEP = np.array([0.03, 0.03, 0.03, 0.2, 0.03])  # of one call: limits × the longest gap
+
+
+def test_every_registered_one_is_tested_here() -> None:
+    from teleop_fakes import MAKERS
+
+    assert sorted(MAKERS) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_life_of_a_teleoperator(name: str, connected: Callable[[str], Any], measured: np.ndarray) -> None:
+    threads = set(threading.enumerate())
+    device = connected(name)
+    assert isinstance(device, Teleoperator) and device.name == name and device.is_connected
+    assert device.action_features == dict.fromkeys(AXES, float)
+    assert device.is_calibrated is True
+    with pytest.raises(TeleoperatorError) as early:
+        device.get_action()
+    assert early.value.fault == "not_started"
+    with pytest.raises(TeleoperatorError):
+        device.connect()
+
+    device.start_from(measured)
+    device.send_feedback(dict(zip(AXES, measured.tolist(), strict=True)))
+    before = measured
+    for _ in range(5):
+        action = device.get_action()
+        assert tuple(action) == AXES and all(type(value) is float for value in action.values())
+        now = np.array([action[axis] for axis in AXES])
+        if name != "uniforce_expert":  # its scene has another pose than this test's
+            assert np.all(np.abs(now - before) <= LARGEST_STEP), name
+            before = now
+
+    device.disconnect()
+    device.disconnect()
+    assert not device.is_connected
+    with pytest.raises(TeleoperatorError) as late:
+        device.get_action()
+    assert late.value.fault == "not_connected"
+    left = [t for t in threading.enumerate() if t not in threads and ("reader" in t.name or t.name == name)]
+    assert not left
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_start_that_is_no_pose_is_refused(name: str, connected: Callable[[str], Any]) -> None:
+    device = connected(name)
+    for wrong in (np.full(5, np.nan), np.zeros(4), {"x.pos": 0.0}):
+        with pytest.raises(TeleoperatorError):
+            device.start_from(wrong)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_can_be_connected_again(name: str, connected: Callable[[str], Any], measured: np.ndarray) -> None:
+    device = connected(name)
+    device.disconnect()
+    device.connect()
+    device.start_from(measured)
+    device.send_feedback(dict(zip(AXES, measured.tolist(), strict=True)))
+    assert device.get_action()
