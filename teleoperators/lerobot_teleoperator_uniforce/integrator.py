@@ -86,10 +86,16 @@ class TargetIntegrator:
         """
         reach = self._speed * self._seconds(elapsed_s)
         step = np.asarray(goal, dtype=np.float64) - self._target
-        step[YAW] = shortest_turn(self._target[YAW], float(goal[YAW]))
+        step[YAW] = self._turn_to(float(goal[YAW]))
         step[:3] *= min(1.0, _room(step[:3], reach[:3]))
         step[3:] = np.clip(step[3:], -reach[3:], reach[3:])
         return self._move(step, measured)
+
+    def _turn_to(self, goal_rad: float) -> float:
+        """Return the turn from the target that stays in the box: half a turn has two ways, and one leads out of it."""
+        centre = (self._low[YAW] + self._high[YAW]) / 2
+        inside = centre + shortest_turn(centre, goal_rad)
+        return float(np.clip(inside, self._low[YAW], self._high[YAW]) - self._target[YAW])
 
     def _seconds(self, elapsed_s: float) -> float:
         return min(max(elapsed_s, 0.0), self.limits.longest_gap_s)
