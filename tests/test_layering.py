@@ -86,6 +86,13 @@ def test_the_robot_knows_no_policy_and_its_children_not_even_the_robot() -> None
     )
 
 
+def test_recording_knows_no_policy_and_no_stand_in() -> None:
+    forbidden = ("lerobot_policy_pi05_uniforce", "uniforce_standins")
+    assert not foreign_imports(ROOT / "recording", forbidden)
+    for folder in ("robots", "devices", "datasets", "envs", "policies"):
+        assert not foreign_imports(ROOT / folder, ("uniforce_recording",)), f"{folder} imports the recorder"
+
+
 def test_vendors_clients_are_loaded_where_they_are_needed_only() -> None:
     """Both in one process fail, and neither is a core dependency: no module imports one at its top."""
     robot = ROOT / "robots" / "lerobot_robot_uniforce_franka"

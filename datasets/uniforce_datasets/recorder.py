@@ -6,6 +6,7 @@ import errno
 import fcntl
 import logging
 import shutil
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,6 +41,7 @@ from uniforce_vtla.keys import (
 
 logger = logging.getLogger(__name__)
 
+LOCK_POLL_s = 0.05
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
 AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)  # columns known only when the episode is over
 
@@ -59,6 +61,7 @@ class EpisodeRecorder:
         queue_frames: video frames that may wait per key.
         further: features of columns a robot stores beside the usual ones.
         raw_shapes: shape of the raw tactile frames to keep beside the dataset, by finger.
+        lock_wait_s: how long to wait for another recorder that is about to end.
 
     Raises:
         DatasetError: another recorder writes here, the folder holds something else or other features, the disk
@@ -79,6 +82,7 @@ class EpisodeRecorder:
         queue_frames: int = 30,
         further: Mapping[str, dict[str, Any]] | None = None,
         raw_shapes: Mapping[Finger, tuple[int, ...]] | None = None,
+        lock_wait_s: float = 0.0,
     ) -> None:
         self.root = Path(root)
         self._repo_id, self._fps = repo_id, fps
@@ -91,7 +95,7 @@ class EpisodeRecorder:
         self._columns = ColumnMaker()
         self._raw_shapes = dict(raw_shapes or {})
         self.root.mkdir(parents=True, exist_ok=True)
-        self._lock = _lock(self.root)
+        self._lock = _lock(self.root, lock_wait_s)
         recover(self.root)
         self._writer = self._open()
 
@@ -288,13 +292,21 @@ def _check_same(meta: Any, fps: int, features: dict[str, dict]) -> None:
         )
 
 
-def _lock(root: Path) -> IO[str]:
+def _lock(root: Path, wait_s: float) -> IO[str]:
     handle = open(root / ".recorder.lock", "w")  # noqa: SIM115  held until close()
+    deadline_s = time.monotonic() + wait_s
+    while not _locked(handle):
+        if time.monotonic() > deadline_s:
+            handle.close()
+            do = "Wait, or use another root."
+            raise DatasetError(expected(str(root), "one recorder at a time", "another one", do))
+        time.sleep(LOCK_POLL_s)
+    return handle
+
+
+def _locked(handle: IO[str]) -> bool:
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        handle.close()
-        raise DatasetError(
-            expected(str(root), "one recorder at a time", "another one", "Wait, or use another root.")
-        ) from error
-    return handle
+    except BlockingIOError:
+        return False
+    return True

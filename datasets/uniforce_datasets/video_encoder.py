@@ -5,6 +5,9 @@ LeRobot 0.6.1 knows one codec per dataset and drops a frame with a log line when
 
 from __future__ import annotations
 
+import queue
+import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -13,12 +16,14 @@ import numpy as np
 from lerobot.configs import RGBEncoderConfig
 from lerobot.datasets.video_utils import StreamingVideoEncoder
 
+from uniforce_datasets.encoder_thread import EncoderThread
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.keys import TACTILE_KEYS, tactile_name
+from uniforce_vtla.keys import TACTILE_KEYS, tactile_key, tactile_name
 
 PATIENCE_s = 60.0  # how long a simulation waits for a stuck encoder before it gives the episode up
 POLL_s = 0.002  # between looks at a full queue
+REFERENCE_KEYS = tuple(tactile_key(finger, reference=True) for finger in FINGERS)
 RAW_NAMES = tuple(tactile_name(finger) for finger in FINGERS)  # of raw streams: names, never LeRobot keys
 
 
@@ -32,6 +37,11 @@ def marker_codec() -> RGBEncoderConfig:
     return RGBEncoderConfig(vcodec="h264", crf=0, preset="veryfast", g=15)
 
 
+def reference_codec() -> RGBEncoderConfig:
+    """The same, but faster: a picture that never changes costs nothing to store however it is done."""
+    return RGBEncoderConfig(vcodec="h264", crf=0, preset="ultrafast", g=15)
+
+
 def raw_codec() -> RGBEncoderConfig:
     """H.264 at crf 10, for raw tactile frames; docs/recording.md has what it costs and what it keeps."""
     return RGBEncoderConfig(vcodec="h264", crf=10, preset="ultrafast", g=15)
@@ -41,6 +51,8 @@ def codec_of(key: str) -> RGBEncoderConfig:
     """Return the codec a video key is stored with."""
     if key in RAW_NAMES:
         return raw_codec()
+    if key in REFERENCE_KEYS:
+        return reference_codec()
     return marker_codec() if key in TACTILE_KEYS else camera_codec()
 
 
@@ -64,10 +76,28 @@ class PerKeyEncoder(StreamingVideoEncoder):
     ) -> None:
         """Start one encoder per key, each with its own codec."""
         self.cancel_episode()
+        if not self._realtime:
+            self._start_lerobots(video_keys, temp_dir, depth_video_keys)
+            return
+        self._dropped_frames.clear()
         for key in video_keys:
+            self._start_lean(key, temp_dir)
+        self._episode_active = True
+
+    def _start_lerobots(self, keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None) -> None:
+        for key in keys:
             self._rgb_encoder = codec_of(key)
             self._episode_active = False  # the parent would cancel the keys already started
             super().start_episode([key], temp_dir, depth_video_keys)
+
+    def _start_lean(self, key: str, temp_dir: Path) -> None:
+        frames: queue.Queue = queue.Queue(self.queue_maxsize)
+        result: queue.Queue = queue.Queue(1)
+        stop, path = threading.Event(), Path(tempfile.mkdtemp(dir=temp_dir)) / f"{key}.mp4"
+        thread = EncoderThread(path, self.fps, codec_of(key), frames, result, stop, encoder_threads=1)
+        thread.start()
+        self._frame_queues[key], self._result_queues[key] = frames, result
+        self._threads[key], self._stop_events[key], self._video_paths[key] = thread, stop, path
 
     def feed_frame(self, video_key: str, image: np.ndarray) -> None:
         """Queue a frame; in simulation, wait for room first."""

@@ -40,6 +40,7 @@ class TactileFingerConfig(SampledCameraConfig):
     """
 
     finger: str = "left"  # who wears it: left | right; names it in errors, nothing is mirrored here
+    check_identity: bool = True  # refuse another sensor than the configured one when connecting
     reference_on_connect: bool = True  # take the free-air reference when connecting; needs open fingers
     reference_samples: int = 10  # samples it is the median of; touched while they come = refused
     sensor: str = ""  # registry name

@@ -41,10 +41,19 @@ class TactileFinger(SampledCamera):
     def _make_source(self) -> SampleSource: ...
 
     def _on_connect(self) -> None:
-        """Take the free-air reference if the config says so."""
+        """See whether this is the configured sensor; take the free-air reference if the config says so.
+
+        Raises:
+            WrongSensorError: markers of another kind of sensor.
+        """
         self._drawn = None
+        if self.config.check_identity:
+            self._refuse_another_sensor()
         if self.config.reference_on_connect:
             self.take_reference()
+
+    def _refuse_another_sensor(self) -> None:
+        """Raise where what answers isn't what the config says; a subclass knows how to tell."""
 
     # -- beyond LeRobot's camera ------------------------------------------------------------------------
 

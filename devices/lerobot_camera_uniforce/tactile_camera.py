@@ -9,8 +9,10 @@ import numpy as np
 from lerobot_camera_uniforce.camera_source import CameraSource, Clock
 from lerobot_camera_uniforce.capture import CaptureFactory, open_capture
 from lerobot_camera_uniforce.config_uniforce import UniforceTactileCameraConfig
+from lerobot_camera_uniforce.faults import WrongSensorError
 from lerobot_camera_uniforce.finger import TactileFinger
 from lerobot_camera_uniforce.samples import Sample
+from uniforce_vtla.markers.identity import why_not
 
 
 class UniforceTactileCamera(TactileFinger):
@@ -36,6 +38,12 @@ class UniforceTactileCamera(TactileFinger):
 
     def _make_source(self) -> CameraSource:
         return self._camera
+
+    def _refuse_another_sensor(self) -> None:
+        centres_px = self._canonicalizer.markers(self.latest(self.config.connect_ms).raw)
+        reason = why_not(self.config.spec, centres_px, self.config.label)
+        if reason is not None:
+            raise WrongSensorError(reason)
 
     @property
     def settings_read_back(self) -> dict[str, float]:

@@ -6,9 +6,10 @@ import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import draccus
+import yaml
 from lerobot.robots import RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
 
@@ -19,41 +20,70 @@ OUR_TELEOPERATORS = "lerobot_teleoperator_uniforce"
 ROBOTS = {"franka": "uniforce_franka"}
 
 
-@dataclass
+@dataclass(frozen=True)
 class Devices:
-    """What LeRobot's commands hold, and a file of theirs can be read into."""
+    """Configs of what records: no robot means the simulated scene."""
 
-    robot: RobotConfig | None = None
-    teleop: TeleoperatorConfig | None = None
+    robot: RobotConfig | None
+    teleop: TeleoperatorConfig
 
 
 def read_devices(flags: Sequence[str], robot: str, teleop: str, file: str = "") -> Devices:
     """Return the configs.
 
     Args:
-        flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``.
+        flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``; dots lead into nested settings, also into one camera's.
         robot: ``franka``, or "" for none.
         teleop: a name from ``teleoperator_names``.
         file: of LeRobot's form, with ``robot`` and ``teleop``; flags override it.
 
     Raises:
-        ContractError: an unknown name, a file that isn't there, flags nobody knows.
+        ContractError: an unknown name, a file that isn't there, settings nobody knows.
     """
     names = teleoperator_names()
     if teleop not in names:
-        do = "Name one."
-        raise ContractError(expected("teleop", " | ".join(["expert", *sorted(names)]), repr(teleop), do))
-    if file and not Path(file).is_file():
+        known = " | ".join(["expert", *sorted(names)])
+        raise ContractError(expected("teleop", known, repr(teleop), "Name one."))
+    settings = _with_flags(_read_file(file), flags)
+    settings.setdefault("teleop", {})["type"] = names[teleop]
+    if not robot:
+        return Devices(None, _decode(TeleoperatorConfig, "teleop", settings))
+    settings.setdefault("robot", {})["type"] = ROBOTS[robot]
+    return Devices(_decode(RobotConfig, "robot", settings), _decode(TeleoperatorConfig, "teleop", settings))
+
+
+def _read_file(file: str) -> dict[str, Any]:
+    if not file:
+        return {}
+    if not Path(file).is_file():
         raise ContractError(expected("rig", "a config file", file, "Give the file of robot and teleop."))
-    types = [f"--teleop.type={names[teleop]}"]
-    if robot:
-        types.append(f"--robot.type={ROBOTS[robot]}")
-    try:
-        return draccus.parse(Devices, config_path=file or None, args=[*types, *flags])
-    except (draccus.utils.DecodingError, draccus.ParsingError, ValueError) as error:
+    content = yaml.safe_load(Path(file).read_text())  # JSON is YAML
+    if not isinstance(content, dict):
         raise ContractError(
-            expected("robot.… teleop.…", "settings they have", error, "See docs/franka.md.")
-        ) from error
+            expected(file, "robot: {…} and teleop: {…}", type(content).__name__, "Look at it.")
+        )
+    return content
+
+
+def _with_flags(settings: dict[str, Any], flags: Sequence[str]) -> dict[str, Any]:
+    """Put flags into the settings; not through draccus' own parser, which stumbles over unrelated classes."""
+    for flag in flags:
+        name, _, value = flag.removeprefix("--").partition("=")
+        *path, last = name.split(".")
+        inner = settings
+        for key in path:
+            inner = inner.setdefault(key, {})
+        inner[last] = yaml.safe_load(value)
+    return settings
+
+
+def _decode[ConfigT](config_class: type[ConfigT], part: str, settings: dict[str, Any]) -> ConfigT:
+    try:
+        decoded: ConfigT = draccus.decode(config_class, settings[part])
+    except (draccus.utils.DecodingError, ValueError, TypeError) as error:
+        do = "See docs/franka.md and docs/tactile_devices.md."
+        raise ContractError(expected(f"{part}.…", "settings it has", error, do)) from error
+    return decoded
 
 
 def teleoperator_names() -> dict[str, str]:

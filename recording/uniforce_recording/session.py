@@ -12,7 +12,14 @@ from uniforce_recording.episode_loop import EpisodeLoop, Parts
 from uniforce_recording.faults import StopRequestedError, cause_of
 from uniforce_recording.operators import VERDICTS, Command, Event, Phase
 from uniforce_recording.ticker import Ticker
-from uniforce_vtla.errors import DatasetError, DiskFullError, RobotError, UniForceError
+from uniforce_vtla.errors import (
+    ContractError,
+    DatasetError,
+    DiskFullError,
+    RobotError,
+    UniForceError,
+    expected,
+)
 
 MIN_FRAMES = 2  # of an aborted episode worth keeping: LeRobot stores no shorter one
 RETRY_s = 0.1  # between two tries to begin, unattended
@@ -113,7 +120,11 @@ class RecordingSession:
 
     def _prompt(self) -> str:
         prompts = self._settings.prompts
-        return prompts[self._judged % len(prompts)] if prompts else self._parts.rig.prompt or "do the task"
+        own = self._parts.rig.prompt
+        if not prompts and own is None:
+            do = "Give at least one."
+            raise ContractError(expected("prompts", "an instruction", "none", do))
+        return prompts[self._judged % len(prompts)] if prompts else str(own)
 
     # --- waiting and preparing ---------------------------------------------------------------------------------------
 
@@ -188,7 +199,8 @@ class RecordingSession:
         verdict = self._parts.rig.verdict()
         if verdict is not None:
             return replace(ending, how="judged", outcome=verdict.outcome, clean=verdict.clean)
-        self._parts.view.say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
+        if self._parts.operator.is_attended:
+            self._parts.view.say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
         beat, notes = Ticker(self._fps), list(ending.notes)
         while True:
             if self._parts.interrupts.count:

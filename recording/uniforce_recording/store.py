@@ -14,6 +14,8 @@ from uniforce_recording.rig import RigFacts
 from uniforce_recording.rows import further_columns
 from uniforce_vtla.contracts import Finger
 
+LOCK_WAIT_s = 20.0  # a session that was killed leaves a storing process that finishes what it was told first
+
 
 class Store(Protocol):
     """See ``EpisodeRecorder``, which is one."""
@@ -85,4 +87,5 @@ def open_recorder(facts: RigFacts, settings: StoreSettings) -> EpisodeRecorder:
         queue_frames=settings.queue_frames,
         further=further_columns(facts),
         raw_shapes=facts.raw_frames,
+        lock_wait_s=LOCK_WAIT_s,
     )

@@ -23,14 +23,15 @@ import numpy as np
 from uniforce_datasets.features import dataset_features
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_recording.rig import RigFacts
-from uniforce_recording.row_slots import REFERENCES, RowSlots
+from uniforce_recording.row_slots import RECORDERS_OWN, REFERENCES, RowSlots
 from uniforce_recording.rows import further_columns
 from uniforce_recording.store import StoreSettings, open_recorder
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import DatasetError, DroppedFrameError, UniForceError, expected
 
 log = logging.getLogger(__name__)
-SLOTS = 16  # rows on the way: half a second of a busy child
+SLOTS = 30  # rows on the way: a second of a busy child, some 4 MB each
+WARM_UP_FRAMES = 3  # the first ones import, open and allocate for half a second
 START_s = 120.0  # imports of LeRobot and torch on a starved machine
 ANSWER_s = 180.0  # the longest save: LeRobot itself waits 120 s for an encoder
 PATIENCE_s = 60.0  # how long a scene that isn't paced waits for a slot
@@ -104,7 +105,7 @@ class StoreProcess:
         """Hand a row over; see ``EpisodeRecorder.add``.
 
         Raises:
-            DroppedFrameError: the child is half a second behind.
+            DroppedFrameError: the child is a second behind.
             DatasetError, ContractError: an earlier row could not be stored.
         """
         known = {key for key in REFERENCES if self._sent.get(key) is frame[key]}
@@ -161,7 +162,7 @@ class StoreProcess:
         while not self._free:
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
-                do = "Episode discarded; free the computer, or record smaller pictures."
+                do = "The episode ends here: free the computer, or record smaller pictures."
                 raise DroppedFrameError(expected("storing", f"≤ {SLOTS} frames behind", "more", do))
             if self._pipe.poll(min(left_s, 0.1)):
                 self._hear_all()
@@ -229,7 +230,22 @@ def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSet
         pipe.send(("error", error))
         return
     with recorder:
+        warm_up(recorder, facts)
         Child(pipe, slots, recorder).run()
+
+
+def warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
+    """Record a few black frames and forget them, so that the first real ones are as fast as the others."""
+    pictures = {key for key, feature in recorder.features.items() if feature["dtype"] == "video"}
+    row = {
+        key: np.zeros(feature["shape"], "uint8" if key in pictures else feature["dtype"])
+        for key, feature in recorder.features.items()
+        if key not in RECORDERS_OWN
+    }
+    raw = {finger: np.zeros(shape, np.uint8) for finger, shape in facts.raw_frames.items()}
+    for _ in range(WARM_UP_FRAMES):
+        recorder.add(row, "warm-up", raw)
+    recorder.discard()
 
 
 class Child:

@@ -17,6 +17,7 @@ from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
 JOIN_s = 10.0  # a backend's own deadlines are shorter
+SILENT_AGES = 2  # a robot's clock that stands still for so many of ``state_age_s``: nobody is there
 GOOD_RATE = 0.9  # share of commands in time, below which someone should look at the computer
 
 
@@ -28,7 +29,8 @@ class StreamSettings:
         rate_hz: targets per second.
         action_period_s: how long a ramp to a new action takes; the policy's own period.
         stale_s: an action older than this is no longer followed.
-        state_age_s: a reading older than this is not given to anybody.
+        state_age_s: a reading older than this is not given to anybody; a robot that tells nothing new for twice as
+            long is gone.
     """
 
     rate_hz: float = 100.0
@@ -68,6 +70,7 @@ class ArmStream:
         self._state: ArmState | None = None
         self._ramp: Ramp | None = None
         self._submitted_s = 0.0
+        self._robot_time_s = self._advanced_s = 0.0
         self._holding = self._late = False
         self._fault: RobotError | None = None
         self._ending = threading.Event()
@@ -76,6 +79,7 @@ class ArmStream:
     def start(self) -> None:
         """Read the arm once, so that a state is there, and begin."""
         self._state = self._arm.state()
+        self._robot_time_s, self._advanced_s = self._state.robot_time_s, time.monotonic()
         self._thread.start()
 
     def stop(self) -> None:
@@ -168,6 +172,7 @@ class ArmStream:
 
     def _tick(self) -> None:
         state = self._arm.state()
+        self._refuse_silent(state)
         with self._lock:
             self._state = state
         _refuse_stopped(state)
@@ -175,6 +180,17 @@ class ArmStream:
         target = self._target(time.monotonic())
         if target is not None:
             self._arm.set_target(target.ee_to_base())
+
+    def _refuse_silent(self, state: ArmState) -> None:
+        """Notice a robot whose clock stands still; its client does so only after a second."""
+        now = time.monotonic()
+        if state.robot_time_s != self._robot_time_s:
+            self._robot_time_s, self._advanced_s = state.robot_time_s, now
+        silent_s = now - self._advanced_s
+        if silent_s > SILENT_AGES * self.settings.state_age_s:
+            do = "Check the cable and the robot's controller."
+            came = f"none for {silent_s:.2f} s"
+            raise RobotError(expected("arm", "new states from the robot", came, do), "connection")
 
     def _warn_of_late_commands(self, state: ArmState) -> None:
         late = state.mode == "move" and state.success_rate < GOOD_RATE

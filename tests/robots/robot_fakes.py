@@ -25,6 +25,7 @@ class FakeArm:
         self.stopped_at: list[float] = []
         self.connected = self.closed = False
         self.follows = True
+        self.silent_since_s: float | None = None  # its own clock stands still from then on
         self.success_rate = 1.0
 
     def connect(self) -> None:
@@ -34,8 +35,16 @@ class FakeArm:
         if self.fault is not None:
             raise self.fault
         now = time.monotonic()
+        robot_s = now if self.silent_since_s is None else self.silent_since_s
         return ArmState(
-            now, now, np.zeros(7), np.zeros(7), self.pose.copy(), np.zeros(6), self.mode, self.success_rate
+            now,
+            robot_s,
+            np.zeros(7),
+            np.zeros(7),
+            self.pose.copy(),
+            np.zeros(6),
+            self.mode,
+            self.success_rate,
         )
 
     def set_target(self, ee_to_base: np.ndarray) -> None:

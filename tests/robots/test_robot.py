@@ -13,12 +13,13 @@ import pytest
 from lerobot.robots import RobotConfig, make_robot_from_config
 from robot_fakes import START, FakeArm, FakeHand
 
+from lerobot_camera_uniforce import UniforceTactileCameraConfig
 from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
 from lerobot_robot_uniforce_franka import robot as module
 from lerobot_robot_uniforce_franka.arm import Gains
 from lerobot_robot_uniforce_franka.shutdown import STRATEGIES, forbid_return_motion
 from lerobot_robot_uniforce_franka.stream import StreamSettings
-from uniforce_vtla.errors import RobotError
+from uniforce_vtla.errors import RobotError, SensorError
 from uniforce_vtla.keys import AXES
 
 
@@ -210,3 +211,70 @@ def test_nested_settings_are_parsed_from_the_command_line() -> None:
     assert isinstance(config, UniforceFrankaConfig)
     assert config.guards.step_m == 0.03
     assert config.arm_settings.gains == Gains((200, 200, 200), clip_m=(0.01, 0.01, 0.02))
+
+
+class BrokenCamera:
+    """A camera that works until told otherwise."""
+
+    height, width = 4, 6
+
+    def __init__(self) -> None:
+        self.error: Exception | None = None
+        self.is_connected = False
+
+    def connect(self) -> None:
+        self.is_connected = True
+
+    def disconnect(self) -> None:
+        self.is_connected = False
+
+    def read_latest(self) -> np.ndarray:
+        if self.error is not None:
+            raise self.error
+        return np.zeros((4, 6, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    "error", [SensorError("frozen"), TimeoutError("old"), RuntimeError("thread"), ConnectionError("gone")]
+)
+def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable, error: Exception
+) -> None:
+    camera = BrokenCamera()
+    robot.cameras = {"front": camera}  # type: ignore[dict-item]
+    robot.connect()
+    robot.send_action(action())
+    assert robot.get_observation()["front"].shape == (4, 6, 3)
+    camera.error = error
+    with pytest.raises(type(error)):
+        robot.get_observation()
+    assert arm.stopped_at and robot.guard_counts["sensor"] == 1
+    with pytest.raises(RobotError) as caught:
+        robot.send_action(action())
+    assert caught.value.fault == "sensor"
+    robot.recover()
+    camera.error = None
+    robot.send_action(robot.get_observation())
+
+
+def test_references_need_an_open_hand(
+    tmp_path: Path, arm: FakeArm, hand: FakeHand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
+    finger = UniforceTactileCameraConfig(source="http://127.0.0.1:9", finger="left", sensor="gelsight")
+    config = UniforceFrankaConfig(id="test", calibration_dir=tmp_path, cameras={"tactile_left": finger})
+    robot = UniforceFranka(config)
+    shapes = {name: shape for name, shape in robot.observation_features.items() if isinstance(shape, tuple)}
+    assert shapes == {"tactile_left": (480, 640, 3), "tactile_left_ref": (480, 640, 3)}
+    hand.width_m = 0.03
+    with pytest.raises(SensorError, match="Open the gripper"):
+        robot.connect()
+    assert arm.closed and not robot.is_connected
+
+
+def test_holding_refuses_nothing_afterwards(robot: UniforceFranka) -> None:
+    robot.hold()
+    robot.connect()
+    robot.send_action(action())
+    robot.hold()
+    assert robot.send_action(action(0.01))["x.pos"] == pytest.approx(0.46)

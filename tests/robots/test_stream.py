@@ -125,6 +125,32 @@ def test_a_lost_arm_is_let_go_within_half_a_second(
         pytest.skip(f"the machine took {arm.stopped_at[0] - begun:.2f} s for a loop of 10 ms")
 
 
+def test_a_robot_that_tells_nothing_new_is_gone(arm: FakeArm, eventually: Callable) -> None:
+    stream = ArmStream(arm, StreamSettings(stale_s=30.0, state_age_s=0.1))
+    stream.start()
+    stream.submit(away(-0.01))
+    begun = arm.silent_since_s = time.monotonic()
+    eventually(lambda: bool(arm.stopped_at))
+    assert stream.fault is not None and stream.fault.fault == "connection"
+    assert arm.stopped_at[0] - begun > 0.19, "not at once: a reading may repeat"
+    stream.stop()
+
+
+def test_holding_takes_the_measured_pose_at_once(
+    arm: FakeArm, stream: ArmStream, eventually: Callable
+) -> None:
+    stream.hold()
+    assert not arm.targets, "nothing to hold before the first action"
+    arm.follows = False
+    stream.submit(away(-0.01))
+    eventually(lambda: bool(arm.targets))
+    stream.hold()
+    count = len(arm.targets)
+    eventually(lambda: len(arm.targets) > count + 2)
+    np.testing.assert_allclose(arm.targets[-1][1], arm.pose, atol=1e-9)
+    assert stream.stale_count == 0
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_a_mistake_in_a_backend_lets_the_arm_go_too(
     arm: FakeArm, stream: ArmStream, eventually: Callable

@@ -81,7 +81,6 @@ def record(config: RecordConfig, device_flags: Sequence[str] = ()) -> SessionEnd
     from uniforce_recording.store import StoreSettings
 
     devices = read_devices(device_flags, config.robot.replace("sim", ""), config.teleop, config.rig)
-    assert devices.teleop is not None  # read_devices gives its type
     teleop = make_teleoperator(devices.teleop)
     return run_session(
         _rig(config, devices, teleop),
@@ -143,6 +142,9 @@ def _check(config: RecordConfig) -> None:
     if config.robot == "franka" and config.teleop == "expert":
         do = "The expert feels the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
         raise ContractError(expected("teleop", "one that works on a robot", "expert", do))
+    if config.robot == "franka" and not config.prompts:
+        do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'
+        raise ContractError(expected("prompts", "an instruction or more", "none", do))
     if config.nudge < 0:
         raise ContractError(expected("nudge", "≥ 0", config.nudge, "0 records an undisturbed expert."))
     if config.episodes < 1:

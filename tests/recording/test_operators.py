@@ -1,0 +1,68 @@
+"""Keys become commands and notes; nobody begins at once and says one verdict."""
+
+from __future__ import annotations
+
+import pytest
+
+from uniforce_recording.operators import KEYS, Command, Event, KeyOperator, Nobody, Phase, TerminalKeySource
+from uniforce_vtla.errors import ContractError
+
+
+class Keys:
+    def __init__(self) -> None:
+        self.waiting: list[str] = []
+
+    def take_others(self) -> list[str]:
+        taken, self.waiting = self.waiting, []
+        return taken
+
+
+def typed(operator: KeyOperator, keys: Keys, *pressed: str) -> list[Event]:
+    keys.waiting += pressed
+    return operator.poll(Phase.RUNNING)
+
+
+def test_every_command_but_notes_has_one_key() -> None:
+    assert sorted(KEYS.values(), key=str) == sorted(set(Command) - {Command.NOTE}, key=str)
+
+
+def test_keys_mean_commands_and_unknown_ones_nothing() -> None:
+    keys = Keys()
+    operator = KeyOperator(keys, ["slow", "slipped"])
+    assert [e.command for e in typed(operator, keys, "space", "w", "up", "y")] == [
+        Command.GO,
+        Command.SUCCESS,
+    ]
+    assert typed(operator, keys, "2", "3") == [Event(Command.NOTE, "slipped")]
+    assert operator.is_attended and not typed(operator, keys)
+
+
+def test_a_note_is_typed_over_several_polls_and_may_hold_command_keys() -> None:
+    keys = Keys()
+    operator = KeyOperator(keys)
+    assert not typed(operator, keys, "t", "y", "x")
+    assert not typed(operator, keys, "space", "z", "backspace", "q", "left")
+    assert typed(operator, keys, "enter", "q") == [Event(Command.NOTE, "yx q"), Event(Command.QUIT)]
+    assert not typed(operator, keys, "t", "enter"), "an empty note is none"
+
+
+def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
+    with pytest.raises(ContractError, match="operator=nobody"):
+        KeyOperator().start()
+
+
+def test_keys_of_a_terminal_wait_until_taken() -> None:
+    source = TerminalKeySource()
+    for key in ("y", "space"):
+        source.press(key)
+    assert source.take_others() == ["y", "space"] and not source.take_others()
+
+
+def test_nobody() -> None:
+    nobody = Nobody("residual")
+    said = {phase: [e.command for e in nobody.poll(phase)] for phase in Phase}
+    assert said[Phase.WAITING] == [Command.GO] and said[Phase.JUDGING] == [Command.RESIDUAL]
+    assert not said[Phase.RUNNING] and not nobody.is_attended
+    with pytest.raises(ContractError, match="verdict"):
+        Nobody("great")

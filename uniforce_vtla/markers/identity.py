@@ -1,0 +1,46 @@
+"""Is this the sensor it is said to be?  Asked when a finger connects, before a policy trusts what it feels.
+
+Marker counts differ by a third between units of one kind (real GelSights here show 64 to 108), so the count is only
+held to half and double. The outline tells a dome from a flat gel: the outermost marker lies 1.34 median radii from the
+middle of a disc, and 1.56 to 1.70 of a rectangle (simulated and real sensors).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uniforce_vtla.errors import expected
+from uniforce_vtla.sensors import SensorSpec
+
+OUTLINE_TOLERANCE = 0.13  # between a disc's 1.34 and a rectangle's smallest 1.56 lies 0.22
+OUTERMOST = 98  # percentile of the radius: one stray blob is no outline
+COUNT_RATIO = 2.0
+
+
+def outline(points: np.ndarray) -> float:
+    """Return how far the outermost of (M, 2) points lie from their middle, in median radii."""
+    radii = np.linalg.norm(points - points.mean(axis=0), axis=1)
+    return float(np.percentile(radii, OUTERMOST) / np.median(radii))
+
+
+def why_not(spec: SensorSpec, centres_px: np.ndarray, name: str) -> str | None:
+    """Return why (M, 2) marker centres can't be those of a sensor, None where they can.
+
+    Args:
+        spec: of the camera sensor it is said to be.
+        centres_px: in free air, or nearly.
+        name: how the message calls it.
+    """
+    layout_px = spec.layout_mm * np.asarray(spec.px_per_mm)
+    wanted, came = outline(layout_px), outline(centres_px)
+    count, found = len(layout_px), len(centres_px)
+    alike = abs(wanted - came) <= OUTLINE_TOLERANCE and count / COUNT_RATIO <= found <= count * COUNT_RATIO
+    if alike:
+        return None
+    do = "Another sensor answers: check cable and config. A unit that does look so: check_identity=false."
+    return expected(
+        name,
+        f"about {count} markers of outline {wanted:.2f} (1.34 a disc, 1.6 a rectangle)",
+        f"{found} of {came:.2f}",
+        do,
+    )
