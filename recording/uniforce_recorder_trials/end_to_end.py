@@ -97,7 +97,11 @@ def rate_and_jitter(root: Path, sessions: list[dict[str, Any]]) -> dict[str, Any
         missed += skipped
         card = read_card(root, episode.index)
         labels[card["label"]] = labels.get(card["label"], 0) + 1
-        behind += sum(sensor["lost"] for sensor in card["sensors"].values()) if episode is source.episodes[-1] else 0
+        behind += (
+            sum(sensor["lost"] for sensor in card["sensors"].values())
+            if episode is source.episodes[-1]
+            else 0
+        )
     idle_ms = np.concatenate([session["idle_late_ms"] for session in sessions])
     ticks_ms = np.concatenate(late_ms)
     observed_ms = 1e3 * (columns[STAMPS][:, 1] - columns[STAMPS][:, 0])

@@ -49,10 +49,15 @@ class IdleLoop:
         return np.array(beats["time_s"]), np.array(beats["late_ms"])
 
 
+def _wait_for_the_end(over: threading.Event) -> None:
+    sys.stdin.read()
+    over.set()
+
+
 def main() -> int:
     """Tick until nobody listens."""
     over = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), over.set()), daemon=True).start()
+    threading.Thread(target=_wait_for_the_end, args=(over,), daemon=True).start()
     ticker, time_s, late_ms = Ticker(float(sys.argv[1])), [], []
     while not over.is_set():
         late_ms.append(round(1e3 * ticker.wait(), 4))

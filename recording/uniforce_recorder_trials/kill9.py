@@ -18,13 +18,18 @@ from uniforce_recorder_trials.loading import load_in_stock_lerobot
 from uniforce_recorder_trials.plan import EPISODES, Plan
 from uniforce_recorder_trials.rig import Rig
 from uniforce_recorder_trials.session import Program, Session
+from uniforce_recording.assemble import judged_episodes
 
 MOMENTS = ("tick", "save", "between")
 VICTIMS = ("all", "loop", "store")  # every process of it, the loop alone, the storing process alone
 EPISODE_s = 1.5
 STORED = r"^stored success"
 WAIT_s = 60.0
-RANDOM_s = {"tick": (0.1, EPISODE_s), "save": (0.0, 0.5), "between": (0.0, 0.5)}  # after the line that begins it
+RANDOM_s = {
+    "tick": (0.1, EPISODE_s),
+    "save": (0.0, 0.5),
+    "between": (0.0, 0.5),
+}  # after the line that begins it
 AFTER = {"tick": BEGUN, "save": OVER, "between": STORED}
 
 
@@ -55,7 +60,7 @@ def kill_once(plan: Plan, rig: Rig, program: Program, root: Path, number: int) -
         family = session.processes()
         _kill(family, victim)
         code = session.wait_end(WAIT_s * plan.patience)
-        gone, alive = psutil.wait_procs(family, WAIT_s * plan.patience)
+        _, alive = psutil.wait_procs(family, WAIT_s * plan.patience)
         said = len(session.said(STORED))
     has = _load(root)
     return {
@@ -91,7 +96,8 @@ def _load(root: Path) -> int:
 def _finish(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]:
     rig.new_arm()
     before = _episodes(root)
-    argv = plan.argv(rig, root, resume=root, episodes=before + 1, episode_s=EPISODE_s)
+    wanted = judged_episodes(root, before) + 1  # aborted ones don't count
+    argv = plan.argv(rig, root, resume=root, episodes=wanted, episode_s=EPISODE_s)
     with Session(program, argv) as session:
         code = session.wait_end((START_s + WAIT_s) * plan.patience)
     return {"exit_code": code, "episodes_before": before, "episodes_after": _load(root)}

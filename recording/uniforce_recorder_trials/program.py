@@ -1,7 +1,7 @@
 """``uniforce-record`` as a program that starts at once: imported here, forked for every session.
 
-``python -m uniforce_recorder_trials.program FD``: FD is a socket; a line in is ``{"argv": […], "tty": PATH}``, lines out
-are ``{"ready": …}``, ``{"pid": …}`` and ``{"exit": …}``. A session runs on that terminal as its own session leader, so
+``python -m uniforce_recorder_trials.program FD``: FD is a socket; a line in is ``{"argv": […], "tty": PATH}``, lines
+out are ``{"ready": …}``, ``{"pid": …}`` and ``{"exit": …}``. A session runs on that terminal as its own session leader, so
 that Ctrl-C reaches it as it would a person's; it is the command itself, with one more teleoperator registered.
 """
 
@@ -12,6 +12,7 @@ import logging
 import os
 import socket
 import sys
+import warnings
 from pathlib import Path
 
 from uniforce_vtla.errors import ContractError, expected
@@ -26,7 +27,9 @@ def main() -> int:
     _say(wire, ready=os.getpid())
     for line in wire:
         order = json.loads(line)
-        pid = os.fork()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # the one other thread has been looked at
+            pid = os.fork()
         if not pid:
             return record_on(order["tty"], order["argv"])
         _say(wire, pid=pid)
@@ -41,10 +44,6 @@ def _say(wire: object, **words: int) -> None:
 
 def _import_all() -> None:
     """Load what every session loads; no thread may run when it is forked."""
-    import uniforce_recorder_trials.circle
-    import uniforce_recording.assemble
-    import uniforce_recording.build
-    import uniforce_recording.robot_rig
     import uniforce_vtla.commands.record  # noqa: F401
 
     names = [(task / "comm").read_text().strip() for task in Path("/proc/self/task").iterdir()]
@@ -59,7 +58,9 @@ def record_on(tty: str, argv: list[str]) -> int:
     from uniforce_vtla.commands.record import main as record
 
     os.setsid()
-    terminal = os.open(tty, os.O_RDWR)  # the first one a session leader opens becomes its controlling terminal
+    terminal = os.open(
+        tty, os.O_RDWR
+    )  # the first one a session leader opens becomes its controlling terminal
     for standard in (0, 1, 2):
         os.dup2(terminal, standard)
     os.closerange(3, 1024)  # the orders' socket too: a session that is killed may leave nobody listening

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,7 +11,6 @@ from pathlib import Path
 from types import TracebackType
 
 import psutil
-import yaml
 
 from uniforce_standins.fci.journal import read_journal
 from uniforce_standins.fci.process import StandIn as ArmStandIn
@@ -87,7 +87,7 @@ class Rig:
     @property
     def file(self) -> Path:
         """What ``rig=`` gets."""
-        return self.folder / "rig.yaml"
+        return self.folder / "rig.json"
 
     @property
     def pids(self) -> list[int]:
@@ -153,4 +153,4 @@ class Rig:
             "cameras": cameras,
         }
         teleop = {"type": "trial_circle", "tick_s": 1 / self.options.fps}
-        self.file.write_text(yaml.safe_dump({"robot": robot, "teleop": teleop}))
+        self.file.write_text(json.dumps({"robot": robot, "teleop": teleop}))

@@ -79,14 +79,14 @@ class Session:
                     return number, lines[number]
             after = max(after, len(lines))
             ended = self._program.exit_code() is not None
-            if ended and len(self.lines) == len(lines) or time.monotonic() > deadline_s:
+            if (ended and len(self.lines) == len(lines)) or time.monotonic() > deadline_s:
                 came = f"{'its end' if ended else 'silence'} after {[line.text for line in lines[-6:]]}"
                 raise TrialError(expected("session", f"a line with {pattern!r}", came, "See the lines."))
             with self._new:
                 self._new.wait(0.02)
 
     def press(self, keys: str) -> None:
-        """Type; ``\\x03`` is Ctrl-C."""
+        """Type; the character with number 3 is Ctrl-C."""
         os.write(self._master, keys.encode())
 
     def wait_end(self, timeout_s: float) -> int:

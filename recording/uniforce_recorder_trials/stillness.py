@@ -6,7 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-REST_m = 1e-3  # the arm goes round at 63 mm/s: within this of where it ends means 16 ms before its target stopped
+REST_m = (
+    1e-3  # the arm goes round at 63 mm/s: within this of where it ends means 16 ms before its target stopped
+)
 STILL_m = 5e-4  # how far it may still creep
 WATCHED_s = 0.3  # at the end
 
@@ -22,7 +24,9 @@ def hold_s(wire: Sequence[dict], fault_s: float) -> float | None:
     if not states:
         return None
     times_s = np.array([state["time_s"] for state in states])
-    away_m = np.linalg.norm(np.array([state["position_m"] for state in states]) - states[-1]["position_m"], axis=1)
+    away_m = np.linalg.norm(
+        np.array([state["position_m"] for state in states]) - states[-1]["position_m"], axis=1
+    )
     if away_m[times_s > times_s[-1] - WATCHED_s].max() > STILL_m:
         return None
     moving = np.flatnonzero(away_m > REST_m)
