@@ -28,8 +28,8 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     """Record what is missing of the episodes; return the findings of all of them."""
     root = plan.work / "end_to_end" / "data"
     if _saved(root) < plan.episodes:
-        with Rig(plan.work / "end_to_end", plan.options) as rig, Program() as program:
-            ledger.add("end_to_end", _record(plan, rig, program, root))
+        with Rig(plan.work / "end_to_end", plan.options) as rig, Program(plan.log) as program:
+            ledger.add("end_to_end", record(plan, rig, program, root))
     sessions = ledger.read("end_to_end")
     found = rate_and_jitter(root, sessions) | {
         "cores_used": [session["cores_used"] for session in sessions],
@@ -42,7 +42,8 @@ def _saved(root: Path) -> int:
     return len(read_source(root).episodes) if (root / "meta" / "info.json").is_file() else 0
 
 
-def _record(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]:
+def record(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]:
+    """Record until all episodes are there, an idle loop beside it; return what can't be read from the dataset."""
     idle = IdleLoop(plan.options.fps)
     argv = plan.argv(rig, root, episodes=plan.episodes, episode_s=plan.episode_s)
     with Session(program, argv) as session:

@@ -46,9 +46,9 @@ BREAKAGES: dict[str, Breakage] = {
     "camera_stops": Breakage(_camera("stop"), MEND_CAMERA, ("aborted:lost_camera", "aborted:stale_camera")),
     "camera_goes_silent": Breakage(_camera("stall"), MEND_CAMERA, ("aborted:stale_camera",)),
     "camera_freezes": Breakage(_camera("freeze"), MEND_CAMERA, ("aborted:frozen_camera",)),
+    "uskin_garbage": Breakage(_uskin("garbage"), MEND_USKIN, (GOES_ON,)),  # between whole scans: none is lost
     "uskin_stalls": Breakage(_uskin("stall"), MEND_USKIN, ("aborted:stale_touch",)),
     "uskin_loses_taxels": Breakage(_uskin("missing"), MEND_USKIN, ("aborted:stale_touch",)),
-    "uskin_garbage": Breakage(_uskin("garbage"), MEND_USKIN, (GOES_ON,)),  # between whole scans: none is lost
     "uskin_unplugged": Breakage(_uskin("unplug"), MEND_USKIN, ("aborted:lost_touch", "aborted:stale_touch")),
     "arm_reflex": Breakage(
         lambda rig: rig.arm.do("reflex"), lambda rig: None, ("aborted:robot_reflex",), True

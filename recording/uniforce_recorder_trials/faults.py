@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import random
 import shutil
+from collections.abc import Callable
 from typing import Any
 
-from tqdm import tqdm
-
 from uniforce_recorder_trials.ending_faults import ENDINGS, Bench
-from uniforce_recorder_trials.fault_table import BREAKAGES
+from uniforce_recorder_trials.fault_table import BREAKAGES, Breakage
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.plan import Plan
 from uniforce_recorder_trials.rig import Rig
@@ -23,38 +22,48 @@ def run(plan: Plan, ledger: Ledger, names: tuple[str, ...] = NAMES) -> dict[str,
     """Inject what is missing of each fault; return the findings of all."""
     left = [name for name in names if len(ledger.read(name)) < plan.times]
     if left:
-        with Rig(plan.work / "faults" / "rig", plan.options) as rig, Program() as program:
-            for name in tqdm(left, desc="faults", unit="fault"):
-                _inject(name, plan, ledger, rig, program)
+        with Rig(plan.work / "faults" / "rig", plan.options) as rig, Program(plan.log) as program:
+            _break_devices({n: BREAKAGES[n] for n in left if n in BREAKAGES}, plan, ledger, rig, program)
+            for name in (n for n in left if n in ENDINGS):
+                _end_sessions(name, plan, ledger, rig, program)
     return {name: summary(ledger.read(name)) for name in NAMES if ledger.read(name)}
 
 
-def _inject(name: str, plan: Plan, ledger: Ledger, rig: Rig, program: Program) -> None:
+def _break_devices(
+    faults: dict[str, Breakage], plan: Plan, ledger: Ledger, rig: Rig, program: Program
+) -> None:
+    """All but the last injection of each in one session, the last one in a session with nobody there."""
+    root, by_hand = plan.work / "faults" / "attended", max(plan.times - 1, 1)
+    while any(len(ledger.read(name)) < by_hand for name in faults):
+        rig.new_arm()
+        attended(faults, plan, rig, program, ledger, root, by_hand)
+        for fault in faults.values():
+            fault.mends(rig)
+    for name, fault in faults.items():
+        while len(ledger.read(name)) < plan.times:
+            _noted(name, ledger, lambda name=name, fault=fault: unattended(name, fault, plan, rig, program))
+            fault.mends(rig)
+
+
+def _end_sessions(name: str, plan: Plan, ledger: Ledger, rig: Rig, program: Program) -> None:
     while (done := len(ledger.read(name))) < plan.times:
-        try:
-            if name in ENDINGS:
-                ledger.add(name, _end_a_session(name, done, plan, rig, program))
-            else:
-                _break_a_device(name, done, plan, ledger, rig, program)
-        except TrialError as error:
-            ledger.add(name, {"right_outcome": False, "message": str(error)})
+        bench = bench_of(name, done, plan, rig, program)
+        _noted(name, ledger, lambda bench=bench: ENDINGS[name](bench))
 
 
-def _end_a_session(name: str, number: int, plan: Plan, rig: Rig, program: Program) -> dict[str, Any]:
+def bench_of(name: str, number: int, plan: Plan, rig: Rig, program: Program) -> Bench:
+    """Return what the trial of a number needs, its folder empty."""
     root = plan.work / "faults" / name / str(number)
     shutil.rmtree(root, ignore_errors=True)  # of a trial that was cut short
-    return ENDINGS[name](Bench(plan, rig, program, root, random.Random(f"{name}{number}{plan.seed}")))
+    return Bench(plan, rig, program, root, random.Random(f"{name}{number}{plan.seed}"))
 
 
-def _break_a_device(name: str, done: int, plan: Plan, ledger: Ledger, rig: Rig, program: Program) -> None:
-    fault = BREAKAGES[name]
-    fault.mends(rig)
-    rig.new_arm()
-    by_hand = plan.times if fault.goes_on else plan.times - 1  # the last one with nobody there
-    if done < by_hand:
-        attended(name, fault, plan, rig, program, ledger, by_hand)
-    else:
-        unattended(name, fault, plan, rig, program, ledger)
+def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> None:
+    """Add what a trial found; one that hung or died is a finding too."""
+    try:
+        ledger.add(name, trial())
+    except TrialError as error:
+        ledger.add(name, {"right_outcome": False, "message": str(error)})
 
 
 def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:

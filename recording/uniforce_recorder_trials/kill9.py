@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import psutil
-from tqdm import tqdm
 
 from uniforce_datasets.lossless import check_dataset
 from uniforce_recorder_trials.end_to_end import BEGUN, OVER, START_s
@@ -38,10 +37,10 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     root = plan.work / "kill9" / "data"
     left = plan.kills - len(ledger.read("kill9"))
     if left > 0 or not ledger.read("kill9_last"):
-        with Rig(plan.work / "kill9", plan.options) as rig, Program() as program:
-            for _ in tqdm(range(left), desc="kill -9", unit="kill"):
+        with Rig(plan.work / "kill9", plan.options) as rig, Program(plan.log) as program:
+            for _ in range(left):
                 ledger.add("kill9", kill_once(plan, rig, program, root, len(ledger.read("kill9"))))
-            ledger.add("kill9_last", _finish(plan, rig, program, root))
+            ledger.add("kill9_last", finish(plan, rig, program, root))
     return _sum(ledger.read("kill9"), ledger.read("kill9_last")[-1])
 
 
@@ -93,7 +92,8 @@ def _load(root: Path) -> int:
     return count
 
 
-def _finish(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]:
+def finish(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]:
+    """Resume once more, record one episode, end in order."""
     rig.new_arm()
     before = _episodes(root)
     wanted = judged_episodes(root, before) + 1  # aborted ones don't count

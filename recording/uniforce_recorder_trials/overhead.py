@@ -60,7 +60,7 @@ def _read(plan: Plan) -> dict[str, Any]:
 def _recorder(plan: Plan, keep_raw: bool = True) -> dict[str, Any]:
     folder = plan.work / "overhead" / ("recorder" if keep_raw else "recorder_without_raw")
     root = folder / f"data{len(list(folder.glob('data*')))}"
-    with Rig(folder, plan.options) as rig, Program() as program:
+    with Rig(folder, plan.options) as rig, Program(plan.log) as program:
         argv = plan.argv(rig, root, episodes=1, episode_s=plan.overhead_s + 2 * SETTLE_s, keep_raw=keep_raw)
         with Session(program, argv) as session:
             session.wait_for(BEGUN, START_s * plan.patience)

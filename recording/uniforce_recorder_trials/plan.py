@@ -36,6 +36,11 @@ class Plan:
     seed: int = 0
 
     @property
+    def log(self) -> Path:
+        """Everything that sessions said."""
+        return self.work / "sessions.log"
+
+    @property
     def patience(self) -> float:
         """What waiting times are multiplied by."""
         return self.options.patience

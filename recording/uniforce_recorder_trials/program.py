@@ -1,7 +1,7 @@
 """``uniforce-record`` as a program that starts at once: imported here, forked for every session.
 
 ``python -m uniforce_recorder_trials.program FD``: FD is a socket; a line in is ``{"argv": […], "tty": PATH}``, lines
-out are ``{"ready": …}``, ``{"pid": …}`` and ``{"exit": …}``. A session runs on that terminal as its own session leader, so
+out are ``{"ready": …}``, ``{"pid": …}`` and ``{"exit": …}``. A session runs on that terminal as its own leader, so
 that Ctrl-C reaches it as it would a person's; it is the command itself, with one more teleoperator registered.
 """
 

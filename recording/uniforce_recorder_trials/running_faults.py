@@ -22,28 +22,54 @@ UNDER_WAY_s = (0.7, 1.3)  # into an episode, before it is broken
 REST_s = 0.6  # after it, before the arm's log is read
 NOTICE_s = 20.0  # a fault nobody has noticed by then never will be
 GARBAGE_s = 1.0  # how long an episode has to endure it
+SHORT_s = 3.0  # time limit of an episode that ends by itself
 UNWELL_s = 3.0  # then nobody gives up
 FAULT = 3  # exit code
 
 
 def attended(
-    name: str, fault: Breakage, plan: Plan, rig: Rig, program: Program, ledger: Ledger, times: int
+    faults: dict[str, Breakage],
+    plan: Plan,
+    rig: Rig,
+    program: Program,
+    ledger: Ledger,
+    root: Path,
+    times: int,
 ) -> None:
-    """Inject a fault until ``times`` findings are there; a person goes on after each, and quits in the end."""
-    root, rng = plan.work / "faults" / name, random.Random(f"{name}{plan.seed}")
-    settings = {"operator": "keys", "episodes": EPISODES, "episode_s": LONG_s}
-    with Session(program, plan.argv(rig, root, **settings)) as session:
-        at = 0
-        while len(ledger.read(name)) < times:
-            at = _begin(session, plan, at, fault.clears and at > 0)
-            time.sleep(rng.uniform(*UNDER_WAY_s))
-            at, finding = _break(session, fault, plan, rig, root, at)
-            ledger.add(name, finding)
-        session.wait_for(WAITING, START_s * plan.patience, at)
-        session.press("q")
-        code = session.wait_end(START_s * plan.patience)
+    """Inject each until ``times`` findings of it are there; a person goes on after each one, and quits in the end.
+
+    Args:
+        faults: by name.
+        plan: how patient to be.
+        rig: whole.
+        program: forks the session.
+        ledger: gets the findings, also that the session hung or died; it ends then, and can be begun again.
+        root: of the dataset; all faults go into one.
+        times: each.
+    """
+    with Session(
+        program, plan.argv(rig, root, operator="keys", episodes=EPISODES, episode_s=LONG_s)
+    ) as session:
+        at, clears = 0, False
+        for name, fault in faults.items():
+            while len(ledger.read(name)) < times:
+                try:
+                    at = _begin(session, plan, at, clears)
+                    at, found = _break(session, fault, plan, rig, root, at)
+                except TrialError as error:
+                    ledger.add(name, {"right_outcome": False, "message": str(error)})
+                    return
+                ledger.add(name, found)
+                clears = fault.clears
+        _quit(session, plan, at)
+
+
+def _quit(session: Session, plan: Plan, at: int) -> None:
+    session.wait_for(WAITING, START_s * plan.patience, at)
+    session.press("q")
+    code = session.wait_end(START_s * plan.patience)
     if code:
-        raise TrialError(f"{name}: the session ended with exit code {code} though a person quit it")
+        raise TrialError(f"the session ended with exit code {code} though a person quit it")
 
 
 def _begin(session: Session, plan: Plan, at: int, clears: bool) -> int:
@@ -66,45 +92,53 @@ def _begin(session: Session, plan: Plan, at: int, clears: bool) -> int:
 def _break(
     session: Session, fault: Breakage, plan: Plan, rig: Rig, root: Path, at: int
 ) -> tuple[int, dict[str, Any]]:
-    mark = rig.mark()
-    broken_s = time.monotonic()
+    time.sleep(random.uniform(*UNDER_WAY_s))
+    before = _taxel_counts(root)
+    mark, broken_s = rig.mark(), time.monotonic()
     fault.breaks(rig)
     if fault.goes_on:
         time.sleep(GARBAGE_s)
         session.press("y")
     at, said = session.wait_for(STORED, NOTICE_s * plan.patience, at)
     time.sleep(REST_s)
-    wire = rig.wire(mark)
+    held_s = None if fault.goes_on else hold_s(rig.wire(mark), broken_s)
     fault.mends(rig)
-    return at, finding(fault, plan, root, said, broken_s, None if fault.goes_on else hold_s(wire, broken_s))
+    found = finding(fault, root, said, broken_s, held_s)
+    if fault.goes_on:
+        after = _taxel_counts(root)
+        found |= {"bad_lines": after["bad"] - before["bad"], "scans_lost": after["lost"] - before["lost"]}
+        found["right_outcome"] = found["right_outcome"] and found["bad_lines"] > 0 and not found["scans_lost"]
+    return at, found
 
 
-def finding(
-    fault: Breakage, plan: Plan, root: Path, said: Line, broken_s: float, held_s: float | None
-) -> dict[str, Any]:
+def _taxel_counts(root: Path) -> dict[str, int]:
+    """Return what the newest card says of the patch: samples, lost, bad since the session began."""
+    if not (root / "meta" / "info.json").is_file():
+        return {"samples": 0, "lost": 0, "bad": 0}
+    counts: dict[str, int] = read_card(root, len(read_source(root).episodes) - 1)["sensors"]["tactile_right"]
+    return counts
+
+
+def finding(fault: Breakage, root: Path, said: Line, broken_s: float, held_s: float | None) -> dict[str, Any]:
     """Return what came of a fault, by the terminal, the dataset and the arm's own log."""
     label = said.text.removeprefix("stored ").partition(",")[0]
-    last = len(read_source(root).episodes) - 1
-    card = read_card(root, last)
+    card = read_card(root, len(read_source(root).episodes) - 1)
+    is_right = label in fault.labels and card["label"] == label and (fault.goes_on or held_s is not None)
     return {
         "label": label,
         "message": card["message"],
-        "right_outcome": label in fault.labels
-        and card["label"] == label
-        and (fault.goes_on or held_s is not None),
-        "named_exactly": label == fault.labels[0],
+        "right_outcome": is_right,
         "hold_s": None if held_s is None else round(held_s, 3),
         "stored_s": round(said.time_s - broken_s, 3),
-        "sensor": {name: card["sensors"]["tactile_right"][name] for name in ("samples", "lost", "bad")},
     }
 
 
-def unattended(name: str, fault: Breakage, plan: Plan, rig: Rig, program: Program, ledger: Ledger) -> None:
+def unattended(name: str, fault: Breakage, plan: Plan, rig: Rig, program: Program) -> dict[str, Any]:
     """Inject it once and leave it: nobody waits until the sensor is well, the exit code says that it wasn't."""
-    root = plan.work / "faults" / f"{name}_nobody"
+    root = plan.work / "faults" / f"{name}_nobody{time.time_ns()}"
+    limit_s = SHORT_s if fault.goes_on else LONG_s
     rig.new_arm()
-    argv = plan.argv(rig, root, episodes=1, episode_s=LONG_s, unwell_s=UNWELL_s)
-    with Session(program, argv) as session:
+    with Session(program, plan.argv(rig, root, episodes=1, episode_s=limit_s, unwell_s=UNWELL_s)) as session:
         at, _ = session.wait_for(BEGUN, (START_s + NOTICE_s) * plan.patience)
         time.sleep(UNDER_WAY_s[0])
         mark, broken_s = rig.mark(), time.monotonic()
@@ -112,8 +146,7 @@ def unattended(name: str, fault: Breakage, plan: Plan, rig: Rig, program: Progra
         _, said = session.wait_for(STORED, NOTICE_s * plan.patience, at)
         code = session.wait_end((START_s + UNWELL_s) * plan.patience)
         time.sleep(REST_s)
-        held_s = hold_s(rig.wire(mark), broken_s)
-    fault.mends(rig)
-    found = finding(fault, plan, root, said, broken_s, held_s)
-    right = found["right_outcome"] and code == FAULT
-    ledger.add(name, found | {"right_outcome": right, "exit_code": code})
+        held_s = None if fault.goes_on else hold_s(rig.wire(mark), broken_s)
+    found = finding(fault, root, said, broken_s, held_s)
+    wanted = 0 if fault.goes_on else FAULT
+    return found | {"right_outcome": found["right_outcome"] and code == wanted, "exit_code": code}

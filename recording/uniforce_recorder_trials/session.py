@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -137,16 +138,23 @@ class Session:
                 return
             *whole, pending = (pending + chunk.decode(errors="replace")).split("\n")
             now_s = time.monotonic()
+            lines = [Line(now_s, text.rpartition(OVERWRITE)[2].strip("\r")) for text in whole]
+            self._program.write_down(lines)
             with self._new:
-                for text in whole:
-                    self._lines.append(Line(now_s, text.rpartition(OVERWRITE)[2].strip("\r")))
+                self._lines += lines
                 self._new.notify_all()
 
 
 class Program:
-    """The warm program that sessions are forked from; one session at a time."""
+    """The warm program that sessions are forked from; one session at a time.
 
-    def __init__(self) -> None:
+    Args:
+        log: file that everything they say is added to.
+    """
+
+    def __init__(self, log: Path) -> None:
+        log.parent.mkdir(parents=True, exist_ok=True)
+        self._log = log.open("a")
         ours, theirs = socket.socketpair()
         command = [
             sys.executable,
@@ -186,8 +194,14 @@ class Program:
                 return None
         return self._exit
 
+    def write_down(self, lines: list[Line]) -> None:
+        """Keep what a session said."""
+        self._log.writelines(f"{line.time_s:.3f} {line.text}\n" for line in lines)
+        self._log.flush()
+
     def close(self) -> None:
         """End it."""
+        self._log.close()
         self._wire.close()
         self._socket.close()
         self._process.wait(END_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import json
 import logging
 import shutil
@@ -60,7 +61,7 @@ def try_recorder(config: TrialsConfig) -> dict[str, Any]:
     work = Path(config.work)
     if config.fresh:
         shutil.rmtree(work, ignore_errors=True)
-    plan, ledger, out = _plan(config), Ledger(work / "found"), Path(config.out)
+    plan, ledger, out = _plan(config), Ledger(work / "found", _show), Path(config.out)
     for name, part in chosen.items():
         print(f"recorder_trials: {name}")
         result = json.loads(out.read_text()) if out.is_file() else {}
@@ -104,6 +105,12 @@ def _settings(config: TrialsConfig) -> dict[str, Any]:
     return {
         key: value for key, value in dataclasses.asdict(config).items() if key not in ("work", "out", "fresh")
     }
+
+
+def _show(name: str, number: int, finding: dict[str, Any]) -> None:
+    wanted = ("right_outcome", "label", "hold_s", "exit_code", "moment", "victim", "saved_lost")
+    said = ", ".join(f"{key} {finding[key]}" for key in wanted if key in finding)
+    print(f"  {datetime.datetime.now():%H:%M:%S} {name} {number}: {said or 'done'}", flush=True)
 
 
 def main(argv: list[str] | None = None) -> int:
