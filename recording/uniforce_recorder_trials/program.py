@@ -7,6 +7,7 @@ that Ctrl-C reaches it as it would a person's; it is the command itself, with on
 
 from __future__ import annotations
 
+import importlib
 import json
 import logging
 import os
@@ -17,6 +18,13 @@ from pathlib import Path
 
 from uniforce_vtla.errors import ContractError, expected
 
+LOADED = (
+    "uniforce_recorder_trials.circle",  # registers its teleoperator
+    "uniforce_recording.assemble",
+    "uniforce_recording.build",
+    "uniforce_recording.robot_rig",
+    "uniforce_vtla.commands.record",
+)
 ARROWS_THREAD = "jemalloc_bg_thd"  # pyarrow's allocator starts it at import and itself looks after forks
 
 
@@ -44,8 +52,8 @@ def _say(wire: object, **words: int) -> None:
 
 def _import_all() -> None:
     """Load what every session loads; no thread may run when it is forked."""
-    import uniforce_vtla.commands.record  # noqa: F401
-
+    for module in LOADED:
+        importlib.import_module(module)
     names = [(task / "comm").read_text().strip() for task in Path("/proc/self/task").iterdir()]
     own = [name for name in names[1:] if name != ARROWS_THREAD]
     if own:
@@ -58,9 +66,7 @@ def record_on(tty: str, argv: list[str]) -> int:
     from uniforce_vtla.commands.record import main as record
 
     os.setsid()
-    terminal = os.open(
-        tty, os.O_RDWR
-    )  # the first one a session leader opens becomes its controlling terminal
+    terminal = os.open(tty, os.O_RDWR)  # a session leader's first one becomes its controlling terminal
     for standard in (0, 1, 2):
         os.dup2(terminal, standard)
     os.closerange(3, 1024)  # the orders' socket too: a session that is killed may leave nobody listening

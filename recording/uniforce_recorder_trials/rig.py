@@ -18,7 +18,7 @@ from uniforce_standins.process import StandIn
 
 _numbers = itertools.count(2)
 SCENE_CYCLE = ("rest_s=1", "press_s=1")
-FINGER_CYCLE = ("rest_s=2", "press_s=1")  # free air is what a reference needs, and 0.4 s of it
+FREE_FRAMES = 60  # between two presses; a reference is taken from 10 in a row
 CAMERAS = {"front": "gelsight", "wrist": "tactip"}  # any moving 640×480 picture will do
 
 
@@ -64,12 +64,13 @@ class Rig:
 
     def _start(self) -> None:
         start, rate = self._closing.enter_context, f"rate_hz={self.options.fps}"
+        cycle = (f"rest_s={FREE_FRAMES / self.options.fps}", "press_s=1")
         self.cameras = {
             name: start(StandIn("mjpeg", f"sensor={sensor}", rate, f"seed={seed}", *SCENE_CYCLE))
             for seed, (name, sensor) in enumerate(CAMERAS.items())
         }
-        self.gelsight = start(StandIn("mjpeg", "sensor=gelsight", "seed=5", rate, *FINGER_CYCLE))
-        self.uskin = start(StandIn("slcan", f"rate_hz={self.options.uskin_hz}", *FINGER_CYCLE))
+        self.gelsight = start(StandIn("mjpeg", "sensor=gelsight", "seed=5", rate, *cycle))
+        self.uskin = start(StandIn("slcan", f"rate_hz={self.options.uskin_hz}", *cycle))
         self.arm = self.new_arm()
 
     def new_arm(self, *flags: str) -> ArmStandIn:
