@@ -165,12 +165,15 @@ class UniforceUskinConfig(TactileFingerConfig):
 class UniforceSceneCameraConfig(SampledCameraConfig):
     """A camera that looks at the scene: like LeRobot's ``opencv``, but stamped, reopened, and refused once frozen.
 
-    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 640, "height": 480}``
+    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 224, "height": 224,
+    "capture_width": 640, "capture_height": 480}``
     """
 
     source: str = ""  # device number, /dev/v4l/by-path/… or http://…
-    width: int | None = 640  # px
+    width: int | None = 640  # px delivered; the middle of what was captured, in this shape, made smaller
     height: int | None = 480
+    capture_width: int | None = None  # px asked of the camera; null = as delivered
+    capture_height: int | None = None
     fourcc: str | None = "MJPG"  # null leaves the camera's own
     exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
     white_balance_K: float | None = None  # locked; null leaves the automatic
@@ -193,6 +196,7 @@ class UniforceSceneCameraConfig(SampledCameraConfig):
         """What is asked of the camera; its frames are turned after that."""
         sideways = self.rotation_deg in (90, 270)
         width, height = (self.height, self.width) if sideways else (self.width, self.height)
+        width, height = self.capture_width or width, self.capture_height or height
         return CaptureSettings(
             self.fourcc, width, height, self.fps, self.exposure_100us, self.white_balance_K, self.gain
         )

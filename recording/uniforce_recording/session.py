@@ -193,10 +193,12 @@ class RecordingSession:
     # --- judging and storing -----------------------------------------------------------------------------------------
 
     def _judge(self, ending: Ending) -> Ending:
-        """Let an episode that ended by itself be judged: by the rig if it knows, else by the operator."""
-        if ending.how != "open":
+        """Let the rig judge if it knows better than a person; else ask the operator where it isn't said yet."""
+        if ending.how not in ("open", "judged"):
             return ending
         verdict = self._parts.rig.verdict()
+        if verdict is None and ending.how == "judged":
+            return ending
         if verdict is not None:
             return replace(ending, how="judged", outcome=verdict.outcome, clean=verdict.clean)
         if self._parts.operator.is_attended:

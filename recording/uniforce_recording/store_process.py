@@ -49,12 +49,12 @@ class Standing:
 class StoreProcess:
     """A ``Store`` whose work is done elsewhere. An error of ``add`` shows at a later call, at the latest at ``save``.
 
+    The child starts in the background; the first question waits until it is ready, and raises what kept it from it.
+
     Args:
         facts: of the rig.
         settings: where to.
 
-    Raises:
-        DatasetError: as ``EpisodeRecorder``, or the process doesn't start.
     """
 
     def __init__(self, facts: RigFacts, settings: StoreSettings) -> None:
@@ -65,14 +65,13 @@ class StoreProcess:
         self._free: deque[int] = deque(range(SLOTS))
         self._sent: dict[str, Any] = {}  # reference arrays the child has
         self._frames = 0
-        self._standing = Standing(0, 0)
+        self._standing: Standing | None = None  # until the child is ready
         self._pipe, other = context.Pipe()
         self._process = context.Process(
             target=serve, args=(other, self._slots, facts, settings), name="store", daemon=True
         )
         self._process.start()
         other.close()
-        self._await("standing", START_s)
 
     @property
     def pid(self) -> int:
@@ -82,12 +81,12 @@ class StoreProcess:
     @property
     def num_episodes(self) -> int:
         """Saved episodes."""
-        return self._standing.episodes
+        return self._known().episodes
 
     @property
     def total_frames(self) -> int:
         """Frames of all saved episodes."""
-        return self._standing.frames
+        return self._known().frames
 
     @property
     def num_frames(self) -> int:
@@ -108,6 +107,7 @@ class StoreProcess:
             DroppedFrameError: the child is a second behind.
             DatasetError, ContractError: an earlier row could not be stored.
         """
+        self._known()
         known = {key for key in REFERENCES if self._sent.get(key) is frame[key]}
         slot = self._take_slot()
         self._slots.write(slot, frame, raw or {}, known)
@@ -135,7 +135,10 @@ class StoreProcess:
         self._await("standing", ANSWER_s, forgive=True)
 
     def close(self) -> None:
-        """Let the child finish and end."""
+        """Let the child finish and end; one that isn't ready yet has nothing to finish."""
+        if self._standing is None:
+            self._process.kill()
+            self._process.join()
         if self._process.exitcode is None:
             try:
                 self._send("close")
@@ -153,6 +156,17 @@ class StoreProcess:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _known(self) -> Standing:
+        """Return how much is stored.
+
+        Raises:
+            DatasetError: as ``EpisodeRecorder`` when it is made, or the child doesn't start.
+        """
+        if self._standing is None:
+            self._await("standing", START_s)
+        assert self._standing is not None  # or _await has raised
+        return self._standing
 
     # --- the pipe ----------------------------------------------------------------------------------------------------
 

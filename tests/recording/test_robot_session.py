@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from recording_fakes import FakeRig, Sway
 
+from lerobot_camera_uniforce.faults import WrongSensorError
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.raw_video import raw_path
@@ -284,3 +285,13 @@ def test_the_whole_through_the_storing_process(fake: FakeRig, tmp_path: Path) ->
     end = go(fake, tmp_path / "data", Nobody("success"), own_process=True)
     assert end.exit_code == 0 and labels(tmp_path / "data")[-1] == "success"
     assert open_dataset(tmp_path / "data").num_episodes >= 1
+
+
+def test_another_sensor_than_configured_is_refused_before_anything_moves(
+    fake: FakeRig, tmp_path: Path
+) -> None:
+    captures = fake.captures
+    captures["tactile_left"], captures["tactile_right"] = captures["tactile_right"], captures["tactile_left"]
+    with pytest.raises(WrongSensorError, match="Another sensor answers"):
+        go(fake, tmp_path / "data", Nobody("success"))
+    assert not fake.arm.targets and not fake.robot.is_connected

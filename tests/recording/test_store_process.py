@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -107,5 +108,12 @@ def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(
 def test_what_is_wrong_at_the_start_is_told(tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("mine")
-    with pytest.raises(DatasetError, match="empty folder"):
-        StoreProcess(FACTS, StoreSettings(tmp_path / "full", "local/test"))
+    settings = StoreSettings(tmp_path / "full", "local/test")
+    with StoreProcess(FACTS, settings) as store, pytest.raises(DatasetError, match="empty folder"):
+        assert store.num_episodes
+
+
+def test_one_that_is_not_ready_ends_at_once(tmp_path: Path) -> None:
+    begun = time.monotonic()
+    StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test")).close()
+    assert time.monotonic() - begun < 5.0, "it didn't wait for imports"
