@@ -28,8 +28,9 @@ from uniforce_vtla.keys import STAMPS
 COULD_NOT_START, FAULT, DISK_FULL, INTERRUPTED = 2, 3, 4, 130
 GONE = ("aborted:robot_connection", "aborted:robot_stale", "aborted:robot_ended")
 TWICE_s = (0.02, 0.6)  # between the two Ctrl-C
-DISK_MB, RESERVE_MB, LEFT_MB = 400, 100, 60  # of the small disk; kept free; left free by what fills it up
-SHORT_s = 1.5
+DISK_MB, RESERVE_MB, LEFT_MB = 250, 50, 30  # of the small disk; kept free; left free by what fills it up
+SHORT_s = 1.5  # time limit of an episode that ends by itself
+FEW_s = 10.0  # of one that fits on the small disk
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def disk_full_guard(bench: Bench) -> dict[str, Any]:
     """Somebody else fills the disk up below the reserve: the next tick stops, and the episode still fits."""
     with SmallDisk(bench.root, DISK_MB) as disk:
         bench.rig.new_arm()
-        settings = {"episodes": 1, "episode_s": LONG_s, "reserve_MB": disk.reserve_MB(RESERVE_MB)}
+        settings = {"episodes": 1, "episode_s": FEW_s, "reserve_MB": disk.reserve_MB(RESERVE_MB)}
         with bench.session(**settings) as session:
             bench.into_an_episode(session)
             mark, full_s = bench.rig.mark(), time.monotonic()

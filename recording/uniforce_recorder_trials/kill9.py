@@ -61,7 +61,7 @@ def kill_once(plan: Plan, rig: Rig, program: Program, root: Path, number: int) -
         code = session.wait_end(WAIT_s * plan.patience)
         _, alive = psutil.wait_procs(family, WAIT_s * plan.patience)
         said = len(session.said(STORED))
-    has = _load(root)
+    has = _load(root, before)
     return {
         "moment": moment,
         "victim": victim,
@@ -84,11 +84,11 @@ def _episodes(root: Path) -> int:
     return len(check_dataset(root).episodes) if (root / "meta" / "info.json").is_file() else 0
 
 
-def _load(root: Path) -> int:
-    """Read every episode with our own checks and with LeRobot's own class; return how many there are."""
+def _load(root: Path, first: int = 0) -> int:
+    """Check all episodes, read those from a number on with LeRobot's own class; return how many there are."""
     count = _episodes(root)
     if count:
-        load_in_stock_lerobot(root)
+        load_in_stock_lerobot(root, first)
     return count
 
 

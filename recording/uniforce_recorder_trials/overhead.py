@@ -13,7 +13,7 @@ import numpy as np
 
 from uniforce_datasets.source import read_source
 from uniforce_recorder_trials.cpu import CpuMeter, machine_facts
-from uniforce_recorder_trials.end_to_end import BEGUN, START_s, lateness_ms
+from uniforce_recorder_trials.end_to_end import BEGUN, START_s, lateness_ms, observe_p95_ms
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.plan import Plan
 from uniforce_recorder_trials.rig import Rig
@@ -83,10 +83,9 @@ def _beat(root: Any) -> dict[str, Any]:
     source = read_source(root)
     stamps_s = source.columns((STAMPS,))[STAMPS]
     late_ms, missed = lateness_ms(stamps_s[:, 0], source.fps)
-    took_ms = 1e3 * (stamps_s[:, 1] - stamps_s[:, 0])
     return {
         "frames": source.num_frames,
-        "observation_with_images_p95_ms": round(float(np.percentile(took_ms, 95)), 2),
+        "observation_with_images_p95_ms": round(observe_p95_ms(stamps_s), 2),
         "tick_jitter_p99_ms": round(float(np.percentile(late_ms, 99)), 3),
         "ticks_missed": missed,
     }

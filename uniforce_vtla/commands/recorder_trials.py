@@ -7,6 +7,7 @@ import datetime
 import json
 import logging
 import shutil
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,6 +118,7 @@ def main(argv: list[str] | None = None) -> int:
     """Entry of ``uniforce-recorder-trials``; 0 where every bar asked about is met, 1 where one isn't."""
     config = parse(TrialsConfig, argv)
     logging.basicConfig(level=logging.WARNING)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # stand-ins and sessions are ended too
     try:
         result = try_recorder(config)
     except UniForceError as error:
