@@ -20,6 +20,7 @@ from uniforce_recorder_trials.plan import Plan
 from uniforce_recorder_trials.rig import Rig
 from uniforce_recorder_trials.session import Line, Program, Session, TrialError
 from uniforce_recording.assemble import judged_episodes
+from uniforce_vtla.errors import expected
 from uniforce_vtla.keys import STAMPS
 
 log = logging.getLogger(__name__)
@@ -44,9 +45,8 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
                     break
                 rig.new_arm()
     if _judged(root) < plan.episodes:
-        raise TrialError(
-            f"end to end: {_judged(root)} of {plan.episodes} episodes after {SESSIONS} sessions; see {plan.log}"
-        )
+        came = f"{_judged(root)} after {SESSIONS} sessions"
+        raise TrialError(expected("end to end", f"{plan.episodes} episodes", came, f"See {plan.log}."))
     sessions = ledger.read("end_to_end")
     found = rate_and_jitter(root, sessions) | {
         "sessions": len(sessions),

@@ -44,7 +44,9 @@ def _uskin(fault: str) -> Hand:
 MEND_CAMERA, MEND_USKIN = _camera("none"), _uskin("none")
 BREAKAGES: dict[str, Breakage] = {
     "camera_stops": Breakage(_camera("stop"), MEND_CAMERA, ("aborted:lost_camera", "aborted:stale_camera")),
-    "camera_goes_silent": Breakage(_camera("stall"), MEND_CAMERA, ("aborted:stale_camera",)),
+    "camera_goes_silent": Breakage(
+        _camera("stall"), MEND_CAMERA, ("aborted:stale_camera", "aborted:lost_camera")
+    ),
     "camera_freezes": Breakage(_camera("freeze"), MEND_CAMERA, ("aborted:frozen_camera",)),
     "uskin_garbage": Breakage(_uskin("garbage"), MEND_USKIN, (GOES_ON,)),  # between whole scans: none is lost
     "uskin_stalls": Breakage(_uskin("stall"), MEND_USKIN, ("aborted:stale_touch",)),

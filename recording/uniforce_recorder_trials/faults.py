@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import shutil
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from uniforce_recorder_trials.ending_faults import ENDINGS, Bench
@@ -41,14 +42,14 @@ def _break_devices(
             fault.mends(rig)
     for name, fault in faults.items():
         while len(ledger.read(name)) < plan.times:
-            _noted(name, ledger, lambda name=name, fault=fault: unattended(name, fault, plan, rig, program))
+            _noted(name, ledger, partial(unattended, name, fault, plan, rig, program))
             fault.mends(rig)
 
 
 def _end_sessions(name: str, plan: Plan, ledger: Ledger, rig: Rig, program: Program) -> None:
     while (done := len(ledger.read(name))) < plan.times:
         bench = bench_of(name, done, plan, rig, program)
-        _noted(name, ledger, lambda bench=bench: ENDINGS[name](bench))
+        _noted(name, ledger, partial(ENDINGS[name], bench))
 
 
 def bench_of(name: str, number: int, plan: Plan, rig: Rig, program: Program) -> Bench:
