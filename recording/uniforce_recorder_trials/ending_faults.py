@@ -22,7 +22,7 @@ from uniforce_recorder_trials.rig import Rig
 from uniforce_recorder_trials.running_faults import NOTICE_s, REST_s, UNDER_WAY_s
 from uniforce_recorder_trials.session import Program, Session
 from uniforce_recorder_trials.small_disk import SmallDisk
-from uniforce_recorder_trials.stillness import hold_s
+from uniforce_recorder_trials.stillness import arm_clock, find_hold
 from uniforce_vtla.keys import STAMPS
 
 COULD_NOT_START, FAULT, DISK_FULL, INTERRUPTED = 2, 3, 4, 130
@@ -69,7 +69,7 @@ def server_death(bench: Bench) -> dict[str, Any]:
     card = _last_card(bench.root)
     held_s = _held_at(bench.root, card) - died
     right = code == FAULT and card["label"] in GONE
-    return _found(right, code, held_s, card["label"], card["message"])
+    return _found(right, code, card["label"], card["message"]) | {"hold_s": round(held_s, 3)}
 
 
 def mute_at_connect(bench: Bench) -> dict[str, Any]:
@@ -92,10 +92,11 @@ def disk_full_guard(bench: Bench) -> dict[str, Any]:
             mark, full_s = bench.rig.mark(), time.monotonic()
             disk.fill(LEFT_MB, RESERVE_MB)
             code = bench.end_of(session)
-            held_s = _rest(bench.rig, mark, full_s)
+            held = _rest(bench.rig, mark, full_s)
         card = _last_card(bench.root)
-        right = code == DISK_FULL and card["label"] == "aborted:disk_full" and held_s is not None
-        return _found(right, code, held_s, card["label"], card["message"]) | {"disk": disk.kind}
+        right = code == DISK_FULL and card["label"] == "aborted:disk_full" and "hold_s" in held
+        said = _found(right, code, card["label"], card["message"])
+        return said | held | {"disk": disk.kind}
 
 
 def disk_full_for_real(bench: Bench) -> dict[str, Any]:
@@ -111,9 +112,7 @@ def disk_full_for_real(bench: Bench) -> dict[str, Any]:
             code = bench.end_of(session)
             said = [line.text for line in session.lines[at:] if "stored" in line.text]
         saved = len(check_dataset(bench.root).episodes)
-        return _found(code == DISK_FULL and saved >= 1, code, None, said[-1] if said else "", "") | {
-            "saved": saved
-        }
+        return _found(code == DISK_FULL and saved >= 1, code, said[-1] if said else "", "") | {"saved": saved}
 
 
 def ctrl_c_twice(bench: Bench) -> dict[str, Any]:
@@ -127,11 +126,11 @@ def ctrl_c_twice(bench: Bench) -> dict[str, Any]:
         session.press("\x03")
         code = bench.end_of(session)
         last = session.lines[-1].text if session.lines else ""
-    held_s = _rest(bench.rig, mark, first_s)
+    held = _rest(bench.rig, mark, first_s)
     is_stored = (bench.root / "meta" / "info.json").is_file() and check_dataset(bench.root).episodes
     label = _last_card(bench.root)["label"] if is_stored else "not stored"
-    right = code == INTERRUPTED and label in ("aborted:interrupt", "not stored") and held_s is not None
-    return _found(right, code, held_s, label, last)
+    right = code == INTERRUPTED and label in ("aborted:interrupt", "not stored") and "hold_s" in held
+    return _found(right, code, label, last) | held
 
 
 ENDINGS: dict[str, Callable[[Bench], dict[str, Any]]] = {
@@ -153,22 +152,25 @@ def _refused(bench: Bench, flags: tuple[str, ...], says: str) -> dict[str, Any]:
         named = session.said(says)
     took_s = told[-1].time_s - loaded[0].time_s if told and loaded else None
     right = code == COULD_NOT_START and bool(named) and took_s is not None
-    return _found(right, code, took_s, "no episode", told[-1].text if told else "")
+    took = {} if took_s is None else {"hold_s": round(took_s, 3)}
+    return _found(right, code, "no episode", told[-1].text if told else "") | took
 
 
-def _found(right: bool, code: int, held_s: float | None, label: str, message: str) -> dict[str, Any]:
+def _found(right: bool, code: int, label: str, message: str) -> dict[str, Any]:
     return {
         "right_outcome": right,
         "exit_code": code,
-        "hold_s": None if held_s is None else round(held_s, 3),
         "label": label,
         "message": message,
     }
 
 
-def _rest(rig: Rig, mark: int, fault_s: float) -> float | None:
+def _rest(rig: Rig, mark: int, fault_s: float) -> dict[str, Any]:
+    """Return when the arm was held and came to rest, and how well its own clock ran."""
     time.sleep(REST_s)
-    return hold_s(rig.wire(mark), fault_s)
+    wire = rig.wire(mark)
+    hold = find_hold(wire, fault_s)
+    return {"arm_clock": arm_clock(wire), **(hold.as_dict() if hold else {})}
 
 
 def _last_card(root: Path) -> dict[str, Any]:

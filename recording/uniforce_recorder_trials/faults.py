@@ -69,14 +69,20 @@ def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> No
 
 def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:
     """Return counts and the worst of a fault's findings."""
-    holds_s = [finding["hold_s"] for finding in findings if finding.get("hold_s") is not None]
+    holds_s, rests_s, clocks = (_all(findings, key) for key in ("hold_s", "rest_s", "arm_clock"))
     labels = sorted({finding["label"] for finding in findings if "label" in finding})
     codes = sorted({finding["exit_code"] for finding in findings if "exit_code" in finding})
     return {
         "trials": len(findings),
         "right_outcome": sum(bool(finding["right_outcome"]) for finding in findings),
-        "worst_hold_s": max(holds_s) if holds_s else None,
+        "worst_hold_s": max(holds_s, default=None),
+        "worst_rest_s": max(rests_s, default=None),
+        "slowest_arm_clock": min(clocks, default=None),
         "labels": labels,
         "exit_codes": codes,
         "example": next((f["message"] for f in findings if f.get("message")), ""),
     }
+
+
+def _all(findings: list[dict[str, Any]], key: str) -> list[float]:
+    return [finding[key] for finding in findings if finding.get(key) is not None]

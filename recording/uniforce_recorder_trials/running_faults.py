@@ -15,7 +15,7 @@ from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.plan import EPISODES, LONG_s, Plan
 from uniforce_recorder_trials.rig import Rig
 from uniforce_recorder_trials.session import Line, Program, Session, TrialError
-from uniforce_recorder_trials.stillness import hold_s
+from uniforce_recorder_trials.stillness import arm_clock, find_hold
 
 WAITING, STORED, REFUSED = r"is next: ", r"^(not )?stored", r"^can't begin"
 UNDER_WAY_s = (0.7, 1.3)  # into an episode, before it is broken
@@ -101,9 +101,8 @@ def _break(
         session.press("y")
     at, said = session.wait_for(STORED, NOTICE_s * plan.patience, at)
     time.sleep(REST_s)
-    held_s = None if fault.goes_on else hold_s(rig.wire(mark), broken_s)
+    found = finding(fault, root, said, broken_s, rig.wire(mark))
     fault.mends(rig)
-    found = finding(fault, root, said, broken_s, held_s)
     if fault.goes_on:
         after = _taxel_counts(root)
         found |= {"bad_lines": after["bad"] - before["bad"], "scans_lost": after["lost"] - before["lost"]}
@@ -119,17 +118,19 @@ def _taxel_counts(root: Path) -> dict[str, int]:
     return counts
 
 
-def finding(fault: Breakage, root: Path, said: Line, broken_s: float, held_s: float | None) -> dict[str, Any]:
+def finding(fault: Breakage, root: Path, said: Line, broken_s: float, wire: list[dict]) -> dict[str, Any]:
     """Return what came of a fault, by the terminal, the dataset and the arm's own log."""
     label = said.text.removeprefix("stored ").partition(",")[0]
     card = read_card(root, len(read_source(root).episodes) - 1)
-    is_right = label in fault.labels and card["label"] == label and (fault.goes_on or held_s is not None)
+    hold = None if fault.goes_on else find_hold(wire, broken_s)
+    is_right = label in fault.labels and card["label"] == label and (fault.goes_on or hold is not None)
     return {
         "label": label,
         "message": card["message"],
         "right_outcome": is_right,
-        "hold_s": None if held_s is None else round(held_s, 3),
+        "arm_clock": arm_clock(wire),
         "stored_s": round(said.time_s - broken_s, 3),
+        **(hold.as_dict() if hold else {}),
     }
 
 
@@ -146,7 +147,6 @@ def unattended(name: str, fault: Breakage, plan: Plan, rig: Rig, program: Progra
         _, said = session.wait_for(STORED, NOTICE_s * plan.patience, at)
         code = session.wait_end((START_s + UNWELL_s) * plan.patience)
         time.sleep(REST_s)
-        held_s = None if fault.goes_on else hold_s(rig.wire(mark), broken_s)
-    found = finding(fault, root, said, broken_s, held_s)
+        found = finding(fault, root, said, broken_s, rig.wire(mark))
     wanted = 0 if fault.goes_on else FAULT
     return found | {"right_outcome": found["right_outcome"] and code == wanted, "exit_code": code}

@@ -16,7 +16,7 @@ from uniforce_recorder_trials.faults import summary
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.session import Line
 from uniforce_recorder_trials.small_disk import MB, SmallDisk
-from uniforce_recorder_trials.stillness import hold_s
+from uniforce_recorder_trials.stillness import Hold, arm_clock, find_hold
 from uniforce_recorder_trials.verdict import bars
 from uniforce_recording.disk_guard import free_bytes
 from uniforce_recording.ticker import Ticker
@@ -28,19 +28,33 @@ def wire(stops_s: float, until_s: float = 3.0) -> list[dict]:
     for time_s in np.arange(0, until_s, 1e-3):
         angle = math.pi * min(time_s, stops_s)
         position = [0.3 + 0.02 * math.cos(angle), 0.02 * math.sin(angle), 0.4]
-        lines.append({"what": "state", "time_s": float(time_s), "position_m": position})
+        number = round(500 * time_s)  # its clock runs at half the speed
+        lines.append({"what": "state", "id": number, "time_s": float(time_s), "position_m": position})
     return lines
 
 
-def test_the_hold_is_when_the_arm_stayed_where_it_was() -> None:
-    assert hold_s(wire(stops_s=1.4), fault_s=1.0) == pytest.approx(0.4, abs=0.02)
-    assert hold_s(wire(stops_s=0.5), fault_s=1.0) == 0.0
+def test_the_hold_is_when_the_arm_began_to_brake_for_good() -> None:
+    hold = find_hold(wire(stops_s=1.4), fault_s=1.0)
+    assert hold is not None
+    assert hold.held_s == pytest.approx(0.4, abs=0.03) and hold.rest_s == pytest.approx(0.4, abs=0.03)
+    assert find_hold(wire(stops_s=0.5), fault_s=1.0) == Hold(0.0, 0.0)
+    assert arm_clock(wire(stops_s=0.5)) == pytest.approx(0.5, abs=0.01)
+
+
+def test_braking_is_no_more_following() -> None:
+    lines = wire(stops_s=1.4)
+    end, slide = np.array(lines[-1]["position_m"]), np.array([0, 0.006, 0])
+    for line in lines:
+        if line["time_s"] >= 1.4:  # slides on, 6 mm in all, as a soft spring lets it
+            line["position_m"] = (end + slide * (1 - math.exp((1.4 - line["time_s"]) / 0.1))).tolist()
+    hold = find_hold(lines, fault_s=1.0)
+    assert hold is not None and hold.held_s < 0.5 and 0.55 < hold.rest_s < 0.65
 
 
 def test_an_arm_that_goes_on_was_not_held() -> None:
-    assert hold_s(wire(stops_s=9.0), fault_s=1.0) is None
-    assert hold_s(wire(stops_s=2.9), fault_s=1.0) is None, "0.1 s of rest proves nothing"
-    assert hold_s([], fault_s=1.0) is None
+    assert find_hold(wire(stops_s=9.0), fault_s=1.0) is None
+    assert find_hold(wire(stops_s=2.9), fault_s=1.0) is None, "0.1 s of rest proves nothing"
+    assert find_hold([], fault_s=1.0) is None
 
 
 def test_stored_times_tell_what_the_ticker_counted() -> None:
