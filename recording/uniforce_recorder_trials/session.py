@@ -169,7 +169,7 @@ class Program:
             env=os.environ | ONE_THREAD | {"PYTHONPATH": paths, "HF_HUB_OFFLINE": "1"},
         )
         theirs.close()
-        self._socket, self._wire = ours, ours.makefile("rw")
+        self._socket = ours
         self._exit: int | None = 0
         self._pending = b""
         self._hear("ready", LOAD_s)
@@ -202,8 +202,8 @@ class Program:
     def close(self) -> None:
         """End it."""
         self._log.close()
-        self._wire.close()
         self._socket.close()
+        self._process.terminate()  # it holds nothing; a big program's own end takes long
         self._process.wait(END_s)
 
     def __enter__(self) -> Program:
