@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from uniforce_vtla.errors import expected
 from uniforce_vtla.keys import STAMPS
 
 log = logging.getLogger(__name__)
-BEGUN, OVER = r"^episode \d+/\d+: ", r"^over: "
+BEGUN = r"^episode \d+/\d+: "
 START_s = 120.0
 SESSIONS = 5  # on a machine that starves it a session may end before its time
 EPISODE_MAX = 4.0  # times its length: waiting for references and storing included
@@ -76,7 +77,7 @@ def record(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]
         except TrialError as error:
             log.warning("%s", error)  # what it stored counts, and the exit code tells
         code = session.wait_end(START_s * plan.patience)
-        spans_s = spans(session.lines)
+        spans_s = spans(session.lines, plan.episode_s)
     beat_s, late_ms = idle.stop()
     recorded = np.any([(beat_s >= a) & (beat_s <= b) for a, b in [*spans_s, (0.0, 0.0)]], axis=0)
     return {
@@ -98,11 +99,9 @@ def _who(session: Session, rig: Rig, idle: IdleLoop) -> dict[str, list[psutil.Pr
     }
 
 
-def spans(lines: list[Line]) -> list[tuple[float, float]]:
+def spans(lines: list[Line], episode_s: float) -> list[tuple[float, float]]:
     """Return when each episode began and was over."""
-    begun_s = [line.time_s for line in lines if line.text.startswith("episode ")]
-    over_s = [line.time_s for line in lines if line.text.startswith(("over: ", "stored aborted"))]
-    return list(zip(begun_s, over_s, strict=False))
+    return [(line.time_s, line.time_s + episode_s) for line in lines if re.search(BEGUN, line.text)]
 
 
 def rate_and_jitter(root: Path, sessions: list[dict[str, Any]]) -> dict[str, Any]:

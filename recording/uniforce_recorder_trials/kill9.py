@@ -11,7 +11,7 @@ from typing import Any
 import psutil
 
 from uniforce_datasets.lossless import check_dataset
-from uniforce_recorder_trials.end_to_end import BEGUN, OVER, START_s
+from uniforce_recorder_trials.end_to_end import BEGUN, START_s
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.loading import load_in_stock_lerobot
 from uniforce_recorder_trials.plan import EPISODES, Plan
@@ -54,7 +54,7 @@ def kill_once(plan: Plan, rig: Rig, program: Program, root: Path, number: int) -
     with Session(program, plan.argv(rig, root, **settings)) as session:
         at, _ = session.wait_for(STORED, (START_s + WAIT_s) * plan.patience)
         if moment != "between":
-            at, _ = session.wait_for(AFTER[moment], WAIT_s * plan.patience, at + 1)
+            at, _ = session.wait_for(BEGUN, WAIT_s * plan.patience, at + 1)
         time.sleep(rng.uniform(*RANDOM_s[moment]))
         family = session.processes()
         _kill(family, victim)
