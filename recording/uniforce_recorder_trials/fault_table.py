@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from uniforce_recorder_trials.rig import Rig
 
 Hand = Callable[[Rig], object]
-GOES_ON = "success"  # the label of an episode that no fault ended
 
 
 @dataclass(frozen=True)
@@ -27,11 +26,6 @@ class Breakage:
     labels: tuple[str, ...]
     clears: bool = False
 
-    @property
-    def goes_on(self) -> bool:
-        """Whether the episode has to survive it."""
-        return self.labels == (GOES_ON,)
-
 
 def _camera(fault: str) -> Hand:
     return lambda rig: rig.cameras["front"].inject(fault)
@@ -48,7 +42,7 @@ BREAKAGES: dict[str, Breakage] = {
         _camera("stall"), MEND_CAMERA, ("aborted:stale_camera", "aborted:lost_camera")
     ),
     "camera_freezes": Breakage(_camera("freeze"), MEND_CAMERA, ("aborted:frozen_camera",)),
-    "uskin_garbage": Breakage(_uskin("garbage"), MEND_USKIN, (GOES_ON,)),  # between whole scans: none is lost
+    "uskin_garbage": Breakage(_uskin("garbage"), MEND_USKIN, ("aborted:bad_touch",)),
     "uskin_stalls": Breakage(_uskin("stall"), MEND_USKIN, ("aborted:stale_touch",)),
     "uskin_loses_taxels": Breakage(_uskin("missing"), MEND_USKIN, ("aborted:stale_touch",)),
     "uskin_unplugged": Breakage(_uskin("unplug"), MEND_USKIN, ("aborted:lost_touch", "aborted:stale_touch")),

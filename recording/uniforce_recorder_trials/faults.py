@@ -14,7 +14,8 @@ from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.plan import Plan
 from uniforce_recorder_trials.rig import Rig
 from uniforce_recorder_trials.running_faults import attended, unattended
-from uniforce_recorder_trials.session import Program, TrialError
+from uniforce_recorder_trials.session import Program
+from uniforce_vtla.errors import UniForceError
 
 NAMES = (*BREAKAGES, *ENDINGS)
 
@@ -60,10 +61,10 @@ def bench_of(name: str, number: int, plan: Plan, rig: Rig, program: Program) -> 
 
 
 def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> None:
-    """Add what a trial found; one that hung or died is a finding too."""
+    """Add what a trial found; one that hung, died or left no dataset is a finding too."""
     try:
         ledger.add(name, trial())
-    except TrialError as error:
+    except UniForceError as error:
         ledger.add(name, {"right_outcome": False, "message": str(error)})
 
 

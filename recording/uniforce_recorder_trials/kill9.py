@@ -24,12 +24,11 @@ VICTIMS = ("all", "loop", "store")  # every process of it, the loop alone, the s
 EPISODE_s = 1.5
 STORED = r"^stored success"
 WAIT_s = 60.0
-RANDOM_s = {
+RANDOM_s = {  # after the line that says: episode begun, or stored
     "tick": (0.1, EPISODE_s),
-    "save": (0.0, 0.5),
+    "save": (EPISODE_s, EPISODE_s + 0.6),
     "between": (0.0, 0.5),
-}  # after the line that begins it
-AFTER = {"tick": BEGUN, "save": OVER, "between": STORED}
+}
 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:

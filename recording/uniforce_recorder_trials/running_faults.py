@@ -16,13 +16,12 @@ from uniforce_recorder_trials.plan import EPISODES, LONG_s, Plan
 from uniforce_recorder_trials.rig import Rig
 from uniforce_recorder_trials.session import Line, Program, Session, TrialError
 from uniforce_recorder_trials.stillness import arm_clock, find_hold
+from uniforce_vtla.errors import UniForceError
 
 WAITING, STORED, REFUSED = r"is next: ", r"^(not )?stored", r"^can't begin"
 UNDER_WAY_s = (0.7, 1.3)  # into an episode, before it is broken
 REST_s = 0.6  # after it, before the arm's log is read
 NOTICE_s = 20.0  # a fault nobody has noticed by then never will be
-GARBAGE_s = 1.0  # how long an episode has to endure it
-SHORT_s = 3.0  # time limit of an episode that ends by itself
 UNWELL_s = 3.0  # then nobody gives up
 FAULT = 3  # exit code
 
@@ -56,7 +55,7 @@ def attended(
                 try:
                     at = _begin(session, plan, at, clears)
                     at, found = _break(session, fault, plan, rig, root, at)
-                except TrialError as error:
+                except UniForceError as error:
                     ledger.add(name, {"right_outcome": False, "message": str(error)})
                     return
                 ledger.add(name, found)
@@ -93,37 +92,21 @@ def _break(
     session: Session, fault: Breakage, plan: Plan, rig: Rig, root: Path, at: int
 ) -> tuple[int, dict[str, Any]]:
     time.sleep(random.uniform(*UNDER_WAY_s))
-    before = _taxel_counts(root)
     mark, broken_s = rig.mark(), time.monotonic()
     fault.breaks(rig)
-    if fault.goes_on:
-        time.sleep(GARBAGE_s)
-        session.press("y")
     at, said = session.wait_for(STORED, NOTICE_s * plan.patience, at)
     time.sleep(REST_s)
     found = finding(fault, root, said, broken_s, rig.wire(mark))
     fault.mends(rig)
-    if fault.goes_on:
-        after = _taxel_counts(root)
-        found |= {"bad_lines": after["bad"] - before["bad"], "scans_lost": after["lost"] - before["lost"]}
-        found["right_outcome"] = found["right_outcome"] and found["bad_lines"] > 0 and not found["scans_lost"]
     return at, found
-
-
-def _taxel_counts(root: Path) -> dict[str, int]:
-    """Return what the newest card says of the patch: samples, lost, bad since the session began."""
-    if not (root / "meta" / "info.json").is_file():
-        return {"samples": 0, "lost": 0, "bad": 0}
-    counts: dict[str, int] = read_card(root, len(read_source(root).episodes) - 1)["sensors"]["tactile_right"]
-    return counts
 
 
 def finding(fault: Breakage, root: Path, said: Line, broken_s: float, wire: list[dict]) -> dict[str, Any]:
     """Return what came of a fault, by the terminal, the dataset and the arm's own log."""
     label = said.text.removeprefix("stored ").partition(",")[0]
     card = read_card(root, len(read_source(root).episodes) - 1)
-    hold = None if fault.goes_on else find_hold(wire, broken_s)
-    is_right = label in fault.labels and card["label"] == label and (fault.goes_on or hold is not None)
+    hold = find_hold(wire, broken_s)
+    is_right = label in fault.labels and card["label"] == label and hold is not None
     return {
         "label": label,
         "message": card["message"],
@@ -137,9 +120,8 @@ def finding(fault: Breakage, root: Path, said: Line, broken_s: float, wire: list
 def unattended(name: str, fault: Breakage, plan: Plan, rig: Rig, program: Program) -> dict[str, Any]:
     """Inject it once and leave it: nobody waits until the sensor is well, the exit code says that it wasn't."""
     root = plan.work / "faults" / f"{name}_nobody{time.time_ns()}"
-    limit_s = SHORT_s if fault.goes_on else LONG_s
     rig.new_arm()
-    with Session(program, plan.argv(rig, root, episodes=1, episode_s=limit_s, unwell_s=UNWELL_s)) as session:
+    with Session(program, plan.argv(rig, root, episodes=1, episode_s=LONG_s, unwell_s=UNWELL_s)) as session:
         at, _ = session.wait_for(BEGUN, (START_s + NOTICE_s) * plan.patience)
         time.sleep(UNDER_WAY_s[0])
         mark, broken_s = rig.mark(), time.monotonic()
@@ -148,5 +130,4 @@ def unattended(name: str, fault: Breakage, plan: Plan, rig: Rig, program: Progra
         code = session.wait_end((START_s + UNWELL_s) * plan.patience)
         time.sleep(REST_s)
         found = finding(fault, root, said, broken_s, rig.wire(mark))
-    wanted = 0 if fault.goes_on else FAULT
-    return found | {"right_outcome": found["right_outcome"] and code == wanted, "exit_code": code}
+    return found | {"right_outcome": found["right_outcome"] and code == FAULT, "exit_code": code}
