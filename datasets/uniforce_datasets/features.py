@@ -9,7 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lerobot.utils.constants import DEFAULT_FEATURES
+
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import (
     ACTION,
     AXES,
@@ -79,3 +82,24 @@ def dataset_features(
         SEED: scalar_column("int64"),
     }
     return features | dict(further or {})
+
+
+def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, Any]]) -> None:
+    """Refuse to go on with a dataset of other columns.
+
+    Args:
+        meta: LeRobot's metadata of the dataset.
+        fps: to record at.
+        features: to record.
+
+    Raises:
+        DatasetError: a column is missing, too many, or of another form; another rate.
+    """
+    wanted = {key: (f["dtype"], tuple(f["shape"])) for key, f in features.items()}
+    stored = {key: f for key, f in meta.features.items() if key not in DEFAULT_FEATURES}
+    came = {key: (f["dtype"], tuple(f["shape"])) for key, f in stored.items()}
+    if came == wanted and meta.fps == fps:
+        return
+    odd = sorted(k for k in wanted | came if came.get(k) != wanted.get(k)) or f"{meta.fps} fps"
+    do = "Record into another root."
+    raise DatasetError(expected("dataset", "the features to record", f"others: {odd}", do))

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import logging
 import shutil
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from lerobot.datasets.dataset_writer import DatasetWriter
@@ -19,9 +17,10 @@ from lerobot.datasets.io_utils import write_info
 
 from uniforce_datasets.cards import write_card
 from uniforce_datasets.columns import ColumnMaker, check_row, sensor_index
-from uniforce_datasets.features import CAMERA_SHAPE, Shape, dataset_features
+from uniforce_datasets.features import CAMERA_SHAPE, Shape, dataset_features, refuse_other_features
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.raw_video import RawVideo
+from uniforce_datasets.recorder_lock import lock
 from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, commit, recover
 from uniforce_datasets.stored_check import check_stored
@@ -41,7 +40,6 @@ from uniforce_vtla.keys import (
 
 logger = logging.getLogger(__name__)
 
-LOCK_POLL_s = 0.05
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
 AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)  # columns known only when the episode is over
 
@@ -95,7 +93,7 @@ class EpisodeRecorder:
         self._columns = ColumnMaker()
         self._raw_shapes = dict(raw_shapes or {})
         self.root.mkdir(parents=True, exist_ok=True)
-        self._lock = _lock(self.root, lock_wait_s)
+        self._lock = lock(self.root, lock_wait_s)
         recover(self.root)
         self._writer = self._open()
 
@@ -165,6 +163,8 @@ class EpisodeRecorder:
             raise ContractError(
                 expected("outcome", " | ".join(OUTCOME_NAMES), repr(outcome), "Take evaluation's outcome.")
             )
+        if cause not in ABORT_CAUSES:
+            raise ContractError(expected("cause", " | ".join(ABORT_CAUSES), repr(cause), "Name one."))
         if self.num_frames < MIN_FRAMES:
             came = self.num_frames
             self.discard()
@@ -212,7 +212,7 @@ class EpisodeRecorder:
         writer = open_writer(
             self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime
         )
-        _check_same(writer._meta, self._fps, self._features)
+        refuse_other_features(writer._meta, self._fps, self._features)
         encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
         self._raw = RawVideo(self.root / STAGING, self._raw_shapes, encoder)
         self._ends: dict[str, tuple[np.ndarray, ...]] = {}  # first and last marker images of the episode
@@ -280,33 +280,3 @@ def _typed_errors(recorder: EpisodeRecorder) -> Iterator[None]:
         raise kind(
             expected("episode", "room to store it", error, f"{do} and record it again; {saved}.")
         ) from error
-
-
-def _check_same(meta: Any, fps: int, features: dict[str, dict]) -> None:
-    wanted = {key: (f["dtype"], tuple(f["shape"])) for key, f in features.items()}
-    came = {key: (f["dtype"], tuple(f["shape"])) for key, f in meta.features.items() if key in wanted}
-    if came != wanted or meta.fps != fps:
-        odd = sorted(k for k in wanted if came.get(k) != wanted[k]) or f"{meta.fps} fps"
-        raise DatasetError(
-            expected("dataset", "the features to record", f"others: {odd}", "Record into another root.")
-        )
-
-
-def _lock(root: Path, wait_s: float) -> IO[str]:
-    handle = open(root / ".recorder.lock", "w")  # noqa: SIM115  held until close()
-    deadline_s = time.monotonic() + wait_s
-    while not _locked(handle):
-        if time.monotonic() > deadline_s:
-            handle.close()
-            do = "Wait, or use another root."
-            raise DatasetError(expected(str(root), "one recorder at a time", "another one", do))
-        time.sleep(LOCK_POLL_s)
-    return handle
-
-
-def _locked(handle: IO[str]) -> bool:
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True

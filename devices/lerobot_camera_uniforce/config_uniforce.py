@@ -145,7 +145,7 @@ class UniforceUskinConfig(TactileFingerConfig):
     )
     max_age_ms: float = 100.0
     reference_samples: int = 50
-    frozen_after: int = 50  # scans; live taxels move by a few counts at rest
+    frozen_after: int = 25  # scans, 0.3 s at the slowest rate seen; live taxels move by a few counts at rest
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -70,7 +70,7 @@ class DiskGuard:
             whole_MB = need_MB * MARGIN + self._reserve / MB
             wanted = f"{whole_MB:.0f} MB free (episode {need_MB:.0f} MB × {MARGIN} + reserve)"
             raise DiskFullError(expected(str(self._root), wanted, f"{free_MB:.0f} MB", "Free some space."))
-        return f"up to {need_MB:.0f} MB, {free_MB / 1000:.1f} GB free"
+        return f"{need_MB:.0f} MB, {free_MB / 1000:.1f} GB free"
 
     def check(self) -> None:
         """Raise DiskFullError once less than the reserve is left; a few microseconds."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from uniforce_recording.ticker import TickStats
@@ -24,6 +24,7 @@ class Ending:
         held_s: from the beginning of the tick that met a fault until the rig was told to hold; 0 without a fault.
         notes: what the operator wrote.
         pauses: how often it was paused.
+        frames: samples repeated and skipped by camera and finger.
         quits: whether the session shall end after it.
     """
 
@@ -36,6 +37,7 @@ class Ending:
     held_s: float = 0.0
     notes: tuple[str, ...] = ()
     pauses: int = 0
+    frames: dict[str, dict[str, int]] = field(default_factory=dict)
     quits: bool = False
 
     @property

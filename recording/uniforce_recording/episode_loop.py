@@ -9,6 +9,7 @@ from typing import Any
 from uniforce_recording.disk_guard import DiskGuard
 from uniforce_recording.ending import Ending, How
 from uniforce_recording.faults import StopRequestedError, cause_of
+from uniforce_recording.frame_count import FrameCount
 from uniforce_recording.interrupts import Interrupts
 from uniforce_recording.live_view import LiveView
 from uniforce_recording.operators import VERDICTS, Command, Event, Operator, Phase
@@ -56,6 +57,7 @@ class EpisodeLoop:
     def __init__(self, parts: Parts, prompt: str, max_frames: int) -> None:
         self._parts, self._prompt, self._max_frames = parts, prompt, max_frames
         self._ticker = Ticker(parts.rig.facts.fps, parts.rig.facts.paced)
+        self._frames = FrameCount()
         self._notes: list[str] = []
         self._pauses = 0
         self._tick_begun_s = time.perf_counter()
@@ -80,7 +82,8 @@ class EpisodeLoop:
         return self._ending("aborted", cause=cause_of(error), message=str(error), held_s=held_s)
 
     def _ending(self, how: How, **more: Any) -> Ending:
-        return Ending(how, self._ticker.stats, notes=tuple(self._notes), pauses=self._pauses, **more)
+        notes, frames = tuple(self._notes), self._frames.as_dict()
+        return Ending(how, self._ticker.stats, notes=notes, pauses=self._pauses, frames=frames, **more)
 
     def _record(self) -> None:
         parts = self._parts
@@ -105,6 +108,7 @@ class EpisodeLoop:
         stamps_s = (tick_s, seen.time_s, parts.rig.now_s())
         row = make_row(seen, requested, sent, stamps_s, begun_s)
         parts.recorder.add(row, self._prompt, raw_frames(seen))
+        self._frames.add(seen)
         parts.view.show(seen, parts.recorder.num_frames)
 
     def _listen(self) -> None:

@@ -111,7 +111,7 @@ class RobotRig:
         """Take references, gripper open and fingers still; the force of now counts as none."""
         self.robot.require_open_hand()
         self._sensing.take_references()
-        self._sensing.pictures()  # every camera has to be well
+        self._sensing.pictures(), self._sensing.touches()  # every one has to be well
         self._rest_N = np.array(self.robot.reading[0].wrench_N[:3])
 
     def observe(self) -> Observation:

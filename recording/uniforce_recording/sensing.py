@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Literal
@@ -14,6 +15,7 @@ from lerobot_camera_uniforce.sampled_camera import SampledCamera
 from lerobot_camera_uniforce.samples import NS_PER_S
 from lerobot_camera_uniforce.uskin_camera import UniforceUskin
 from uniforce_recording.faults import device_fault
+from uniforce_recording.garbage_watch import GarbageWatch
 from uniforce_recording.observation import FingerTouch, Picture, ScanWindow
 from uniforce_recording.plain_camera import PlainCamera
 from uniforce_vtla.contracts import FINGERS, Finger
@@ -45,6 +47,7 @@ class Sensing:
     def __init__(self, cameras: Mapping[str, Camera], window: int, keep_raw: bool) -> None:
         self._window, self._keep_raw = window, keep_raw
         self._references: dict[Finger, np.ndarray] = {}
+        self._watches: dict[str, GarbageWatch] = {}
         self.fingers: dict[Finger, TactileFinger] = {f: _finger(cameras, f) for f in FINGERS}
         worn = {tactile_name(finger) for finger in FINGERS}
         scene = {name: camera for name, camera in cameras.items() if name not in worn}
@@ -77,15 +80,21 @@ class Sensing:
         ours |= {tactile_name(finger): device for finger, device in self.fingers.items()}
         return {name: _facts(device) for name, device in ours.items()}
 
+    def _watch(self, name: str, device: SampledCamera) -> None:
+        watch = self._watches.setdefault(name, GarbageWatch(name))
+        watch.look(time.monotonic(), device.counts.bad)
+
     def _picture(self, name: str, camera: SampledCamera | PlainCamera) -> Picture:
         with named("camera", name):
             if isinstance(camera, PlainCamera):
                 return camera.picture()
+            self._watch(name, camera)
             sample = camera.latest()
             return Picture(sample.raw, sample.index, sample.stamp_ns / NS_PER_S)
 
     def _touch(self, finger: Finger, device: TactileFinger) -> FingerTouch:
         with named("touch", tactile_name(finger)):
+            self._watch(tactile_name(finger), device)
             sample = device.latest()
             image, reference = device.marker_image(sample.raw), self._references[finger]
             is_taxel = isinstance(device, UniforceUskin)

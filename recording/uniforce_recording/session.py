@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
 from uniforce_recording.ending import Ending
 from uniforce_recording.episode_loop import EpisodeLoop, Parts
 from uniforce_recording.faults import StopRequestedError, cause_of
-from uniforce_recording.operators import VERDICTS, Command, Event, Phase
+from uniforce_recording.judging import judge
+from uniforce_recording.operators import Command, Event, Phase
 from uniforce_recording.ticker import Ticker
 from uniforce_vtla.errors import (
     ContractError,
@@ -22,6 +23,9 @@ from uniforce_vtla.errors import (
 )
 
 MIN_FRAMES = 2  # of an aborted episode worth keeping: LeRobot stores no shorter one
+ABORTS_IN_A_ROW = (
+    3  # after which an unattended session gives up: a fault that comes back each time needs a person
+)
 RETRY_s = 0.1  # between two tries to begin, unattended
 FAULT, DISK_FULL, INTERRUPTED = 3, 4, 130  # exit codes
 
@@ -111,7 +115,7 @@ class RecordingSession:
             return False
         prompt, begun = self._prompt(), datetime.now(UTC).isoformat(timespec="milliseconds")
         self._parts.view.begin(f"episode {self._judged + 1}/{self._settings.episodes}: {prompt}")
-        ending = self._judge(EpisodeLoop(self._parts, prompt, frames).run())
+        ending = judge(self._parts, EpisodeLoop(self._parts, prompt, frames).run())
         self._endings.append(ending)
         self._store(ending, {"begun": begun, "prompt": prompt})
         self._seed += 1
@@ -170,49 +174,31 @@ class RecordingSession:
 
     def _prepare(self, frames: int) -> bool:
         """See to room and references; a refusal is told, and attended it means waiting again."""
-        deadline_s = time.monotonic() + self._settings.unwell_s
+        self._see_to_room(frames)
+        deadline_s, told = time.monotonic() + self._settings.unwell_s, ""
         while True:
             self._parts.refuse_interrupted()
             try:
-                self._parts.view.say(
-                    self._parts.disk.before_episode(frames, self._parts.recorder.total_frames)
-                )
                 self._parts.rig.begin_episode(self._seed)
-            except DiskFullError as error:
-                raise _End(DISK_FULL, str(error)) from error
+                return True
             except UniForceError as error:
-                self._parts.view.say(f"can't begin: {error}")
+                if str(error) != told:
+                    told = str(error)
+                    self._parts.view.say(f"can't begin: {error}")
                 if self._parts.operator.is_attended:
                     return False
                 if isinstance(error, RobotError) or time.monotonic() > deadline_s:
                     raise _End(FAULT, f"can't begin ({cause_of(error)}): {error}") from error
-                time.sleep(RETRY_s)
-            else:
-                return True
+            time.sleep(RETRY_s)
 
-    # --- judging and storing -----------------------------------------------------------------------------------------
+    def _see_to_room(self, frames: int) -> None:
+        try:
+            room = self._parts.disk.before_episode(frames, self._parts.recorder.total_frames)
+        except DiskFullError as error:
+            raise _End(DISK_FULL, str(error)) from error
+        self._parts.view.say(f"the episode may take {room}")
 
-    def _judge(self, ending: Ending) -> Ending:
-        """Let the rig judge if it knows better than a person; else ask the operator where it isn't said yet."""
-        if ending.how not in ("open", "judged"):
-            return ending
-        verdict = self._parts.rig.verdict()
-        if verdict is None and ending.how == "judged":
-            return ending
-        if verdict is not None:
-            return replace(ending, how="judged", outcome=verdict.outcome, clean=verdict.clean)
-        if self._parts.operator.is_attended:
-            self._parts.view.say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
-        beat, notes = Ticker(self._fps), list(ending.notes)
-        while True:
-            if self._parts.interrupts.count:
-                return replace(ending, how="aborted", cause="interrupt", notes=tuple(notes))
-            for event in self._parts.operator.poll(Phase.JUDGING):
-                if event.command is Command.NOTE:
-                    notes.append(event.text)
-                elif (judged := _judgement(ending, event)) is not None:
-                    return replace(judged, notes=tuple(notes))
-            beat.wait()
+    # --- storing ---------------------------------------------------------------------------------------------------
 
     def _store(self, ending: Ending, card: dict[str, Any]) -> None:
         recorder, view = self._parts.recorder, self._parts.view
@@ -239,6 +225,7 @@ class RecordingSession:
             "held_s": round(ending.held_s, 4),
             "peak_force_N": round(self._parts.view.peak_N, 3),
             "ticks": ending.ticks.as_dict(),
+            "frames": ending.frames,
             "teleop": self._parts.steering.name,
             "rig": self._parts.rig.facts.name,
             **self._parts.rig.summary(),
@@ -254,24 +241,12 @@ class RecordingSession:
             raise StopRequestedError(ending.message)
         if ending.cause == "disk_full":
             raise _End(DISK_FULL, ending.message)
+        attended = self._parts.operator.is_attended
+        recent = [past.how for past in self._endings[-ABORTS_IN_A_ROW:]]
+        if not attended and recent == ["aborted"] * ABORTS_IN_A_ROW:
+            raise _End(FAULT, f"{ABORTS_IN_A_ROW} times in a row, {ending.label}: {ending.message}")
         by_hand = ending.cause.startswith("robot_") or ending.cause in ("teleop", "storage", "other")
-        if by_hand and not self._parts.operator.is_attended:
+        if by_hand and not attended:
             raise _End(FAULT, f"{ending.label}: {ending.message}")
         hint = " (v clears it)" if ending.cause.startswith("robot_") else ""
         self._parts.view.say(f"{ending.label}: {ending.message}{hint}")
-
-
-def _judgement(ending: Ending, event: Event) -> Ending | None:
-    """Return the ending that a word at its end makes of it, None where it is no judgement."""
-    match event.command:
-        case command if command in VERDICTS:
-            outcome = VERDICTS[command]
-            return replace(ending, how="judged", outcome=outcome, clean=outcome == "success")
-        case Command.DISCARD:
-            return replace(ending, how="discard")
-        case Command.QUIT:
-            return replace(ending, how="discard", quits=True)
-        case Command.RERECORD:
-            return replace(ending, how="rerecord")
-        case _:
-            return None

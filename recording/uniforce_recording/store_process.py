@@ -9,41 +9,27 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
-import os
-import signal
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
 from uniforce_datasets.features import dataset_features
-from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_recording.rig import RigFacts
-from uniforce_recording.row_slots import RECORDERS_OWN, REFERENCES, RowSlots
+from uniforce_recording.row_slots import REFERENCES, RowSlots
 from uniforce_recording.rows import further_columns
-from uniforce_recording.store import StoreSettings, open_recorder
+from uniforce_recording.store import StoreSettings
+from uniforce_recording.store_child import Standing, serve
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import DatasetError, DroppedFrameError, UniForceError, expected
+from uniforce_vtla.errors import DatasetError, DroppedFrameError, expected
 
 log = logging.getLogger(__name__)
 SLOTS = 30  # rows on the way: a second of a busy child, some 4 MB each
-WARM_UP_FRAMES = 3  # the first ones import, open and allocate for half a second
 START_s = 120.0  # imports of LeRobot and torch on a starved machine
 ANSWER_s = 180.0  # the longest save: LeRobot itself waits 120 s for an encoder
 PATIENCE_s = 60.0  # how long a scene that isn't paced waits for a slot
-NICE = 5  # the loop comes first
-
-
-@dataclass(frozen=True)
-class Standing:
-    """What the child answers: how much is in the dataset."""
-
-    episodes: int
-    frames: int
 
 
 class StoreProcess:
@@ -231,82 +217,3 @@ class StoreProcess:
     def _gone(self) -> DatasetError:
         do = "See the error above; saved episodes are whole."
         return DatasetError(expected("storing process", "one that runs", "one that has ended", do))
-
-
-def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSettings) -> None:
-    """Store until told to close or the pipe ends: what the child does."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # Ctrl-C goes to the whole group; the loop says what to do
-    os.nice(NICE)
-    try:
-        recorder = open_recorder(facts, settings)
-    except UniForceError as error:
-        pipe.send(("error", error))
-        return
-    with recorder:
-        warm_up(recorder, facts)
-        Child(pipe, slots, recorder).run()
-
-
-def warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
-    """Record a few black frames and forget them, so that the first real ones are as fast as the others."""
-    pictures = {key for key, feature in recorder.features.items() if feature["dtype"] == "video"}
-    row = {
-        key: np.zeros(feature["shape"], "uint8" if key in pictures else feature["dtype"])
-        for key, feature in recorder.features.items()
-        if key not in RECORDERS_OWN
-    }
-    raw = {finger: np.zeros(shape, np.uint8) for finger, shape in facts.raw_frames.items()}
-    for _ in range(WARM_UP_FRAMES):
-        recorder.add(row, "warm-up", raw)
-    recorder.discard()
-
-
-class Child:
-    """Does what it is ordered; after an error it ignores rows until the episode is discarded."""
-
-    def __init__(self, pipe: Connection, slots: RowSlots, recorder: EpisodeRecorder) -> None:
-        self._pipe, self._slots, self._recorder = pipe, slots, recorder
-        self._references: dict[str, np.ndarray] = {}
-        self._broken = False
-
-    def run(self) -> None:
-        """Serve until ``close`` or the pipe's end."""
-        try:
-            self._tell_standing()
-            while self._obey(self._pipe.recv()):
-                pass
-        except (EOFError, OSError):
-            log.warning("the recording loop has gone; the running episode is dropped")
-
-    def _obey(self, order: tuple[Any, ...]) -> bool:
-        """Do one order; return whether to go on."""
-        kind, *details = order
-        try:
-            match kind:
-                case "add":
-                    self._add(*details)
-                case "save":
-                    self._recorder.save(*details)
-                    self._tell_standing()
-                case "discard":
-                    self._recorder.discard()
-                    self._broken = False
-                    self._tell_standing()
-        except UniForceError as error:
-            self._broken = kind == "add"
-            self._pipe.send(("error", error))
-        return kind != "close"
-
-    def _add(self, slot: int, task: str, known: set[str]) -> None:
-        row, raw = self._slots.read(slot, known)
-        self._references |= {key: row[key] for key in REFERENCES if key in row}
-        try:
-            if not self._broken:
-                self._recorder.add({**row, **self._references}, task, raw)
-        finally:
-            self._pipe.send(("free", slot))
-
-    def _tell_standing(self) -> None:
-        standing = Standing(self._recorder.num_episodes, self._recorder.total_frames)
-        self._pipe.send(("standing", standing))

@@ -11,7 +11,7 @@ import threading
 from dataclasses import dataclass
 from typing import Protocol
 
-from uniforce_vtla.errors import RobotError, expected
+from uniforce_vtla.errors import RobotError, SensorError, expected
 
 log = logging.getLogger(__name__)
 POLL_s = 0.01
@@ -98,6 +98,18 @@ def next_command(target_m: float, last: HandCommand | None, settings: HandSettin
     closes = last is None or target_m < last.width_m
     grasps = closes and target_m < settings.grasp_below_m
     return HandCommand(target_m, settings.speed_m_s, settings.grip_force_N if grasps else 0.0)
+
+
+def require_open(reading: HandReading, open_width_m: float) -> None:
+    """Refuse a free-air reference while the fingers may hold something.
+
+    Raises:
+        SensorError: they hold something, or are closer than ``open_width_m``.
+    """
+    if reading.is_grasped or reading.width_m < open_width_m:
+        came = "holding something" if reading.is_grasped else f"{reading.width_m * 1000:.0f} mm"
+        do = "Open the gripper, then take the references again."
+        raise SensorError(expected("free air", f"fingers ≥ {open_width_m * 1000:.0f} mm apart", came, do))
 
 
 class HandThread:

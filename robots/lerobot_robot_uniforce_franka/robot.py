@@ -12,28 +12,18 @@ import numpy as np
 from lerobot.cameras import Camera, make_cameras_from_configs
 from lerobot.robots import Robot
 
-from lerobot_robot_uniforce_franka.arm import Arm, ArmState
+from lerobot_robot_uniforce_franka.arm import ArmState
 from lerobot_robot_uniforce_franka.config import UniforceFrankaConfig
-from lerobot_robot_uniforce_franka.franky_arm import FrankyArm
-from lerobot_robot_uniforce_franka.franky_hand import FrankyHand
 from lerobot_robot_uniforce_franka.guards import GuardChain
-from lerobot_robot_uniforce_franka.hand import HandDriver, HandReading, HandThread
+from lerobot_robot_uniforce_franka.hand import HandReading, HandThread, require_open
+from lerobot_robot_uniforce_franka.make_backend import make_backend
 from lerobot_robot_uniforce_franka.poses import ToolPose
-from lerobot_robot_uniforce_franka.pylibfranka_arm import PylibfrankaArm
-from lerobot_robot_uniforce_franka.pylibfranka_hand import PylibfrankaHand
 from lerobot_robot_uniforce_franka.shutdown import forbid_return_motion
 from lerobot_robot_uniforce_franka.stream import ArmStream
 from uniforce_vtla.errors import RobotError, SensorError, expected
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
-
-
-def make_backend(config: UniforceFrankaConfig) -> tuple[Arm, HandDriver]:
-    """Return the arm and hand of the configured backend, not yet connected."""
-    if config.backend == "pylibfranka":
-        return PylibfrankaArm(config.arm_settings), PylibfrankaHand(config.address, config.connect_deadline_s)
-    return FrankyArm(config.arm_settings, has_hand=True), FrankyHand(config.address)
 
 
 class UniforceFranka(Robot):
@@ -114,7 +104,7 @@ class UniforceFranka(Robot):
         hand.start()
         self._hand = hand
         if any(finger.reference_on_connect for finger in self.config.fingers.values()):
-            self._require_open(hand)
+            require_open(hand.reading, self.config.open_width_m)
         for camera in self.cameras.values():
             camera.connect()
         self._start_stream()
@@ -126,14 +116,7 @@ class UniforceFranka(Robot):
             SensorError: the hand is not open.
             RobotError: a fault of the hand, or not connected.
         """
-        self._require_open(self._parts()[1])
-
-    def _require_open(self, hand: HandThread) -> None:
-        reading, wanted_m = hand.reading, self.config.open_width_m
-        if reading.is_grasped or reading.width_m < wanted_m:
-            came = "holding something" if reading.is_grasped else f"{reading.width_m * 1000:.0f} mm"
-            do = "Open the gripper, then take the references again."
-            raise SensorError(expected("free air", f"fingers ≥ {wanted_m * 1000:.0f} mm apart", came, do))
+        require_open(self._parts()[1].reading, self.config.open_width_m)
 
     def _start_stream(self) -> None:
         stream = ArmStream(self._arm, replace(self.config.stream, action_period_s=1 / self.config.fps))
@@ -224,7 +207,7 @@ class UniforceFranka(Robot):
 
     def _reference(self, name: str) -> np.ndarray:
         image: np.ndarray = self.cameras[name].reference_image()
-        return image
+        return image.copy()  # what LeRobot gets it may write to
 
     def hold(self) -> None:
         """Let the arm rest where it is, at once; nothing is refused afterwards. Does nothing once it has stopped."""

@@ -8,15 +8,17 @@ import sys
 import time
 from pathlib import Path
 
-import lerobot.datasets.compute_stats as compute_stats
 import lerobot.datasets.dataset_writer as dataset_writer
 import numpy as np
 import pytest
 
-from uniforce_datasets import staging
+from uniforce_datasets import encoder_thread, staging
+from uniforce_datasets.cards import read_card
+from uniforce_datasets.features import vector_column
 from uniforce_datasets.lossless import open_dataset
+from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.recorder import EpisodeRecorder
-from uniforce_datasets.source import read_source
+from uniforce_datasets.source import read_source, stored_frames
 from uniforce_datasets.synthetic import FPS, dots, record_synthetic, synthetic_frame
 from uniforce_vtla.errors import ContractError, DatasetError, SensorError
 from uniforce_vtla.keys import (
@@ -146,13 +148,13 @@ def test_a_commit_cut_short_anywhere_loads_and_is_finished(
 def test_dropped_frame_fails_the_episode_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_recorder(tmp_path / "data", realtime=True, queue_frames=1) as recorder:
         save_one_slowly(recorder)
-        real = compute_stats.auto_downsample_height_width
+        real = encoder_thread.auto_downsample_height_width
 
         def slow(image: np.ndarray) -> np.ndarray:
             time.sleep(0.4)
             return real(image)
 
-        monkeypatch.setattr(compute_stats, "auto_downsample_height_width", slow)
+        monkeypatch.setattr(encoder_thread, "auto_downsample_height_width", slow)
         with pytest.raises(DatasetError, match="dropped"):
             add_frames(recorder, 5)
         monkeypatch.undo()
@@ -257,3 +259,41 @@ def test_wrong_places_are_refused(tmp_path: Path, demos: Path) -> None:
     (tmp_path / "full" / "notes.txt").write_text("mine")
     with pytest.raises(DatasetError, match="empty folder"):
         open_recorder(tmp_path / "full")
+
+
+def test_raw_frames_and_a_card_are_moved_in_with_the_episode(tmp_path: Path) -> None:
+    root, rng = tmp_path / "data", np.random.default_rng(0)
+    raw = rng.integers(0, 255, (SHORT, 48, 64, 3), dtype=np.uint8)
+    with open_recorder(root, raw_shapes={"right": (48, 64, 3)}) as recorder:
+        for number in range(3):
+            for step in range(SHORT):
+                recorder.add(synthetic_frame(step, rng), "wipe", {"right": raw[step]})
+            if number == 1:
+                recorder.discard()
+            else:
+                recorder.save(success=True, outcome="success", seed=0, card={"label": "success", "n": number})
+        with pytest.raises(ContractError, match="raw tactile frames"):
+            recorder.add(synthetic_frame(0, rng), "wipe")
+    assert [read_card(root, episode)["n"] for episode in (0, 1)] == [0, 2]
+    assert [stored_frames(raw_path(root, "right", episode)) for episode in (0, 1)] == [SHORT] * 2
+    assert open_dataset(root).num_episodes == 2 and not raw_path(root, "right", 2).exists()
+    with pytest.raises(DatasetError, match="card"):
+        read_card(root, 2)
+
+
+def test_a_dataset_of_other_columns_is_not_continued(tmp_path: Path) -> None:
+    more = {"measured.q": vector_column(["q1"])}
+    with open_recorder(tmp_path / "data", further=more) as recorder:
+        for step in range(SHORT):
+            frame = synthetic_frame(step, np.random.default_rng(0))
+            recorder.add(frame | {"measured.q": np.ones(1, np.float32)}, "wipe")
+        recorder.save(success=True, outcome="success", seed=0)
+    with pytest.raises(DatasetError, match=r"measured\.q"):
+        open_recorder(tmp_path / "data")
+
+
+def test_an_unknown_cause_is_refused(tmp_path: Path) -> None:
+    with open_recorder(tmp_path / "data") as recorder:
+        add_frames(recorder)
+        with pytest.raises(ContractError, match="cause"):
+            recorder.save(success=False, outcome="aborted", seed=0, cause="moon")

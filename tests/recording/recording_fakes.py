@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -117,8 +118,9 @@ class FakeRig:
 
 
 @TeleoperatorConfig.register_subclass("recording_test")
+@dataclass
 class SwayConfig(TeleoperatorConfig):
-    pass
+    width_m: float = 0.08
 
 
 class Sway(Teleoperator):
@@ -127,9 +129,9 @@ class Sway(Teleoperator):
     config_class = SwayConfig
     name = "recording_test"
 
-    def __init__(self, folder: Path, width_m: float = 0.08) -> None:
-        super().__init__(SwayConfig(id="test", calibration_dir=folder))
-        self.width_m = width_m
+    def __init__(self, config: SwayConfig) -> None:
+        super().__init__(config)
+        self.width_m = config.width_m
         self.starts: list[dict[str, float]] = []
         self.error: Exception | None = None
         self.calls = 0
@@ -169,3 +171,8 @@ class Sway(Teleoperator):
             "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5),
             "width.pos": self.width_m,
         }
+
+
+def sway(folder: Path) -> Sway:
+    """Return one that leaves nothing in anybody's home."""
+    return Sway(SwayConfig(id="test", calibration_dir=folder))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import time
+
 import pytest
 
 from uniforce_recording.operators import KEYS, Command, Event, KeyOperator, Nobody, Phase, TerminalKeySource
@@ -66,3 +69,21 @@ def test_nobody() -> None:
     assert not said[Phase.RUNNING] and not nobody.is_attended
     with pytest.raises(ContractError, match="verdict"):
         Nobody("great")
+
+
+def test_a_real_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = os.openpty()
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        operator = KeyOperator()
+        operator.start()
+        os.write(master, b"y q")
+        said: list[Event] = []
+        deadline_s = time.monotonic() + 30.0
+        while len(said) < 3 and time.monotonic() < deadline_s:
+            said += operator.poll(Phase.RUNNING)
+            time.sleep(0.01)
+        operator.stop()
+        operator.stop()
+    os.close(master)
+    assert [event.command for event in said] == [Command.SUCCESS, Command.GO, Command.QUIT]

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import io
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_fakes import Sway
+from lerobot.teleoperators import TeleoperatorConfig
+from recording_fakes import Sway, SwayConfig, sway
 
 from lerobot_camera_uniforce.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_datasets.features import dataset_features
 from uniforce_recording.build import make_teleoperator, read_devices, teleoperator_names
 from uniforce_recording.disk_guard import DiskGuard
 from uniforce_recording.faults import StopRequestedError, cause_of, device_fault
+from uniforce_recording.frame_count import FrameCount
+from uniforce_recording.garbage_watch import GarbageWatch
 from uniforce_recording.live_view import LiveView
-from uniforce_recording.observation import FingerTouch, Observation, Picture
+from uniforce_recording.observation import FingerTouch, Observation, Picture, ScanWindow
 from uniforce_recording.plain_camera import PlainCamera
 from uniforce_recording.steering import Steering
 from uniforce_vtla.errors import (
@@ -71,7 +75,7 @@ def test_every_fault_has_a_name_that_datasets_know() -> None:
 
 
 def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
-    teleop = Sway(tmp_path)
+    teleop = sway(tmp_path)
     steering = Steering(teleop)
     steering.connect()
     start = np.array([0.4, 0.0, 0.3, 0.0, 0.08])
@@ -93,7 +97,7 @@ def test_a_teleoperator_of_other_axes_is_refused(tmp_path: Path) -> None:
         action_features = property(lambda self: {"joint_1.pos": float})
 
     with pytest.raises(ContractError, match=r"x\.pos"):
-        Steering(Joints(tmp_path))
+        Steering(Joints(SwayConfig(id="test", calibration_dir=tmp_path)))
 
 
 def seen(force_N: float) -> Observation:
@@ -210,7 +214,40 @@ def test_every_teleoperator_can_be_named() -> None:
         assert read_devices([], "", name).teleop is not None
 
 
-def test_what_cant_be_built_is_told(tmp_path: Path) -> None:
-    config = read_devices([f"--teleop.calibration_dir={tmp_path}"], "", "recording_test").teleop
+def test_a_teleoperator_is_built_from_its_settings(tmp_path: Path) -> None:
+    flags = [f"--teleop.calibration_dir={tmp_path}", "--teleop.id=a", "--teleop.width_m=0.05"]
+    teleop = make_teleoperator(read_devices(flags, "", "recording_test").teleop)
+    assert isinstance(teleop, Sway) and teleop.width_m == 0.05
+
+
+def test_what_cant_be_built_is_told() -> None:
+    @TeleoperatorConfig.register_subclass("recording_nothing")
+    @dataclass
+    class NothingConfig(TeleoperatorConfig):
+        pass
+
     with pytest.raises(ContractError, match="teleop"):
-        make_teleoperator(config)  # its class takes a folder, not a config
+        make_teleoperator(NothingConfig())
+
+
+def test_samples_repeated_and_skipped_are_counted() -> None:
+    count = FrameCount()
+    window = ScanWindow(np.zeros((3, 16, 3)), np.zeros(3))
+    for camera, finger in ((10, 100), (11, 103), (11, 108), (14, 111)):
+        observation = seen(0.0)
+        observation.cameras["front"] = replace(observation.cameras["front"], index=camera)
+        touch = replace(observation.fingers["left"], index=finger, window=window)
+        observation.fingers.update(left=touch)
+        count.add(observation)
+    told = count.as_dict()
+    assert told["front"] == {"repeated": 1, "skipped": 2}
+    assert told["left"] == {"repeated": 0, "skipped": 2} and told["right"]["repeated"] == 3
+
+
+def test_a_little_garbage_is_borne_and_much_is_not() -> None:
+    watch = GarbageWatch("tactile_left")
+    for step in range(300):
+        watch.look(step / 30, step // 8)  # four a second
+    with pytest.raises(SensorError, match="bad pieces"):
+        for step in range(30):
+            watch.look(10 + step / 30, 38 + step)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_fakes import FakeRig, Sway
+from recording_fakes import FakeRig, Sway, SwayConfig, sway
 
 from lerobot_camera_uniforce.faults import WrongSensorError
 from uniforce_datasets.cards import read_card
@@ -54,7 +55,7 @@ def go(
     **settings: object,
 ) -> SessionEnd:
     plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0}
-    teleop = teleop or Sway(root.parent)
+    teleop = teleop or sway(root.parent)
     store = StoreSettings(root, "local/test", reserve_MB=1.0, own_process=own_process)
     end = run_session(fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)))  # type: ignore[arg-type]
     assert not fake.robot.is_connected and not teleop.is_connected
@@ -137,7 +138,7 @@ BREAKS: dict[str, tuple[Callable[[FakeRig, Sway], None], str]] = {
 @pytest.mark.parametrize("name", BREAKS)
 def test_a_fault_ends_the_episode_held_and_labelled(fake: FakeRig, tmp_path: Path, name: str) -> None:
     breaks, cause = BREAKS[name]
-    teleop, begun = Sway(tmp_path), []
+    teleop, begun = sway(tmp_path), []
 
     def say(phase: Phase, asked: int) -> list[Command]:
         if phase is Phase.WAITING:
@@ -179,7 +180,7 @@ def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None
         (Phase.PAUSED, 5, Command.GO),
         (Phase.RUNNING, 3, Command.SUCCESS),
     )
-    teleop = Sway(tmp_path)
+    teleop = sway(tmp_path)
     end = go(fake, tmp_path / "data", operator, teleop, episode_s=30.0)
     assert [e.label for e in end.endings] == ["discard", "rerecord", "success"]
     assert end.endings[2].pauses == 1 and len(teleop.starts) == 4, "three episodes and one going on"
@@ -266,7 +267,7 @@ def test_a_person_clears_a_reflex_and_goes_on(fake: FakeRig, tmp_path: Path) -> 
 
 
 def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
-    teleop = Sway(tmp_path)
+    teleop = sway(tmp_path)
     real = teleop.get_action
 
     def get_action() -> dict[str, float]:
@@ -295,3 +296,23 @@ def test_another_sensor_than_configured_is_refused_before_anything_moves(
     with pytest.raises(WrongSensorError, match="Another sensor answers"):
         go(fake, tmp_path / "data", Nobody("success"))
     assert not fake.arm.targets and not fake.robot.is_connected
+
+
+def test_nobody_gives_up_on_a_fault_that_comes_back(fake: FakeRig, tmp_path: Path) -> None:
+    class Flaky(Sway):
+        def get_action(self) -> dict[str, float]:
+            if self.calls == 4:
+                fake.captures["front"].fault = "stall"
+            return super().get_action()
+
+    begin = fake.rig.begin_episode
+
+    def mended(seed: int) -> None:
+        fake.captures["front"].fault = ""
+        time.sleep(0.2)
+        begin(seed)
+
+    fake.rig.begin_episode = mended  # type: ignore[method-assign]
+    teleop = Flaky(SwayConfig(id="test", calibration_dir=tmp_path))
+    end = go(fake, tmp_path / "data", Nobody("success"), teleop, episode_s=3.0)
+    assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from recording_fakes import Sway
+from recording_fakes import sway
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_datasets.lossless import open_dataset
@@ -33,7 +33,7 @@ def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
     rig, root = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False), tmp_path / "data"
     store = StoreSettings(root, "local/test", reserve_MB=1.0, own_process=False)
     settings = SessionSettings(episodes=2, episode_s=10.0)
-    end = run_session(rig, Sway(tmp_path), Nobody("success"), store, settings, seed=5)
+    end = run_session(rig, sway(tmp_path), Nobody("success"), store, settings, seed=5)
     assert end.exit_code == 0 and [e.label for e in end.endings] == ["failed_grasp"] * 2, "the scene judges"
     keys = (STATE, ACTION, OUTCOME, SUCCESS, SEED, truth_wrench_key("left"))
     columns = read_source(root).columns(keys)

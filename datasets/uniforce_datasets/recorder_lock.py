@@ -1,0 +1,41 @@
+"""One recorder per dataset: a file lock that ends with the process that holds it, however that ends."""
+
+from __future__ import annotations
+
+import fcntl
+import time
+from pathlib import Path
+from typing import IO
+
+from uniforce_vtla.errors import DatasetError, expected
+
+POLL_s = 0.05
+
+
+def lock(root: Path, wait_s: float) -> IO[str]:
+    """Return the open lock file of a dataset's folder; closing it lets others record.
+
+    Args:
+        root: the folder.
+        wait_s: how long to wait for another recorder that is about to end.
+
+    Raises:
+        DatasetError: another recorder holds it.
+    """
+    handle = open(root / ".recorder.lock", "w")  # noqa: SIM115  held until close()
+    deadline_s = time.monotonic() + wait_s
+    while not _locked(handle):
+        if time.monotonic() > deadline_s:
+            handle.close()
+            do = "Wait, or use another root."
+            raise DatasetError(expected(str(root), "one recorder at a time", "another one", do))
+        time.sleep(POLL_s)
+    return handle
+
+
+def _locked(handle: IO[str]) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

@@ -1,0 +1,54 @@
+"""``uniforce-record`` itself: the scene steered by a teleoperator, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import recording_fakes  # noqa: F401  registers the teleoperator recording_test
+
+from uniforce_datasets.cards import read_card
+from uniforce_datasets.lossless import open_dataset
+from uniforce_vtla.commands.record import main, split_device_flags
+
+QUICK = ["teleop=recording_test", "level=easy", "operator=nobody", "episode_s=0.2", "real_time=false"]
+
+
+@pytest.mark.slow
+def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "data"
+    own = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "teleop.width_m=0.07", "reserve_MB=1"]
+    assert main([*QUICK, *own, f"root={root}", "episodes=1"]) == 0
+    assert "1 of 1 episodes" in capsys.readouterr().out
+    assert main([*QUICK, *own, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
+    assert open_dataset(root).num_episodes == 2 and read_card(root, 1)["prompt"] == "tidy up"
+    assert "--teleop.width_m=0.07" in read_card(root, 1)["settings"]["devices"]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["robot=moon"], "sim | franka"),
+        (["robot=franka"], "works on a robot"),
+        (["robot=franka", "teleop=recording_test"], "instruction"),
+        (["teleop=telepathy"], "recording_test"),
+        (["teleop=recording_test", "operator=cat"], "keys | nobody"),
+        (["teleop=recording_test", "operator=nobody", "verdict=great"], "verdict"),
+        (["teleop=recording_test", "teleop.speed=1"], "speed"),
+        (["resume=/nowhere"], "recorded dataset"),
+        (["episodes=0"], "episodes"),
+        (["episode_s=0"], "episode_s"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_a_reason(
+    words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"]
+    assert main([*words, *home, f"root={tmp_path / 'data'}"]) == 2
+    assert reason in capsys.readouterr().out
+    assert not (tmp_path / "data").exists()
+
+
+def test_settings_of_devices_are_told_from_the_commands_own() -> None:
+    flags, own = split_device_flags(["robot=franka", "robot.address=1", "--teleop.a.b=2", "root=robot.x"])
+    assert flags == ["--robot.address=1", "--teleop.a.b=2"] and own == ["robot=franka", "root=robot.x"]
