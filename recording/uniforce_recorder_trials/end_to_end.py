@@ -64,10 +64,9 @@ def _judged(root: Path) -> int:
 
 def record(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]:
     """Record until all episodes are there, an idle loop beside it; return what can't be read from the dataset."""
-    idle = IdleLoop(plan.options.fps)
     argv = plan.argv(rig, root, episodes=plan.episodes, episode_s=plan.episode_s)
     cores_used: dict[str, float] = {}
-    with Session(program, argv) as session:
+    with IdleLoop(plan.options.fps) as idle, Session(program, argv) as session:
         try:
             session.wait_for(BEGUN, START_s * plan.patience)
             meter = CpuMeter(_who(session, rig, idle))
@@ -78,7 +77,7 @@ def record(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]
             log.warning("%s", error)  # what it stored counts, and the exit code tells
         code = session.wait_end(START_s * plan.patience)
         spans_s = spans(session.lines, plan.episode_s)
-    beat_s, late_ms = idle.stop()
+        beat_s, late_ms = idle.stop()
     recorded = np.any([(beat_s >= a) & (beat_s <= b) for a, b in [*spans_s, (0.0, 0.0)]], axis=0)
     return {
         "exit_code": code,

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from types import TracebackType
 
 import numpy as np
 
@@ -41,6 +42,14 @@ class IdleLoop:
     def pid(self) -> int:
         """Of the process."""
         return self._process.pid
+
+    def __enter__(self) -> IdleLoop:
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.communicate()
 
     def stop(self) -> tuple[np.ndarray, np.ndarray]:
         """End it; return (when each beat came, ``time.monotonic`` s, how late it was, ms)."""
