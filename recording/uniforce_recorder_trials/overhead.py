@@ -17,8 +17,9 @@ from uniforce_recorder_trials.end_to_end import BEGUN, START_s, lateness_ms, obs
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.plan import Plan
 from uniforce_recorder_trials.rig import Rig
-from uniforce_recorder_trials.session import ONE_THREAD, Program, Session
+from uniforce_recorder_trials.session import ONE_THREAD, Program, Session, TrialError
 from uniforce_recorder_trials.uskin_rate import measure_rate
+from uniforce_vtla.errors import expected
 from uniforce_vtla.keys import STAMPS
 
 SETTLE_s = 2.0  # into the episode, before it is measured
@@ -51,8 +52,10 @@ def _read(plan: Plan) -> dict[str, Any]:
             text=True,
             env=os.environ | ONE_THREAD | {"PYTHONPATH": paths},
             timeout=(START_s + plan.overhead_s) * plan.patience,
-            check=True,
+            check=False,
         )
+    if ended.returncode:
+        raise TrialError(expected("observation_read", "exit code 0", ended.returncode, ended.stderr[-500:]))
     found: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
     return found
 

@@ -31,7 +31,12 @@ pytestmark = [
     ),
 ]
 GENTLE = RigOptions(fps=5, patience=20.0, uskin_hz=50.0)  # any machine keeps up with it
-INJECTED = ("camera_stops", "uskin_unplugged", "uskin_garbage", "arm_reflex")
+INJECTED = (
+    "arm_reflex",
+    "camera_stops",
+    "uskin_garbage",
+    "uskin_unplugged",
+)  # the first one has to be cleared
 
 
 @pytest.fixture(scope="module")
