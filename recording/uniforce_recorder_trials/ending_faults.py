@@ -19,10 +19,9 @@ from uniforce_recorder_trials.end_to_end import BEGUN, START_s
 from uniforce_recorder_trials.kill9 import STORED
 from uniforce_recorder_trials.plan import LONG_s, Plan
 from uniforce_recorder_trials.rig import Rig
-from uniforce_recorder_trials.running_faults import NOTICE_s, REST_s, UNDER_WAY_s
+from uniforce_recorder_trials.running_faults import NOTICE_s, UNDER_WAY_s
 from uniforce_recorder_trials.session import Program, Session
 from uniforce_recorder_trials.small_disk import SmallDisk
-from uniforce_recorder_trials.stillness import arm_clock, find_hold
 from uniforce_vtla.keys import STAMPS
 
 COULD_NOT_START, FAULT, DISK_FULL, INTERRUPTED = 2, 3, 4, 130
@@ -92,7 +91,7 @@ def disk_full_guard(bench: Bench) -> dict[str, Any]:
             mark, full_s = bench.rig.mark(), time.monotonic()
             disk.fill(LEFT_MB, RESERVE_MB)
             code = bench.end_of(session)
-            held = _rest(bench.rig, mark, full_s)
+            held = bench.rig.rest(mark, full_s)
         card = _last_card(bench.root)
         right = code == DISK_FULL and card["label"] == "aborted:disk_full" and "hold_s" in held
         said = _found(right, code, card["label"], card["message"])
@@ -126,7 +125,7 @@ def ctrl_c_twice(bench: Bench) -> dict[str, Any]:
         session.press("\x03")
         code = bench.end_of(session)
         last = session.lines[-1].text if session.lines else ""
-    held = _rest(bench.rig, mark, first_s)
+    held = bench.rig.rest(mark, first_s)
     is_stored = (bench.root / "meta" / "info.json").is_file() and check_dataset(bench.root).episodes
     label = _last_card(bench.root)["label"] if is_stored else "not stored"
     right = code == INTERRUPTED and label in ("aborted:interrupt", "not stored") and "hold_s" in held
@@ -163,14 +162,6 @@ def _found(right: bool, code: int, label: str, message: str) -> dict[str, Any]:
         "label": label,
         "message": message,
     }
-
-
-def _rest(rig: Rig, mark: int, fault_s: float) -> dict[str, Any]:
-    """Return when the arm was held and came to rest, and how well its own clock ran."""
-    time.sleep(REST_s)
-    wire = rig.wire(mark)
-    hold = find_hold(wire, fault_s)
-    return {"arm_clock": arm_clock(wire), **(hold.as_dict() if hold else {})}
 
 
 def _last_card(root: Path) -> dict[str, Any]:

@@ -5,19 +5,24 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import psutil
 
+from uniforce_recorder_trials.stillness import arm_clock, find_hold
 from uniforce_standins.fci.journal import read_journal
 from uniforce_standins.fci.process import StandIn as ArmStandIn
 from uniforce_standins.process import StandIn
 
 _numbers = itertools.count(2)
 SCENE_CYCLE = ("rest_s=1", "press_s=1")
+REST_s = 0.6  # after a fault, before the arm's log is read
+REST_MAX_s = 2.0  # an arm that moves by then was never held
 FREE_FRAMES = 60  # between two presses; a reference is taken from 10 in a row
 CAMERAS = {"front": "gelsight", "wrist": "tactip"}  # any moving 640×480 picture will do
 
@@ -107,6 +112,21 @@ class Rig:
         if self.arm.process.poll() is None:
             self.arm.do("flush")
         return read_journal(self._log, mark)
+
+    def rest(self, mark: int, fault_s: float) -> dict[str, Any]:
+        """Wait until the arm rests; return when it was held and how well its own clock ran.
+
+        Args:
+            mark: where its log stood before the fault.
+            fault_s: when it was broken, ``time.monotonic``; no hold is returned where it never rests.
+        """
+        deadline_s = time.monotonic() + REST_MAX_s * self.options.patience
+        hold = None
+        while hold is None and time.monotonic() < deadline_s:
+            time.sleep(REST_s)
+            wire = self.wire(mark)
+            hold = find_hold(wire, fault_s)
+        return {"arm_clock": arm_clock(wire), **(hold.as_dict() if hold else {})}
 
     def close(self) -> None:
         """End every stand-in."""

@@ -15,12 +15,10 @@ from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.plan import EPISODES, LONG_s, Plan
 from uniforce_recorder_trials.rig import Rig
 from uniforce_recorder_trials.session import Line, Program, Session, TrialError
-from uniforce_recorder_trials.stillness import arm_clock, find_hold
 from uniforce_vtla.errors import UniForceError
 
 WAITING, STORED, REFUSED = r"is next: ", r"^(not )?stored", r"^can't begin"
 UNDER_WAY_s = (0.7, 1.3)  # into an episode, before it is broken
-REST_s = 0.6  # after it, before the arm's log is read
 NOTICE_s = 20.0  # a fault nobody has noticed by then never will be
 UNWELL_s = 3.0  # then nobody gives up
 FAULT = 3  # exit code
@@ -95,25 +93,22 @@ def _break(
     mark, broken_s = rig.mark(), time.monotonic()
     fault.breaks(rig)
     at, said = session.wait_for(STORED, NOTICE_s * plan.patience, at)
-    time.sleep(REST_s)
-    found = finding(fault, root, said, broken_s, rig.wire(mark))
+    found = finding(fault, root, said, broken_s, rig.rest(mark, broken_s))
     fault.mends(rig)
     return at, found
 
 
-def finding(fault: Breakage, root: Path, said: Line, broken_s: float, wire: list[dict]) -> dict[str, Any]:
+def finding(fault: Breakage, root: Path, said: Line, broken_s: float, held: dict[str, Any]) -> dict[str, Any]:
     """Return what came of a fault, by the terminal, the dataset and the arm's own log."""
     label = said.text.removeprefix("stored ").partition(",")[0]
     card = read_card(root, len(read_source(root).episodes) - 1)
-    hold = find_hold(wire, broken_s)
-    is_right = label in fault.labels and card["label"] == label and hold is not None
+    is_right = label in fault.labels and card["label"] == label and "hold_s" in held
     return {
         "label": label,
         "message": card["message"],
         "right_outcome": is_right,
-        "arm_clock": arm_clock(wire),
         "stored_s": round(said.time_s - broken_s, 3),
-        **(hold.as_dict() if hold else {}),
+        **held,
     }
 
 
@@ -128,6 +123,5 @@ def unattended(name: str, fault: Breakage, plan: Plan, rig: Rig, program: Progra
         fault.breaks(rig)
         _, said = session.wait_for(STORED, NOTICE_s * plan.patience, at)
         code = session.wait_end((START_s + UNWELL_s) * plan.patience)
-        time.sleep(REST_s)
-        found = finding(fault, root, said, broken_s, rig.wire(mark))
+        found = finding(fault, root, said, broken_s, rig.rest(mark, broken_s))
     return found | {"right_outcome": found["right_outcome"] and code == FAULT, "exit_code": code}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import subprocess
 from pathlib import Path
 
 MB = 1_000_000
+PAGE_B = 4096
 ROOM_MB = 300  # where it can't be mounted: between what is free now and the guard's limit
 
 
@@ -51,7 +53,7 @@ class SmallDisk:
         )
         self._ballast.append(path)
         with path.open("wb") as file:
-            os.posix_fallocate(file.fileno(), 0, size)
+            _take(file.fileno(), size)
 
     def __enter__(self) -> SmallDisk:
         return self
@@ -61,3 +63,16 @@ class SmallDisk:
             path.unlink(missing_ok=True)
         if self.is_own:
             subprocess.run(["umount", str(self._root)], check=True)
+
+
+def _take(file: int, size: int) -> None:
+    """Allocate bytes, or as many as there are: whoever records takes some meanwhile."""
+    taken, step = 0, size
+    while taken < size and step >= PAGE_B:
+        try:
+            os.posix_fallocate(file, taken, min(step, size - taken))
+            taken += step
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            step //= 2
