@@ -71,7 +71,10 @@ def record_on(tty: str, argv: list[str]) -> int:
         os.dup2(terminal, standard)
     os.closerange(3, 1024)  # the orders' socket too: a session that is killed may leave nobody listening
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
-    logging.basicConfig(level=logging.INFO, stream=sys.stdout, format="%(levelname)s %(name)s: %(message)s")
+    form = "%(levelname)s %(name)s: %(message)s"
+    logging.basicConfig(
+        level=logging.INFO, stream=sys.stdout, format=form, force=True
+    )  # over what imports set up
     return record(argv)
 
 
