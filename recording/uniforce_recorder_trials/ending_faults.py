@@ -111,7 +111,12 @@ def disk_full_for_real(bench: Bench) -> dict[str, Any]:
             code = bench.end_of(session)
             said = [line.text for line in session.lines[at:] if "stored" in line.text]
         saved = len(check_dataset(bench.root).episodes)
-        return _found(code == DISK_FULL and saved >= 1, code, said[-1] if said else "", "") | {"saved": saved}
+        return _found(
+            code == DISK_FULL and saved >= 1,
+            code,
+            said[-1].partition(":")[0] if said else "",
+            said[-1] if said else "",
+        ) | {"saved": saved}
 
 
 def ctrl_c_twice(bench: Bench) -> dict[str, Any]:
