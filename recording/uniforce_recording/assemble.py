@@ -105,7 +105,10 @@ def run_session(
         closing.callback(recorder.close)
         closing.callback(operator.stop)
         closing.callback(steering.close)
-        closing.callback(rig.close)  # first to be let go
+        closing.callback(rig.close)
+        closing.callback(
+            rig.hold
+        )  # last in, first done: whatever ends this, the robot rests before anything is closed
         rig.connect()
         steering.connect()
         operator.start()

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import signal
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -56,7 +58,8 @@ class StoreProcess:
         self._process = context.Process(
             target=serve, args=(other, self._slots, facts, settings), name="store", daemon=True
         )
-        self._process.start()
+        with _deaf_to_ctrl_c():
+            self._process.start()
         other.close()
 
     @property
@@ -217,3 +220,13 @@ class StoreProcess:
     def _gone(self) -> DatasetError:
         do = "See the error above; saved episodes are whole."
         return DatasetError(expected("storing process", "one that runs", "one that has ended", do))
+
+
+@contextmanager
+def _deaf_to_ctrl_c() -> Iterator[None]:
+    """Let a child inherit that Ctrl-C is ignored: it goes to the whole group, also while the child still imports."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

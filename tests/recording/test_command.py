@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -52,3 +54,37 @@ def test_what_cannot_be_is_refused_with_a_reason(
 def test_settings_of_devices_are_told_from_the_commands_own() -> None:
     flags, own = split_device_flags(["robot=franka", "robot.address=1", "--teleop.a.b=2", "root=robot.x"])
     assert flags == ["--robot.address=1", "--teleop.a.b=2"] and own == ["robot=franka", "root=robot.x"]
+
+
+PROGRAM = """
+import sys
+sys.path[:0] = sys.argv[1:3]
+import recording_fakes
+from uniforce_vtla.commands.record import main
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[3:]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_kill_9_loses_the_running_episode_at_most(tmp_path: Path) -> None:
+    """Two processes are involved, and the storing one is spawned: a program of its own, not a thread of this."""
+    root, program = tmp_path / "data", tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    paths = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "robots")]
+    words = [*QUICK, f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "reserve_MB=1", f"root={root}"]
+    command = [sys.executable, str(program), *paths, *words]
+    child = subprocess.Popen([*command, "episodes=100"], stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    told = 0
+    for line in child.stdout:
+        told += line.startswith("stored")
+        if told == 2 and line.startswith("episode "):
+            break
+    child.kill()
+    child.wait()
+    have = open_dataset(root).num_episodes
+    assert have >= told == 2
+    assert subprocess.run([*command, "episodes=5"], check=False).returncode == 0
+    assert open_dataset(root).num_episodes >= max(have, 5)

@@ -117,3 +117,13 @@ def test_one_that_is_not_ready_ends_at_once(tmp_path: Path) -> None:
     begun = time.monotonic()
     StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test")).close()
     assert time.monotonic() - begun < 5.0, "it didn't wait for imports"
+
+
+@pytest.mark.slow
+def test_ctrl_c_while_it_starts_does_not_reach_it(tmp_path: Path) -> None:
+    with StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test")) as store:
+        os.kill(store.pid, signal.SIGINT)
+        record(store)
+        os.kill(store.pid, signal.SIGINT)
+        record(store)
+        assert store.num_episodes == 2
