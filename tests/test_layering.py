@@ -87,8 +87,8 @@ def test_the_robot_knows_no_policy_and_its_children_not_even_the_robot() -> None
 
 
 def test_recording_knows_no_policy_and_no_stand_in() -> None:
-    forbidden = ("lerobot_policy_pi05_uniforce", "uniforce_standins")
-    assert not foreign_imports(ROOT / "recording", forbidden)
+    forbidden = ("lerobot_policy_pi05_uniforce", "uniforce_standins", "uniforce_recorder_trials")
+    assert not foreign_imports(ROOT / "recording" / "uniforce_recording", forbidden)
     for folder in ("robots", "devices", "datasets", "envs", "policies"):
         assert not foreign_imports(ROOT / folder, ("uniforce_recording",)), f"{folder} imports the recorder"
 

@@ -47,5 +47,8 @@ def write_pooled_stats(root: str | Path) -> None:
     for key, values in columns.items():
         stats[key] = {name: value.tolist() for name, value in pooled_stats(values).items()}
     fresh = path.with_suffix(".json.new")
-    fresh.write_text(json.dumps(stats, indent=4))
-    os.replace(fresh, path)
+    try:
+        fresh.write_text(json.dumps(stats, indent=4))
+        os.replace(fresh, path)
+    finally:
+        fresh.unlink(missing_ok=True)  # half a file of a full disk

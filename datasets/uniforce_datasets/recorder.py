@@ -197,8 +197,15 @@ class EpisodeRecorder:
             return
         self._abandon()
         if (self.root / "meta" / "info.json").exists():
-            write_pooled_stats(self.root)
+            self._pool()
         self._lock.close()
+
+    def _pool(self) -> None:
+        try:
+            write_pooled_stats(self.root)
+        except OSError as error:  # a full disk: the dataset is whole, and the next session's end pools again
+            do = "Free some space and resume, which pools them."
+            logger.error("%s", expected("statistics of all episodes", "room to write them", error, do))
 
     def __enter__(self) -> EpisodeRecorder:
         return self

@@ -1,6 +1,7 @@
 """Settings of every teleoperator; LeRobot finds the class ``X`` in this package by the name ``XConfig``.
 
-Nested ones are set as ``--teleop.limits.speed=[0.05,0.05,0.05,0.3,0.06]``.
+Nested ones are set as ``--teleop.limits.speed=[0.05,0.05,0.05,0.3,0.06]``. They stand first in a docstring:
+LeRobot's parser reads on from their line, and breaks where the closing quotes come next.
 """
 
 from __future__ import annotations
@@ -37,22 +38,22 @@ class UniforceSpaceMouseConfig(TeleoperatorConfig):
     """A 3Dconnexion SpaceMouse.
 
     Attributes:
+        limits: speeds at full deflection.
         device: e.g. /dev/hidraw3, or the path of a local packet socket; empty looks for the only one plugged in.
         full_scale: counts at full deflection.
         deadband: share of full deflection that is rest; a cap never comes back to zero exactly.
         signs: of right, forward, up and counter-clockwise in the device's own counts.
         operator_yaw_rad: which way "forward" is in the base frame; 0: the operator looks along +x.
         silent_s: a deflected cap that sends nothing for so long is a dead one.
-        limits: speeds at full deflection.
     """
 
+    limits: TargetLimits = field(default_factory=TargetLimits)
     device: str = ""
     full_scale: float = 350.0
     deadband: float = 0.08
     signs: tuple[int, int, int, int] = (1, -1, -1, -1)
     operator_yaw_rad: float = 0.0
     silent_s: float = 0.25  # wireless ones send at some 60 Hz
-    limits: TargetLimits = field(default_factory=TargetLimits)
 
 
 @TeleoperatorConfig.register_subclass("uniforce_gello")
@@ -61,6 +62,8 @@ class UniforceGelloConfig(TeleoperatorConfig):
     """A GELLO: a small arm of Dynamixel motors with the Franka's proportions.
 
     Attributes:
+        limits: how fast the target follows.
+        start: how far it may stand from the robot.
         port: serial port, e.g. /dev/serial/by-id/usb-FTDI_….
         baud: of the motors.
         ids: seven joints and the gripper's trigger.
@@ -70,10 +73,10 @@ class UniforceGelloConfig(TeleoperatorConfig):
         flange_to_tool_m: the point between the finger tips; the Franka Hand's own by default.
         jump_rad: a joint that turns further between two readings has slipped or lies.
         stale_s: an older reading is not followed.
-        start: how far it may stand from the robot.
-        limits: how fast the target follows.
     """
 
+    limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.1)))
+    start: StartWindow = field(default_factory=StartWindow)
     port: str = ""
     baud: int = 57_600  # as the motors come; GELLO builds often set 1_000_000
     ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)
@@ -84,8 +87,6 @@ class UniforceGelloConfig(TeleoperatorConfig):
     flange_to_tool_m: float = float(HAND_TO_FLANGE[2, 3])
     jump_rad: float = 0.35
     stale_s: float = 0.15
-    start: StartWindow = field(default_factory=StartWindow)
-    limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.1)))
 
 
 @TeleoperatorConfig.register_subclass("uniforce_gamepad")
@@ -94,12 +95,12 @@ class UniforceGamepadConfig(TeleoperatorConfig):
     """LeRobot's own gamepad; three axes and the fingers, no turn.
 
     Attributes:
-        hidapi: read through hidapi instead of pygame.
         limits: speeds at full deflection.
+        hidapi: read through hidapi instead of pygame.
     """
 
-    hidapi: bool = False
     limits: TargetLimits = field(default_factory=TargetLimits)
+    hidapi: bool = False
 
 
 @TeleoperatorConfig.register_subclass("uniforce_phone")
@@ -108,14 +109,14 @@ class UniforcePhoneConfig(TeleoperatorConfig):
     """LeRobot's own phone: its pose moves the target while its button is held.
 
     Attributes:
+        limits: how fast the target follows.
         phone_os: ios (HEBI Mobile I/O) or android (WebXR page).
         silent_s: without a pose, or with the very same one, for so long it is lost.
-        limits: how fast the target follows.
     """
 
+    limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.06)))
     phone_os: Literal["ios", "android"] = "ios"
     silent_s: float = 0.5
-    limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.06)))
 
 
 @TeleoperatorConfig.register_subclass("uniforce_expert")

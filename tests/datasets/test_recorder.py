@@ -190,6 +190,28 @@ def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(
     assert open_dataset(tmp_path / "data").num_episodes == 2
 
 
+def test_a_disk_full_to_the_last_byte_lets_go_of_the_dataset(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Statistics can't be pooled then: told, the old ones stay whole, the next session pools them."""
+    recorder = open_recorder(tmp_path / "d")
+    save_one(recorder)
+    before = (tmp_path / "d" / "meta" / "stats.json").read_text()
+
+    def full(self: Path, *_: object) -> int:
+        self.touch()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", full)
+        recorder.close()
+    assert "statistics" in caplog.text and (tmp_path / "d" / "meta" / "stats.json").read_text() == before
+    assert not list((tmp_path / "d" / "meta").glob("*.new"))
+    with open_recorder(tmp_path / "d") as again:
+        assert again.num_episodes == 1
+    assert (tmp_path / "d" / "meta" / "stats.json").read_text() != before
+
+
 def test_discard_forgets_the_episode(tmp_path: Path) -> None:
     with open_recorder(tmp_path / "data") as recorder:
         add_frames(recorder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from lerobot_camera_uniforce.faults import FrozenSensorError, LostSensorError, ProtocolError, StaleSensorError
 from lerobot_camera_uniforce.reader import ReaderLimits, SampleReader
 from lerobot_camera_uniforce.uskin_slcan import SlcanUSkin
+from uniforce_recorder_trials.uskin_rate import measure_rate
 from uniforce_standins.process import StandIn
 from uniforce_standins.scene import Scene, taxel_cycle
 
@@ -124,42 +124,11 @@ def test_a_held_port_is_refused(slcan: StandIn, reader: SampleReader):
 @pytest.mark.slow
 def test_500_scans_per_second_and_none_lost(cpu_share: float):
     """The seconds to run can be set: ``UNIFORCE_RATE_SECONDS=60``."""
-    seconds = float(os.environ.get("UNIFORCE_RATE_SECONDS", "5"))
-    with StandIn("slcan", "rate_hz=500") as stand_in:
-        reader = SampleReader(SlcanUSkin(stand_in.address, max_behind_s=1e9), ReaderLimits(frozen_after=50))
-        reader.start()
-        reader.wait_newer(-1, 30_000)
-        ages_ms = _ages_ms(reader, seconds)
-        rate_hz, counts = reader.rate_hz(), reader.counts
-        stand_in.inject("stall")
-        sent = _until_all_arrived(stand_in, reader)
-        reader.stop()
-    p50, p99 = np.percentile(ages_ms, [50, 99])
-    record = (
-        f"{rate_hz:.1f} scans/s, age p50 {p50:.2f} p99 {p99:.2f} ms, {counts}, core share {cpu_share:.2f}"
-    )
-    warnings.warn(record, stacklevel=1)  # shown in the summary: a rate is worth reading
-    assert reader.counts.lost == reader.counts.bad == 0
-    assert reader.counts.samples == sent
+    seen = measure_rate(float(os.environ.get("UNIFORCE_RATE_SECONDS", "5")))
+    warnings.warn(f"{seen}, core share {cpu_share:.2f}", stacklevel=1)  # shown in the summary: worth reading
+    assert seen.lost == seen.bad == 0
+    assert seen.samples == seen.sent
     if cpu_share < 0.8:
         pytest.skip(f"rate and age not judged: this machine gives us {cpu_share:.0%} of a core")
-    assert rate_hz == pytest.approx(500, rel=0.02)
-    assert p50 <= 2.0
-
-
-def _ages_ms(reader: SampleReader, seconds: float) -> list[float]:
-    rng, end_s, ages = np.random.default_rng(0), time.monotonic() + seconds, []
-    while time.monotonic() < end_s:
-        time.sleep(rng.uniform(0.002, 0.012))  # at no fixed phase to the scans
-        ages.append(reader.newest(1e4).age_ms())
-    return ages
-
-
-def _until_all_arrived(stand_in: StandIn, reader: SampleReader) -> int:
-    """Return the scans that were sent, once the last of them had time to arrive."""
-    before = -1
-    while reader.counts.samples != before:
-        before = reader.counts.samples
-        time.sleep(0.3)
-    stats = stand_in.stats()
-    return stats["sent"]
+    assert seen.rate_hz == pytest.approx(500, rel=0.02)
+    assert seen.age_p50_ms <= 2.0

@@ -6,8 +6,10 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import draccus
 import numpy as np
 import pytest
+from lerobot.scripts.lerobot_teleoperate import TeleoperateConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
 import lerobot_policy_pi05_uniforce  # noqa: F401  the one package LeRobot imports must register them all
@@ -22,6 +24,13 @@ def test_every_registered_one_is_tested_here() -> None:
     from teleop_fakes import MAKERS
 
     assert sorted(MAKERS) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_lerobots_own_commands_can_name_it(name: str) -> None:
+    """Their parser reads class sources for help texts, and breaks over some."""
+    flags = ["--robot.type=uniforce_franka", f"--teleop.type={name}"]
+    assert draccus.parse(TeleoperateConfig, args=flags).teleop.type == name
 
 
 @pytest.mark.parametrize("name", NAMES)

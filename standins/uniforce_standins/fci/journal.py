@@ -30,7 +30,7 @@ class Journal:
             self._file.flush()
 
 
-def read_journal(path: Path) -> list[dict]:
-    """Return a journal's whole lines; a killed process may have left half a one at the end."""
-    text = path.read_text()
+def read_journal(path: Path, begin: int = 0) -> list[dict]:
+    """Return a journal's whole lines from a byte on; a killed process may have left half a one at the end."""
+    text = path.read_bytes()[begin:].decode()
     return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]

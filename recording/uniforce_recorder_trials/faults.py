@@ -1,0 +1,89 @@
+"""Every fault as often as wanted: was the robot held in time, was the outcome the right one, did nothing hang?"""
+
+from __future__ import annotations
+
+import random
+import shutil
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from uniforce_recorder_trials.ending_faults import ENDINGS, Bench
+from uniforce_recorder_trials.fault_table import BREAKAGES, Breakage
+from uniforce_recorder_trials.ledger import Ledger
+from uniforce_recorder_trials.plan import Plan
+from uniforce_recorder_trials.rig import Rig
+from uniforce_recorder_trials.running_faults import attended, unattended
+from uniforce_recorder_trials.session import Program
+from uniforce_vtla.errors import UniForceError
+
+NAMES = (*BREAKAGES, *ENDINGS)
+
+
+def run(plan: Plan, ledger: Ledger, names: tuple[str, ...] = NAMES) -> dict[str, Any]:
+    """Inject what is missing of each fault; return the findings of all."""
+    left = [name for name in names if len(ledger.read(name)) < plan.times]
+    if left:
+        with Rig(plan.work / "faults" / "rig", plan.options) as rig, Program(plan.log) as program:
+            _break_devices({n: BREAKAGES[n] for n in left if n in BREAKAGES}, plan, ledger, rig, program)
+            for name in (n for n in left if n in ENDINGS):
+                _end_sessions(name, plan, ledger, rig, program)
+    return {name: summary(ledger.read(name)) for name in NAMES if ledger.read(name)}
+
+
+def _break_devices(
+    faults: dict[str, Breakage], plan: Plan, ledger: Ledger, rig: Rig, program: Program
+) -> None:
+    """All but the last injection of each in one session, the last one in a session with nobody there."""
+    root, by_hand = plan.work / "faults" / "attended", max(plan.times - 1, 1)
+    while any(len(ledger.read(name)) < by_hand for name in faults):
+        rig.new_arm()
+        attended(faults, plan, rig, program, ledger, root, by_hand)
+        for fault in faults.values():
+            fault.mends(rig)
+    for name, fault in faults.items():
+        while len(ledger.read(name)) < plan.times:
+            _noted(name, ledger, partial(unattended, name, fault, plan, rig, program))
+            fault.mends(rig)
+
+
+def _end_sessions(name: str, plan: Plan, ledger: Ledger, rig: Rig, program: Program) -> None:
+    while (done := len(ledger.read(name))) < plan.times:
+        bench = bench_of(name, done, plan, rig, program)
+        _noted(name, ledger, partial(ENDINGS[name], bench))
+
+
+def bench_of(name: str, number: int, plan: Plan, rig: Rig, program: Program) -> Bench:
+    """Return what the trial of a number needs, its folder empty."""
+    root = plan.work / "faults" / name / str(number)
+    shutil.rmtree(root, ignore_errors=True)  # of a trial that was cut short
+    return Bench(plan, rig, program, root, random.Random(f"{name}{number}{plan.seed}"))
+
+
+def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> None:
+    """Add what a trial found; one that hung, died or left no dataset is a finding too."""
+    try:
+        ledger.add(name, trial())
+    except UniForceError as error:
+        ledger.add(name, {"right_outcome": False, "message": str(error)})
+
+
+def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return counts and the worst of a fault's findings."""
+    holds_s, rests_s, clocks = (_all(findings, key) for key in ("hold_s", "rest_s", "arm_clock"))
+    labels = sorted({finding["label"] for finding in findings if "label" in finding})
+    codes = sorted({finding["exit_code"] for finding in findings if "exit_code" in finding})
+    return {
+        "trials": len(findings),
+        "right_outcome": sum(bool(finding["right_outcome"]) for finding in findings),
+        "worst_hold_s": max(holds_s, default=None),
+        "worst_rest_s": max(rests_s, default=None),
+        "slowest_arm_clock": min(clocks, default=None),
+        "labels": labels,
+        "exit_codes": codes,
+        "example": next((f["message"] for f in findings if f.get("message")), ""),
+    }
+
+
+def _all(findings: list[dict[str, Any]], key: str) -> list[float]:
+    return [finding[key] for finding in findings if finding.get(key) is not None]

@@ -1,0 +1,34 @@
+"""What trials found, a line each, so that a stopped run goes on where it was."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+
+class Ledger:
+    """Append-only lists of findings by name.
+
+    Args:
+        folder: one ``NAME.jsonl`` each.
+        shows: told of each finding as it comes: its list's name, its number in it from 1, itself.
+    """
+
+    def __init__(self, folder: Path, shows: Callable[[str, int, dict[str, Any]], None] | None = None) -> None:
+        self._folder, self._shows = folder, shows
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def add(self, name: str, finding: dict[str, Any]) -> None:
+        """Add one."""
+        with (self._folder / f"{name}.jsonl").open("a") as file:
+            file.write(json.dumps(finding) + "\n")
+        if self._shows is not None:
+            self._shows(name, len(self.read(name)), finding)
+
+    def read(self, name: str) -> list[dict[str, Any]]:
+        """Return all of a name; half a line at the end is none."""
+        path = self._folder / f"{name}.jsonl"
+        text = path.read_text() if path.exists() else ""
+        return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]

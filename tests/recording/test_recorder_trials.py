@@ -1,0 +1,95 @@
+"""A small share of the trials: the real client against the stand-in arm, whole sessions, kills and faults.
+
+Outcomes are asserted, timings aren't: those are what ``uniforce-recorder-trials`` is for, on a machine with time.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Iterator
+
+import pytest
+
+from uniforce_recorder_trials import kill9
+from uniforce_recorder_trials.end_to_end import rate_and_jitter, record
+from uniforce_recorder_trials.ending_faults import server_death
+from uniforce_recorder_trials.fault_table import BREAKAGES
+from uniforce_recorder_trials.faults import bench_of
+from uniforce_recorder_trials.ledger import Ledger
+from uniforce_recorder_trials.loading import load_in_stock_lerobot
+from uniforce_recorder_trials.plan import Plan
+from uniforce_recorder_trials.rig import Rig, RigOptions
+from uniforce_recorder_trials.running_faults import attended
+from uniforce_recorder_trials.session import Program
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(
+        importlib.util.find_spec("franky") is None,
+        reason="franky is not installed: pip install '.[franka]' to run the real client",
+    ),
+]
+GENTLE = RigOptions(fps=5, patience=20.0, uskin_hz=50.0)  # any machine keeps up with it
+INJECTED = (
+    "arm_reflex",
+    "camera_stops",
+    "uskin_garbage",
+    "uskin_unplugged",
+)  # the first one has to be cleared
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    return Plan(tmp_path_factory.mktemp("trials"), episodes=2, episode_s=2.0, options=GENTLE)
+
+
+@pytest.fixture(scope="module")
+def rig(plan: Plan) -> Iterator[Rig]:
+    with Rig(plan.work / "rig", plan.options) as rig:
+        yield rig
+
+
+@pytest.fixture(scope="module")
+def program(plan: Plan) -> Iterator[Program]:
+    with Program(plan.log) as program:
+        yield program
+
+
+def test_two_episodes_end_to_end(plan: Plan, rig: Rig, program: Program) -> None:
+    root = plan.work / "two"
+    found = record(plan, rig, program, root)
+    assert found["exit_code"] == 0
+    seen = rate_and_jitter(root, [found])
+    assert seen["labels"] == {"success": 2} and seen["frames"] == 20
+    assert not seen["episodes_with_dropped_video"] and seen["idle_ticks"] > 0
+    assert load_in_stock_lerobot(root)["loads_in_stock_lerobot"]
+
+
+def test_three_kills_cost_no_saved_episode(plan: Plan, rig: Rig, program: Program) -> None:
+    for number in (0, 4, 8):  # all of it mid-tick, the loop mid-save, the storing process in between
+        seen = kill9.kill_once(plan, rig, program, plan.work / "killed", number)
+        assert seen["said_stored"] and not seen["saved_lost"] and not seen["processes_left"], seen
+    assert kill9.finish(plan, rig, program, plan.work / "killed")["exit_code"] == 0
+
+
+def test_faults_hold_the_arm_and_are_labelled(plan: Plan, rig: Rig, program: Program) -> None:
+    """One session: a person goes on after each fault."""
+    ledger = Ledger(plan.work / "found")
+    rig.new_arm()
+    attended(
+        {name: BREAKAGES[name] for name in INJECTED},
+        plan,
+        rig,
+        program,
+        ledger,
+        plan.work / "broken",
+        times=1,
+    )
+    for name in INJECTED:
+        assert ledger.read(name)[0]["right_outcome"], (name, ledger.read(name))
+
+
+def test_an_arm_that_is_gone_ends_the_session(plan: Plan, rig: Rig, program: Program) -> None:
+    seen = server_death(bench_of("server_death", 0, plan, rig, program))
+    assert seen["right_outcome"], seen
