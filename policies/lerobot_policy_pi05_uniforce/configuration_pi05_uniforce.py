@@ -77,7 +77,8 @@ class PI05UniforceConfig(PI05Config):
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
     )
-    touch_noise: float = 0.0  # training only: Gaussian noise on touch, in units of each channel's spread
+    # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.4, base 0
+    touch_noise: float = _BY_SIZE
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
     tokenizer_config: dict[str, Any] | None = None  # filled from that tokenizer, rebuilds it on load

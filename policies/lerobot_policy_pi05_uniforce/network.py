@@ -79,7 +79,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         slots, scale = len(config.slots), config.force_token_scale
         if config.touch_input == "marker_pair":
             return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
-        shape, noise = touch_shape(config), config.touch_noise
+        shape, noise = touch_shape(config), config.touch_noise if config.touch_input == "latent" else 0.0
         tokens = ForceTokens(shape, config.tokens_per_slot, slots, self.touch_width, scale, noise)
         if config.touch_input == "wrench":
             tokens.input_scale.copy_(wrench_scale())

@@ -209,6 +209,12 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         assert all(m.all() for m in masks)
 
 
+def test_touch_noise_is_for_latents_of_the_tiny_size(make_policy):
+    assert make_policy().model.force_tokens.noise == 0.4
+    assert make_policy(touch_noise=0.1).model.force_tokens.noise == 0.1
+    assert make_policy(touch_input="wrench").model.force_tokens.noise == 0.0
+
+
 def test_touch_noise_is_for_training_alone(make_policy):
     torch.manual_seed(0)
     tokens = make_policy(touch_noise=0.5).model.force_tokens
