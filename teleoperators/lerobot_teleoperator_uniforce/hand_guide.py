@@ -10,14 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_robot_uniforce_franka.arm import HAND_GUIDED
-from lerobot_teleoperator_uniforce.base import FEEDBACK_AGE_S, UniforceTeleoperator
+from lerobot_teleoperator_uniforce.base import FEEDBACK_AGE_S
 from lerobot_teleoperator_uniforce.configs import UniforceHandGuideConfig
-from lerobot_teleoperator_uniforce.keyboard import WIDTH, WIDTH_KEYS
-from lerobot_teleoperator_uniforce.terminal_keys import TerminalKeys
+from lerobot_teleoperator_uniforce.keyed import WIDTH, WIDTH_KEYS, KeyedTeleoperator
 from uniforce_vtla.errors import TeleoperatorError, expected
 
 
-class UniforceHandGuide(UniforceTeleoperator):
+class UniforceHandGuide(KeyedTeleoperator):
     """The measured x, y, z and yaw, and a width commanded by the keys o (open) and p (close)."""
 
     config_class = UniforceHandGuideConfig
@@ -25,23 +24,7 @@ class UniforceHandGuide(UniforceTeleoperator):
     wants_gains = HAND_GUIDED
 
     def __init__(self, config: UniforceHandGuideConfig) -> None:
-        super().__init__(config, config.limits)
-        self.config = config
-        self.keys = TerminalKeys(WIDTH_KEYS)
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether keys are read."""
-        return self.keys.is_listening
-
-    def _open(self) -> None:
-        self.keys.start()
-
-    def _close(self) -> None:
-        self.keys.stop()
-
-    def _begin(self, measured: np.ndarray) -> None:
-        self.keys.forget()
+        super().__init__(config, config.limits, WIDTH_KEYS)
 
     def _next(self, elapsed_s: float) -> np.ndarray:
         measured = self.measured

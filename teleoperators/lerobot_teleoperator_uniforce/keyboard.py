@@ -4,43 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_teleoperator_uniforce.base import UniforceTeleoperator
 from lerobot_teleoperator_uniforce.configs import UniforceKeyboardConfig
-from lerobot_teleoperator_uniforce.terminal_keys import TerminalKeys
+from lerobot_teleoperator_uniforce.keyed import WIDTH_KEYS, YAW, KeyedTeleoperator, X, Y, Z
 
-X, Y, Z, YAW, WIDTH = range(5)
-# n, r, q and the arrows are left to a recorder.
-WIDTH_KEYS = {"o": (WIDTH, 1), "p": (WIDTH, -1)}
 KEYS = {
     "w": (X, 1), "s": (X, -1), "a": (Y, 1), "d": (Y, -1), "e": (Z, 1), "c": (Z, -1), "j": (YAW, 1), "l": (YAW, -1),
     **WIDTH_KEYS,
 }  # fmt: skip
 
 
-class UniforceKeyboard(UniforceTeleoperator):
+class UniforceKeyboard(KeyedTeleoperator):
     """w s a d along base x and y, e c up and down, j l turn, o p open and close; a held key moves on."""
 
     config_class = UniforceKeyboardConfig
     name = "uniforce_keyboard"
 
     def __init__(self, config: UniforceKeyboardConfig) -> None:
-        super().__init__(config, config.limits)
-        self.config = config
-        self.keys = TerminalKeys(KEYS)
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether keys are read."""
-        return self.keys.is_listening
-
-    def _open(self) -> None:
-        self.keys.start()
-
-    def _close(self) -> None:
-        self.keys.stop()
-
-    def _begin(self, measured: np.ndarray) -> None:
-        self.keys.forget()
+        super().__init__(config, config.limits, KEYS)
 
     def _next(self, elapsed_s: float) -> np.ndarray:
         return self.integrator.advance(self.keys.rates(), elapsed_s, self.measured)
