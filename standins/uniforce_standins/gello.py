@@ -77,12 +77,7 @@ class GelloStandIn:
 
     def run(self) -> None:
         """Serve until told to quit."""
-        self._control.ready(str(self._port.path))
-        try:
-            while not self._control.quit:
-                self._serve_once()
-        finally:
-            self._port.close()
+        self._port.serve(self._control, self._serve_once)
 
     def counts(self) -> np.ndarray:
         """(8,) positions now, as the motors count them."""
@@ -93,8 +88,7 @@ class GelloStandIn:
         return np.round(angles * COUNTS_PER_TURN / (2 * np.pi)).astype(int)
 
     def _serve_once(self) -> None:
-        plugged = [self._port.master] if self._port.master >= 0 else []
-        ready, _, _ = select.select([*plugged, *self._control.inputs()], [], [], 0.1)
+        ready, _, _ = select.select([*self._port.inputs(), *self._control.inputs()], [], [], 0.1)
         if 0 in ready:
             self._control.read()
         if self._port.master in ready:

@@ -6,7 +6,10 @@ import os
 import tempfile
 import termios
 import tty
+from collections.abc import Callable
 from pathlib import Path
+
+from uniforce_standins.control import Control
 
 
 class PseudoTerminal:
@@ -36,6 +39,19 @@ class PseudoTerminal:
         os.close(self._slave)
         os.close(self.master)
         self.master = self._slave = -1
+
+    def inputs(self) -> list[int]:
+        """Return what to select on: our end, while it is in."""
+        return [self.master] if self.master >= 0 else []
+
+    def serve(self, control: Control, once: Callable[[], None]) -> None:
+        """Tell where we are and serve until told to quit."""
+        control.ready(str(self.path))
+        try:
+            while not control.quit:
+                once()
+        finally:
+            self.close()
 
     def close(self) -> None:
         """Unplug, and leave nothing behind."""

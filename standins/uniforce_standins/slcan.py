@@ -62,15 +62,10 @@ class SlcanStandIn:
 
     def run(self) -> None:
         """Serve until told to quit."""
-        self._control.ready(str(self._port.path))
-        try:
-            while not self._control.quit:
-                self._serve_once()
-        finally:
-            self._port.close()
+        self._port.serve(self._control, self._serve_once)
 
     def _serve_once(self) -> None:
-        plugged = [self._port.master] if self._port.master >= 0 else []
+        plugged = self._port.inputs()
         wait_s = self._pace.wait_s() if self._is_open else 0.1
         writable = plugged if self._out else []
         ready, can_write, _ = select.select([*plugged, *self._control.inputs()], writable, [], wait_s)

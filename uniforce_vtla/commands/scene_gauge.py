@@ -156,7 +156,7 @@ def make_gauges(config: SceneGaugeConfig) -> dict[str, Any]:
         "test_scenes": config.test_scenes,
         "sensors": {sensor: errors(gauges[sensor], wipes) for sensor, wipes in worn(tests).items()},
         "episodes": [judge(gauges, episode) for episode in tests],
-        "gauges": str(folder),
+        "gauges": config.out or "shipped",
     }
 
 
