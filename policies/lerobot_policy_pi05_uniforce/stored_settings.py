@@ -30,6 +30,7 @@ LIMITS = {  # of whole numbers in config.json: far beyond what anybody trains, f
     "tokenizer_max_length": 65536,
     "latent_grid": 64,
     "latent_size": 4096,
+    "agreed_numbers": 4096,
 }
 MAX_SIDE = 4096  # of an image or a feature's axis
 # What LeRobot, draccus and torch raise over settings that fit nothing
