@@ -28,7 +28,7 @@ lint: setup
 	.venv/bin/mypy
 
 test: setup lint
-	$(PY) -m pytest
+	$(PY) -m pytest -n 2 --dist loadfile
 
 fuzz: setup
 	UNIFORCE_FUZZ_INPUTS=$${UNIFORCE_FUZZ_INPUTS:-100000} UNIFORCE_FUZZ_FILES=$${UNIFORCE_FUZZ_FILES:-2000} \

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.json_file import read_object
 
+ALIGNED_BELOW = 2**20  # bytes: all of tiny's matrices, hardly anything of base
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
 
@@ -122,7 +123,9 @@ def _place(module: nn.Module, name: str, tensor: Tensor) -> None:
     owner = module.get_submodule(parent)
     old = getattr(owner, leaf)
     device = tensor.device if old.is_meta else old.device
-    new = tensor.to(device, old.dtype)
+    # A copy has aligned memory; in the file a tensor may start anywhere, and a matrix product's last bits hang on that.
+    # Large ones stay mapped from the file: base must never be held twice.
+    new = tensor.to(device, old.dtype, copy=tensor.nbytes < ALIGNED_BELOW)
     if isinstance(old, nn.Parameter):
         owner.register_parameter(leaf, nn.Parameter(new, requires_grad=old.requires_grad))
     else:

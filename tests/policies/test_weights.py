@@ -26,6 +26,14 @@ def test_an_empty_module_is_filled_and_equal(tmp_path: Path) -> None:
     assert empty[0].weight.requires_grad
 
 
+def test_tensors_lie_where_new_ones_would(tmp_path: Path) -> None:
+    """A checkpoint's own layout would show in the last bits of what a policy answers."""
+    layer = nn.Sequential(nn.Linear(3, 5), nn.Linear(5, 1))
+    save_file({name: value.clone() for name, value in layer.state_dict().items()}, tmp_path / "w.safetensors")
+    fill(layer, tmp_path / "w.safetensors")
+    assert all(weight.data_ptr() % 64 == 0 for weight in layer.parameters())
+
+
 def test_every_tensor_that_does_not_fit_is_named(tmp_path: Path) -> None:
     tensors = {"weight": torch.zeros(3, 5), "other": torch.zeros(1), "left.over": torch.zeros(1)}
     save_file(tensors, tmp_path / "w.safetensors")

@@ -52,7 +52,10 @@ def find(command: AgreementCommand) -> tuple[Agreement, Path]:
     """Draw pairs, encode them, fit, and write the file; returns both."""
     folder = checkpoint_folder(command.tokenizer or None, "tokenizer")
     tokenizer = Tokenizer.from_pretrained(folder)
-    rng, source = np.random.default_rng([command.seed, 91]), LivePairs(replace(FAMILY, side=tokenizer.config.side))
+    rng, source = (
+        np.random.default_rng([command.seed, 91]),
+        LivePairs(replace(FAMILY, side=tokenizer.config.side)),
+    )
     batches = -(-command.pairs // (UNITS * CONTACTS))
     found = [
         _encode(tokenizer, source.draw(rng, UNITS, CONTACTS), command.grid)
@@ -73,5 +76,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"agreement: {error}")
         return 2
     ratios = ", ".join(f"{r:.1f}" for r in agreement.ratio[:8])
-    print(f"variance between grasps over variance between sensors, best directions first: {ratios}; in {path}")
+    print(
+        f"variance between grasps over variance between sensors, best directions first: {ratios}; in {path}"
+    )
     return 0

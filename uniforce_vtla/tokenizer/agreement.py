@@ -20,7 +20,9 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 
 AGREEMENT = "agreement.safetensors"  # beside the weights in a tokenizer's folder
 KEPT = 16  # directions stored; a policy takes the first few
-SHRINKAGE = 0.5  # of the mean variance, added to the disagreement: cells no pair moves must not look trustworthy
+SHRINKAGE = (
+    0.5  # of the mean variance, added to the disagreement: cells no pair moves must not look trustworthy
+)
 MIN_PAIRS_PER_NUMBER = 4  # fewer grasps leave a covariance that means nothing
 
 
@@ -84,7 +86,9 @@ def fit_agreement(left: np.ndarray, right: np.ndarray, grid: int, tokenizer_hash
         ContractError: shapes that differ, NaN, too few pairs, or latents that never change.
     """
     _check(left, right)
-    apart = (left - right).astype(np.float64)  # its mean stays in: a sensor's own offset is a disagreement too
+    apart = (left - right).astype(
+        np.float64
+    )  # its mean stays in: a sensor's own offset is a disagreement too
     within = apart.T @ apart / len(apart) / 2
     middle = (left + right).astype(np.float64) / 2
     between = np.cov(middle.T)
