@@ -27,9 +27,12 @@ class EncoderThread(_CameraEncoderThread):
 
     Attributes:
         stats_every: statistics are taken of every so-manyth frame.
+        still: the picture hardly ever changes, so that looking whether it did pays.
     """
 
     stats_every = 5
+    still = False
+    _last: tuple[np.ndarray, av.VideoFrame] | None = None
 
     def run(self) -> None:
         """Encode until the queue says ``None`` or the episode is cancelled; answer statistics, or what went wrong."""
@@ -77,9 +80,19 @@ class EncoderThread(_CameraEncoderThread):
         return stream
 
     def _picture(self, frame: np.ndarray, number: int) -> av.VideoFrame:
-        picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
+        if self.still:
+            picture = self._unchanged(frame)
+        else:
+            picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
         picture.pts, picture.time_base = number, Fraction(1, self.fps)
         return picture
+
+    def _unchanged(self, frame: np.ndarray) -> av.VideoFrame:
+        """Return the last picture again where the frame is the same: its conversion costs more than its coding."""
+        if self._last is None or not np.array_equal(frame, self._last[0]):
+            picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
+            self._last = frame.copy(), picture.reformat(format=self.video_encoder.pix_fmt)
+        return self._last[1]
 
 
 def _pixels(frame: np.ndarray) -> np.ndarray:

@@ -28,17 +28,12 @@ RAW_NAMES = tuple(tactile_name(finger) for finger in FINGERS)  # of raw streams:
 
 
 def camera_codec() -> RGBEncoderConfig:
-    """H.264 at crf 23: about 10 kB per 640×480 frame, fast enough for four streams on two cores."""
-    return RGBEncoderConfig(vcodec="h264", crf=23, preset="veryfast", g=2)
+    """H.264 at crf 23: 20–30 kB per noisy 640×480 frame; x264's fastest preset costs 2.7 ms of a core, the next 4.4."""
+    return RGBEncoderConfig(vcodec="h264", crf=23, preset="ultrafast", g=2)
 
 
 def marker_codec() -> RGBEncoderConfig:
     """H.264 at crf 0: exact for images that hold only 0 and 255 with R = G = B."""
-    return RGBEncoderConfig(vcodec="h264", crf=0, preset="veryfast", g=15)
-
-
-def reference_codec() -> RGBEncoderConfig:
-    """The same, but faster: a picture that never changes costs nothing to store however it is done."""
     return RGBEncoderConfig(vcodec="h264", crf=0, preset="ultrafast", g=15)
 
 
@@ -51,8 +46,6 @@ def codec_of(key: str) -> RGBEncoderConfig:
     """Return the codec a video key is stored with."""
     if key in RAW_NAMES:
         return raw_codec()
-    if key in REFERENCE_KEYS:
-        return reference_codec()
     return marker_codec() if key in TACTILE_KEYS else camera_codec()
 
 
@@ -95,6 +88,7 @@ class PerKeyEncoder(StreamingVideoEncoder):
         result: queue.Queue = queue.Queue(1)
         stop, path = threading.Event(), Path(tempfile.mkdtemp(dir=temp_dir)) / f"{key}.mp4"
         thread = EncoderThread(path, self.fps, codec_of(key), frames, result, stop, encoder_threads=1)
+        thread.still = key in REFERENCE_KEYS
         thread.start()
         self._frame_queues[key], self._result_queues[key] = frames, result
         self._threads[key], self._stop_events[key], self._video_paths[key] = thread, stop, path
