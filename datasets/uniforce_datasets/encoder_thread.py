@@ -80,10 +80,7 @@ class EncoderThread(_CameraEncoderThread):
         return stream
 
     def _picture(self, frame: np.ndarray, number: int) -> av.VideoFrame:
-        if self.still:
-            picture = self._unchanged(frame)
-        else:
-            picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
+        picture = self._unchanged(frame) if self.still else av.VideoFrame.from_ndarray(frame, format="rgb24")
         picture.pts, picture.time_base = number, Fraction(1, self.fps)
         return picture
 
