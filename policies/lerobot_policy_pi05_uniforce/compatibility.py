@@ -25,7 +25,6 @@ class TouchFacts:
     num_patches: int
     latent_size: int
     latent_grid: int
-    agreed_numbers: int
     token_site: str
     tokenizer_hash: str
 

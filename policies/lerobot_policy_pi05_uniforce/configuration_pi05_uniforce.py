@@ -77,9 +77,7 @@ class PI05UniforceConfig(PI05Config):
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
     )
-    # numbers per slot: the directions of all pooled latents on which two sensors agree; 0: all cells. tiny 4, base 0
-    agreed_numbers: int = _BY_SIZE
-    # training only: Gaussian noise on latents, in units of each number's spread; tiny 0.3, base 0
+    # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.8, base 0
     touch_noise: float = _BY_SIZE
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one

@@ -20,39 +20,6 @@ class SuffixTouch:
     mask: Tensor
 
 
-class Settled(nn.Module):
-    """Standardise numbers by the mean and spread of the first batches of training, kept from then on.
-
-    A dataset's statistics hold the spread of each latent number, not of a direction across them. Unlike batch
-    normalisation, a sample never depends on its batch, and training and rollout compute the same.
-
-    Args:
-        size: how many numbers.
-    """
-
-    BATCHES = 200  # 6,400 frames at batch 32: half of the demos' episodes
-
-    def __init__(self, size: int) -> None:
-        super().__init__()
-        self.register_buffer("mean", torch.zeros(size))
-        self.register_buffer("square", torch.ones(size))
-        self.register_buffer("batches", torch.zeros((), dtype=torch.int64))
-
-    def forward(self, numbers: Tensor) -> Tensor:
-        """Map (B, size) to the same, standardised."""
-        if self.training:
-            self._settle(numbers.detach())
-        return (numbers - self.mean) / (self.square - self.mean.square()).clamp_min(1e-6).sqrt()
-
-    def _settle(self, numbers: Tensor) -> None:
-        if int(self.batches) >= self.BATCHES:
-            return
-        self.batches += 1
-        share = 1 / int(self.batches)
-        self.mean.lerp_(numbers.mean(dim=0), share)
-        self.square.lerp_(numbers.square().mean(dim=0), share)
-
-
 class ForceTokens(nn.Module):
     """Project each slot's touch input to K tokens; one projection for all slots, told apart by an embedding.
 
@@ -62,19 +29,14 @@ class ForceTokens(nn.Module):
     so that force tokens enter the prefix as loud as an image patch does, whatever was felt; a learned gain takes it
     from there.
 
-    Where ``agreed`` is above 0, all cells are first projected on that many directions on which two sensors agree
-    (tokenizer/agreement.py); those few numbers are what every token of the slot hears. The rest of a latent tells more
-    of the sensor than of the force.
-
     Args:
         input_shape: rows and numbers per row that come in: (K, latent size), or (1, 4) for a wrench.
         num_tokens: K.
         num_slots: how many slots the policy has.
         width: VLM width D.
         scale: initial RMS of a token.
-        noise: spread of the Gaussian noise that training adds to each input number, in units of its spread. What
-            survives it is what many cells agree on, and that is what another sensor's latents share.
-        agreed: how many agreed numbers replace the cells; 0 keeps the cells.
+        noise: spread of the Gaussian noise that training adds to each input number, in units of its channel's spread.
+            What survives it is what many cells agree on, and that is what another sensor's latents share.
     """
 
     def __init__(
@@ -85,34 +47,24 @@ class ForceTokens(nn.Module):
         width: int,
         scale: float,
         noise: float = 0.0,
-        agreed: int = 0,
     ) -> None:
         super().__init__()
         self.noise = noise
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
-        self.register_buffer("directions", torch.zeros(math.prod(input_shape), agreed) if agreed else None)
-        self.settled = Settled(agreed) if agreed else None
-        numbers = agreed or input_shape[1]
-        self.proj = nn.Sequential(nn.Linear(numbers, width), nn.GELU(), nn.Linear(width, width))
+        self.proj = nn.Sequential(nn.Linear(input_shape[1], width), nn.GELU(), nn.Linear(width, width))
         self.cell_embedding = nn.Parameter(0.5 * torch.randn(num_tokens, width))
         self.slot_embedding = nn.Parameter(0.5 * torch.randn(num_slots, width))
         self.gain = nn.Parameter(torch.tensor(scale))
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
-        felt = self._standardised(touch)
+        felt = (touch - self.input_mean) / self.input_scale
         if self.training and self.noise:
             felt = felt + self.noise * torch.randn_like(felt)
         hidden = self.proj(felt)  # (B, K or 1, D)
         hidden = hidden + self.cell_embedding + self.slot_embedding[slot]  # (B, K, D)
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
-
-    def _standardised(self, touch: Tensor) -> Tensor:
-        """Return (B, K or 1, input_size), or (B, 1, agreed)."""
-        if self.settled is None:
-            return (touch - self.input_mean) / self.input_scale
-        return self.settled(touch.flatten(1) @ self.directions)[:, None]
 
 
 class MarkerPairTokens(nn.Module):

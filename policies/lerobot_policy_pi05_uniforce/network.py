@@ -19,7 +19,7 @@ from lerobot_policy_pi05_uniforce.force_tokens import (
     wrench_scale,
 )
 from lerobot_policy_pi05_uniforce.next_force import NextForce
-from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, agreed_directions, build_encoder
+from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
 from lerobot_policy_pi05_uniforce.touch_gate import GatedBackbone, Heard, TouchGate
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
@@ -47,11 +47,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
                 self._init_tiny(config, rtc_processor)
         self._drop_heads()
         self._touch: SuffixTouch | None = None  # of the call in progress, at token_site=suffix
-        new = config.tokenizer_config is None  # else everything of the tokenizer comes with the checkpoint
         self.tactile_encoder = _make_encoder(config, empty)
         self.force_tokens = self._make_force_tokens(config)
-        if new and isinstance(self.force_tokens, ForceTokens) and self.force_tokens.directions is not None:
-            self.force_tokens.directions.copy_(agreed_directions(config))
         gated = config.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
         self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
@@ -82,10 +79,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         slots, scale = len(config.slots), config.force_token_scale
         if config.touch_input == "marker_pair":
             return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
-        latent = config.touch_input == "latent"
-        noise, agreed = (config.touch_noise, config.agreed_numbers) if latent else (0.0, 0)
-        shape = touch_shape(config)
-        tokens = ForceTokens(shape, config.tokens_per_slot, slots, self.touch_width, scale, noise, agreed)
+        shape, noise = touch_shape(config), config.touch_noise if config.touch_input == "latent" else 0.0
+        tokens = ForceTokens(shape, config.tokens_per_slot, slots, self.touch_width, scale, noise)
         if config.touch_input == "wrench":
             tokens.input_scale.copy_(wrench_scale())
         return tokens

@@ -23,8 +23,7 @@ TINY: dict[str, Any] = {
     "action_form": "target_delta",
     "action_objective": "regression",
     "sampling_noise": 0.0,
-    "agreed_numbers": 4,  # force and little else: docs/experiments/tiny_policy.md
-    "touch_noise": 0.3,  # without it a swapped sensor is misread, likewise
+    "touch_noise": 0.8,  # without it a swapped sensor is misread: docs/experiments/tiny_policy.md
     "optimizer_lr": 1e-3,
     "new_module_lr": 1e-3,
     "scheduler_warmup_steps": 3_000,
@@ -44,7 +43,6 @@ BASE: dict[str, Any] = {  # LeRobot's own π0.5 values; published weights fit th
     "action_form": "absolute",
     "action_objective": "flow",
     "sampling_noise": 1.0,
-    "agreed_numbers": 0,  # all cells; not tried at this size
     "touch_noise": 0.0,  # not tried at this size
     "optimizer_lr": 2.5e-5,
     "new_module_lr": 1e-4,

@@ -30,9 +30,7 @@ LIMITS = {  # of whole numbers in config.json: far beyond what anybody trains, f
     "tokenizer_max_length": 65536,
     "latent_grid": 64,
     "latent_size": 4096,
-    "agreed_numbers": 4096,
 }
-MAY_BE_0 = ("agreed_numbers",)
 MAX_SIDE = 4096  # of an image or a feature's axis
 # What LeRobot, draccus and torch raise over settings that fit nothing
 MISFITS = (
@@ -56,7 +54,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
         raise CheckpointError(expected(f"tokenizer_config in {where}", "sizes", "none", do))
     try:
         for name, most in LIMITS.items():
-            if saved.get(name) is not None and not (saved[name] == 0 and name in MAY_BE_0):
+            if saved.get(name) is not None:
                 check_count(name, saved[name], most)
         for side in _sides(saved):
             check_count("a side", side, MAX_SIDE)

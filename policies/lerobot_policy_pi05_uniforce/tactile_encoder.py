@@ -12,11 +12,10 @@ from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
-from uniforce_vtla.tokenizer.agreement import Agreement
 from uniforce_vtla.tokenizer.api import canonicaliser_facts
 from uniforce_vtla.tokenizer.entry import prepare_tensor
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
-from uniforce_vtla.tokenizer.weights import checkpoint_folder, content_hash
+from uniforce_vtla.tokenizer.weights import content_hash
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -96,24 +95,6 @@ def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEnc
     config.num_patches = tokenizer.num_patches
     config.latent_size = tokenizer.config.latent
     return TactileEncoder(tokenizer.model, config.latent_grid)
-
-
-def agreed_directions(config: PI05UniforceConfig) -> Tensor:
-    """Return (K·latent, agreed_numbers): what a new policy's tokenizer says two sensors agree on.
-
-    Raises:
-        CheckpointError: the tokenizer's folder holds no agreement, or one of other weights or another grid.
-    """
-    folder = checkpoint_folder(config.tokenizer_path, "tokenizer")
-    found = Agreement.load(folder, config.tokenizer_hash)
-    numbers = config.tokens_per_slot * config.latent_size
-    wanted, kept = config.agreed_numbers, found.directions.shape[1]
-    if found.grid != config.latent_grid or len(found.directions) != numbers or wanted > kept:
-        came = f"{kept} directions of {len(found.directions)} numbers, grid {found.grid}"
-        do = f"Run uniforce-agreement grid={config.latent_grid}, or set policy.agreed_numbers=0."
-        needed = f"{wanted} directions of {numbers} numbers, grid {config.latent_grid}"
-        raise CheckpointError(expected(f"agreement of {folder}", needed, came, do))
-    return torch.from_numpy(found.directions[:, :wanted].copy())
 
 
 def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:

@@ -23,7 +23,6 @@ from lerobot_policy_pi05_uniforce import (
 )
 from uniforce_vtla.commands import share
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.agreement import Agreement
 
 STRANGER = """
 import sys, torch
@@ -59,9 +58,7 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
     torch.set_num_threads(1)
     local_tokenizer.build(tmp_path / "words")
     tactile = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
-    tokenizer = Tokenizer.random(tactile)
-    directions = np.random.default_rng(0).standard_normal((96, 4)).astype(np.float32)
-    Agreement(directions, directions[0], 4, tokenizer.hash).save(tokenizer.save(tmp_path / "tactile"))
+    Tokenizer.random(tactile).save(tmp_path / "tactile")
     small = {"tiny_width": 32, "tiny_depth": 2, "tiny_head_dim": 8, "tiny_mlp_dim": 32}
     camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
     config = PI05UniforceConfig(

@@ -80,6 +80,19 @@ def test_loads_are_balanced_and_within_friction() -> None:
     assert (shear > 0.8 * force[:, 2]).mean() > 0.03  # incipient slip
 
 
+def test_flat_faces_alone_may_be_twisted_further() -> None:
+    """A held tool twists a flat pad by 9 mm of arm; the same draw without that option is what it always was."""
+    names = (FLAT, "ball") * 500
+    plain, wide = ForceRange(), ForceRange(flat_torsion_arm_mm=9.0)
+    drawn = [sample_loads(np.random.default_rng(5), 1000, limits, names) for limits in (plain, wide)]
+    np.testing.assert_array_equal(drawn[0][0], drawn[1][0])
+    before, after = drawn[0][1], drawn[1][1]
+    np.testing.assert_array_equal(before[1::2], after[1::2])
+    np.testing.assert_allclose(after[::2], before[::2] * 9.0 / 2.5, rtol=1e-5)
+    assert np.abs(after[::2]).max() > 60
+    np.testing.assert_array_equal(before, sample_loads(np.random.default_rng(5), 1000, plain)[1])
+
+
 @pytest.mark.parametrize("sensor", list_sensors())
 def test_sequences_start_and_end_in_free_air(sensor: str) -> None:
     batch = force_sequences(np.random.default_rng(6), sensor, n=3, length=12, transform=small)

@@ -32,7 +32,6 @@ from uniforce_vtla.peers.checkpoint import read_tensors
 from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES
 from uniforce_vtla.probes.touch_gauge import TouchGauge
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.agreement import Agreement
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.training_state import load_state, save_state
@@ -113,23 +112,9 @@ def adapter(folder: Path) -> FileTarget:
     return FileTarget(root, lambda: Calibration.load(root, HASH)(torch.zeros(1, 16, 6)))
 
 
-def agreement(folder: Path) -> FileTarget:
-    root = folder / "data"
-    root.mkdir()
-    _agree(root, HASH)
-    return FileTarget(root, lambda: Agreement.load(root, HASH))
-
-
-def _agree(folder: Path, tokenizer_hash: str) -> None:
-    directions = np.random.default_rng(0).standard_normal((96, 4)).astype(np.float32)
-    Agreement(directions, directions[0], 4, tokenizer_hash).save(folder)
-
-
 def policy(folder: Path) -> FileTarget:
     """Read config, weights and processors of a tiny policy, as the scorer does."""
-    tokenizer = Tokenizer.random(SMALL)
-    stored = tokenizer.save(folder / "tokenizer")
-    _agree(stored, tokenizer.hash)
+    stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
     visual = {
         f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
         for name in ("front", "wrist", "tactile_left", "tactile_right")
@@ -194,7 +179,6 @@ FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones firs
     "gauge": gauge,
     "force_head": force_head,
     "tokenizer": tokenizer,
-    "agreement": agreement,
     "view": view,
     "dataset": dataset,
     "policy": policy,

@@ -15,7 +15,6 @@ from lerobot_policy_pi05_uniforce import (
     make_pi05_uniforce_pre_post_processors,
 )
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.agreement import Agreement
 
 SMALL = {
     "tiny_width": 32,
@@ -37,11 +36,7 @@ def one_thread_seeded() -> None:
 @pytest.fixture(scope="session")
 def tokenizer_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
-    tokenizer = Tokenizer.random(config)
-    folder = tokenizer.save(tmp_path_factory.mktemp("tokenizer"))
-    directions = np.random.default_rng(0).standard_normal((96, 6)).astype(np.float32)
-    Agreement(directions, np.arange(6, 0, -1, dtype=np.float32), 4, tokenizer.hash).save(folder)
-    return folder
+    return Tokenizer.random(config).save(tmp_path_factory.mktemp("tokenizer"))
 
 
 @pytest.fixture(scope="session")

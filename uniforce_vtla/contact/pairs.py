@@ -87,7 +87,7 @@ def equilibrium_pairs(
     """
     settings = settings or PairSettings()
     objects = sample_objects(rng, n, indenters, settings.flat_share)
-    force, torsion = sample_loads(rng, n, force_range or settings.force_range)
+    force, torsion = sample_loads(rng, n, force_range or settings.force_range, objects.names)
     contact = ContactState(objects.gap_mm, force, torsion)
     left = _views(rng, left_sensor, contact, settings, transform)
     right = _views(rng, right_sensor, mirrored(_disturbed(rng, contact, settings)), settings, transform)

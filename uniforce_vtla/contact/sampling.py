@@ -21,12 +21,14 @@ class ForceRange:
         shear_N: largest shear along either axis.
         friction: shear stays below friction × normal.
         torsion_arm_mm: largest torsion is friction × normal × this arm.
+        flat_torsion_arm_mm: likewise of flat faces; even pressure over a 25 mm pad carries 9.6 mm.
     """
 
     normal_N: float = 16.0
     shear_N: float = 8.0
     friction: float = 0.95  # just under the simulator's 1.0: incipient slip, rarely gross slip
     torsion_arm_mm: float = 2.5  # a disc of radius 4 mm slips in rotation at 2/3 of that
+    flat_torsion_arm_mm: float = 2.5  # as the others: what frozen sets were drawn with
 
 
 PAPER_RANGE = ForceRange(normal_N=12.0, shear_N=3.0)  # the paper reports 0–12 N and ±3 N
@@ -67,8 +69,10 @@ def _flat_faces(rng: np.random.Generator, n: int) -> np.ndarray:
     )
 
 
-def sample_loads(rng: np.random.Generator, n: int, force_range: ForceRange) -> tuple[np.ndarray, np.ndarray]:
-    """Return force (n, 3) N and torsion (n,) Nmm within friction.
+def sample_loads(
+    rng: np.random.Generator, n: int, force_range: ForceRange, names: Sequence[str] = ()
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return force (n, 3) N and torsion (n,) Nmm within friction; ``names`` of the objects tell flat faces.
 
     6 % no contact, 24 % light normal forces, the rest even; shear even over directions and its allowed
     range; torsion in half of the contacts.
@@ -88,5 +92,7 @@ def sample_loads(rng: np.random.Generator, n: int, force_range: ForceRange) -> t
         np.maximum(1 - (np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)) ** 2, 0)
     )
     twist = np.where(rng.random(n) < 0.5, rng.uniform(-1, 1, n), 0)
-    torsion = twist * spare * force_range.friction * fz * force_range.torsion_arm_mm
+    flat = np.array([name == FLAT for name in names], dtype=bool) if names else np.zeros(n, dtype=bool)
+    arm_mm = np.where(flat, force_range.flat_torsion_arm_mm, force_range.torsion_arm_mm)
+    torsion = twist * spare * force_range.friction * fz * arm_mm
     return np.concatenate([shear, fz[:, None]], axis=1).astype(np.float32), torsion.astype(np.float32)

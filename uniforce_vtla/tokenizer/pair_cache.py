@@ -19,6 +19,7 @@ from uniforce_vtla.array_file import read_arrays
 from uniforce_vtla.contact.family import BOUNDS, draw_dome, draw_flat
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
+from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.errors import DatasetError, expected
@@ -48,6 +49,9 @@ class PairCacheConfig:
     marker_loss: float = 0.0  # chance per marker and frame, in half of the units
     misaligned_cells: int = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
     imbalance: float = 0.0  # the right finger's force is off by up to this share; 0 = perfect equilibrium
+    flat_share: float = 0.15  # flat faces, the side of a held tool, among the indenters
+    # [mm] torsion over friction × normal force of flat faces; a held tool that wipes turns flat pads by up to 9
+    flat_torsion_arm_mm: float = 2.5
 
 
 FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
@@ -172,6 +176,8 @@ def _pair_settings(rng: np.random.Generator, config: PairCacheConfig) -> PairSet
         look=Look() if config.free_look else None,
         misaligned_cells=config.misaligned_cells,
         imbalance=config.imbalance,
+        flat_share=config.flat_share,
+        force_range=ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm),
     )
 
 
