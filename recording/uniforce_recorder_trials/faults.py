@@ -6,6 +6,7 @@ import random
 import shutil
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from uniforce_recorder_trials.ending_faults import ENDINGS, Bench
@@ -81,9 +82,14 @@ def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:
         "slowest_arm_clock": min(clocks, default=None),
         "labels": labels,
         "exit_codes": codes,
-        "example": next((f["message"] for f in findings if f.get("message")), ""),
+        "example": next((_portable(f["message"]) for f in findings if f.get("message")), ""),
     }
 
 
 def _all(findings: list[dict[str, Any]], key: str) -> list[float]:
     return [finding[key] for finding in findings if finding.get(key) is not None]
+
+
+def _portable(message: str) -> str:
+    """Return a message whose paths below the working folder say so: results are committed, folders are mine."""
+    return message.replace(f"{Path.cwd()}/", "")
