@@ -27,8 +27,11 @@ lint: setup
 	.venv/bin/ruff format --check .
 	.venv/bin/mypy
 
+CLOCKED := tests/devices tests/recording tests/robots tests/standins tests/teleoperators
+
 test: setup lint
-	$(PY) -m pytest -n 2 --dist loadfile
+	$(PY) -m pytest -n 2 --dist loadfile -m "not realtime"
+	$(PY) -m pytest -m realtime $(CLOCKED)
 
 fuzz: setup
 	UNIFORCE_FUZZ_INPUTS=$${UNIFORCE_FUZZ_INPUTS:-100000} UNIFORCE_FUZZ_FILES=$${UNIFORCE_FUZZ_FILES:-2000} \

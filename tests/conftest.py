@@ -24,3 +24,18 @@ def dots() -> np.ndarray:
             for column in range(16, 128, 24):
                 image[row + dy : row + dy + 8, column + dx : column + dx + 8] = 255
     return images
+
+
+# These run whole programs, wait as long as it takes and hold no clock against them.
+PATIENT = ("test_recorder_trials.py", "test_command.py", "test_store_process.py")
+REALTIME = ("devices", "recording", "robots", "standins", "teleoperators")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what runs against a clock; with several processes begin with the files that would end last."""
+    for item in items:
+        if item.path.parent.name in REALTIME and item.path.name not in PATIENT:
+            item.add_marker("realtime")
+    if hasattr(config, "workerinput"):
+        long = {item.path for item in items if item.get_closest_marker("timeout")}
+        items.sort(key=lambda item: item.path not in long)  # stable: the rest stays in its order
