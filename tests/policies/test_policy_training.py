@@ -71,7 +71,7 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
     policy = PI05UniforcePolicy.from_pretrained(last)
     tokens = policy.model.force_tokens
     felt = torch.from_numpy(felt_in(dataset)).reshape(20, 16, 6)
-    standardised = (felt - tokens.input_mean) / tokens.input_scale  # what agreed_numbers=0 would hear
+    standardised = (felt - tokens.input_mean) / tokens.input_scale
     assert standardised.mean(dim=0).abs().max() < 1e-4
     assert standardised.square().mean() == pytest.approx(1.0, rel=0.01)
     assert policy.config.push_to_hub is False
