@@ -10,15 +10,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from uniforce_datasets.source import Episode, Source, episode_frames
-from uniforce_vtla.commands.dataset_story import cameras
+from uniforce_datasets.source import Episode, Source
+from uniforce_vtla.commands.dataset_story import camera_frames, cameras
+from uniforce_vtla.commands.raw_recording import raw_touch
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_story import EpisodeStory
 from uniforce_vtla.keys import tactile_key
 
 TIME = "time"
 AXES = ("fx", "fy", "fz")
-JPEG_QUALITY = 85  # of scene cameras
+JPEG_QUALITY = 85  # of scene cameras and raw tactile frames
 HEAT_PX = 16  # a patch's side in a heat map, so that the viewer has something to show
 
 
@@ -42,7 +43,7 @@ def write_recording(
         recording.save(path, default_blueprint=_layout(rerun, story, cameras(source)))
         recording.log("events", rerun.TextDocument("\n".join(["estimated:", *story.verdict])), static=True)
         for name, key in cameras(source).items():
-            pictures = (_encoded(frame, ".jpg") for frame in _frames(source, episode, key))
+            pictures = (_encoded(frame, ".jpg") for frame in camera_frames(source, episode, key))
             _send_pictures(rerun, recording, f"camera/{name}", "image/jpeg", pictures, story)
         for finger in FINGERS:
             _send_touch(rerun, recording, story, source, episode, finger)
@@ -53,7 +54,11 @@ def write_recording(
 def _send_touch(
     rerun: ModuleType, recording: Any, story: EpisodeStory, source: Source, episode: Episode, finger: Any
 ) -> None:
-    markers = (_encoded(frame[..., 0], ".png") for frame in _frames(source, episode, tactile_key(finger)))
+    if (raw := raw_touch(source, episode, finger)) is not None:
+        frames = (_encoded(frame, ".jpg") for frame in raw())
+        _send_pictures(rerun, recording, f"raw/{finger}", "image/jpeg", frames, story)
+    images = camera_frames(source, episode, tactile_key(finger))
+    markers = (_encoded(frame[..., 0], ".png") for frame in images)
     _send_pictures(rerun, recording, f"markers/{finger}", "image/png", markers, story)
     strength = story.strength(finger)
     scale = 255 / max(float(strength.max()), 1e-6)
@@ -100,7 +105,8 @@ def traces(story: EpisodeStory) -> dict[str, np.ndarray]:
 def _layout(rerun: ModuleType, story: EpisodeStory, seen: dict[str, str]) -> Any:
     blueprint = rerun.blueprint
     pictures = [f"camera/{name}" for name in seen]
-    touch = [f"{what}/{finger}" for what in ("markers", "latent") for finger in FINGERS]
+    touch = [f"raw/{finger}" for finger in story.moments[0].raw]
+    touch += [f"{what}/{finger}" for what in ("markers", "latent") for finger in FINGERS]
     plots = [f"force_N/{finger}" for finger in FINGERS]
     plots += ["press_N"] if story.found is not None else []
     plots += ["friction_used"] if story.found is not None and story.judges_slip else []
@@ -117,10 +123,6 @@ def _layout(rerun: ModuleType, story: EpisodeStory, seen: dict[str, str]) -> Any
             ),
         )
     )
-
-
-def _frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
-    return episode_frames(episode.videos[key], episode.length, source.fps)
 
 
 def _heat(strength: np.ndarray) -> np.ndarray:

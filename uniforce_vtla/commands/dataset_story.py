@@ -8,6 +8,7 @@ import numpy as np
 
 from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_vtla.commands.felt_recording import FeltEpisode, FeltRecording, latent_change, marker_images
+from uniforce_vtla.commands.raw_recording import raw_touch
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.episode_story import EpisodeStory, Moment
@@ -23,7 +24,7 @@ IMAGES = "observation.images."
 
 
 def cameras(source: Source) -> dict[str, str]:
-    """Return key by name of every recorded video that is no marker image: scene cameras, raw tactile frames."""
+    """Return key by name of every recorded video that is no marker image: the scene cameras."""
     videos = [key for key, feature in source.features.items() if feature["dtype"] == "video"]
     return {key.removeprefix(IMAGES): key for key in videos if key not in TACTILE_KEYS}
 
@@ -44,17 +45,21 @@ def tell(
     found, truth, note = _judged(felt, friction or UNKNOWN_FRICTION)
     named = telling_moments(felt.force_N, felt.tool_z_m)
     film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
+    source, telling = recording.source, set(named.values())
     seen = {
-        name: dict(_pictures(recording.source, episode, key, {*film, *named.values()}))
-        for name, key in cameras(recording.source).items()
+        name: dict(_chosen(camera_frames(source, episode, key), telling.union(film)))
+        for name, key in cameras(source).items()
     }
-    touched = {finger: _overlays(recording.source, episode, finger, named) for finger in FINGERS}
+    touched = {finger: _overlays(source, episode, finger, telling) for finger in FINGERS}
+    kept = {finger: read for finger in FINGERS if (read := raw_touch(source, episode, finger))}
+    raw = {finger: dict(_chosen(read(), telling)) for finger, read in kept.items()}
     moments = tuple(
         Moment(
             name,
             frame,
             {camera: pictures[frame] for camera, pictures in seen.items()},
             {finger: pictures[frame] for finger, pictures in touched.items()},
+            {finger: pictures[frame] for finger, pictures in raw.items()},
         )
         for name, frame in named.items()
     )
@@ -64,7 +69,7 @@ def tell(
         films={camera: [pictures[frame] for frame in film] for camera, pictures in seen.items()},
         force_N=felt.force_N,
         true_force_N=felt.true_force_N,
-        change={f: latent_change(tokenizer, recording.source, episode, f) for f in FINGERS},
+        change={f: latent_change(tokenizer, source, episode, f) for f in FINGERS},
         moments=moments,
         found=found,
         truth=truth,
@@ -82,17 +87,15 @@ def _judged(
         return None, None, str(error)
 
 
-def _pictures(
-    source: Source, episode: Episode, key: str, wanted: set[int]
-) -> Iterator[tuple[int, np.ndarray]]:
-    for number, frame in enumerate(episode_frames(episode.videos[key], episode.length, source.fps)):
-        if number in wanted:
-            yield number, frame
+def camera_frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
+    """Return an episode's frames of a video key, (H, W, 3) uint8 RGB; raise DatasetError where they are truncated."""
+    return episode_frames(episode.videos[key], episode.length, source.fps)
 
 
-def _overlays(
-    source: Source, episode: Episode, finger: Finger, named: dict[str, int]
-) -> dict[int, np.ndarray]:
+def _chosen(frames: Iterator[np.ndarray], wanted: set[int]) -> Iterator[tuple[int, np.ndarray]]:
+    return ((number, frame) for number, frame in enumerate(frames) if number in wanted)
+
+
+def _overlays(source: Source, episode: Episode, finger: Finger, wanted: set[int]) -> dict[int, np.ndarray]:
     reference, current = marker_images(source, episode, finger)
-    wanted = set(named.values())
-    return {n: overlay(reference, image) for n, image in enumerate(current()) if n in wanted}
+    return {n: overlay(reference, image) for n, image in _chosen(current(), wanted)}

@@ -18,6 +18,7 @@ from uniforce_vtla.errors import ContractError, expected
 SHADES = " .:-=+*#%@"
 TEXT_SIDE = 7  # the terminal's map has 7×7 characters
 FULL_NORM = 3.0  # a latent that far from free air is drawn at full brightness
+FULL_COUNTS = 4000  # normal counts of a taxel at full brightness: a few newtons on it
 PANEL_PX = 480
 OUTPUTS = ("terminal", "window", "rerun")
 
@@ -167,9 +168,12 @@ def panel(view: TouchView) -> np.ndarray:
 
 def raw_picture(view: TouchView) -> np.ndarray:
     """Return the raw signal as (H, W, 3) uint8 RGB; taxels as a 4×4 picture of their normal counts."""
-    if view.raw.ndim == 3:
-        return view.raw
-    z = np.clip(view.raw[:, 2].reshape(4, 4)[::-1] / 4000 * 255, 0, 255).astype(np.uint8)
+    return view.raw if view.raw.ndim == 3 else counts_picture(view.raw)
+
+
+def counts_picture(change: np.ndarray) -> np.ndarray:
+    """Return (120, 160, 3) uint8 RGB of (16, 3) counts above the reference: normal counts, upright."""
+    z = np.clip(change[:, 2].reshape(4, 4)[::-1] / FULL_COUNTS * 255, 0, 255).astype(np.uint8)
     return np.repeat(cv2.resize(z, (160, 120), interpolation=cv2.INTER_NEAREST)[..., None], 3, axis=2)
 
 

@@ -16,13 +16,13 @@ LETTERS = "ABCDEFGH"
 
 
 def draw_moments(story: EpisodeStory, path: Path) -> Path:
-    """Draw a column per moment: cameras, then each finger's markers and how far its latents are from free air."""
+    """Draw a column per moment: cameras, then of each finger its raw frame if kept, markers, latent change."""
     cameras = list(story.films)
     rows = [
         *cameras,
-        *(part for finger in story.change for part in (f"{finger} markers", f"{finger} latent")),
+        *(f"{finger} {part}" for finger in story.change for part in _parts(story, finger)),
     ]
-    heights = [0.76 if name.endswith("markers") else 1.0 for name in rows]
+    heights = [0.76 if name.endswith(("markers", "raw")) else 1.0 for name in rows]
     size = (SIDE_IN * len(story.moments) + 0.6, SIDE_IN * sum(heights) + 0.9)
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(rows), len(story.moments), squeeze=False, height_ratios=heights)
@@ -31,6 +31,8 @@ def draw_moments(story: EpisodeStory, path: Path) -> Path:
         column[0].set_title(f"{letter}  {moment.name}\n{story.time_s[moment.frame]:.2f} s", fontsize=10)
         for camera in cameras:
             panels[camera].imshow(moment.cameras[camera])
+        for finger, picture in moment.raw.items():
+            panels[f"{finger} raw"].imshow(picture)
         for number, finger in enumerate(story.change):
             panels[f"{finger} markers"].imshow(moment.markers[finger], interpolation="antialiased")
             _heat(panels[f"{finger} latent"], story, moment, number, finger)
@@ -39,6 +41,11 @@ def draw_moments(story: EpisodeStory, path: Path) -> Path:
     for panel in grid.flat:
         panel.set(xticks=[], yticks=[])
     return save_figure(figure, path)
+
+
+def _parts(story: EpisodeStory, finger: str) -> tuple[str, ...]:
+    kept = ("raw",) if finger in story.moments[0].raw else ()
+    return (*kept, "markers", "latent")
 
 
 def _heat(panel: Axes, story: EpisodeStory, moment: Moment, number: int, finger: str) -> None:

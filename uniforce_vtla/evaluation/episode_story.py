@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,12 +20,14 @@ class Moment:
         frame: its number in the episode.
         cameras: (H, W, 3) uint8 RGB by camera.
         markers: (H, W, 3) uint8 overlay of reference and current, by finger.
+        raw: (H, W, 3) uint8 RGB of what the sensor gave, by finger; only those that were kept.
     """
 
     name: str
     frame: int
     cameras: dict[str, np.ndarray]
     markers: dict[str, np.ndarray]
+    raw: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
