@@ -1,4 +1,4 @@
-"""The contract of an arm backend, run against the stand-in: ``python backends.py franky|pylibfranka case address log``.
+"""The contract of an arm backend, run against the stand-in: ``python backends.py franky|pylibfranka case,… address folder``.
 
 A program of its own, not a test file: both clients in one process fail to import, and what is asserted at the end is
 that the process leaves with code 0, not 134.
@@ -313,9 +313,11 @@ CASES = {
 
 
 def main() -> None:
-    backend, case, address, log = sys.argv[1:5]
-    with StandIn(address, *OPTIONS.get(case, ()), log=Path(log)) as fci:
-        CASES[case](backend, fci)
+    backend, cases, address, folder = sys.argv[1:5]
+    for case in cases.split(","):
+        sys.stderr.write(f"--- {case}\n")
+        with StandIn(address, *OPTIONS.get(case, ()), log=Path(folder) / f"{case}.jsonl") as fci:
+            CASES[case](backend, fci)
     sys.stdout.write("passed\n")
 
 
