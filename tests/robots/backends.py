@@ -1,4 +1,4 @@
-"""The contract of an arm backend, run against the stand-in: ``python backends.py franky|pylibfranka case,… address folder``.
+"""The contract of an arm backend, run against the stand-in: ``backends.py franky|pylibfranka case,… address folder``.
 
 A program of its own, not a test file: both clients in one process fail to import, and what is asserted at the end is
 that the process leaves with code 0, not 134.
