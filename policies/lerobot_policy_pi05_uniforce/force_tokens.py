@@ -55,7 +55,7 @@ class ForceTokens(nn.Module):
         self.proj = nn.Sequential(nn.Linear(input_shape[1], width), nn.GELU(), nn.Linear(width, width))
         self.cell_embedding = nn.Parameter(0.5 * torch.randn(num_tokens, width))
         self.slot_embedding = nn.Parameter(0.5 * torch.randn(num_slots, width))
-        self.gain = nn.Parameter(torch.tensor(scale))
+        self.gain = nn.Parameter(torch.full((1,), scale))  # not a scalar: FSDP shards none
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
@@ -86,7 +86,7 @@ class MarkerPairTokens(nn.Module):
         self.cnn = nn.Sequential(*layers, nn.AdaptiveAvgPool2d(grid), nn.Conv2d(width, width, 1))
         self.cell_embedding = nn.Parameter(0.5 * torch.randn(grid**2, width))
         self.slot_embedding = nn.Parameter(0.5 * torch.randn(num_slots, width))
-        self.gain = nn.Parameter(torch.tensor(scale))
+        self.gain = nn.Parameter(torch.full((1,), scale))  # not a scalar: FSDP shards none
 
     def forward(self, pair: Tensor, slot: int) -> Tensor:
         """Map (B, 2, S²) reference and current in [0, 1] to (B, K, D)."""

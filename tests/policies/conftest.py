@@ -1,6 +1,10 @@
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -105,3 +109,26 @@ def make_batch(stats: dict[str, Any]) -> Callable[..., dict[str, torch.Tensor]]:
 def _between(share: torch.Tensor) -> torch.Tensor:
     low, high = (torch.tensor(x, dtype=torch.float32) for x in (LOW, HIGH))
     return low + (high - low) * share
+
+
+@pytest.fixture(scope="session")
+def run_to_the_end() -> Callable[[list[str], dict[str, str], Path, float], str]:
+    """Run a program and its children; one that hangs or fails shows what it said."""
+    return _run_to_the_end
+
+
+def _run_to_the_end(call: list[str], env: dict[str, str], log: Path, seconds: float) -> str:
+    """Return what a program and its children said; one that hangs or fails shows it."""
+    with log.open("w") as out:
+        program = subprocess.Popen(call, env=env, stdout=out, stderr=out, start_new_session=True)
+        try:
+            code = program.wait(seconds)
+        except subprocess.TimeoutExpired:
+            code = None
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(program.pid, signal.SIGKILL)
+            program.wait()
+    said = log.read_text()
+    assert code == 0, f"exit {code} (None: still running after {seconds} s)\n{said[-4000:]}"
+    return said

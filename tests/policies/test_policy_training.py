@@ -3,10 +3,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import signal
-import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -160,7 +157,9 @@ def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_
 
 
 @pytest.mark.slow  # two processes import LeRobot, 10 s each
-def test_two_processes_train_without_a_search_for_unused_parameters(dataset, tokenizer_path, tmp_path):
+def test_two_processes_train_without_a_search_for_unused_parameters(
+    dataset, tokenizer_path, tmp_path, run_to_the_end
+):
     """The second step would stop with an error, had any weight of any process been left without a gradient."""
     launch = "torch.distributed.run --standalone --nproc-per-node=2 --module uniforce_vtla.commands.train"
     call = [sys.executable, "-m", *launch.split()]
@@ -170,23 +169,6 @@ def test_two_processes_train_without_a_search_for_unused_parameters(dataset, tok
     said = run_to_the_end(call, os.environ | quiet, tmp_path / "said", seconds=200)
     assert (tmp_path / "run/checkpoints/last/pretrained_model/model.safetensors").exists()
     assert "Effective batch size: 2 x 2" in said
-
-
-def run_to_the_end(call: list[str], env: dict[str, str], log: Path, seconds: float) -> str:
-    """Return what a program and its children said; one that hangs or fails shows it."""
-    with log.open("w") as out:
-        program = subprocess.Popen(call, env=env, stdout=out, stderr=out, start_new_session=True)
-        try:
-            code = program.wait(seconds)
-        except subprocess.TimeoutExpired:
-            code = None
-        finally:
-            with suppress(ProcessLookupError):
-                os.killpg(program.pid, signal.SIGKILL)
-            program.wait()
-    said = log.read_text()
-    assert code == 0, f"exit {code} (None: still running after {seconds} s)\n{said[-4000:]}"
-    return said
 
 
 def test_only_our_policy_skips_the_search(tmp_path):
