@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
+from lerobot_env_uniforce_wiping.expert import WipeExpert
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.keys import tactile_name
 
@@ -19,3 +20,21 @@ def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger: Finger)
     env.sim.pads[finger].wrench[:] = (0.4, -0.8, 1.5, 3.0)
     touched = env.observe()["pixels"][tactile_name(finger)]
     assert np.mean(free != touched) < 0.01  # noise, no contact
+
+
+def test_who_does_not_feel_with_the_left_finger_cannot_tell_the_rigs_apart() -> None:
+    """The benchmark rolls such arms out on one rig only."""
+    rigs = [WipeEnv("paper", left, "tactip") for left in ("gelsight", "uskin")]
+    for env in rigs:
+        env.reset(seed=5)
+    expert = WipeExpert()
+    expert.reset(rigs[0])
+    while min(rigs[0].true_wrench()[finger][2] for finger in FINGERS) < 3:  # until it holds the eraser
+        action = expert.act(rigs[0])
+        for env in rigs:
+            env.advance(action)
+    seen = [env.observe() for env in rigs]
+    for key in ("front", "wrist", "tactile_right"):
+        np.testing.assert_array_equal(seen[0]["pixels"][key], seen[1]["pixels"][key])
+    np.testing.assert_array_equal(seen[0]["agent_pos"], seen[1]["agent_pos"])
+    assert (seen[0]["pixels"]["tactile_left"] != seen[1]["pixels"]["tactile_left"]).any()
