@@ -14,19 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.fast_prefix import Prefix, Seen, drop_dead, suffix_touch_of
+from lerobot_policy_pi05_uniforce.fast_prefix import Prefix, PrefixEncoder, Seen, drop_dead, suffix_touch_of
 from lerobot_policy_pi05_uniforce.force_tokens import SuffixTouch
+from lerobot_policy_pi05_uniforce.step_tables import Prepared, StepTable
 from lerobot_policy_pi05_uniforce.touch_gate import Heard
 from uniforce_vtla.errors import ContractError, expected
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.fast_sampler import FastSampler
 
 BUCKETS = (48, 96, 200)  # text tokens: a short prompt, one with many state digits, π0.5's most
 KEPT = 6  # pairs of graphs: buckets times a camera that comes and goes; each holds its own buffers
@@ -80,15 +78,27 @@ class Pair:
     flow: Replayed
 
 
+class Eager(Protocol):
+    """What is recorded: ``FastSampler``'s parts."""
+
+    network: nn.Module
+    prepared: Prepared
+    encoder: PrefixEncoder
+
+    def flow(self, prefix: Prefix, noise: Tensor, tables: list[StepTable]) -> Tensor:
+        """Return the actions at the end of the flow from ``noise``."""
+        ...
+
+
 class GraphedSampler:
-    """Samples like its ``FastSampler``, by replay.
+    """Samples like the ``FastSampler`` it is given, by replay.
 
     Args:
         sampler: whose functions are recorded.
         capture: False runs them uncaptured (tests, CPU).
     """
 
-    def __init__(self, sampler: FastSampler, capture: bool = True) -> None:
+    def __init__(self, sampler: Eager, capture: bool = True) -> None:
         self._sampler = sampler
         self._capture = capture
         self._pairs: dict[tuple, Pair] = {}
