@@ -79,6 +79,8 @@ class PI05UniforceConfig(PI05Config):
     )
     # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.8, base 0
     touch_noise: float = _BY_SIZE
+    # training only, with a state token: Gaussian noise on the normalised state, per axis; [] = none
+    state_noise: list[float] = field(default_factory=list)
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
     tokenizer_config: dict[str, Any] | None = None  # filled from that tokenizer, rebuilds it on load

@@ -96,19 +96,6 @@ class MarkerPairTokens(nn.Module):
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
 
 
-class StateToken(nn.Module):
-    """The continuous normalised state as one prefix token: text bins are too coarse to learn from few demos."""
-
-    def __init__(self, state_size: int, width: int) -> None:
-        super().__init__()
-        self.proj = nn.Sequential(nn.Linear(state_size, width), nn.GELU(), nn.Linear(width, width))
-
-    def forward(self, state: Tensor) -> Tensor:
-        """Map (B, 1, state_size) to (B, 1, D) of unit RMS."""
-        hidden = self.proj(state)
-        return nn.functional.rms_norm(hidden, hidden.shape[-1:])
-
-
 def wrench_scale(device: torch.device | str = "cpu") -> Tensor:
     """Return the (4,) scale of the wrench input: N, N, N, Nmm."""
     return torch.tensor(WRENCH_SCALE, device=device)

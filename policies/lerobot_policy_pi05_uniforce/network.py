@@ -14,11 +14,11 @@ from lerobot_policy_pi05_uniforce.fast_sampler import FastSampler
 from lerobot_policy_pi05_uniforce.force_tokens import (
     ForceTokens,
     MarkerPairTokens,
-    StateToken,
     SuffixTouch,
     wrench_scale,
 )
 from lerobot_policy_pi05_uniforce.next_force import NextForce
+from lerobot_policy_pi05_uniforce.state_token import StateToken
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
 from lerobot_policy_pi05_uniforce.touch_gate import GatedBackbone, Heard, TouchGate
@@ -51,7 +51,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.force_tokens = self._make_force_tokens(config)
         gated = config.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
-        self.state_token = StateToken(state_size(config), self.vlm_width) if config.state_token else None
+        self.state_token = self._make_state_token(config)
         self.next_force = self._make_next_force(config)
         freeze_unread(self)
         self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
@@ -84,6 +84,11 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if config.touch_input == "wrench":
             tokens.input_scale.copy_(wrench_scale())
         return tokens
+
+    def _make_state_token(self, config: PI05UniforceConfig) -> StateToken | None:
+        if not config.state_token:
+            return None
+        return StateToken(state_size(config), self.vlm_width, config.state_noise)
 
     def _make_next_force(self, config: PI05UniforceConfig) -> NextForce | None:
         if not config.next_force_weight:

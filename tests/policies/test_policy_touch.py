@@ -226,6 +226,19 @@ def test_touch_noise_is_for_training_alone(make_policy):
     assert torch.equal(quiet, tokens(felt, 0))
 
 
+def test_state_noise_is_for_training_alone_and_for_the_axes_it_names(make_policy):
+    token = make_policy(state_noise=[0.0, 0.0, 0.2, 0.0, 0.0]).model.state_token
+    pose = torch.rand(4000, 1, 5)
+    seen: list[torch.Tensor] = []
+    token.proj.register_forward_pre_hook(lambda _, given: seen.append(given[0] - pose))
+    token(pose)
+    token.train()(pose)
+    assert not seen[0].any() and not seen[1][..., [0, 1, 3, 4]].any()
+    assert 0.18 < float(seen[1][..., 2].std()) < 0.22
+    with pytest.raises(ContractError, match="state_noise"):
+        make_policy(state_noise=[0.1])
+
+
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
