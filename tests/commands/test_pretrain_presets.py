@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import pytest
 
 from uniforce_vtla.commands.arguments import choose, parse
@@ -12,10 +15,18 @@ from uniforce_vtla.tokenizer.pair_cache import FAMILY
 
 
 def test_small_draws_the_family_the_peers_see_too() -> None:
-    first, second = (parse(PretrainCommand, [f"preset={n}"], PRESETS) for n in ("small_draw", "small"))
+    first, second = (parse(PretrainCommand, [f"preset={n}"], PRESETS) for n in ("small_draw", "small_agree"))
     assert first.run.data == second.run.data == FAMILY
-    assert first.run.model == second.run.model
-    assert second.run.init == f"{first.out}/tokenizer"  # the second half starts from what the first left
+
+
+def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
+    names = ("small_draw", "small_agree", "small_held", "small")
+    stages = [parse(PretrainCommand, [f"preset={n}"], PRESETS) for n in names]
+    for before, after in pairwise(stages):
+        assert after.run.init == f"{before.out}/tokenizer"
+        assert after.run.model == before.run.model
+    for held in stages[2:]:  # the same pads, but flat handles that twist them
+        assert replace(held.run.data, flat_share=FAMILY.flat_share, flat_torsion_arm_mm=2.5) == FAMILY
 
 
 def test_nano_is_smaller_and_what_is_given_wins() -> None:

@@ -64,6 +64,7 @@ def test_one_row_measured_anew_leaves_the_rest_of_the_table(
     before |= {"speed": {"ours": 1}, "measured_by": {"mean": {"command": "yesterday's"}}}
     (tmp_path / report_set.table).write_text(json.dumps(before))
     after = measure(replace(command, only="UniForce"), report_set, tokenizer)
-    assert set(after["rows"]) == {"mean", "UniForce"} and after["speed"] == {"ours": 1}
+    assert list(after["rows"]) == list(before["rows"]) and after["speed"] == {"ours": 1}
+    assert set(after["rows"]) == {"mean", "UniForce"}
     assert after["measured_by"]["mean"]["command"] == "yesterday's"
     assert after["measured_by"]["UniForce"]["command"] == after["command"]

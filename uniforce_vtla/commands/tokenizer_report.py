@@ -112,7 +112,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     committed = _committed_table(
         command, report_set, facts
     )  # once more: another row may have come in meanwhile
-    rows = _still_true(committed, tokenizer) | measured
+    rows = in_order(committed, _still_true(committed, tokenizer) | measured)
     origin = provenance()
     content = {
         "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
@@ -131,6 +131,12 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     if report_set.name == SHIPPED_HEADS_SET and not command.table:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
     return content | origin
+
+
+def in_order(committed: dict[str, Any], rows: dict[str, Cells]) -> dict[str, Cells]:
+    """Return ``rows`` in the committed table's order, new ones last: pictures then keep their order too."""
+    names = dict.fromkeys([*committed.get("rows", {}), *rows])
+    return {name: rows[name] for name in names if name in rows}
 
 
 def kept_origins(committed: dict[str, Any], rows: Mapping[str, Cells]) -> dict[str, Any]:

@@ -44,7 +44,8 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         "policy.device=cpu",
         f"policy.touch_input={recipe.touch_input}",
         f"policy.touch_slots={{{slots}}}",
-        "policy.n_action_steps=8",  # of 16: see docs/experiments/tiny_policy.md
+        "policy.n_action_steps=4",  # of 16: see docs/experiments/tiny_policy.md
+        f"policy.state_noise={list(recipe.state_noise)}",
         "dataset.repo_id=local/view",
         f"dataset.root={config.view}",
         f"dataset.episodes={_episodes(Path(config.view), recipe, config.demos)}",

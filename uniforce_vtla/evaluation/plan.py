@@ -34,19 +34,22 @@ class Arm:
 class Recipe:
     """How a checkpoint of the plan is trained: what it feels, with which fingers, on which rigs' demos.
 
-    ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default.
+    ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default. ``state_noise`` blurs
+    the measured height by 6 mm while training: boards lie at other heights and arms give way, so that who trusts the
+    height strokes in the air or presses too hard (docs/experiments/tiny_policy.md). V keeps it, having nothing else.
     """
 
     touch_input: str
     slots: tuple[tuple[str, Finger], ...] = (("touch0", "right"),)
     rigs: tuple[str, ...] = ("gelsight", "uskin")
     touch_dropout: float | None = None
+    state_noise: tuple[float, ...] = (0.0, 0.0, 0.2, 0.0, 0.0)  # of half the demos' range per axis
 
 
 _BOTH: tuple[tuple[str, Finger], ...] = (("touch0", "right"), ("touch1", "left"))
 # V+T hides its touch in a tenth of the samples, so that the masked control asks it nothing it never met.
 RECIPES = {
-    "v": Recipe("none"),
+    "v": Recipe("none", state_noise=()),
     "vt": Recipe("latent", touch_dropout=0.1),
     "vtg": Recipe("latent", _BOTH, ("gelsight",)),
     "vtu": Recipe("latent", _BOTH, ("uskin",)),
