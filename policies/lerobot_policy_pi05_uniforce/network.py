@@ -18,6 +18,7 @@ from lerobot_policy_pi05_uniforce.force_tokens import (
     wrench_scale,
 )
 from lerobot_policy_pi05_uniforce.next_force import NextForce
+from lerobot_policy_pi05_uniforce.onednn import use_onednn
 from lerobot_policy_pi05_uniforce.state_token import StateToken
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
@@ -54,6 +55,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.state_token = self._make_state_token(config)
         self.next_force = self._make_next_force(config)
         freeze_unread(self)
+        if config.size == "tiny":
+            use_onednn(self)
         self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
         self.fast = FastSampler(self) if config.sampler == "fast" else None
 

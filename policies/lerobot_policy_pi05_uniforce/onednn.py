@@ -1,12 +1,15 @@
-"""Projections of the fast sampler on a CPU, by oneDNN: same float32 products, another library and fused epilogues.
+"""Projections on a CPU, by oneDNN: same float32 products, another library and fused epilogues.
 
 torch sends a float32 ``linear`` to MKL, which on AMD processors runs at half of oneDNN's speed (37–91 against 81–196
 GFLOP/s on one core, docs/experiments/policy_speed.md), and its tanh GELU takes as long as the product before
-it. Where oneDNN is missing, on another device, in another dtype, where a gradient is wanted (RTC's guidance) or where
-torch.compile traces (it has kernels of its own), plain torch runs; results agree within rounding.
+it. Where oneDNN is missing, on another device, in another dtype or where torch.compile traces (it has kernels of its
+own), plain torch runs; results agree within rounding. The fused ones are for sampling: where a gradient is wanted
+(RTC's guidance) torch runs too. ``OneDnnLinear`` is for training the tiny policy.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -19,10 +22,15 @@ SCORES = (
 )  # fewer: not worth five operations; more leave the cache, and torch's tiled attention wins
 
 
-def here(x: Tensor) -> bool:
-    """Return whether oneDNN takes this tensor's products."""
+def takes(x: Tensor) -> bool:
+    """Return whether oneDNN can take this tensor's products."""
     wanted = x.device.type == "cpu" and x.dtype == torch.float32
-    return AVAILABLE and wanted and not torch.is_grad_enabled() and not torch.compiler.is_compiling()
+    return AVAILABLE and wanted and not torch.compiler.is_compiling()
+
+
+def here(x: Tensor) -> bool:
+    """Return whether oneDNN takes this tensor's products where nobody wants a gradient."""
+    return takes(x) and not torch.is_grad_enabled()
 
 
 def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
@@ -30,6 +38,47 @@ def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
     if not here(x):
         return F.linear(x, weight, bias)
     return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
+
+
+class _Product(torch.autograd.Function):
+    """``linear`` with a gradient: all three products by oneDNN."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, Tensor | None]:  # type: ignore[override]
+        x, weight = ctx.saved_tensors
+        of_x, of_weight, of_bias = ctx.needs_input_grad
+        rows = grad.reshape(-1, grad.shape[-1])  # (M, N)
+        return (
+            _times(grad.contiguous(), weight.t()) if of_x else None,
+            _times(rows.t(), x.reshape(-1, x.shape[-1]).t()) if of_weight else None,
+            rows.sum(dim=0) if of_bias else None,
+        )
+
+
+def _times(x: Tensor, weight: Tensor) -> Tensor:
+    return torch.ops.mkldnn._linear_pointwise(x, weight, None, "none", [], "")
+
+
+class OneDnnLinear(nn.Linear):
+    """``nn.Linear`` that trains by oneDNN where that can take its products; without gradients it stays torch's."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (…, N) of (…, K)."""
+        if not (takes(x) and torch.is_grad_enabled()):
+            return super().forward(x)
+        return _Product.apply(x, self.weight, self.bias)
+
+
+def use_onednn(module: nn.Module) -> None:
+    """Let every plain ``nn.Linear`` inside a module train by oneDNN; weights and their names stay."""
+    for part in module.modules():
+        if type(part) is nn.Linear:
+            part.__class__ = OneDnnLinear
 
 
 def linear_gelu(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:

@@ -51,3 +51,32 @@ def test_cameras_are_seen_as_transformers_sees_them(make_policy) -> None:
     wanted = model.embed_image(images)
     assert wanted.abs().max() > 0.01
     torch.testing.assert_close(see(model.paligemma.model, images), wanted, **CLOSE)
+
+
+@pytest.mark.parametrize("bias", [True, False])
+def test_gradients_of_a_layer_are_torchs(bias: bool) -> None:
+    plain = nn.Linear(24, 16, bias=bias)
+    quick = nn.Linear(24, 16, bias=bias)
+    quick.load_state_dict(plain.state_dict())
+    onednn.use_onednn(nn.Sequential(quick))
+    assert isinstance(quick, onednn.OneDnnLinear) and quick.state_dict().keys() == plain.state_dict().keys()
+    found = []
+    for layer in (plain, quick):
+        torch.manual_seed(0)
+        x = torch.randn(2, 7, 24, requires_grad=True)
+        out = layer(x.transpose(0, 1))  # whose rows don't lie one after another
+        (out.transpose(0, 1) * torch.randn(2, 7, 16)).sum().backward()
+        found.append([out, x.grad, *(weight.grad for weight in layer.parameters())])
+    for ours, torchs in zip(found[1], found[0], strict=True):
+        torch.testing.assert_close(ours, torchs, **CLOSE)
+
+
+def test_frozen_weights_and_other_dtypes_are_left_alone() -> None:
+    layer = nn.Linear(8, 4)
+    onednn.use_onednn(layer)
+    layer.requires_grad_(False)
+    x = torch.randn(3, 8, requires_grad=True)
+    layer(x).sum().backward()
+    assert x.grad is not None and layer.weight.grad is None
+    torch.testing.assert_close(x.grad, layer.weight.sum(dim=0).expand(3, 8), **CLOSE)
+    assert layer.double()(x.double()).dtype == torch.float64
