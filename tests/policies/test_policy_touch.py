@@ -210,7 +210,7 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
 
 
 def test_touch_noise_is_for_latents_of_the_tiny_size(make_policy):
-    assert make_policy().model.force_tokens.noise == 0.8
+    assert make_policy().model.force_tokens.noise == 0.2
     assert make_policy(touch_noise=0.1).model.force_tokens.noise == 0.1
     assert make_policy(touch_input="wrench").model.force_tokens.noise == 0.0
 

@@ -24,7 +24,7 @@ class TrainArmConfig:
     name: str = "vt"  # v | vt | vtg | vtu, or a control: wrench | descriptor | images
     view: str = "outputs/view_paper"  # training view that holds the demos of both rigs
     demos: int = 0  # only the first so many of each rig, for the curve of success over demos; 0 = all
-    steps: int = 9000  # optimiser steps, the same for every arm
+    steps: int = 6000  # optimiser steps, the same for every arm
     batch_size: int = 32  # samples per step
     seed: int = 0  # of weights and batches; the plan asks for two
     save_every: int = 1000  # steps between checkpoints a killed run continues from
