@@ -66,11 +66,8 @@ def test_two_episodes_end_to_end(plan: Plan, rig: Rig, program: Program) -> None
     assert load_in_stock_lerobot(root)["loads_in_stock_lerobot"]
 
 
-def test_kills_cost_no_saved_episode(plan: Plan, rig: Rig, program: Program) -> None:
-    for number in (
-        4,
-        8,
-    ):  # the loop mid-save, the storing process in between; test_command.py kills all of it mid-tick
+def test_three_kills_cost_no_saved_episode(plan: Plan, rig: Rig, program: Program) -> None:
+    for number in (0, 4, 8):  # all of it mid-tick, the loop mid-save, the storing process in between
         seen = kill9.kill_once(plan, rig, program, plan.work / "killed", number)
         assert seen["said_stored"] and not seen["saved_lost"] and not seen["processes_left"], seen
     assert kill9.finish(plan, rig, program, plan.work / "killed")["exit_code"] == 0
