@@ -77,7 +77,7 @@ class PI05UniforceConfig(PI05Config):
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
     )
-    # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.8, base 0
+    # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.2, base 0
     touch_noise: float = _BY_SIZE
     # training only, with a state token: Gaussian noise on the normalised state, per axis; [] = none
     state_noise: list[float] = field(default_factory=list)

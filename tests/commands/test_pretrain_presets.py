@@ -26,7 +26,8 @@ def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
         assert after.run.init == f"{before.out}/tokenizer"
         assert after.run.model == before.run.model
     for held in stages[2:]:  # the same pads, but flat handles that twist them
-        assert replace(held.run.data, flat_share=FAMILY.flat_share, flat_torsion_arm_mm=2.5) == FAMILY
+        usual = {"flat_share": FAMILY.flat_share, "flat_torsion_arm_mm": FAMILY.flat_torsion_arm_mm}
+        assert replace(held.run.data, **usual) == FAMILY
 
 
 def test_nano_is_smaller_and_what_is_given_wins() -> None:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames
 from uniforce_vtla.commands.touch_outputs import counts_picture
-from uniforce_vtla.contracts import Finger
+from uniforce_vtla.contracts import TAXEL_SHAPE, Finger
 from uniforce_vtla.keys import counts_key
-
-TAXEL_AXES = 3
 
 
 def raw_touch(source: Source, episode: Episode, finger: Finger) -> Callable[[], Iterator[np.ndarray]] | None:
@@ -27,9 +24,9 @@ def raw_touch(source: Source, episode: Episode, finger: Finger) -> Callable[[], 
     if counts_key(finger) in source.features:
         counts = source.columns((counts_key(finger),))[counts_key(finger)]
         rows = counts[episode.start : episode.start + episode.length].astype(np.int64)
-        change = (rows - rows[0]).reshape(episode.length, -1, TAXEL_AXES)
+        change = (rows - rows[0]).reshape(episode.length, *TAXEL_SHAPE)
         return lambda: map(counts_picture, change)
-    file = raw_path(Path(source.root), finger, episode.index)
+    file = raw_path(source.root, finger, episode.index)
     if not file.is_file():
         return None
     return lambda: episode_frames(VideoSpan(file, 0.0), episode.length, source.fps)
