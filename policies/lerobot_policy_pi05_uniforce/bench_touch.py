@@ -1,7 +1,9 @@
 """What touch costs: two slots of 16 cached latents at either token site beside none, latency and training step.
 
 All variants are timed in turns in one process, so that a busy machine slows them alike; ratios are medians of ratios
-within a round. Random weights; the gate of ``start_at_base`` is on, as for size ``base``.
+within a round. Random weights; the gate of ``start_at_base`` is on, as for size ``base``, and training steps run
+LeRobot's own layers, as ``base`` does. (Through torch's fused attention, which ``tiny`` trains by, a gate that learns
+costs a third of a step on a CPU: a mask with a gradient sends torch to its slow path. ``tiny`` has no gate.)
 """
 
 from __future__ import annotations
@@ -12,7 +14,14 @@ from typing import Any
 
 import torch
 
-from lerobot_policy_pi05_uniforce.bench import BenchCase, Given, build, milliseconds, observe
+from lerobot_policy_pi05_uniforce.bench import (
+    BenchCase,
+    Given,
+    build,
+    lerobots_layers,
+    milliseconds,
+    observe,
+)
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 
 SLOTS = {"touch0": "right", "touch1": "left"}
@@ -80,7 +89,7 @@ def _training(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -
     actions, time = torch.zeros_like(noise), noise.new_full((1,), 0.5)
 
     def step() -> None:
-        with torch.enable_grad():
+        with torch.enable_grad(), lerobots_layers(network):
             network.forward(*given, actions, noise, time).mean().backward()
         optimizer.step()
         optimizer.zero_grad()

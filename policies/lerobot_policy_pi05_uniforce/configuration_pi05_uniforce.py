@@ -79,6 +79,9 @@ class PI05UniforceConfig(PI05Config):
     )
     # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.2, base 0
     touch_noise: float = _BY_SIZE
+    # training only: share of samples whose latents are told as another sensor would (other_sensors.py); needs slots
+    # whose demos are of one kind each
+    sensor_transfer: float = 0.0
     # training only, with a state token: Gaussian noise on the normalised state, per axis; [] = none
     state_noise: list[float] = field(default_factory=list)
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
@@ -153,6 +156,10 @@ class PI05UniforceConfig(PI05Config):
         if self.next_force_weight and (self.touch_input != "latent" or not self.touch_slots):
             came = f"touch_input={self.touch_input} with slots {sorted(self.touch_slots)}"
             raise ContractError(expected("next_force_weight", "latents to predict", came, "Set it to 0."))
+        if not 0 <= self.sensor_transfer <= 1 or (self.sensor_transfer and self.touch_input != "latent"):
+            came = f"{self.sensor_transfer} with touch_input={self.touch_input}"
+            do = "Set it to 0, or feel latents."
+            raise ContractError(expected("sensor_transfer", "a share of latents", came, do))
         for slot, finger in self.touch_slots.items():
             _check_slot(slot)
             check_finger(finger)

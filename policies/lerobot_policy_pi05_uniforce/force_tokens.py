@@ -50,6 +50,7 @@ class ForceTokens(nn.Module):
     ) -> None:
         super().__init__()
         self.noise = noise
+        self.others: nn.Module | None = None  # training only: OtherSensors
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
         self.proj = nn.Sequential(nn.Linear(input_shape[1], width), nn.GELU(), nn.Linear(width, width))
@@ -59,6 +60,8 @@ class ForceTokens(nn.Module):
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
+        if self.training and self.others is not None:
+            touch = self.others(touch, slot)
         felt = (touch - self.input_mean) / self.input_scale
         if self.training and self.noise:
             felt = felt + self.noise * torch.randn_like(felt)

@@ -20,8 +20,10 @@ from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.dataset_facts import read_provenance, read_touch_scale, read_view
+from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
+from lerobot_policy_pi05_uniforce.other_sensors import other_sensors
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
 from lerobot_policy_pi05_uniforce.stored_settings import (
     PROCESSORS,
@@ -81,6 +83,7 @@ class PI05UniforcePolicy(ActionLoss):
         read_view(meta, self.config)
         if meta is not None:
             read_provenance(meta, self.config)
+            self._know_other_sensors()
         if not stats:
             return
         stats.update(floor_quantiles(stats) or {})
@@ -89,6 +92,11 @@ class PI05UniforcePolicy(ActionLoss):
             mean, scale = found
             self.model.force_tokens.input_mean.copy_(mean)
             self.model.force_tokens.input_scale.copy_(scale)
+
+    def _know_other_sensors(self) -> None:
+        tokens = self.model.force_tokens
+        if self.config.sensor_transfer and isinstance(tokens, ForceTokens):
+            tokens.others = other_sensors(self.config)
 
     @classmethod
     def from_pretrained(

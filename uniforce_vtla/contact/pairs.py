@@ -89,8 +89,8 @@ def equilibrium_pairs(
     objects = sample_objects(rng, n, indenters, settings.flat_share)
     force, torsion = sample_loads(rng, n, force_range or settings.force_range, objects.names)
     contact = ContactState(objects.gap_mm, force, torsion)
-    left = _views(rng, left_sensor, contact, settings, transform)
-    right = _views(rng, right_sensor, mirrored(_disturbed(rng, contact, settings)), settings, transform)
+    left = finger_views(rng, left_sensor, contact, settings, transform)
+    right = finger_views(rng, right_sensor, mirrored(_disturbed(rng, contact, settings)), settings, transform)
     return PairBatch(*left, *right, force, torsion, objects.names)
 
 
@@ -108,6 +108,32 @@ def pair_batches(
         yield equilibrium_pairs(
             rng, batch, left_sensor, right_sensor, indenters, settings=settings, transform=transform
         )
+
+
+def finger_views(
+    rng: np.random.Generator,
+    sensor: str | VirtualSensor,
+    contact: ContactState,
+    settings: PairSettings,
+    transform: Transform | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n, …) references and currents of one finger, a fresh unit every ``pairs_per_unit`` contacts.
+
+    Args:
+        rng: draws units and noise.
+        sensor: registry name, or a virtual one.
+        contact: n contacts as this finger gets them.
+        settings: of the units; what decides contacts isn't read.
+        transform: applied to (B, 480, 640) images before they are kept.
+    """
+    references, currents = [], []
+    for part in slices(len(contact.gap_mm), settings.pairs_per_unit):
+        simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options, settings.look)
+        currents.append(images_of(simulator, rows_of(contact, part), transform))
+        reference = simulator.reference()[None]
+        kept = transform(reference) if transform else reference
+        references.append(np.repeat(kept, len(currents[-1]), axis=0))
+    return np.concatenate(references), np.concatenate(currents)
 
 
 def _disturbed(rng: np.random.Generator, contact: ContactState, settings: PairSettings) -> ContactState:
@@ -130,21 +156,3 @@ def _moved(gap: np.ndarray, x: int, y: int) -> np.ndarray:
     reach = max(abs(x), abs(y))
     rows, columns = gap.shape
     return padded[reach - y : reach - y + rows, reach - x : reach - x + columns]
-
-
-def _views(
-    rng: np.random.Generator,
-    sensor: str | VirtualSensor,
-    contact: ContactState,
-    settings: PairSettings,
-    transform: Transform | None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return (n, …) references and currents of one finger, a fresh unit every ``pairs_per_unit`` pairs."""
-    references, currents = [], []
-    for part in slices(len(contact.gap_mm), settings.pairs_per_unit):
-        simulator = draw_simulator(rng, sensor, settings.unit_strength, settings.options, settings.look)
-        currents.append(images_of(simulator, rows_of(contact, part), transform))
-        reference = simulator.reference()[None]
-        kept = transform(reference) if transform else reference
-        references.append(np.repeat(kept, len(currents[-1]), axis=0))
-    return np.concatenate(references), np.concatenate(currents)

@@ -1,0 +1,117 @@
+"""Training hears part of the touch as another sensor would tell it; a rollout never does, and no checkpoint knows."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.dataset_facts import VIEW_MARKER
+from lerobot_policy_pi05_uniforce.other_sensors import OtherSensors
+from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.tokenizer.transfer import SensorTransfer
+
+KINDS = ("tactip", "uskin")
+NUMBERS = 96
+
+
+def maps(tokenizer_hash="", shift=7.0):
+    """A uSkin says what a TacTip says, and ``shift`` more; both without doubt."""
+    transfer = SensorTransfer(KINDS, NUMBERS, tokenizer_hash)
+    transfer.matrix.copy_(torch.eye(NUMBERS))
+    transfer.offset[0, 1] = shift
+    return transfer
+
+
+def test_a_share_of_the_samples_is_told_by_each_known_sensor():
+    others = OtherSensors(maps(), ["uskin", "tactip"], share=0.6)
+    touch = torch.randn(4000, 16, 6)
+    moved = (others(touch, 1) - touch).mean(dim=(1, 2))
+    assert torch.all((moved.abs() < 1e-4) | ((moved - 7).abs() < 1e-4))
+    assert (
+        0.27 < float((moved > 1).float().mean()) < 0.33
+    )  # half of .6: the slot's own kind is drawn as often
+    assert torch.allclose(others(touch, 0), touch, atol=1e-5)
+
+
+def test_doubt_is_noise_of_its_size():
+    transfer = maps(shift=0.0)
+    transfer.doubt[:] = 0.3 * torch.eye(NUMBERS)
+    told = OtherSensors(transfer, ["tactip"], share=1.0)(torch.zeros(500, 16, 6), 0)
+    assert 0.29 < float(told.std()) < 0.31
+
+
+@pytest.fixture
+def view(tokenizer_path, tmp_path):
+    """What a trainer hands a policy: the facts of a training view, its tokenizer with maps."""
+    tokenizer = Tokenizer.from_pretrained(tokenizer_path)
+    folder = tmp_path / "tokenizer"
+    shutil.copytree(tokenizer_path, folder)
+    maps(tokenizer.hash).save(folder / "transfer", {})
+    facts = {
+        "sensors": {"right": ["tactip"], "left": ["gelsight", "uskin"]},
+        "tokenizer_hash": tokenizer.hash,
+    }
+    (tmp_path / VIEW_MARKER).write_text(json.dumps(facts))
+    return SimpleNamespace(root=tmp_path, tokenizer=str(folder))
+
+
+def trained(make_config, view, **settings):
+    given = {"tokenizer_path": view.tokenizer, "touch_slots": {"touch0": "right"}, "sensor_transfer": 1.0}
+    return PI05UniforcePolicy(make_config(**{**given, **settings}), dataset_meta=view)
+
+
+def test_only_training_hears_other_sensors_and_the_checkpoint_stays_as_it_was(make_config, view, tmp_path):
+    policy = trained(make_config, view, touch_noise=0.0)
+    tokens, felt = policy.model.force_tokens, torch.randn(64, 16, 6)
+    plain = tokens.eval()(felt, 0)
+    heard = tokens.train()(felt, 0)
+    changed = (heard - plain).abs().amax(dim=(1, 2)) > 1e-3
+    assert 0.3 < float(changed.float().mean()) < 0.7
+    assert not [name for name in policy.state_dict() if "others" in name]
+    policy.save_pretrained(tmp_path / "saved")
+    again = PI05UniforcePolicy.from_pretrained(tmp_path / "saved")
+    assert again.model.force_tokens.others is None and again.config.sensor_transfer == 1.0
+    resumed = PI05UniforcePolicy.from_pretrained(tmp_path / "saved", dataset_meta=view)
+    assert resumed.model.force_tokens.others is not None
+
+
+def test_no_maps_no_others(make_config, view):
+    assert trained(make_config, view, sensor_transfer=0.0).model.force_tokens.others is None
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "said"),
+    [
+        ({"touch_slots": {"touch0": "left"}}, ContractError, r"gelsight\+uskin"),  # two kinds in one slot
+        ({"trained_sensors": {"touch0": "digit"}}, ContractError, "digit"),
+        ({"latent_grid": 2}, ContractError, "latent_grid"),
+        (
+            {"tokenizer_path": None},
+            DatasetError,
+            "tokenizer of",
+        ),  # the shipped one has maps, but isn't the view's
+    ],
+)
+def test_maps_that_do_not_fit_are_refused(settings, error, said, make_config, view):
+    with pytest.raises(error, match=said):
+        trained(make_config, view, **settings)
+
+
+def test_maps_of_another_tokenizer_are_refused(make_config, view):
+    maps("another").save(f"{view.tokenizer}/transfer", {})
+    with pytest.raises(CheckpointError, match="uniforce-sensor-transfer"):
+        trained(make_config, view)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"sensor_transfer": 1.5}, {"touch_input": "wrench", "sensor_transfer": 0.5}]
+)
+def test_a_share_of_latents_it_must_be(settings, make_config):
+    with pytest.raises(ContractError, match="sensor_transfer"):
+        make_config(**settings)
