@@ -1,4 +1,4 @@
-"""One video's encoder thread, leaner than LeRobot's own: a real-time recorder runs eight of them.
+"""One video's encoder thread, leaner than LeRobot's own: a recorder runs up to eight of them.
 
 LeRobot's takes 5.5 ms of a core per 640×480 frame here, 2 ms of it for statistics of every single one. These are of
 every fifth frame, as LeRobot itself samples frames when it doesn't stream; the picture goes to x264 without a detour.

@@ -19,7 +19,7 @@ from uniforce_datasets.view_build import build_view
 from uniforce_datasets.view_marker import read_marker
 from uniforce_datasets.view_plan import touch_stream
 from uniforce_vtla.array_file import read_array
-from uniforce_vtla.contracts import check_finger
+from uniforce_vtla.contracts import FINGERS, check_finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import (
     ACTION,
@@ -44,7 +44,11 @@ STREAM_KEYS = {"latent": latent_key, "descriptor": descriptor_key, "marker_pair"
 
 @dataclass(frozen=True)
 class ViewMetadata:
-    """The part of LeRobot's dataset metadata that its trainer and policies read."""
+    """The part of LeRobot's dataset metadata that its trainer and policies read.
+
+    Totals are the whole view's, which LeRobot's sampler indexes; ``used_…``, ``sensors`` and ``stats`` are of the
+    episodes sampled from.
+    """
 
     root: Path
     fps: int
@@ -55,6 +59,8 @@ class ViewMetadata:
     camera_keys: list[str]
     total_episodes: int
     total_frames: int
+    used_episodes: int
+    used_frames: int
     repo_id: str = "local/view"
     has_language_columns: bool = False
     depth_keys: tuple[str, ...] = ()
@@ -205,11 +211,19 @@ class TrainingView(Dataset):
                 "dataset_to_index": ends,
                 "tasks": [[t] for t in self._tasks],
             },
-            sensors=self.marker["sensors"],
+            sensors=self._sensors(),
             camera_keys=[camera_key(camera) for camera in CAMERAS],
             total_episodes=len(self._tasks),
             total_frames=len(self),
+            used_episodes=self.num_episodes,
+            used_frames=self.num_frames,
         )
+
+    def _sensors(self) -> dict[str, list[str]]:
+        """Return finger → kinds worn in the episodes sampled from."""
+        facts = self.marker["episodes"]
+        used = facts if self.episodes is None else [facts[number] for number in self.episodes]
+        return {finger: sorted({episode[f"{finger}_sensor"] for episode in used}) for finger in FINGERS}
 
     def _used_frames(self) -> np.ndarray:
         """(N,) bool: frames of the episodes sampled from."""

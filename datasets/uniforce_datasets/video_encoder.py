@@ -50,7 +50,7 @@ def codec_of(key: str) -> RGBEncoderConfig:
 
 
 class PerKeyEncoder(StreamingVideoEncoder):
-    """LeRobot's streaming encoder with a codec per key.
+    """LeRobot's streaming encoder with a codec per key, and threads of our own.
 
     Args:
         fps: frames per second of the videos.
@@ -69,21 +69,12 @@ class PerKeyEncoder(StreamingVideoEncoder):
     ) -> None:
         """Start one encoder per key, each with its own codec."""
         self.cancel_episode()
-        if not self._realtime:
-            self._start_lerobots(video_keys, temp_dir, depth_video_keys)
-            return
         self._dropped_frames.clear()
         for key in video_keys:
-            self._start_lean(key, temp_dir)
+            self._start(key, temp_dir)
         self._episode_active = True
 
-    def _start_lerobots(self, keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None) -> None:
-        for key in keys:
-            self._rgb_encoder = codec_of(key)
-            self._episode_active = False  # the parent would cancel the keys already started
-            super().start_episode([key], temp_dir, depth_video_keys)
-
-    def _start_lean(self, key: str, temp_dir: Path) -> None:
+    def _start(self, key: str, temp_dir: Path) -> None:
         frames: queue.Queue = queue.Queue(self.queue_maxsize)
         result: queue.Queue = queue.Queue(1)
         stop, path = threading.Event(), Path(tempfile.mkdtemp(dir=temp_dir)) / f"{key}.mp4"

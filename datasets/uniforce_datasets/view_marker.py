@@ -55,7 +55,8 @@ def _filled(episodes: object, frames: int) -> bool:
         return False
     lengths = [e.get("length") for e in episodes]
     whole = all(type(length) is int and length > 0 for length in lengths)
-    return whole and sum(lengths) == frames and _words([e.get("task") for e in episodes])
+    words = [e.get(name) for e in episodes for name in ("task", "left_sensor", "right_sensor")]
+    return whole and sum(lengths) == frames and _words(words)
 
 
 def _words(values: object) -> bool:

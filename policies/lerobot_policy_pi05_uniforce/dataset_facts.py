@@ -41,8 +41,10 @@ def read_touch_scale(
 
 def read_provenance(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     """Write into ``config`` which recordings it is trained on; a model card quotes it."""
-    names = {"repo_id": "repo_id", "episodes": "total_episodes", "frames": "total_frames", "fps": "fps"}
-    found = {name: getattr(dataset_meta, attribute, None) for name, attribute in names.items()}
+    found = {name: getattr(dataset_meta, name, None) for name in ("repo_id", "fps")}
+    for name in ("episodes", "frames"):  # a view also says how many of them are sampled from
+        total = getattr(dataset_meta, f"total_{name}", None)
+        found[name] = getattr(dataset_meta, f"used_{name}", total)
     config.trained_on = {name: str(value) for name, value in found.items() if value is not None}
 
 
@@ -56,7 +58,7 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     if dataset_meta is None or not config.slots or not marker.is_file():
         return
     view = read_object(marker, DatasetError)
-    worn = view.get("sensors", {})  # finger → kinds in the data
+    worn = getattr(dataset_meta, "sensors", {})  # finger → kinds in the episodes sampled from
     kinds = {slot: "+".join(worn.get(config.touch_slots[slot], [])) for slot in config.slots}
     config.trained_sensors = {**kinds, **config.trained_sensors}
     made_by = view.get("tokenizer_hash", "")

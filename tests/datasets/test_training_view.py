@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,7 +13,7 @@ import torch
 from uniforce_datasets.bench import BlockMeans, bench_loader
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.synthetic import FPS, dots
-from uniforce_datasets.training_view import TrainingView, build_view, make_training_dataset
+from uniforce_datasets.training_view import VIEW_MARKER, TrainingView, build_view, make_training_dataset
 from uniforce_datasets.view_build import PROGRESS, resize
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, DatasetError
@@ -112,6 +113,7 @@ def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:
 
     made = TrainingView(view, episodes=[0, 2])
     assert made.num_episodes == 2 and made.num_frames == 2 * FRAMES
+    assert (made.meta.used_episodes, made.meta.used_frames) == (2, 2 * FRAMES)
     bounds = made.meta.episodes["dataset_from_index"], made.meta.episodes["dataset_to_index"]
     sampler = EpisodeAwareSampler(*bounds, episode_indices_to_use=made.episodes, shuffle=True)
     assert {int(made[i]["episode_index"]) for i in sampler} == {0, 2}
@@ -160,6 +162,18 @@ def test_union_of_two_datasets(demos: Path, tmp_path: Path) -> None:
     assert both.num_episodes == 4 and len(both) == 4 * FRAMES
     assert torch.equal(both[0][STATE], both[2 * FRAMES][STATE])
     assert both.meta.sensors == {"left": ["gelsight"], "right": ["tactip"]}
+
+
+def test_sensors_are_those_of_the_episodes_sampled_from(view: Path, tmp_path: Path) -> None:
+    mixed = tmp_path / "mixed"
+    shutil.copytree(view, mixed)
+    marker = json.loads((mixed / VIEW_MARKER).read_text())
+    marker["episodes"][1]["left_sensor"] = "uskin"
+    marker["sensors"]["left"] = ["gelsight", "uskin"]
+    (mixed / VIEW_MARKER).write_text(json.dumps(marker))
+    assert TrainingView(mixed).meta.sensors["left"] == ["gelsight", "uskin"]
+    assert TrainingView(mixed, episodes=[0, 2]).meta.sensors["left"] == ["gelsight"]
+    assert TrainingView(mixed, episodes=[1]).meta.sensors["left"] == ["uskin"]
 
 
 def test_refusals(demos: Path, view: Path, tmp_path: Path) -> None:

@@ -53,12 +53,9 @@ def view(tokenizer_path, tmp_path):
     folder = tmp_path / "tokenizer"
     shutil.copytree(tokenizer_path, folder)
     maps(tokenizer.hash).save(folder / "transfer", {})
-    facts = {
-        "sensors": {"right": ["tactip"], "left": ["gelsight", "uskin"]},
-        "tokenizer_hash": tokenizer.hash,
-    }
-    (tmp_path / VIEW_MARKER).write_text(json.dumps(facts))
-    return SimpleNamespace(root=tmp_path, tokenizer=str(folder))
+    (tmp_path / VIEW_MARKER).write_text(json.dumps({"tokenizer_hash": tokenizer.hash}))
+    sensors = {"right": ["tactip"], "left": ["gelsight", "uskin"]}
+    return SimpleNamespace(root=tmp_path, tokenizer=str(folder), sensors=sensors)
 
 
 def trained(make_config, view, **settings):

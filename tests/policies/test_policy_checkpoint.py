@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -164,14 +165,13 @@ def test_a_view_made_by_another_tokenizer_is_refused(make_config, tmp_path):
 
 
 def test_sensors_of_the_training_view_are_stored(make_config, tmp_path):
-    class Meta:
-        root = tmp_path
-
     sensors = {"left": ["gelsight", "uskin"], "right": ["tactip"]}
-    (tmp_path / "uniforce_view.json").write_text(json.dumps({"sensors": sensors}))
+    meta = SimpleNamespace(root=tmp_path, sensors=sensors, total_episodes=9, used_episodes=4)
+    (tmp_path / "uniforce_view.json").write_text("{}")
     config = make_config(touch_input="wrench")
-    PI05UniforcePolicy(config, dataset_meta=Meta())
+    PI05UniforcePolicy(config, dataset_meta=meta)
     assert config.trained_sensors == {"touch0": "tactip", "touch1": "gelsight+uskin"}
+    assert config.trained_on["episodes"] == "4"
     assert check_sensors(config, {"left": "uskin", "right": "tactip"}) == []
     with pytest.raises(CheckpointError, match="right_sensor=uskin"):
         check_sensors(config, {"left": "uskin", "right": "uskin"})
