@@ -2,13 +2,15 @@
 
 torch sends a float32 ``linear`` to MKL, which on AMD processors runs at half of oneDNN's speed (37–91 against 81–196
 GFLOP/s on one core, docs/experiments/policy_speed.md), and its tanh GELU takes as long as the product before
-it. Where oneDNN is missing, on another device, in another dtype or where torch.compile traces (it has kernels of its
-own), plain torch runs; results agree within rounding. The fused ones are for sampling: where a gradient is wanted
-(RTC's guidance) torch runs too. ``OneDnnLinear`` is for training the tiny policy.
+it. On Intel processors MKL is at home: there the products of training stay with it. Where oneDNN is missing, on
+another device, in another dtype or where torch.compile traces (it has kernels of its own), plain torch runs; results
+agree within rounding. The fused ones are for sampling: where a gradient is wanted (RTC's guidance) torch runs too.
+``OneDnnLinear`` is for training the tiny policy.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -16,10 +18,19 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 AVAILABLE = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_linear_pointwise")
+CPUINFO, INTEL = Path("/proc/cpuinfo"), "GenuineIntel"
 SCORES = (
     2**16,
     2**20,
 )  # fewer: not worth five operations; more leave the cache, and torch's tiled attention wins
+
+
+def processor_vendor(cpuinfo: Path = CPUINFO) -> str:
+    """Return "GenuineIntel", "AuthenticAMD", …; empty where the system doesn't say."""
+    if not cpuinfo.is_file():
+        return ""
+    lines = (line.partition(":") for line in cpuinfo.read_text().splitlines())
+    return next((value.strip() for key, _, value in lines if key.strip() == "vendor_id"), "")
 
 
 def takes(x: Tensor) -> bool:
@@ -75,7 +86,9 @@ class OneDnnLinear(nn.Linear):
 
 
 def use_onednn(module: nn.Module) -> None:
-    """Let every plain ``nn.Linear`` inside a module train by oneDNN; weights and their names stay."""
+    """Let every plain ``nn.Linear`` inside a module train by oneDNN, but on Intel; weights and their names stay."""
+    if processor_vendor() == INTEL:
+        return
     for part in module.modules():
         if type(part) is nn.Linear:
             part.__class__ = OneDnnLinear

@@ -131,3 +131,20 @@ def test_what_is_no_score_or_no_checkpoint_is_said(
     assert "/nowhere.json" in capsys.readouterr().out
     assert share.main([f"checkpoint={tmp_path / 'nothing'}"]) == 2
     assert "config.json" in capsys.readouterr().out
+
+
+def test_half_the_size_the_same_action_and_the_tokenizer_bit_by_bit(
+    trained: tuple[Path, torch.Tensor], tmp_path: Path
+) -> None:
+    source, _ = trained
+    whole, half = tmp_path / "whole", tmp_path / "half"
+    for out, rounded in ((whole, "false"), (half, "true")):
+        assert share.main([f"checkpoint={source}", f"out={out}", f"half={rounded}"]) == 0
+    sizes = [(out / "model.safetensors").stat().st_size for out in (half, whole)]
+    assert sizes[0] < 0.7 * sizes[1]  # the tokenizer stays whole
+    first, second = (PI05UniforcePolicy.from_pretrained(out) for out in (whole, half))
+    assert first.config.tokenizer_hash == second.config.tokenizer_hash
+    pairs = list(zip(first.state_dict().items(), second.state_dict().values(), strict=True))
+    assert all(a.dtype == b.dtype for (_, a), b in pairs)
+    assert all(torch.allclose(a.float(), b.float(), rtol=1e-3, atol=1e-6) for (_, a), b in pairs)
+    assert any(not torch.equal(a, b) for (_, a), b in pairs)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from torch import nn
@@ -9,8 +11,14 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import onednn
 from lerobot_policy_pi05_uniforce.fast_vision import see
+from lerobot_policy_pi05_uniforce.onednn import processor_vendor as vendor_read
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
+
+
+@pytest.fixture(autouse=True)
+def on_amd(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onednn, "processor_vendor", lambda: "AuthenticAMD")
 
 
 @torch.no_grad()
@@ -69,6 +77,27 @@ def test_gradients_of_a_layer_are_torchs(bias: bool) -> None:
         found.append([out, x.grad, *(weight.grad for weight in layer.parameters())])
     for ours, torchs in zip(found[1], found[0], strict=True):
         torch.testing.assert_close(ours, torchs, **CLOSE)
+
+
+def test_on_intel_training_stays_with_mkl(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onednn, "processor_vendor", lambda: onednn.INTEL)
+    layer = nn.Linear(8, 4)
+    onednn.use_onednn(layer)
+    assert type(layer) is nn.Linear
+
+
+@pytest.mark.parametrize(
+    ("said", "vendor"),
+    [
+        ("processor\t: 0\nvendor_id\t: GenuineIntel\nmodel: 1\n", onednn.INTEL),
+        ("CPU part\t: 0xd40\n", ""),
+        (None, ""),
+    ],
+)
+def test_the_vendor_is_what_the_system_says(said: str | None, vendor: str, tmp_path: Path) -> None:
+    if said is not None:
+        (tmp_path / "cpuinfo").write_text(said)
+    assert vendor_read(tmp_path / "cpuinfo") == vendor
 
 
 def test_frozen_weights_and_other_dtypes_are_left_alone() -> None:

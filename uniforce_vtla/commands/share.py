@@ -20,6 +20,7 @@ from uniforce_vtla.errors import CheckpointError, UniForceError, expected
 from uniforce_vtla.results_file import write_json
 
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
+TOKENIZER = "model.tactile_encoder."
 UPLOADED = ["*.safetensors", "*.json", CARD]
 
 
@@ -36,6 +37,7 @@ class ShareConfig:
     scores: str = ""  # wiping.json of uniforce-score; "" = the card says "not scored"
     push: str = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
+    half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 
 def share(config: ShareConfig) -> Path:
@@ -52,6 +54,8 @@ def share(config: ShareConfig) -> Path:
     policy.config.repo_id = config.push or policy.config.repo_id
     training, scores = _read(source / TRAIN_CONFIG), _scores(config.scores)
     card = model_card(policy.config, training, scores)
+    if config.half:
+        _halve(policy)
     for part in (policy, *processors):
         part.save_pretrained(out)
     card.save(out / CARD)
@@ -69,6 +73,13 @@ def _load(source: Path) -> PI05UniforcePolicy:
         policy = _merged(source, adapter["base_model_name_or_path"])
     policy.model.next_force, policy.config.next_force_weight = None, 0.0
     return policy
+
+
+def _halve(policy: PI05UniforcePolicy) -> None:
+    """Round trained weights to float16; the frozen tokenizer's stay, since its hash is of every bit."""
+    for name, weight in policy.named_parameters():
+        if not name.startswith(TOKENIZER):
+            weight.data = weight.data.half()
 
 
 def _merged(source: Path, base: str) -> PI05UniforcePolicy:
