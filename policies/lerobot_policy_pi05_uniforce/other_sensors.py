@@ -1,4 +1,4 @@
-"""Training only: part of what is felt, told as another sensor would have told it.
+"""Training only: part of what is felt, told as another finger with another sensor would have told it.
 
 The maps are the tokenizer's (uniforce_vtla/tokenizer/transfer.py), made from simulated grasps before any policy exists.
 Nothing of this is stored in a checkpoint or runs when actions are sampled.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class OtherSensors(nn.Module):
-    """Replace a share of each slot's latents by what a random known sensor would have said.
+    """Replace a share of each slot's latents by what another finger with a random known sensor would have said.
 
     Args:
         transfer: maps between sensors.
@@ -28,31 +28,20 @@ class OtherSensors(nn.Module):
         share: chance per sample; each known sensor is as likely, the slot's own kind (another unit) too.
     """
 
-    matrix: Tensor
-    offset: Tensor
-    doubt: Tensor
-
     def __init__(self, transfer: SensorTransfer, worn: Sequence[str], share: float) -> None:
         super().__init__()
-        self.share = share
-        for name, maps in zip(
-            ("matrix", "offset", "doubt"), zip(*map(transfer.of, worn), strict=True), strict=True
-        ):
-            self.register_buffer(name, torch.stack(maps), persistent=False)  # (slots, S, n, …)
+        self.share, self._rows = share, [transfer.row(kind) for kind in worn]
+        self._transfer = (transfer,)  # in a tuple: no part of the policy, which saves its modules
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
-        """Return (B, K, latent) latents of a slot, some of them told by other sensors."""
-        told = touch.flatten(1)  # (B, n)
-        kinds = self.offset.shape[1]
-        kind = torch.randint(kinds, (len(told),), device=told.device)
-        noise = torch.randn_like(told)
+        """Return (B, K, latent) latents of a slot, some of them told by other fingers."""
+        transfer, told = self._transfer[0].to(touch.device), touch.flatten(1)  # (B, n)
+        kind = torch.randint(len(transfer.kinds), (len(told), 1), device=told.device)
+        kind = torch.where(torch.rand_like(told[:, :1]) < self.share, kind, -1)  # -1: as it is
         heard = told
-        for k in range(kinds):
-            mean = told @ self.matrix[slot, k].T + self.offset[slot, k]
-            other = mean + noise @ self.doubt[slot, k].T
-            heard = torch.where((kind == k)[:, None], other, heard)
-        kept = torch.rand(len(told), 1, device=told.device) >= self.share
-        return torch.where(kept, told, heard).view_as(touch)
+        for target in range(len(transfer.kinds)):
+            heard = torch.where(kind == target, transfer.told(told, self._rows[slot], target), heard)
+        return heard.view_as(touch)
 
 
 def other_sensors(config: PI05UniforceConfig) -> OtherSensors:
@@ -69,8 +58,8 @@ def other_sensors(config: PI05UniforceConfig) -> OtherSensors:
             expected("tokenizer of the maps", config.tokenizer_hash, transfer.tokenizer_hash, do)
         )
     numbers = config.tokens_per_slot * config.latent_size
-    if transfer.offset.shape[-1] != numbers:
+    if transfer.rest.shape[-1] != numbers:
         do = "Run uniforce-sensor-transfer with fit.grid as policy.latent_grid."
-        raise ContractError(expected("numbers per slot", numbers, transfer.offset.shape[-1], do))
+        raise ContractError(expected("numbers per slot", numbers, transfer.rest.shape[-1], do))
     worn = [config.trained_sensors.get(slot, "") for slot in config.slots]
     return OtherSensors(transfer, worn, config.sensor_transfer)

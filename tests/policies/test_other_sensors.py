@@ -42,7 +42,8 @@ def test_a_share_of_the_samples_is_told_by_each_known_sensor():
 def test_doubt_is_noise_of_its_size():
     transfer = maps(shift=0.0)
     transfer.doubt[:] = 0.3 * torch.eye(NUMBERS)
-    told = OtherSensors(transfer, ["tactip"], share=1.0)(torch.zeros(500, 16, 6), 0)
+    felt = torch.ones(500, 16, 6)  # loudness 1: rest is 0, units are 1
+    told = OtherSensors(transfer, ["tactip"], share=1.0)(felt, 0)
     assert 0.29 < float(told.std()) < 0.31
 
 

@@ -1,4 +1,4 @@
-"""Fit what other sensors would have said of the same touch, for policies that shall be worn with another sensor."""
+"""Fit what the other finger would have said, whatever sensor it wears, for policies that shall swap sensors."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from tqdm import tqdm
 
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contact.pairs import PairSettings
-from uniforce_vtla.contact.same_touch import same_touches
 from uniforce_vtla.contact.sampling import ForceRange
+from uniforce_vtla.contact.two_fingers import OtherFinger, two_fingers
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.pooling import pool_latent
-from uniforce_vtla.tokenizer.transfer import FOLDER, TransferConfig, fit_transfer
+from uniforce_vtla.tokenizer.transfer import FOLDER, GraspLatents, TransferConfig, fit_transfer
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 
 @dataclass
 class SensorTransferCommand:
-    """Draw the same touches for every sensor, encode them, and fit maps from each sensor's latents to each other's.
+    """Draw grasps for every sensor on either finger and fit maps from one finger's latents to the other's.
 
     ``policy.sensor_transfer`` trains with them. No force label is used and no demo is looked at.
 
@@ -33,24 +33,29 @@ class SensorTransferCommand:
 
     tokenizer: str = "small"  # shipped size, or a checkpoint folder; the maps go beside or into it
     sensors: str = ""  # registry names, commas between; empty = all
-    fit: TransferConfig = field(default_factory=TransferConfig)  # touches drawn, and how maps are fitted
+    fit: TransferConfig = field(default_factory=TransferConfig)  # grasps drawn, and how maps are fitted
 
 
-def draw_latents(
-    tokenizer: Tokenizer, kinds: list[str], config: TransferConfig
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return sensor → pooled latents (N, grid², L) of the same N touches, of two units of it."""
+def draw_latents(tokenizer: Tokenizer, kinds: list[str], config: TransferConfig) -> dict[str, GraspLatents]:
+    """Return sensor → what it says of the same grasps on either finger."""
     force_range = ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm)
     settings = PairSettings(flat_share=config.flat_share, force_range=force_range)
-    blocks = -(-config.contacts // settings.pairs_per_unit)
+    blocks = -(-config.grasps // settings.pairs_per_unit)
     rng, side = np.random.default_rng([config.seed, 77]), tokenizer.config.side
-    drawn = same_touches(rng, blocks, [*kinds, *kinds], settings, lambda images: shrink(images, side))
-    encoded = [
-        [pool_latent(tokenizer.encode(*views), config.grid).numpy() for views in block]
-        for block in tqdm(drawn, total=blocks, desc="touches", unit=f"×{settings.pairs_per_unit}")
-    ]
-    units = [np.concatenate(parts) for parts in zip(*encoded, strict=True)]
-    return {kind: (units[k], units[k + len(kinds)]) for k, kind in enumerate(kinds)}
+    other = OtherFinger(config.side_N, config.own_torsion)
+
+    def pooled(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
+        return pool_latent(tokenizer.encode(reference, current), config.grid).numpy()
+
+    drawn = two_fingers(rng, blocks, kinds, settings, other, lambda images: shrink(images, side))
+    told: dict[str, list[tuple[np.ndarray, ...]]] = {kind: [] for kind in kinds}
+    for first, second in tqdm(drawn, total=blocks, desc="grasps", unit=f"×{settings.pairs_per_unit}"):
+        for kind, (reference, current), views in zip(kinds, first, second, strict=True):
+            told[kind].append(
+                (pooled(reference, current), pooled(*views), pooled(reference, reference[None]))
+            )
+    joined = {kind: [np.concatenate(part) for part in zip(*rows, strict=True)] for kind, rows in told.items()}
+    return {kind: GraspLatents(one, two, rest.mean(axis=0)) for kind, (one, two, rest) in joined.items()}
 
 
 def _run(command: SensorTransferCommand) -> str:

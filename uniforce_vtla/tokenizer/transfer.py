@@ -1,9 +1,9 @@
-"""What another sensor would have said of the same touch: maps between sensors' pooled latents, with their doubt.
+"""What the other finger of a grasp would have said: maps between sensors' pooled latents, with their doubt.
 
-One frozen tokenizer reads every sensor, but not alike in every number: two sensors in one grasp differ by a third of
-what touch moves in a latent. Grasps are simulated and need no label, so how sensors differ is known before any policy
-is trained. A policy that hears part of its demos as another sensor would have told them can't lean on what only its
-own sensor says.
+One frozen tokenizer reads every sensor, but two fingers of one grasp don't say the same: sensors are read a little
+differently, and the fingers share the grasp's force, not its torsion (contact/two_fingers.py). Grasps are simulated and
+need no label, so how much fingers differ is known before any policy is trained. A policy that hears part of its demos
+as another finger would have told them can't lean on what only its own finger says.
 """
 
 from __future__ import annotations
@@ -21,36 +21,47 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
 
 FOLDER = "transfer"  # beside a shipped tokenizer's folder, inside one given by path
+LOUDEST = 2.0  # doubt grows no further: no grasp that maps were fitted on is much louder
+QUIETEST = 0.1  # loudness below which differences say nothing of doubt
 MAX_KINDS, MAX_NUMBERS = 16, 1024  # larger files are none of ours
 
 
 @dataclass(frozen=True)
 class TransferConfig:
-    """How the touches are drawn and the maps fitted."""
+    """How the grasps are drawn and the maps fitted."""
 
-    contacts: int = 4096  # each felt by two units of every sensor; about a minute per thousand
+    grasps: int = 4096  # each felt by every sensor on either finger; about a minute per thousand
     flat_share: float = 1.0  # all held tools: what a policy feels
     flat_torsion_arm_mm: float = (
         9.0  # a held tool that wipes twists flat pads by so much (contact/sampling.py)
     )
+    side_N: float = 1.2  # spread of what the fingers' side forces differ by (contact/two_fingers.py)
+    own_torsion: bool = True  # a finger's torsion is its own
     grid: int = 4  # latents pooled to grid × grid, as policies read them
-    ridge: float = 30.0  # touches' worth of belief that sensors say the same
-    held_out: float = 0.2  # share of the touches that only judge, and give the doubt
+    ridge: float = 30.0  # grasps' worth of belief that fingers say the same
+    held_out: float = 0.2  # share of the grasps that only judge, and give the doubt
     seed: int = 1  # of everything drawn
 
 
 class SensorTransfer(nn.Module):
-    """z of a source sensor → matrix · z + offset + doubt · noise, for every source and target.
+    """z of a source sensor → matrix · z + offset + loudness(z) · doubt · noise, for every source and target.
+
+    Friction bounds torsion and side force by the press, so fingers differ the more the harder they press: doubt is of a
+    grasp as loud as the average one, and nothing is in doubt where nothing is felt.
 
     Attributes:
         kinds: sensors' names; their places are the indices below.
         matrix, doubt: (S, S, n, n) by source and target, n = grid² · latent; ``doubt`` is lower-triangular.
         offset: (S, S, n).
+        rest: (S, n) latents of a source in free air.
+        unit: (S, n) what a number is divided by for loudness: its spread times the average grasp's loudness.
     """
 
     matrix: Tensor
     doubt: Tensor
     offset: Tensor
+    rest: Tensor
+    unit: Tensor
 
     def __init__(self, kinds: Sequence[str], numbers: int, tokenizer_hash: str = "") -> None:
         super().__init__()
@@ -63,9 +74,11 @@ class SensorTransfer(nn.Module):
         self.register_buffer("matrix", torch.zeros(square))
         self.register_buffer("doubt", torch.zeros(square))
         self.register_buffer("offset", torch.zeros(square[:3]))
+        self.register_buffer("rest", torch.zeros(square[1:3]))
+        self.register_buffer("unit", torch.ones(square[1:3]))
 
-    def of(self, source: str) -> tuple[Tensor, Tensor, Tensor]:
-        """Return matrices (S, n, n), offsets (S, n) and doubts (S, n, n) from ``source`` to every sensor.
+    def row(self, source: str) -> int:
+        """Return the index of a source sensor.
 
         Raises:
             ContractError: a sensor these maps don't know.
@@ -73,8 +86,13 @@ class SensorTransfer(nn.Module):
         if source not in self.kinds:
             do = "Fit it with uniforce-sensor-transfer, or train with policy.sensor_transfer=0."
             raise ContractError(expected("sensor of the demos", " | ".join(self.kinds), repr(source), do))
-        row = self.kinds.index(source)
-        return self.matrix[row], self.offset[row], self.doubt[row]
+        return self.kinds.index(source)
+
+    def told(self, z: Tensor, row: int, target: int) -> Tensor:
+        """Return what a finger with the sensor ``target`` would have said, drawn at random, of z (B, n)."""
+        loud = ((z - self.rest[row]) / self.unit[row]).square().mean(dim=1, keepdim=True).sqrt()  # (B, 1)
+        noise = torch.randn_like(z) @ self.doubt[row, target].T
+        return z @ self.matrix[row, target].T + self.offset[row, target] + loud.clamp(max=LOUDEST) * noise
 
     @classmethod
     def from_pretrained(cls, tokenizer: str | Path | None = None) -> SensorTransfer:
@@ -100,29 +118,41 @@ class SensorTransfer(nn.Module):
         return save_checkpoint(Path(folder), self, {**facts, **own})
 
 
+@dataclass(frozen=True)
+class GraspLatents:
+    """What a sensor says of N grasps: ``first``, ``second`` finger (N, K, L) pooled, ``rest`` (K, L) in free air."""
+
+    first: np.ndarray
+    second: np.ndarray
+    rest: np.ndarray
+
+
 def fit_transfer(
-    latents: Mapping[str, tuple[np.ndarray, np.ndarray]], tokenizer_hash: str, config: TransferConfig
+    latents: Mapping[str, GraspLatents], tokenizer_hash: str, config: TransferConfig
 ) -> tuple[SensorTransfer, dict[str, Any]]:
-    """Return the maps and how well they tell, on touches held out.
+    """Return the maps and how well they tell, on grasps held out.
 
     Args:
-        latents: sensor → pooled latents (N, K, L) of the same N touches, of two of its units.
+        latents: sensor → what it says of the same grasps on either finger.
         tokenizer_hash: whose latents they are.
         config: how they were drawn; ridge and share held out.
     """
     kinds = list(latents)
-    count, rows, size = latents[kinds[0]][0].shape
+    count, rows, size = latents[kinds[0]].first.shape
     transfer = SensorTransfer(kinds, rows * size, tokenizer_hash)
     cells = {}
     for i, source in enumerate(kinds):
+        before, spread = latents[source].first.reshape(count, -1), _spread(latents[source].first)
+        rest = latents[source].rest.reshape(-1)
+        loud = np.sqrt(np.square((before - rest) / spread).mean(axis=1))
+        transfer.rest[i], transfer.unit[i] = _tensor(rest), _tensor(spread * loud.mean())
         for j, target in enumerate(kinds):
-            before = latents[source][0].reshape(count, -1)
-            after = latents[target][1].reshape(count, -1)
-            fitted = _fit(before, after, _spread(latents[source][0]), config)
+            after = latents[target].second.reshape(count, -1)
+            fitted = _fit(before, after, spread, loud / loud.mean(), config)
             cells[f"{source}->{target}"] = fitted.facts
-            transfer.matrix[i, j] = torch.from_numpy(fitted.matrix).float()
-            transfer.offset[i, j] = torch.from_numpy(fitted.offset).float()
-            transfer.doubt[i, j] = torch.from_numpy(fitted.doubt).float()
+            transfer.matrix[i, j] = _tensor(fitted.matrix)
+            transfer.offset[i, j] = _tensor(fitted.offset)
+            transfer.doubt[i, j] = _tensor(fitted.doubt)
     return transfer, {"config": asdict(config), "differences": cells}
 
 
@@ -134,7 +164,9 @@ class _Fitted:
     facts: dict[str, float]
 
 
-def _fit(before: np.ndarray, after: np.ndarray, spread: np.ndarray, config: TransferConfig) -> _Fitted:
+def _fit(
+    before: np.ndarray, after: np.ndarray, spread: np.ndarray, loud: np.ndarray, config: TransferConfig
+) -> _Fitted:
     """Fit after − before = M' before + b by ridge in units of the source's spread; doubt from what is held out."""
     mean = before.mean(axis=0, dtype=np.float64)
     x, change = (before - mean) / spread, (after - before) / spread
@@ -142,8 +174,9 @@ def _fit(before: np.ndarray, after: np.ndarray, spread: np.ndarray, config: Tran
     told = np.c_[x, np.ones(len(x))]
     pull = np.diag([config.ridge] * x.shape[1] + [0.0])
     weights = np.linalg.solve(told[:learnt].T @ told[:learnt] + pull, told[:learnt].T @ change[:learnt])
-    left = (change - told @ weights)[learnt:]
-    doubt = np.linalg.cholesky(left.T @ left / len(left) + 1e-6 * np.eye(x.shape[1]))
+    left, heard = (change - told @ weights)[learnt:], loud[learnt:]
+    evened = (left / heard[:, None])[heard > QUIETEST]  # as if every grasp were as loud as the average one
+    doubt = np.linalg.cholesky(evened.T @ evened / len(evened) + 1e-6 * np.eye(x.shape[1]))
     matrix = np.eye(x.shape[1]) + spread[:, None] * weights[:-1].T / spread[None]
     offset = mean + spread * weights[-1] - matrix @ mean
     facts = {"rms": _rms(change[learnt:]), "rms_left": _rms(left)}  # in spreads of the source
@@ -151,10 +184,14 @@ def _fit(before: np.ndarray, after: np.ndarray, spread: np.ndarray, config: Tran
 
 
 def _spread(latents: np.ndarray) -> np.ndarray:
-    """Return (n,) spread of each number over touches, alike for all cells of a channel, as force tokens see it."""
+    """Return (n,) spread of each number over grasps, alike for all cells of a channel, as force tokens see it."""
     channels = np.sqrt((latents.astype(np.float64).std(axis=0) ** 2).mean(axis=0))  # (L,)
     return np.tile(np.maximum(channels, 1e-3), latents.shape[1])
 
 
 def _rms(values: np.ndarray) -> float:
     return round(float(np.sqrt(np.mean(values**2))), 3)
+
+
+def _tensor(values: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.asarray(values)).float()

@@ -1,0 +1,87 @@
+"""What two fingers of one grasp feel, for as many sensors as wanted: the same force, torsions of their own.
+
+Statics shares the force of a grasp equally between its fingers; how torsion about the closing axis is shared hangs on
+both pads, and a couple about the other axes pushes the fingers apart sideways. In the wiping scene the fingers' forces
+along the pad's height differ by .6 N, sideways by 1.2 N, and their torsions by 50 Nmm, as much as each of them is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_vtla.contact.indenters import PRETRAIN
+from uniforce_vtla.contact.pairs import PairSettings, finger_views
+from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
+from uniforce_vtla.contact.views import Transform
+from uniforce_vtla.contracts import ContactState
+
+Views = list[tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class OtherFinger:
+    """How the second finger's load differs from the first's.
+
+    Attributes:
+        side_N: spread of the difference sideways (x); the sum stays within friction.
+        own_torsion: drawn anew within friction; False: as the first finger's.
+    """
+
+    side_N: float = 1.2
+    own_torsion: bool = True
+
+
+def two_fingers(
+    rng: np.random.Generator,
+    blocks: int,
+    sensors: Sequence[str],
+    settings: PairSettings,
+    other: OtherFinger,
+    transform: Transform | None = None,
+) -> Iterator[tuple[Views, Views]]:
+    """Yield ``blocks`` times what ``settings.pairs_per_unit`` grasps look like to fresh units of each sensor.
+
+    All as the left finger sees them, the second finger's contacts too: nothing is mirrored.
+
+    Yields:
+        first and second finger; of each, per sensor, the reference (480, 640) and the currents (n, 480, 640), or what
+        ``transform`` made of them.
+    """
+    n = settings.pairs_per_unit
+    for _ in range(blocks):
+        objects = sample_objects(rng, n, PRETRAIN, settings.flat_share)
+        force, torsion = sample_loads(rng, n, settings.force_range, objects.names)
+        loads = (force, torsion), _shared(rng, force, torsion, settings.force_range, other)
+        first, second = (ContactState(objects.gap_mm, *load) for load in loads)
+        yield (
+            _seen(rng, sensors, first, settings, transform),
+            _seen(rng, sensors, second, settings, transform),
+        )
+
+
+def _shared(
+    rng: np.random.Generator, force: np.ndarray, torsion: np.ndarray, bounds: ForceRange, other: OtherFinger
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the second finger's force (n, 3) and torsion (n,)."""
+    force, room = force.copy(), bounds.friction * force[:, 2]
+    side = force[:, 0] + other.side_N * rng.standard_normal(len(force)).astype(force.dtype)
+    widest = np.sqrt(np.maximum(room**2 - force[:, 1] ** 2, 0))
+    force[:, 0] = np.clip(side, -widest, widest)
+    if not other.own_torsion:
+        return force, torsion
+    own = rng.uniform(-1, 1, len(torsion)) * room * bounds.flat_torsion_arm_mm
+    return force, own.astype(torsion.dtype)
+
+
+def _seen(
+    rng: np.random.Generator,
+    sensors: Sequence[str],
+    contact: ContactState,
+    settings: PairSettings,
+    transform: Transform | None,
+) -> Views:
+    views = [finger_views(rng, sensor, contact, settings, transform) for sensor in sensors]
+    return [(references[0], currents) for references, currents in views]
