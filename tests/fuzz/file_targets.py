@@ -35,6 +35,7 @@ from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.training_state import load_state, save_state
+from uniforce_vtla.tokenizer.transfer import FOLDER, SensorTransfer
 
 TYPED = (UniForceError,)
 SMALL = TokenizerConfig(side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
@@ -112,6 +113,12 @@ def adapter(folder: Path) -> FileTarget:
     return FileTarget(root, lambda: Calibration.load(root, HASH)(torch.zeros(1, 16, 6)))
 
 
+def transfer(folder: Path) -> FileTarget:
+    root = folder / "data"
+    SensorTransfer(["gelsight", "tactip"], 12, HASH).save(root / FOLDER, {})
+    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root).told(torch.zeros(2, 12), 0, 1))
+
+
 def policy(folder: Path) -> FileTarget:
     """Read config, weights and processors of a tiny policy, as the scorer does."""
     stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
@@ -178,6 +185,7 @@ FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones firs
     "adapter": adapter,
     "gauge": gauge,
     "force_head": force_head,
+    "transfer": transfer,
     "tokenizer": tokenizer,
     "view": view,
     "dataset": dataset,

@@ -107,7 +107,7 @@ class SensorTransfer(nn.Module):
         try:
             kinds, numbers = [str(kind) for kind in facts["kinds"]], int(facts["numbers"])
             tokenizer_hash = str(facts["tokenizer_hash"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             do = "Fit it again with uniforce-sensor-transfer."
             raise CheckpointError(expected(str(folder), "kinds, numbers, hash", error, do)) from error
         return load_model(folder, lambda: cls(kinds, numbers, tokenizer_hash))
