@@ -18,7 +18,7 @@ from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
 
-BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)  # ValueError: metadata that is no text
+BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)  # ValueError: metadata that is no text, or our own below
 MAX_PIXELS = 4096 * 2304  # of a frame; a damaged header may announce gigabytes
 LONGEST_VIDEO_S = 1e6  # eleven days; a start beyond is no number anybody wrote on purpose
 
@@ -203,6 +203,8 @@ def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> It
     try:
         with av.open(str(span.file)) as video:
             stream = video.streams.video[0]
+            if stream.codec_context is None:
+                raise ValueError("no known codec")
             stream.codec_context.options = {"max_pixels": str(MAX_PIXELS)}
             video.seek(max(0, int(start_s / float(stream.time_base or 1))), stream=stream)
             for frame in video.decode(stream):

@@ -9,6 +9,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from uniforce_vtla.errors import ContractError, expected
+
 WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
 
 
@@ -50,7 +52,8 @@ class ForceTokens(nn.Module):
     ) -> None:
         super().__init__()
         self.noise = noise
-        self.others: nn.Module | None = None  # training only: OtherSensors
+        self.others: nn.Module | None = None  # training only, with sensor_transfer: OtherSensors
+        self.needs_others = False
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
         self.proj = nn.Sequential(nn.Linear(input_shape[1], width), nn.GELU(), nn.Linear(width, width))
@@ -60,14 +63,21 @@ class ForceTokens(nn.Module):
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
-        if self.training and self.others is not None:
-            touch = self.others(touch, slot)
+        if self.training and self.needs_others:
+            touch = self._told(touch, slot)
         felt = (touch - self.input_mean) / self.input_scale
         if self.training and self.noise:
             felt = felt + self.noise * torch.randn_like(felt)
         hidden = self.proj(felt)  # (B, K or 1, D)
         hidden = hidden + self.cell_embedding + self.slot_embedding[slot]  # (B, K, D)
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
+
+    def _told(self, touch: Tensor, slot: int) -> Tensor:
+        if self.others is None:
+            do = "Give the policy its dataset_meta, or set policy.sensor_transfer=0."
+            raise ContractError(expected("sensor_transfer", "maps, found by a view's sensors", "no view", do))
+        told: Tensor = self.others(touch, slot)
+        return told
 
 
 class MarkerPairTokens(nn.Module):

@@ -84,6 +84,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
         shape, noise = touch_shape(config), config.touch_noise if config.touch_input == "latent" else 0.0
         tokens = ForceTokens(shape, config.tokens_per_slot, slots, self.touch_width, scale, noise)
+        tokens.needs_others = config.sensor_transfer > 0
         if config.touch_input == "wrench":
             tokens.input_scale.copy_(wrench_scale())
         return tokens

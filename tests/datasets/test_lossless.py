@@ -40,6 +40,16 @@ def test_truncated_dataset_is_refused(copy: Path, damage: Callable[[Path], None]
         open_dataset(copy)
 
 
+def unknown_codec(path: Path) -> None:
+    path.write_bytes(path.read_bytes().replace(b"avc1", b"zzz1").replace(b"mp4v", b"zzzv"))
+
+
+def test_a_video_of_no_known_codec_is_refused(copy: Path) -> None:
+    unknown_codec(a_video(copy))
+    with pytest.raises(DatasetError, match="codec"):
+        open_dataset(copy)
+
+
 @pytest.mark.parametrize("damage", [truncate, empty, Path.unlink])
 def test_broken_info_is_refused(copy: Path, damage: Callable[[Path], None]) -> None:
     damage(copy / "meta" / "info.json")

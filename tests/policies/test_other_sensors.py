@@ -101,6 +101,14 @@ def test_maps_that_do_not_fit_are_refused(settings, error, said, make_config, vi
         trained(make_config, view, **settings)
 
 
+def test_training_without_a_view_is_refused_and_not_done_without_maps(make_config):
+    tokens = PI05UniforcePolicy(make_config(sensor_transfer=0.5)).model.force_tokens
+    felt = torch.randn(2, 16, 6)
+    assert tokens.eval()(felt, 0).isfinite().all()
+    with pytest.raises(ContractError, match="dataset_meta"):
+        tokens.train()(felt, 0)
+
+
 def test_maps_of_another_tokenizer_are_refused(make_config, view):
     maps("another").save(f"{view.tokenizer}/transfer", {})
     with pytest.raises(CheckpointError, match="uniforce-sensor-transfer"):
