@@ -12,7 +12,7 @@ from lerobot_policy_pi05_uniforce.force_tokens import channel_spread
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import descriptor_key, latent_key
+from uniforce_vtla.keys import VIEW_MARKER, descriptor_key, latent_key
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -21,7 +21,6 @@ SCALED = {
     "latent": latent_key,
     "descriptor": descriptor_key,
 }  # inputs standardised by the training data
-VIEW_MARKER = "uniforce_view.json"  # a training view says here which tokenizer made its latents
 
 
 def read_touch_scale(

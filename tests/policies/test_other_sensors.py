@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-from lerobot_policy_pi05_uniforce.dataset_facts import VIEW_MARKER
 from lerobot_policy_pi05_uniforce.other_sensors import OtherSensors
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.transfer import SensorTransfer
 
