@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
 from huggingface_hub import ModelCard
@@ -240,6 +240,12 @@ class PI05UniforcePolicy(ActionLoss):
             check_leap(action, self.issued.last, self.delta_scale)
         self.issued.record(action)
         return action
+
+    def train(self, mode: bool = True) -> Self:
+        """Set the mode of every module; LeRobot asks for evaluation at every step, which costs milliseconds each."""
+        if not mode and not any(module.training for module in self.modules()):
+            return self
+        return super().train(mode)
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return trainable parameters in groups: the backbone, what starts random, the gate of touch."""

@@ -217,3 +217,15 @@ def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
 def test_an_unknown_objective_is_refused(make_config):
     with pytest.raises(ContractError, match=r"flow \| regression"):
         make_config(action_objective="diffusion")
+
+
+def test_evaluation_mode_reaches_a_module_that_was_set_apart(make_policy):
+    policy = make_policy()
+    modules = list(policy.modules())
+    policy.eval()
+    assert not any(module.training for module in modules)
+    modules[-1].train()  # somebody's own doing: asking again mends it
+    policy.eval()
+    assert not modules[-1].training
+    policy.train()
+    assert policy.training and policy.model.training
