@@ -13,6 +13,8 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
+Z = 2  # of a target
+
 
 @dataclass(frozen=True)
 class NudgeSettings:
@@ -21,10 +23,19 @@ class NudgeSettings:
     sd: tuple[float, float, float, float, float] = (0.0012, 0.0012, 0.0022, 0.010, 0.0004)  # m, m, m, rad, m
     # 2.2 mm · 800 N/m ≈ 1.8 N: presses of 10 N and more occur, and are corrected within half a second
     correlation_s: float = 0.6  # about the time the expert needs to correct a press
+    lift_m: tuple[float, float] = (
+        0.004,
+        0.022,
+    )  # height of a lift; a soft arm gives way by 19 mm at the usual press
+    lifts_per_s: float = 0.08  # while wiping: two in three episodes, about
+    rise_s: float = 0.1  # of a lift
+    fall_s: float = 4.0  # it wears off slowly: the press that comes back with it stays within 2 N
 
 
 class Nudge:
-    """Ornstein-Uhlenbeck offset of the executed target.
+    """Ornstein-Uhlenbeck offset of the executed target, and while wiping a lift now and then.
+
+    Without lifts no demo ever shows a stroke that lost the board, and a policy that begins one in the air goes on so.
 
     Args:
         seed: the scene's; an episode repeats exactly.
@@ -34,13 +45,34 @@ class Nudge:
 
     def __init__(self, seed: int, scale: float = 1.0, settings: NudgeSettings | None = None) -> None:
         settings = settings or NudgeSettings()
-        self._rng = np.random.default_rng([seed, 777])
+        self._rng, self._lifts = np.random.default_rng([seed, 777]), np.random.default_rng([seed, 778])
         self._sd = scale * np.array(settings.sd)
-        self._keep = float(np.exp(-1 / (settings.correlation_s * CONTROL_HZ)))
+        self._keep = _keep(settings.correlation_s)
+        self._settings, self._scale = settings, scale
+        self._lifted_m = self._wanted_m = 0.0
         self.offset = np.zeros(len(self._sd))
 
-    def apply(self, target: np.ndarray) -> np.ndarray:
-        """Return the (5,) float32 target the arm is really sent to, one step later each call."""
+    def apply(self, target: np.ndarray, wiping: bool = False) -> np.ndarray:
+        """Return the (5,) float32 target the arm is really sent to, one step later each call.
+
+        Args:
+            target: what was commanded.
+            wiping: whether a lift may begin.
+        """
         kick = np.sqrt(1 - self._keep**2) * self._sd * self._rng.standard_normal(len(self._sd))
         self.offset = self._keep * self.offset + kick
-        return (target + self.offset).astype(np.float32)
+        executed = target + self.offset
+        executed[Z] += self._lift(wiping)
+        return executed.astype(np.float32)
+
+    def _lift(self, wiping: bool) -> float:
+        s = self._settings
+        self._wanted_m *= _keep(s.fall_s)
+        if self._lifts.random() < s.lifts_per_s / CONTROL_HZ and wiping:
+            self._wanted_m = self._scale * self._lifts.uniform(*s.lift_m)
+        self._lifted_m += (1 - _keep(s.rise_s)) * (self._wanted_m - self._lifted_m)
+        return self._lifted_m
+
+
+def _keep(time_constant_s: float) -> float:
+    return float(np.exp(-1 / (time_constant_s * CONTROL_HZ)))

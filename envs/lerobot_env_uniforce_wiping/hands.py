@@ -72,6 +72,10 @@ class TouchHands:
         speed = np.clip(s.press_rate_m_s_N * (self._feel().press_N - s.press_N), -limit, limit)
         return float(target_m + speed / CONTROL_HZ)
 
+    def lost(self) -> bool:
+        """Return whether less is felt than what counted as touching the board."""
+        return self._feel().press_N < self._settings.contact_N
+
 
 @dataclass(frozen=True)
 class BlindSettings:
@@ -122,6 +126,10 @@ class OpenLoopHands:
         """Keep the height."""
         return target_m
 
+    def lost(self) -> bool:
+        """Return False: it doesn't feel."""
+        return False
+
 
 class MeasuredRelativeHands:
     """Targets a fixed distance inside the *measured* pose: a force command, if stiffness were known.
@@ -161,3 +169,7 @@ class MeasuredRelativeHands:
         """Stay a fixed distance below the measured height."""
         wanted = measured[2] - self._settings.press_depth_m
         return float(target_m + np.clip(wanted - target_m, -0.001, 0.001))
+
+    def lost(self) -> bool:
+        """Return False: a board that is lost looks like a soft arm."""
+        return False

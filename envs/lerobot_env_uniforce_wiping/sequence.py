@@ -47,6 +47,9 @@ class Hands(Protocol):
     def press(self, target_m: float, measured: np.ndarray) -> float:
         """Return the next z target while wiping."""
 
+    def lost(self) -> bool:
+        """Return whether the eraser is felt to have left the board; who doesn't feel never knows."""
+
 
 class WipeSequence:
     """Targets as a smooth function of the phase, the measured state and the hands."""
@@ -102,11 +105,15 @@ class WipeSequence:
 
     def _lower(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
-        self._move({X: self.sweep.start[0], Y: self.sweep.start[1]})
+        here = self.sweep.point(self._along_m)  # the start, or where the board was lost
+        self._move({X: here[0], Y: here[1]})
         self.target[Z], pressed = self.hands.lower(self.target[Z], measured)
         return pressed
 
     def _wipe(self, measured: np.ndarray) -> bool:
+        if self.hands.lost():
+            self.phase, self._speed_m_s = "lower", 0.0
+            return False
         shifting = self.sweep.between_rows(self._along_m + SLOW_DOWN_m)
         if not shifting:  # drag along the closing axis loads the pads unevenly: hold still and trust the gel
             self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)

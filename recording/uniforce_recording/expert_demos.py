@@ -88,7 +88,7 @@ def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int, nudge: fl
     for step in _until_done():
         action = np.asarray(expert.act(env), dtype=np.float32)
         recorder.add(_frame(env, observation, action, step), env.task)
-        observation, _, terminated, truncated, _ = env.step(push.apply(action))
+        observation, _, terminated, truncated, _ = env.step(push.apply(action, wiping=expert.phase == "wipe"))
         if terminated or truncated:
             break
     return env.result()
