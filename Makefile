@@ -28,7 +28,7 @@ lint: setup
 	.venv/bin/mypy
 
 test: setup lint
-	$(PY) -m pytest -n 2 --dist loadfile -m "not realtime"
+	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"
 	$(PY) -m pytest -m realtime
 
 fuzz: setup
