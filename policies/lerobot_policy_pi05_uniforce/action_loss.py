@@ -49,7 +49,7 @@ class ActionLoss(stock.PI05Policy):
         actions = self.prepare_action(batch)
         noise, time = self._flow_start(actions)
         losses = self.model.forward(images, masks, *self._text(batch), actions, noise, time)
-        losses = pseudo_huber(losses[:, :, : self._action_size], self.config.action_huber)  # (B, chunk, A)
+        losses = losses[:, :, : self._action_size]  # (B, chunk, A)
         keep = self._real_steps(batch, losses)  # (B, chunk, 1)
         per_sample = (losses * keep).sum(dim=(1, 2)) / (keep.sum(dim=(1, 2)) * self._action_size).clamp_min(1)
         loss = (
@@ -86,8 +86,3 @@ class ActionLoss(stock.PI05Policy):
             do = "Run the policy's own preprocessor (make_pi05_uniforce_pre_post_processors)."
             raise ContractError(expected(MEASURED_STATE, "the state in SI units", "no such key", do))
         return batch[MEASURED_STATE].to(self.delta_scale)
-
-
-def pseudo_huber(squared: Tensor, knee: float) -> Tensor:
-    """Return 2·knee·(√(knee² + e²) − knee) of squared errors e²: about e² below the knee, 2·knee·|e| far above it."""
-    return squared if knee == 0 else 2 * knee * ((squared + knee**2).sqrt() - knee)

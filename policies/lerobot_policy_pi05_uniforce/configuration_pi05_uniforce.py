@@ -123,10 +123,6 @@ class PI05UniforceConfig(PI05Config):
     new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4
     # weight of an auxiliary loss: what is felt when the next chunk begins (next_force.py); latents from a view only
     next_force_weight: float = 0.0
-    # errors of an action larger than this count in proportion, smaller ones squared (pseudo-Huber, in network units,
-    # see delta_scale): corrections of force are small beside moves that could begin a moment earlier or later.
-    # 0: all squared, as π0.5
-    action_huber: float = 0.0
     touch_gate_lr: float = 1e-3  # of the gate alone: it goes from 1e-6 to the order of 1
     scheduler_warmup_steps: int = _BY_SIZE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
     scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
@@ -164,9 +160,6 @@ class PI05UniforceConfig(PI05Config):
             came = f"{self.sensor_transfer} with touch_input={self.touch_input}"
             do = "Set it to 0, or feel latents."
             raise ContractError(expected("sensor_transfer", "a share of latents", came, do))
-        if not 0 <= self.action_huber < float("inf"):
-            do = "0 squares every error."
-            raise ContractError(expected("action_huber", "0 or a positive number", self.action_huber, do))
         for slot, finger in self.touch_slots.items():
             _check_slot(slot)
             check_finger(finger)

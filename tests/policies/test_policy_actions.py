@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors
 from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, to_deltas, to_targets
-from lerobot_policy_pi05_uniforce.action_loss import pseudo_huber
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import SPAN_FLOOR, floor_quantiles
 from uniforce_vtla.errors import ContractError, RolloutError
@@ -218,25 +217,6 @@ def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
 def test_an_unknown_objective_is_refused(make_config):
     with pytest.raises(ContractError, match=r"flow \| regression"):
         make_config(action_objective="diffusion")
-
-
-@given(error=st.floats(0, 100), knee=st.floats(1e-3, 10))
-def test_pseudo_huber_is_squared_below_its_knee_and_in_proportion_above(error, knee):
-    value = float(pseudo_huber(torch.tensor(error, dtype=torch.float64) ** 2, knee))
-    assert value <= min(error**2, 2 * knee * error) + 1e-9
-    assert value >= (0.99 * error**2 if error < 0.15 * knee else 0) - 1e-9
-    assert value >= (1.98 * knee * (error - knee) if error > 2 * knee else 0) - 1e-9
-
-
-def test_huber_is_applied_to_each_number_of_the_chunk(make_policy, make_batch):
-    policy = make_policy(touch_input="none", action_objective="regression", action_huber=0.1)
-    batch = make_batch(policy, actions=True)
-    said = (policy.predict_action_chunk(batch) - batch[MEASURED_STATE][:, None]) / SCALE
-    error = said - policy.prepare_action(batch)[..., :5]
-    wanted = (0.2 * ((0.01 + error.square()).sqrt() - 0.1)).mean()
-    assert float(policy.forward(batch)[0]) == pytest.approx(float(wanted), rel=1e-4)
-    with pytest.raises(ContractError, match="action_huber"):
-        make_policy(action_huber=-1.0)
 
 
 def test_evaluation_mode_reaches_a_module_that_was_set_apart(make_policy):
