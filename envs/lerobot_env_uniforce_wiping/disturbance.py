@@ -11,9 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lerobot_env_uniforce_wiping.sequence import Z
 from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
-
-Z = 2  # of a target
 
 
 @dataclass(frozen=True)
@@ -23,10 +22,7 @@ class NudgeSettings:
     sd: tuple[float, float, float, float, float] = (0.0012, 0.0012, 0.0022, 0.010, 0.0004)  # m, m, m, rad, m
     # 2.2 mm · 800 N/m ≈ 1.8 N: presses of 10 N and more occur, and are corrected within half a second
     correlation_s: float = 0.6  # about the time the expert needs to correct a press
-    lift_m: tuple[float, float] = (
-        0.004,
-        0.022,
-    )  # height of a lift; a soft arm gives way by 19 mm at the usual press
+    lift_m: tuple[float, float] = (0.004, 0.022)  # a soft arm gives way by 19 mm at the usual press
     lifts_per_s: float = 0.08  # while wiping: two in three episodes, about
     rise_s: float = 0.1  # of a lift
     fall_s: float = 4.0  # it wears off slowly: the press that comes back with it stays within 2 N
@@ -35,7 +31,7 @@ class NudgeSettings:
 class Nudge:
     """Ornstein-Uhlenbeck offset of the executed target, and while wiping a lift now and then.
 
-    Without lifts no demo ever shows a stroke that lost the board, and a policy that begins one in the air goes on so.
+    Without lifts demos lose the board for moments at most, and a policy that begins a stroke in the air goes on so.
 
     Args:
         seed: the scene's; an episode repeats exactly.
@@ -47,7 +43,7 @@ class Nudge:
         settings = settings or NudgeSettings()
         self._rng, self._lifts = np.random.default_rng([seed, 777]), np.random.default_rng([seed, 778])
         self._sd = scale * np.array(settings.sd)
-        self._keep = _keep(settings.correlation_s)
+        self._keep = _kept(settings.correlation_s)
         self._settings, self._scale = settings, scale
         self._lifted_m = self._wanted_m = 0.0
         self.offset = np.zeros(len(self._sd))
@@ -67,12 +63,13 @@ class Nudge:
 
     def _lift(self, wiping: bool) -> float:
         s = self._settings
-        self._wanted_m *= _keep(s.fall_s)
+        self._wanted_m *= _kept(s.fall_s)
         if self._lifts.random() < s.lifts_per_s / CONTROL_HZ and wiping:
             self._wanted_m = self._scale * self._lifts.uniform(*s.lift_m)
-        self._lifted_m += (1 - _keep(s.rise_s)) * (self._wanted_m - self._lifted_m)
+        self._lifted_m += (1 - _kept(s.rise_s)) * (self._wanted_m - self._lifted_m)
         return self._lifted_m
 
 
-def _keep(time_constant_s: float) -> float:
+def _kept(time_constant_s: float) -> float:
+    """Return the share of an offset that is left after one control step."""
     return float(np.exp(-1 / (time_constant_s * CONTROL_HZ)))

@@ -6,10 +6,10 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.disturbance import Nudge, NudgeSettings
+from lerobot_env_uniforce_wiping.sequence import Z
 from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
 STILL = (0.0,) * 5
-Z = 2
 
 
 def test_a_scale_of_zero_changes_nothing() -> None:
@@ -56,7 +56,7 @@ def test_an_expert_who_loses_the_board_stays_there_and_goes_down_again() -> None
     env.start(9001)
     expert.reset(env)
     nudge = Nudge(1, settings=NudgeSettings(sd=STILL, lift_m=(0.03, 0.03), lifts_per_s=CONTROL_HZ))
-    steps_wiping, lost, presses = 0, [], []
+    steps_wiping, lost = 0, []
     done = False
     while not done:
         target = expert.act(env)
@@ -64,7 +64,6 @@ def test_an_expert_who_loses_the_board_stays_there_and_goes_down_again() -> None
         if steps_wiping > 30 and expert.phase == "lower":
             lost.append(target)
         done = env.advance(nudge.apply(target, wiping=steps_wiping == 30))
-        presses.append(env.sim.press_N)
     assert lost, "a lift of 30 mm loses the board"
     path = np.array(lost)
     assert np.ptp(path[:, :2], axis=0).max() < 0.005  # no stroke in the air
