@@ -9,20 +9,51 @@ command, because commanded − measured predicts the press.  Hence the base is a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from uniforce_vtla.errors import ContractError, RolloutError, expected
 
 
-def to_deltas(actions: Tensor, is_pad: Tensor | None, measured: Tensor, scale: Tensor) -> Tensor:
-    """Turn absolute targets into scaled changes since the last command.
+class NetworkUnits(nn.Module):
+    """SI units ↔ what the network predicts, per axis: linear, or by logarithm beyond a knee.
+
+    A newton of grip is a tenth of a millimetre of command where closing the hand is forty: squared errors of plain
+    moves hardly see forces. Beyond the knee asinh tells a move by its size's logarithm, so that both weigh.
+
+    Args:
+        scale: (A,) size of one network unit, SI.
+        knee: (A,) where the logarithm begins and the size of one unit below it, SI; 0 = linear; () = all linear.
+    """
+
+    def __init__(self, scale: Sequence[float], knee: Sequence[float] = ()) -> None:
+        super().__init__()
+        knees = torch.tensor(list(knee) or [0.0] * len(scale))
+        self.register_buffer("bent", knees > 0, persistent=False)
+        self.register_buffer(
+            "unit", torch.where(knees > 0, knees, torch.tensor(list(scale))), persistent=False
+        )
+
+    def told(self, moves: Tensor) -> Tensor:
+        """Turn (…, A) moves in SI units into network units."""
+        units = moves / self.unit
+        return torch.where(self.bent, units.asinh(), units)
+
+    def meant(self, units: Tensor) -> Tensor:
+        """Invert :meth:`told`."""
+        return torch.where(self.bent, units.sinh(), units) * self.unit
+
+
+def to_deltas(actions: Tensor, is_pad: Tensor | None, measured: Tensor, units: NetworkUnits) -> Tensor:
+    """Turn absolute targets into changes since the last command, in network units.
 
     Args:
         actions: (B, 1 + chunk, A) absolute targets in SI units; the first is the last command issued.
         is_pad: (B, 1 + chunk) bool, or None; a padded first column means the episode starts here.
         measured: (B, A) measured state, the base where no command has been issued yet, as in a rollout.
-        scale: (A,) units of one network unit.
+        units: of the network.
 
     Returns:
         (B, chunk, A).
@@ -30,12 +61,12 @@ def to_deltas(actions: Tensor, is_pad: Tensor | None, measured: Tensor, scale: T
     base = actions[:, 0]
     if is_pad is not None:
         base = torch.where(is_pad[:, :1], measured, base)
-    return (actions[:, 1:] - base[:, None]) / scale
+    return units.told(actions[:, 1:] - base[:, None])
 
 
-def to_targets(deltas: Tensor, base: Tensor, scale: Tensor) -> Tensor:
+def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
     """Invert :func:`to_deltas`: (B, chunk, A) network units on a (B, A) base → absolute targets, SI units."""
-    return base[:, None] + deltas * scale
+    return base[:, None] + units.meant(deltas)
 
 
 class IssuedTarget:
@@ -74,8 +105,11 @@ class IssuedTarget:
         return self._target
 
 
-def check_axes(state_size: int, action_size: int, scale: list[float]) -> None:
-    """Raise ContractError unless state, action and ``delta_scale`` describe the same axes."""
+def check_axes(state_size: int, action_size: int, scale: list[float], knee: list[float]) -> None:
+    """Raise ContractError unless state, action, ``delta_scale`` and any ``delta_knee`` describe the same axes."""
+    if knee and (len(knee) != len(scale) or min(knee) < 0):
+        do = "Give one per axis, 0 where moves stay linear, or [] for none."
+        raise ContractError(expected("delta_knee", f"{len(scale)} numbers from 0 on", knee, do))
     if not state_size == action_size == len(scale):
         came = f"{state_size}, {action_size} and {len(scale)}"
         raise ContractError(

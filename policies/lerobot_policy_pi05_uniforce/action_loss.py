@@ -35,7 +35,8 @@ class ActionLoss(stock.PI05Policy):
         """Return (B, chunk, max_action_dim) in network units."""
         actions = batch[ACTION]
         if self.config.action_form == "target_delta":
-            actions = to_deltas(actions, batch.get("action_is_pad"), self._measured(batch), self.delta_scale)
+            is_pad = batch.get("action_is_pad")
+            actions = to_deltas(actions, is_pad, self._measured(batch), self.network_units)
         return stock.pad_vector(actions, self.config.max_action_dim)
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:

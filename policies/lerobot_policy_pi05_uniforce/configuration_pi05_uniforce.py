@@ -103,6 +103,9 @@ class PI05UniforceConfig(PI05Config):
     cuda_graphs: bool = True  # sampler=fast replays CUDA graphs on cuda (cuda_graphs.py; never run on a GPU)
     # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
     delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
+    # the same units: beyond it the network tells a move by its logarithm, so that corrections of force weigh beside
+    # whole moves (action_form.py); 0 = linear, [] = all axes
+    delta_knee: list[float] = field(default_factory=list)
 
     normalization_mapping: dict[str, NormalizationMode] = (
         field(  # only state and absolute actions are normalised

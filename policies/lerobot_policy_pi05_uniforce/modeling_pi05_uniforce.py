@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import weights
-from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, check_axes, to_targets
+from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, NetworkUnits, check_axes, to_targets
 from lerobot_policy_pi05_uniforce.action_loss import LANGUAGE, ActionLoss
 from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
@@ -71,10 +71,11 @@ class PI05UniforcePolicy(ActionLoss):
         if config.gradient_checkpointing:
             self.model.gradient_checkpointing_enable()
         if config.action_form == "target_delta":
-            check_axes(state_size(config), self._action_size, config.delta_scale)
+            check_axes(state_size(config), self._action_size, config.delta_scale, config.delta_knee)
         self.touch = TouchInput(config, self.model.tactile_encoder)
         self.issued = IssuedTarget()
         self.register_buffer("delta_scale", torch.tensor(config.delta_scale), persistent=False)
+        self.network_units = NetworkUnits(config.delta_scale, config.delta_knee)
         if not empty:
             self.to(config.device)
         self.reset()
@@ -221,7 +222,7 @@ class PI05UniforcePolicy(ActionLoss):
         """Return what the postprocessor takes: the network's chunk, deltas put on the last command."""
         if self.config.action_form == "absolute":
             return chunk
-        return to_targets(chunk, self.issued.base(self._measured(batch)), self.delta_scale)
+        return to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""

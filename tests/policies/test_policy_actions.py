@@ -7,27 +7,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors
-from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, to_deltas, to_targets
+from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, NetworkUnits, to_deltas, to_targets
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import SPAN_FLOOR, floor_quantiles
 from uniforce_vtla.errors import ContractError, RolloutError
 
-SCALE = torch.tensor([0.004, 0.02, 0.01, 0.05, 0.003])  # the default delta_scale
+UNITS = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003])  # the default delta_scale
+BENT = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003], [0, 0, 0.003, 0, 0.0003])
 
 
-@given(seed=st.integers(0, 10_000), size=st.integers(1, 4), steps=st.integers(1, 8))
-def test_deltas_and_targets_are_inverse(seed, size, steps):
+@given(
+    seed=st.integers(0, 10_000),
+    size=st.integers(1, 4),
+    steps=st.integers(1, 8),
+    units=st.sampled_from([UNITS, BENT]),
+)
+def test_deltas_and_targets_are_inverse(seed, size, steps, units):
     actions = torch.rand(size, 1 + steps, 5, generator=torch.Generator().manual_seed(seed))
-    deltas = to_deltas(actions, None, torch.zeros(size, 5), SCALE)
-    assert torch.allclose(to_targets(deltas, actions[:, 0], SCALE), actions[:, 1:], atol=1e-6)
+    deltas = to_deltas(actions, None, torch.zeros(size, 5), units)
+    assert torch.allclose(to_targets(deltas, actions[:, 0], units), actions[:, 1:], atol=1e-6)
 
 
 def test_an_episode_starts_from_the_measured_state_as_a_rollout_does():
     actions, measured = torch.rand(2, 4, 5), torch.rand(2, 5)
     is_pad = torch.tensor([[True, False, False, False], [False] * 4])
-    deltas = to_deltas(actions, is_pad, measured, SCALE)
-    assert torch.allclose(to_targets(deltas, measured, SCALE)[0], actions[0, 1:], atol=1e-6)
-    assert torch.allclose(to_targets(deltas, actions[:, 0], SCALE)[1], actions[1, 1:], atol=1e-6)
+    deltas = to_deltas(actions, is_pad, measured, UNITS)
+    assert torch.allclose(to_targets(deltas, measured, UNITS)[0], actions[0, 1:], atol=1e-6)
+    assert torch.allclose(to_targets(deltas, actions[:, 0], UNITS)[1], actions[1, 1:], atol=1e-6)
 
 
 def test_issued_target_refuses_another_batch():
@@ -55,14 +61,14 @@ def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_bat
     first = make_batch(policy)
     policy.reset()
     a = [policy.select_action(first) for _ in range(2)]
-    assert torch.allclose(a[1], first[MEASURED_STATE] + rows * SCALE, atol=1e-6)
+    assert torch.allclose(a[1], first[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6)
     elsewhere = make_batch(policy)  # the measured state moved: it must not matter any more
     b = policy.select_action(elsewhere)
-    assert torch.allclose(b, a[1] + rows * SCALE, atol=1e-6)
+    assert torch.allclose(b, a[1] + rows * UNITS.unit, atol=1e-6)
     policy.select_action(elsewhere)
     policy.reset()
     assert torch.allclose(
-        policy.select_action(elsewhere), elsewhere[MEASURED_STATE] + rows * SCALE, atol=1e-6
+        policy.select_action(elsewhere), elsewhere[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6
     )
 
 
@@ -122,6 +128,19 @@ def test_a_batch_without_the_measured_state_is_refused(make_policy, make_batch):
     del batch[MEASURED_STATE]
     with pytest.raises(ContractError, match="preprocessor"):
         policy.select_action(batch)
+
+
+def test_beyond_the_knee_a_move_is_told_by_its_logarithm():
+    small, large = torch.full((5,), 1e-5), torch.full((5,), 0.04)
+    assert torch.allclose(BENT.told(small)[4], torch.tensor(1e-5 / 3e-4), rtol=1e-3)
+    assert torch.allclose(BENT.told(large)[[2, 4]], (2 * large[[2, 4]] / BENT.unit[[2, 4]]).log(), atol=0.01)
+    assert torch.equal(BENT.told(large)[[0, 1, 3]], UNITS.told(large)[[0, 1, 3]])
+
+
+@pytest.mark.parametrize("knee", [[0.001], [0, 0, -0.001, 0, 0]])
+def test_a_knee_that_does_not_fit_the_axes_is_refused(make_policy, knee):
+    with pytest.raises(ContractError, match="delta_knee"):
+        make_policy(delta_knee=knee)
 
 
 def test_delta_scale_must_fit_the_action(make_policy):
@@ -204,7 +223,7 @@ def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
     assert policy.config.num_inference_steps == 1
     batch = make_batch(policy, actions=True)
     chunk = policy.predict_action_chunk(batch)  # absolute targets, from the measured state on
-    said = (chunk - batch[MEASURED_STATE][:, None]) / SCALE
+    said = (chunk - batch[MEASURED_STATE][:, None]) / UNITS.unit
     wanted = policy.prepare_action(batch)[..., :5]
     loss, _ = policy.forward(batch)
     assert float(loss) == pytest.approx(float((said - wanted).square().mean()), rel=1e-4)
