@@ -21,7 +21,7 @@ from uniforce_vtla.contact import (
     pair_batches,
 )
 from uniforce_vtla.contact.bench import bench_contact
-from uniforce_vtla.contact.sampling import FLAT, sample_loads
+from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, sample_loads, sample_objects
 from uniforce_vtla.contact.sequences import press_shear_release
 from uniforce_vtla.sensors import list_sensors
 
@@ -91,6 +91,16 @@ def test_flat_faces_alone_may_be_twisted_further() -> None:
     np.testing.assert_allclose(after[::2], before[::2] * 9.0 / 2.5, rtol=1e-5)
     assert np.abs(after[::2]).max() > 60
     np.testing.assert_array_equal(before, sample_loads(np.random.default_rng(5), 1000, plain)[1])
+
+
+def test_large_flat_faces_cover_the_pad() -> None:
+    """A face that ends on the pad leaves cells beside it; one of 60 mm and more leaves none."""
+    usual, large = (
+        sample_objects(np.random.default_rng(8), 40, PRETRAIN, flat_share=1.0, flat_side_mm=side).gap_mm
+        for side in (FLAT_SIDE_mm, (60.0, 70.0))
+    )
+    beside = [np.ptp(gap, axis=(1, 2)) > 2 for gap in (usual, large)]  # mm: tilt alone makes less
+    assert beside[0].mean() > 0.3 and not beside[1].any()
 
 
 @pytest.mark.parametrize("sensor", list_sensors())

@@ -39,7 +39,9 @@ class SensorTransferCommand:
 def draw_latents(tokenizer: Tokenizer, kinds: list[str], config: TransferConfig) -> dict[str, GraspLatents]:
     """Return sensor → what it says of the same grasps on either finger."""
     force_range = ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm)
-    settings = PairSettings(flat_share=config.flat_share, force_range=force_range)
+    settings = PairSettings(
+        flat_share=config.flat_share, flat_side_mm=config.flat_side_mm, force_range=force_range
+    )
     blocks = -(-config.grasps // settings.pairs_per_unit)
     rng, side = np.random.default_rng([config.seed, 77]), tokenizer.config.side
     other = OtherFinger(config.side_N, config.own_torsion)

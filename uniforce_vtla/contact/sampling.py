@@ -10,6 +10,7 @@ import numpy as np
 from uniforce_vtla.contact.indenters import flat_face_gap, gap_maps
 
 FLAT = "flat"  # name given to flat faces among the indenters
+FLAT_SIDE_mm = (12.0, 40.0)  # shortest and longest side of a flat face: partly beyond the pad
 
 
 @dataclass(frozen=True)
@@ -48,22 +49,23 @@ def sample_objects(
     indenters: Sequence[str],
     flat_share: float = 0.0,
     reach_mm: float = 4.0,
+    flat_side_mm: tuple[float, float] = FLAT_SIDE_mm,
 ) -> Objects:
-    """Return ``n`` objects at random places (±``reach_mm``), angles and sizes (±15 %)."""
+    """Return ``n`` objects at random places (±``reach_mm``), angles and sizes (±15 %; flat faces by their sides)."""
     names = [str(indenters[i]) for i in rng.integers(len(indenters), size=n)]
     center = rng.uniform(-reach_mm, reach_mm, (n, 2))
     angle = rng.uniform(-np.pi, np.pi, n)
     gap = gap_maps(names, center, angle, rng.uniform(0.85, 1.15, n))
     flat = rng.random(n) < flat_share
-    gap[flat] = _flat_faces(rng, int(flat.sum()))
+    gap[flat] = _flat_faces(rng, int(flat.sum()), flat_side_mm)
     return Objects(gap, tuple(FLAT if is_flat else name for is_flat, name in zip(flat, names, strict=True)))
 
 
-def _flat_faces(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Return (n, G, G) gaps of tool sides: 12–40 mm, partly beyond the pad, slightly tilted."""
+def _flat_faces(rng: np.random.Generator, n: int, side_mm: tuple[float, float]) -> np.ndarray:
+    """Return (n, G, G) gaps of tool sides, slightly tilted."""
     return flat_face_gap(
         rng.uniform(-5, 5, (n, 2)),
-        rng.uniform(12, 40, (n, 2)),
+        rng.uniform(*side_mm, (n, 2)),
         rng.uniform(-0.3, 0.3, n),
         rng.uniform(-0.03, 0.03, (n, 2)),
     )

@@ -52,7 +52,7 @@ def two_fingers(
     """
     n = settings.pairs_per_unit
     for _ in range(blocks):
-        objects = sample_objects(rng, n, PRETRAIN, settings.flat_share)
+        objects = sample_objects(rng, n, PRETRAIN, settings.flat_share, flat_side_mm=settings.flat_side_mm)
         force, torsion = sample_loads(rng, n, settings.force_range, objects.names)
         loads = (force, torsion), _shared(rng, force, torsion, settings.force_range, other)
         first, second = (ContactState(objects.gap_mm, *load) for load in loads)

@@ -35,6 +35,7 @@ class TransferConfig:
     flat_torsion_arm_mm: float = (
         9.0  # a held tool that wipes twists flat pads by so much (contact/sampling.py)
     )
+    flat_side_mm: tuple[float, float] = (30.0, 70.0)  # a held tool covers the pad; 12–40 bent the reading of GelSight
     side_N: float = 1.2  # spread of what the fingers' side forces differ by (contact/two_fingers.py)
     own_torsion: bool = True  # a finger's torsion is its own
     grid: int = 4  # latents pooled to grid × grid, as policies read them
