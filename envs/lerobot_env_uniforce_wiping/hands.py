@@ -95,7 +95,15 @@ class BlindSettings:
         return self.grip_N / GRIPPER_N_m
 
 
-class OpenLoopHands:
+class BlindHands:
+    """Hands that feel nothing."""
+
+    def lost(self) -> bool:
+        """Return False: a board that is lost looks like a soft arm."""
+        return False
+
+
+class OpenLoopHands(BlindHands):
     """Nominal eraser, nominal board, nominal stiffness; waits instead of feeling."""
 
     def __init__(self, layout: Layout, settings: BlindSettings, pads_m: float = 0.0) -> None:
@@ -126,12 +134,8 @@ class OpenLoopHands:
         """Keep the height."""
         return target_m
 
-    def lost(self) -> bool:
-        """Return False: it doesn't feel."""
-        return False
 
-
-class MeasuredRelativeHands:
+class MeasuredRelativeHands(BlindHands):
     """Targets a fixed distance inside the *measured* pose: a force command, if stiffness were known.
 
     Contact shows as lag: the measured height stops following the target.
@@ -169,7 +173,3 @@ class MeasuredRelativeHands:
         """Stay a fixed distance below the measured height."""
         wanted = measured[2] - self._settings.press_depth_m
         return float(target_m + np.clip(wanted - target_m, -0.001, 0.001))
-
-    def lost(self) -> bool:
-        """Return False: a board that is lost looks like a soft arm."""
-        return False

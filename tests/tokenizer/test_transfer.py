@@ -98,7 +98,7 @@ def test_fingers_share_the_force_and_not_the_torsion() -> None:
 
 def test_a_grasp_is_said_alike_by_fingers_of_a_sensor_and_otherwise_by_others() -> None:
     tokenizer = Tokenizer.from_pretrained("nano")
-    config = TransferConfig(grasps=64, side_N=0.0, own_torsion=False)
+    config = TransferConfig(grasps=64, other=OtherFinger(0.0, own_torsion=False))
     latents = draw_latents(tokenizer, ["gelsight", "uskin"], config)
     one, other = latents["gelsight"], latents["uskin"]
     assert one.first.shape == other.second.shape == (64, 16, 6) and one.rest.shape == (16, 6)

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contact.pairs import PairSettings
 from uniforce_vtla.contact.sampling import ForceRange
-from uniforce_vtla.contact.two_fingers import OtherFinger, two_fingers
+from uniforce_vtla.contact.two_fingers import two_fingers
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -44,12 +44,11 @@ def draw_latents(tokenizer: Tokenizer, kinds: list[str], config: TransferConfig)
     )
     blocks = -(-config.grasps // settings.pairs_per_unit)
     rng, side = np.random.default_rng([config.seed, 77]), tokenizer.config.side
-    other = OtherFinger(config.side_N, config.own_torsion)
 
     def pooled(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
         return pool_latent(tokenizer.encode(reference, current), config.grid).numpy()
 
-    drawn = two_fingers(rng, blocks, kinds, settings, other, lambda images: shrink(images, side))
+    drawn = two_fingers(rng, blocks, kinds, settings, config.other, lambda images: shrink(images, side))
     told: dict[str, list[tuple[np.ndarray, ...]]] = {kind: [] for kind in kinds}
     for first, second in tqdm(drawn, total=blocks, desc="grasps", unit=f"×{settings.pairs_per_unit}"):
         for kind, (reference, current), views in zip(kinds, first, second, strict=True):

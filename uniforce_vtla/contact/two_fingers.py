@@ -23,15 +23,10 @@ Views = list[tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class OtherFinger:
-    """How the second finger's load differs from the first's.
+    """How the second finger's load differs from the first's."""
 
-    Attributes:
-        side_N: spread of the difference sideways (x); the sum stays within friction.
-        own_torsion: drawn anew within friction; False: as the first finger's.
-    """
-
-    side_N: float = 1.2
-    own_torsion: bool = True
+    side_N: float = 1.2  # spread of the difference sideways (x), within friction; as in the wiping scene
+    own_torsion: bool = True  # drawn anew within friction; False: as the first finger's
 
 
 def two_fingers(

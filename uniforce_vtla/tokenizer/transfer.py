@@ -9,7 +9,7 @@ as another finger would have told them can't lean on what only its own finger sa
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from uniforce_vtla.contact.two_fingers import OtherFinger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
 
@@ -32,12 +33,10 @@ class TransferConfig:
 
     grasps: int = 4096  # each felt by every sensor on either finger; about a minute per thousand
     flat_share: float = 1.0  # all held tools: what a policy feels
-    flat_torsion_arm_mm: float = (
-        9.0  # a held tool that wipes twists flat pads by so much (contact/sampling.py)
-    )
-    flat_side_mm: tuple[float, float] = (30.0, 70.0)  # a held tool covers the pad; 12–40 bent the reading of GelSight
-    side_N: float = 1.2  # spread of what the fingers' side forces differ by (contact/two_fingers.py)
-    own_torsion: bool = True  # a finger's torsion is its own
+    flat_torsion_arm_mm: float = 9.0  # a held tool that wipes twists flat pads so much (contact/sampling.py)
+    # a held tool covers the pad; 12–40 bent the reading of GelSight
+    flat_side_mm: tuple[float, float] = (30.0, 70.0)
+    other: OtherFinger = field(default_factory=OtherFinger)  # what fingers of a grasp don't share
     grid: int = 4  # latents pooled to grid × grid, as policies read them
     ridge: float = 30.0  # grasps' worth of belief that fingers say the same
     held_out: float = 0.2  # share of the grasps that only judge, and give the doubt
