@@ -40,6 +40,23 @@ def shipped_checkpoint() -> Path:
     return SHIPPED
 
 
+def stored_config(checkpoint: Path) -> PI05UniforceConfig:
+    """Return the checked settings of a checkpoint folder, to be run on the CPU.
+
+    Raises:
+        CheckpointError: no such folder, another policy, or settings that don't fit this package.
+    """
+    check_settings(weights.read_config(weights.find(checkpoint, weights.CONFIG)), str(checkpoint))
+    check_processors(checkpoint)
+    with misfits_named(str(checkpoint)):
+        config = PreTrainedConfig.from_pretrained(checkpoint)
+    if not isinstance(config, PI05UniforceConfig):
+        raise CheckpointError(expected("policy type", "pi05_uniforce", config.type, "Choose another folder."))
+    config.device = "cpu"
+    config.pretrained_path = checkpoint
+    return config
+
+
 class PolicyController:
     """Drive one environment with a ``pi05_uniforce`` checkpoint.
 
@@ -63,17 +80,7 @@ class PolicyController:
         swap: str = "",
         asked: dict[Finger, str] | None = None,
     ) -> None:
-        checkpoint = Path(checkpoint)
-        check_settings(weights.read_config(weights.find(checkpoint, weights.CONFIG)), str(checkpoint))
-        check_processors(checkpoint)
-        with misfits_named(str(checkpoint)):
-            config = PreTrainedConfig.from_pretrained(checkpoint)
-        if not isinstance(config, PI05UniforceConfig):
-            raise CheckpointError(
-                expected("policy type", "pi05_uniforce", config.type, "Choose another folder.")
-            )
-        config.device = "cpu"
-        config.pretrained_path = checkpoint
+        config = stored_config(Path(checkpoint))
         config.swap = swap or config.swap
         for finger, sensor in (asked or {}).items():
             setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))

@@ -1,0 +1,190 @@
+"""How many newtons does a policy misread when another finger fills its slot?  A minute instead of hours of rollouts."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lerobot.policies.factory import make_pre_post_processors
+from torch.utils.data import default_collate
+from tqdm import tqdm
+
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.controller import stored_config
+from uniforce_datasets.training_view import TrainingView
+from uniforce_datasets.view_marker import read_marker
+from uniforce_vtla.array_file import read_array
+from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import CheckpointError, DatasetError, UniForceError, expected
+from uniforce_vtla.evaluation.reading import FELT, Changes, Misreading, Response, misreading, response
+from uniforce_vtla.keys import AXES, CAMERAS, STATE, TASK, camera_key, latent_key, truth_wrench_key
+from uniforce_vtla.results_file import provenance, write_json
+
+PRESSING_N = 2.0  # shear along the pad's height above this is a wipe
+HEIGHT_AND_WIDTH = [AXES.index("z.pos"), AXES.index("width.pos")]
+BATCH = 64  # moments at a time
+
+Sample = dict[str, Any]
+
+
+@dataclass
+class PolicyReadingConfig:
+    """Give a policy the touch of its other finger at recorded moments of wiping and write how far it misreads forces.
+
+    Needs simulated demos (the true wrench) and a policy with one slot that feels latents. Not a score: a policy that
+    reads well may still wipe badly.
+
+    Example: uniforce-policy-reading policy=outputs/arms/seed0/vt view=outputs/view_paper
+    """
+
+    policy: str = "outputs/arms/seed0/vt"  # checkpoint folder
+    view: str = "outputs/view_paper"  # training view of demos with both fingers
+    moments: int = 12  # per episode, while wiping
+    after: int = 4  # [steps] of a chunk whose target is compared
+    seed: int = 0  # of moments and of whose touch is exchanged
+    out: str = "outputs/policy_reading.json"  # result file
+
+
+class Reader:
+    """A checkpoint that is asked the same moments with other touch.
+
+    Raises:
+        CheckpointError: not a policy with one slot of latents.
+    """
+
+    def __init__(self, config: PolicyReadingConfig) -> None:
+        settings = stored_config(Path(config.policy))
+        if len(settings.slots) != 1 or settings.touch_input != "latent":
+            came = f"touch_input={settings.touch_input} in {settings.slots}"
+            raise CheckpointError(
+                expected(config.policy, "one slot of latents", came, "Name a V+T checkpoint.")
+            )
+        self.slot, self.finger = settings.slots[0], settings.finger_by_slot()[settings.slots[0]]
+        self._policy = PI05UniforcePolicy.from_pretrained(config.policy, config=settings).eval()
+        self._before, _ = make_pre_post_processors(settings, pretrained_path=config.policy)
+        self._view = {finger: TrainingView(config.view, slots={self.slot: finger}) for finger in FINGERS}
+        self._step = config.after - 1
+
+    @torch.no_grad()
+    def moves_mm(self, moments: np.ndarray, felt: np.ndarray, finger: Finger) -> np.ndarray:
+        """Return (N, 2) height and width commanded at ``moments``, given what ``finger`` felt at ``felt``."""
+        told = []
+        for start in tqdm(range(0, len(moments), BATCH), desc=f"{finger} finger", leave=False):
+            part = slice(start, start + BATCH)
+            batch = default_collate(
+                [self._sample(*pair, finger) for pair in zip(moments[part], felt[part], strict=True)]
+            )
+            chunk = self._policy.predict_action_chunk(self._before(batch))
+            told.append(1000 * chunk[:, self._step, HEIGHT_AND_WIDTH].numpy())
+        return np.concatenate(told)
+
+    def _sample(self, moment: int, felt: int, finger: Finger) -> Sample:
+        touch = latent_key(self.slot)
+        sample = self._view[self.finger][int(moment)]
+        sample[touch] = self._view[finger][int(felt)][touch]
+        pictures = {camera_key(camera): sample[camera_key(camera)] / 255 for camera in CAMERAS}
+        return pictures | {key: sample[key] for key in (STATE, touch, TASK)}
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Frames of a view in which the board is wiped, evenly from its episodes.
+
+    Attributes:
+        frames: (N,) indices in the view.
+        episode: (N,) whose.
+        wrench: finger → (N, 4) true wrench.
+        worn: finger → (N,) kind of sensor.
+    """
+
+    frames: np.ndarray
+    episode: np.ndarray
+    wrench: dict[Finger, np.ndarray]
+    worn: dict[Finger, np.ndarray]
+
+
+def wiping_moments(root: Path, learnt: Finger, config: PolicyReadingConfig) -> Moments:
+    """Return moments in which the finger ``learnt`` feels a wipe.
+
+    Raises:
+        DatasetError: a view without the true wrench, or without wiping.
+    """
+    marker = read_marker(root)
+    if not marker["wrench"]:
+        raise DatasetError(expected(str(root), "the true wrench", "none", "Only simulated demos know it."))
+    truth = {finger: read_array(root / f"{truth_wrench_key(finger)}.npy") for finger in FINGERS}
+    episodes = np.repeat(np.arange(len(marker["episodes"])), [e["length"] for e in marker["episodes"]])
+    wiping = np.abs(truth[learnt][:, FELT["press"][0]]) > PRESSING_N
+    rng, picked = np.random.default_rng(config.seed), []
+    for episode in np.unique(episodes):
+        found = np.flatnonzero(wiping & (episodes == episode))
+        if len(found) >= config.moments:
+            picked.append(rng.choice(found, config.moments, replace=False))
+    if not picked:
+        came = f"no episode with {config.moments} such moments"
+        raise DatasetError(
+            expected(str(root), f"wiping with over {PRESSING_N} N", came, "Name another view.")
+        )
+    frames = np.concatenate(picked)
+    kinds = {f: np.array([e[f"{f}_sensor"] for e in marker["episodes"]]) for f in FINGERS}
+    worn = {f: kinds[f][episodes[frames]] for f in FINGERS}
+    return Moments(frames, episodes[frames], {f: truth[f][frames] for f in FINGERS}, worn)
+
+
+def read_forces(
+    reader: Reader, moments: Moments, seed: int
+) -> tuple[Response, dict[str, dict[str, Misreading]]]:
+    """Return how the policy answers its own finger, and sensor of the other finger → force → misreading."""
+    learnt, other = reader.finger, next(finger for finger in FINGERS if finger != reader.finger)
+    rng, frames = np.random.default_rng(seed), moments.frames
+    own_mm = reader.moves_mm(frames, frames, learnt)
+
+    def changes(chosen: np.ndarray, felt: np.ndarray, finger: Finger) -> Changes:
+        moves = reader.moves_mm(frames[chosen], frames[felt], finger) - own_mm[chosen]
+        wrench = moments.wrench[finger][felt] - moments.wrench[learnt][chosen]
+        return Changes(moves, wrench, moments.episode[chosen])
+
+    everywhere = np.arange(len(frames))
+    answered, found = response(changes(everywhere, rng.permutation(everywhere), learnt)), {}
+    for kind in np.unique(moments.worn[other]):
+        chosen = np.flatnonzero(moments.worn[other] == kind)
+        same, elsewhere = (changes(chosen, felt, other) for felt in (chosen, rng.permutation(chosen)))
+        found[str(kind)] = misreading(same, elsewhere, answered)
+    return answered, found
+
+
+def _run(config: PolicyReadingConfig) -> str:
+    reader = Reader(config)
+    moments = wiping_moments(Path(config.view), reader.finger, config)
+    answered, found = read_forces(reader, moments, config.seed)
+    facts = {
+        "policy": config.policy,
+        "moments": len(moments.frames),
+        "mm_per_N": {force: answered.of(force) for force in FELT},
+        "misread": {
+            kind: {force: asdict(m) for force, m in forces.items()} for kind, forces in found.items()
+        },
+    }
+    written = write_json(Path(config.out), facts | provenance())
+    lines = [f"{'other finger':13s} force   mean N  between episodes N  single moments N  heard"]
+    for kind, forces in found.items():
+        lines += [
+            f"{kind:13s} {force:6s} {m.mean_N:+7.2f} {m.between_episodes_N:19.2f} {m.rms_N:17.2f} {m.heard:6.2f}"
+            for force, m in forces.items()
+        ]
+    return "\n".join([*lines, f"written to {written}"])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-policy-reading``."""
+    torch.set_num_threads(1)
+    try:
+        print(_run(parse(PolicyReadingConfig, argv)))
+    except UniForceError as error:
+        print(f"policy_reading: {error}")
+        return 2
+    return 0

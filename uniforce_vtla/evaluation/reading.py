@@ -1,0 +1,106 @@
+"""How many newtons a policy misreads: what its commands do when it is given other touch, all else the same.
+
+A policy doesn't say what it feels, but it answers: more press, and it raises its next height; more grip, and it opens.
+The slope of that answer, found by handing it the touch of other moments, turns any change of a command into newtons.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_vtla.errors import DatasetError, RolloutError, expected
+
+FELT = {
+    "press": (1, -1.0),
+    "grip": (2, 1.0),
+}  # force → its place in a wrench and its sign there (pads feel −y)
+LEAST_MOMENTS = 20  # fewer can't tell four slopes
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What other touch did at N moments.
+
+    Attributes:
+        moves_mm: (N, 2) change of the commanded height and width.
+        wrench: (N, 4) by how much the true wrench behind the new touch differs: N, N, N, Nmm.
+        episode: (N,) number of each moment's episode.
+    """
+
+    moves_mm: np.ndarray
+    wrench: np.ndarray
+    episode: np.ndarray
+
+
+@dataclass(frozen=True)
+class Response:
+    """How commands answer touch.
+
+    Attributes:
+        slopes: (4, 2) mm per N (per Nmm) of fx, fy, fz, torsion, for height and width.
+        spread_mm: (2,) what the slopes leave.
+    """
+
+    slopes: np.ndarray
+    spread_mm: np.ndarray
+
+    def of(self, force: str) -> float:
+        """Return mm per N of press (height) or grip (width)."""
+        place, sign = FELT[force]
+        return sign * float(self.slopes[place, list(FELT).index(force)])
+
+
+@dataclass(frozen=True)
+class Misreading:
+    """Newtons of one force, per finger, by which a policy errs."""
+
+    mean_N: float  # over all moments: a bias
+    between_episodes_N: float  # spread of the episodes' means: what regulation can't average out
+    rms_N: float  # of single moments
+    heard: float  # slope beside that of the finger it learnt with: 1 = it listens as well
+
+
+def response(changes: Changes) -> Response:
+    """Fit how commands answer a change of the wrench.
+
+    Raises:
+        DatasetError: too few moments.
+    """
+    if len(changes.wrench) < LEAST_MOMENTS:
+        do = "Look at more episodes."
+        raise DatasetError(expected("moments", f"at least {LEAST_MOMENTS}", len(changes.wrench), do))
+    told = np.c_[changes.wrench, np.ones(len(changes.wrench))]
+    slopes, *_ = np.linalg.lstsq(told, changes.moves_mm, rcond=None)
+    left = changes.moves_mm - told @ slopes
+    return Response(slopes[:-1], left.std(axis=0))
+
+
+def misreading(same: Changes, other: Changes, learnt: Response) -> dict[str, Misreading]:
+    """Return what a policy misreads with a finger, by force → press, grip.
+
+    Args:
+        same: that finger's touch of the same moments instead of the learnt one's.
+        other: that finger's touch of other moments.
+        learnt: how the policy answers the finger it learnt with.
+
+    Raises:
+        RolloutError: it doesn't answer a force as one who regulates it.
+    """
+    for force in FELT:
+        if not learnt.of(force) > 0:
+            came, do = f"{learnt.of(force):.3f} mm per N", "Train it longer, or with touch."
+            raise RolloutError(expected(f"answer to more {force}", "a command that gives way", came, do))
+    answered, found = response(other), {}
+    surplus_mm = same.moves_mm - same.wrench @ learnt.slopes  # fingers truly feel different forces
+    for column, force in enumerate(FELT):
+        error_N = surplus_mm[:, column] / learnt.of(force)
+        means = np.array([error_N[same.episode == one].mean() for one in np.unique(same.episode)])
+        found[force] = Misreading(
+            mean_N=float(error_N.mean()),
+            between_episodes_N=float(means.std()),
+            rms_N=float(np.sqrt(np.square(error_N).mean())),
+            heard=answered.of(force) / learnt.of(force),
+        )
+    return found
