@@ -13,6 +13,14 @@ from uniforce_vtla.evaluation.plan import RECIPES, Recipe
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 
+DELTA_KNEE = (
+    0.0,
+    0.0,
+    0.003,
+    0.0,
+    0.0003,
+)  # m: so that .4 mm of height and .03 mm of width, a newton's worth, weigh
+
 
 @dataclass
 class TrainArmConfig:
@@ -46,6 +54,8 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         f"policy.touch_slots={{{slots}}}",
         "policy.n_action_steps=4",  # of 16: see docs/experiments/tiny_policy.md
         f"policy.state_noise={list(recipe.state_noise)}",
+        f"policy.sensor_transfer={recipe.sensor_transfer}",
+        f"policy.delta_knee={list(DELTA_KNEE)}",
         "dataset.repo_id=local/view",
         f"dataset.root={config.view}",
         f"dataset.episodes={_episodes(Path(config.view), recipe, config.demos)}",

@@ -37,6 +37,7 @@ class Recipe:
     ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default. ``state_noise`` blurs
     the measured height by 6 mm while training: boards lie at other heights and arms give way, so that who trusts the
     height strokes in the air or presses too hard (docs/experiments/tiny_policy.md). V keeps it, having nothing else.
+    ``sensor_transfer`` is the share of samples whose latents are told as another finger would tell them.
     """
 
     touch_input: str
@@ -44,15 +45,19 @@ class Recipe:
     rigs: tuple[str, ...] = ("gelsight", "uskin")
     touch_dropout: float | None = None
     state_noise: tuple[float, ...] = (0.0, 0.0, 0.2, 0.0, 0.0)  # of half the demos' range per axis
+    sensor_transfer: float = 0.0
 
 
 _BOTH: tuple[tuple[str, Finger], ...] = (("touch0", "right"), ("touch1", "left"))
+_TOLD = (
+    0.2  # a fifth makes a head read the other finger's grip three times better and costs the own one nothing
+)
 # V+T hides its touch in a tenth of the samples, so that the masked control asks it nothing it never met.
 RECIPES = {
     "v": Recipe("none", state_noise=()),
-    "vt": Recipe("latent", touch_dropout=0.1),
-    "vtg": Recipe("latent", _BOTH, ("gelsight",)),
-    "vtu": Recipe("latent", _BOTH, ("uskin",)),
+    "vt": Recipe("latent", touch_dropout=0.1, sensor_transfer=_TOLD),
+    "vtg": Recipe("latent", _BOTH, ("gelsight",), sensor_transfer=_TOLD),
+    "vtu": Recipe("latent", _BOTH, ("uskin",), sensor_transfer=_TOLD),
     "wrench": Recipe("wrench", _BOTH),
     "descriptor": Recipe("descriptor"),
     "images": Recipe("marker_pair"),
