@@ -40,6 +40,7 @@ def test_a_recipe_trains_on_its_rigs_demos(name: str, view: Path, tmp_path: Path
     assert f"dataset.episodes={wanted}" in given
     assert f"policy.touch_input={RECIPES[name].touch_input}" in given
     assert ("policy.touch_dropout=0.1" in given) == (name == "vt")
+    assert ("policy.sensor_transfer=0.2" in given) == (RECIPES[name].touch_input == "latent")
 
 
 def test_fewer_demos_are_the_first_of_each_rig(view: Path, tmp_path: Path) -> None:
