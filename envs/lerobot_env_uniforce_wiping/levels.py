@@ -175,7 +175,7 @@ HARD = replace(
     light_gain=(0.6, 1.25),
     light_tint=0.08,
 )
-# easy_v1 is what the shipped policy was trained at: no variety of light, board place and letter size yet.
+# easy_v1 is what early policies and the touch check were made at: no variety of light, board place and letter size.
 LEVELS: dict[str, Level] = {level.name: level for level in (EASY, PAPER, HARD, EASY_V1)}
 
 

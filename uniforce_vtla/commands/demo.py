@@ -24,7 +24,7 @@ class DemoConfig:
     episodes: int = 3  # demos recorded live; enough to see every stage, too few to learn from
     train_steps: int = 20  # optimiser steps on those demos; shows that training runs, not what it can reach
     rollouts: int = 4  # per arm, with the shipped policy; a smoke test, no claim
-    level: str = "easy_v1"  # the level the shipped policy was trained at
+    level: str = "paper"  # the level the shipped policy was trained at
     out: str = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 

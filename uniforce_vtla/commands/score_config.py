@@ -16,7 +16,7 @@ class ScoreConfig:
 
     policy: str = "shipped"  # checkpoint folder; "shipped" = the tiny V+T policy in the package; or "expert"
     arm: str = "V+T"  # name of this arm in the table
-    level: str = "easy_v1"  # easy | paper | hard | easy_v1 (what the shipped policy learnt at)
+    level: str = "paper"  # easy | paper (what the shipped policy learnt at) | hard | easy_v1
     left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
     right_sensor: str = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: str = ""  # e.g. touch0:left — which finger fills which slot

@@ -42,7 +42,7 @@ class SensitivityConfig:
     """
 
     policy: str = "shipped"  # checkpoint folder
-    level: str = "easy_v1"  # level of the scenes looked at; what the shipped policy learnt at
+    level: str = "paper"  # level of the scenes looked at; what the shipped policy learnt at
     left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight
     right_sensor: str = ""  # likewise; "" = tactip
     swap: str = ""  # which finger fills which slot
