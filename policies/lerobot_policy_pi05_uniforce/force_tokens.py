@@ -39,6 +39,8 @@ class ForceTokens(nn.Module):
         scale: initial RMS of a token.
         noise: spread of the Gaussian noise that training adds to each input number, in units of its channel's spread.
             What survives it is what many cells agree on, and that is what another sensor's latents share.
+        whole: every token also holds what one network makes of the slot's whole map. Force is a sum over cells, which
+            attention over tokens made cell by cell reads less exactly than a head on the map does.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class ForceTokens(nn.Module):
         width: int,
         scale: float,
         noise: float = 0.0,
+        whole: bool = False,
     ) -> None:
         super().__init__()
         self.noise = noise
@@ -56,7 +59,9 @@ class ForceTokens(nn.Module):
         self.needs_others = False
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
-        self.proj = nn.Sequential(nn.Linear(input_shape[1], width), nn.GELU(), nn.Linear(width, width))
+        self.proj = _two_layers(input_shape[1], width)
+        rows, numbers = input_shape
+        self.whole = _two_layers(rows * numbers, width) if whole and rows > 1 else None
         self.cell_embedding = nn.Parameter(0.5 * torch.randn(num_tokens, width))
         self.slot_embedding = nn.Parameter(0.5 * torch.randn(num_slots, width))
         self.gain = nn.Parameter(torch.full((1,), scale))  # not a scalar: FSDP shards none
@@ -69,6 +74,8 @@ class ForceTokens(nn.Module):
         if self.training and self.noise:
             felt = felt + self.noise * torch.randn_like(felt)
         hidden = self.proj(felt)  # (B, K or 1, D)
+        if self.whole is not None:
+            hidden = hidden + self.whole(felt.flatten(1))[:, None]
         hidden = hidden + self.cell_embedding + self.slot_embedding[slot]  # (B, K, D)
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
 
@@ -107,6 +114,10 @@ class MarkerPairTokens(nn.Module):
         hidden = self.cnn(pair.unflatten(-1, (side, side))).flatten(2).transpose(1, 2)  # (B, K, D)
         hidden = hidden + self.cell_embedding + self.slot_embedding[slot]
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
+
+
+def _two_layers(size: int, width: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(size, width), nn.GELU(), nn.Linear(width, width))
 
 
 def wrench_scale(device: torch.device | str = "cpu") -> Tensor:

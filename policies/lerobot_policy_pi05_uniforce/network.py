@@ -83,7 +83,9 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if config.touch_input == "marker_pair":
             return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
         shape, noise = touch_shape(config), config.touch_noise if config.touch_input == "latent" else 0.0
-        tokens = ForceTokens(shape, config.tokens_per_slot, slots, self.touch_width, scale, noise)
+        tokens = ForceTokens(
+            shape, config.tokens_per_slot, slots, self.touch_width, scale, noise, config.hear_whole_pad
+        )
         tokens.needs_others = config.sensor_transfer > 0
         if config.touch_input == "wrench":
             tokens.input_scale.copy_(wrench_scale())

@@ -128,6 +128,20 @@ def test_force_tokens_keep_amplitude(make_policy):
     assert torch.allclose(tokens(touch, 0).square().mean(-1), torch.ones(1, 16), atol=1e-3)
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_token_holds_its_own_cell_or_the_whole_pad(whole, make_policy):
+    tokens = make_policy(hear_whole_pad=whole).model.force_tokens.eval()
+    touch = torch.randn(1, 16, 6)
+    elsewhere = touch.clone()
+    elsewhere[:, 5] += 1
+    moved = (tokens(touch, 0) - tokens(elsewhere, 0)).abs().sum(dim=-1)[0] > 0
+    assert moved.sum() == (16 if whole else 1) and moved[5]
+
+
+def test_a_wrench_is_whole_anyway(make_policy):
+    assert make_policy(touch_input="wrench", hear_whole_pad=True).model.force_tokens.whole is None
+
+
 def test_cached_latents_equal_encoding_the_images(make_policy, make_batch):
     policy = make_policy()
     batch = make_batch(policy)

@@ -17,6 +17,7 @@ OPTIONS = {
     "full": {},
     "expert_only": {"train_expert_only": True},
     "frozen_vision": {"freeze_vision_encoder": True},
+    "whole_pad": {"hear_whole_pad": True},
     "next_force": {"next_force_weight": 0.5},
     "no_touch": {"touch_input": "none", "touch_slots": {}},
 }
