@@ -13,13 +13,8 @@ from uniforce_vtla.evaluation.plan import RECIPES, Recipe
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 
-DELTA_KNEE = (
-    0.0,
-    0.0,
-    0.003,
-    0.0,
-    0.0003,
-)  # m: so that .4 mm of height and .03 mm of width, a newton's worth, weigh
+# m, m, m, rad, m: so that .4 mm of height and .03 mm of width, a newton's worth, weigh
+DELTA_KNEE = (0.0, 0.0, 0.003, 0.0, 0.0003)
 
 
 @dataclass

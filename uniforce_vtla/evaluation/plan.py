@@ -49,9 +49,8 @@ class Recipe:
 
 
 _BOTH: tuple[tuple[str, Finger], ...] = (("touch0", "right"), ("touch1", "left"))
-_TOLD = (
-    0.2  # a fifth makes a head read the other finger's grip three times better and costs the own one nothing
-)
+# a fifth makes a head read the other finger's grip three times better and costs the own one nothing
+_TOLD = 0.2
 # V+T hides its touch in a tenth of the samples, so that the masked control asks it nothing it never met.
 RECIPES = {
     "v": Recipe("none", state_noise=()),

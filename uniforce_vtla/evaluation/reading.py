@@ -12,10 +12,8 @@ import numpy as np
 
 from uniforce_vtla.errors import DatasetError, RolloutError, expected
 
-FELT = {
-    "press": (1, -1.0),
-    "grip": (2, 1.0),
-}  # force → its place in a wrench and its sign there (pads feel −y)
+# force → its place in a wrench and its sign there (pads feel −y)
+FELT = {"press": (1, -1.0), "grip": (2, 1.0)}
 LEAST_MOMENTS = 20  # fewer can't tell four slopes
 
 
