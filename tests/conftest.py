@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
 from uniforce_vtla.tokenizer.model import TokenizerConfig
+
+sys.path.insert(0, str(Path(__file__).parent))  # fair_clock.py: importlib mode gives test folders no package
+from fair_clock import FairClock
 
 torch.set_num_threads(1)
 TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)
@@ -29,6 +35,10 @@ def dots() -> np.ndarray:
 # These run whole programs, wait as long as it takes and hold no clock against them.
 PATIENT = ("test_recorder_trials.py", "test_command.py", "test_store_process.py")
 REALTIME = ("devices", "recording", "robots", "standins", "teleoperators")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(FairClock(), "fair_clock")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

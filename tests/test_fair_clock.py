@@ -1,0 +1,83 @@
+"""A real-time test is judged on time the machine gave us, and only then excused."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import pytest
+from fair_clock import TRIES, witnesses
+
+pytest_plugins = ["pytester"]
+
+FLAKY = """
+import pytest
+runs = []
+
+@pytest.fixture
+def fresh(tmp_path):
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "used").touch()
+
+{mark}
+def test_it(fresh):
+    runs.append(0)
+    assert len(runs) >= {passes_at}
+"""
+CONFTEST = """
+from fair_clock import FairClock
+
+class Told:
+    def __init__(self, lost): self.lost, self.waits = iter(lost), 0
+    def lost_s(self): return next(self.lost)
+    def wait_for_calm(self): self.waits += 1
+    def close(self): pass
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "realtime: x")
+    config.pluginmanager.register(FairClock(Told({lost})))
+"""
+
+
+def run(pytester: pytest.Pytester, lost: list[float], passes_at: int, mark: str = "@pytest.mark.realtime"):
+    pytester.makeconftest(CONFTEST.format(lost=lost))
+    return pytester.inline_run(
+        pytester.makepyfile(FLAKY.format(mark=mark, passes_at=passes_at)), "-p", "no:cacheprovider"
+    )
+
+
+def test_a_witness_sees_a_core_taken_away():
+    with witnesses() as seen:
+        time.sleep(0.5)
+        before_s = seen.lost_s()
+        victim = seen.processes[-1].pid
+        os.kill(victim, signal.SIGSTOP)
+        time.sleep(0.4)
+        os.kill(victim, signal.SIGCONT)
+        time.sleep(0.1)
+        assert seen.lost_s() - before_s >= 0.3
+    assert all(process.returncode is not None for process in seen.processes)
+
+
+def test_a_failure_in_calm_is_a_failure_at_once(pytester: pytest.Pytester):
+    run(pytester, [0.0, 0.01], passes_at=2).assertoutcome(failed=1)
+
+
+def test_a_failure_while_starved_runs_again_with_new_fixtures(pytester: pytest.Pytester):
+    run(pytester, [0.0, 0.5, 0.5, 0.5], passes_at=2).assertoutcome(passed=1)
+
+
+def test_and_counts_when_the_second_try_was_calm(pytester: pytest.Pytester):
+    run(pytester, [0.0, 0.5, 0.5, 0.5], passes_at=9).assertoutcome(failed=1)
+
+
+def test_always_starved_is_skipped_and_says_so(pytester: pytest.Pytester):
+    seen = run(pytester, [0.3 * k for k in range(2 * TRIES)], passes_at=99)
+    seen.assertoutcome(skipped=1)
+    assert "not judged: starved 4 times" in seen.getreports("pytest_runtest_logreport")[1].longrepr[2]
+
+
+def test_a_pass_needs_no_calm_and_other_tests_no_witness(pytester: pytest.Pytester):
+    run(pytester, [0.0, 9.0], passes_at=1).assertoutcome(passed=1)
+    run(pytester, [], passes_at=2, mark="").assertoutcome(failed=1)
