@@ -44,7 +44,8 @@ def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
 def test_whatever_breaks_taxels_of_two_scans_never_mix(faults: list[tuple[int, str]]):
     lines = [line for scan in LINES for line in scan]
     for at, fault in sorted(faults, reverse=True):
-        lines[at : at + 1] = {"drop": [], "twice": [lines[at]] * 2, "noise": [b"\x00xq\r", lines[at]]}[fault]
+        line = lines[at : at + 1]  # empty where the last one was dropped before
+        lines[at : at + 1] = {"drop": [], "twice": line * 2, "noise": [b"\x00xq\r", *line]}[fault]
     got = reader().feed(b"".join(lines))
     truth = {scan.tobytes() for scan in CYCLE}
     assert all(scan.tobytes() in truth for scan in got)
