@@ -1,4 +1,4 @@
-"""Blind scripts: the same sequence without touch. If one of them wiped well, touch would not be needed."""
+"""Blind scripts: the same sequence without touch, eyes included. If one wiped well, touch would not be needed."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lerobot_env_uniforce_wiping.hands import BlindSettings, MeasuredRelativeHands, OpenLoopHands
+from lerobot_env_uniforce_wiping.look_back import look_back
 from lerobot_env_uniforce_wiping.sequence import WipeSequence
 from uniforce_vtla.errors import ContractError, expected
 
@@ -27,7 +28,7 @@ class BlindScript:
     def reset(self, env: WipeEnv) -> None:
         """Start a new episode."""
         hands = STYLES[self._style](env.level.layout, self._settings)
-        self._sequence = WipeSequence(env.level, hands, env.state.astype(np.float64))
+        self._sequence = WipeSequence(env.level, hands, env.state.astype(np.float64), lambda: look_back(env))
 
     @property
     def phase(self) -> str:

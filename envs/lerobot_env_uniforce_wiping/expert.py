@@ -1,4 +1,4 @@
-"""The scripted expert: feels the pads' true wrench with noise, knows only the nominal layout besides.
+"""The scripted expert: feels the pads' true wrench with noise, sees ink that is left, knows only the nominal layout.
 
 Its twin without touch (``fingers="none"``) runs the same sequence on nominal numbers.
 """
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from lerobot_env_uniforce_wiping.hands import BlindSettings, Feel, OpenLoopHands, TouchHands, TouchSettings
+from lerobot_env_uniforce_wiping.look_back import look_back
 from lerobot_env_uniforce_wiping.sequence import Hands, Pace, WipeSequence
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
@@ -75,7 +76,8 @@ class WipeExpert:
         layout = env.scene.level.layout
         self._weight_N = layout.eraser_mass_kg * GRAVITY_m_s2
         hands = self._hands(env, press, grip)
-        self._sequence = WipeSequence(env.scene.level, hands, env.state.astype(np.float64), pace)
+        start = env.state.astype(np.float64)
+        self._sequence = WipeSequence(env.scene.level, hands, start, lambda: look_back(env), pace)
 
     def _hands(self, env: WipeEnv, press_N: float, grip_N: float) -> Hands:
         layout = env.scene.level.layout

@@ -38,7 +38,8 @@ class InkField:
         noise = rng.standard_normal((self.rows, self.columns)).astype(np.float32)
         noise = cv2.GaussianBlur(noise, (0, 0), ADHESION_CELLS)
         self.adhesion = np.exp(level.adhesion_sigma * noise / noise.std())
-        self.ink = self._written(scene)
+        self._first = self._written(scene)
+        self.ink = self._first.copy()
         self.version = 0  # grows whenever ink changes, so that renderers know
         self.initial_cells = float(np.count_nonzero(self.ink > VISIBLE))
         self._counted, self._residual = 0, 1.0
@@ -64,6 +65,27 @@ class InkField:
             self._residual = float(np.count_nonzero(self.ink > VISIBLE)) / self.initial_cells
             self._counted = self.version
         return self._residual
+
+    @property
+    def dirty_x_m(self) -> np.ndarray:
+        """Board x of every cell that carries visible ink."""
+        return self.x_m[self.ink > VISIBLE]
+
+    @property
+    def written_box_m(self) -> tuple[np.ndarray, np.ndarray]:
+        """(2,) centre and (2,) extent of the first writing, board x and y."""
+        low, high = (
+            np.array([edge(axis[self._first > 0]) for axis in (self.x_m, self.y_m)])
+            for edge in (np.min, np.max)
+        )
+        return (low + high) / 2, high - low
+
+    def rewrite(self, center_m: np.ndarray, size_m: np.ndarray, strength: float) -> None:
+        """Bring back what was written inside a box on the board, at ``strength`` of its first darkness."""
+        half_m = np.asarray(size_m) / 2
+        inside = (np.abs(self.x_m - center_m[0]) <= half_m[0]) & (np.abs(self.y_m - center_m[1]) <= half_m[1])
+        self.ink = np.where(inside, np.maximum(self.ink, strength * self._first), self.ink)
+        self.version += 1
 
     def wipe(
         self, center_m: np.ndarray, yaw_rad: float, size_m: np.ndarray, press: np.ndarray, slide_m: float

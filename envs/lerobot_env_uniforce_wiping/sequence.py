@@ -5,6 +5,7 @@ How hard to squeeze and to press is left to *hands*: touching ones (the expert),
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,6 +16,7 @@ from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 from lerobot_env_uniforce_wiping.sweep import Sweep
 
 X, Y, Z, YAW, WIDTH = range(5)
+LOOKS_BACK = 2  # times a board that is not clean is wiped again: more don't fit into an episode
 NEAR_m = 0.002  # arrived
 SLOW_DOWN_m = 0.008  # before a corner
 APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
@@ -52,13 +54,29 @@ class Hands(Protocol):
 
 
 class WipeSequence:
-    """Targets as a smooth function of the phase, the measured state and the hands."""
+    """Targets as a smooth function of the phase, the measured state and the hands.
 
-    def __init__(self, level: Level, hands: Hands, target: np.ndarray, pace: Pace | None = None) -> None:
+    Args:
+        level: for the layout.
+        hands: choose grip and press.
+        target: (5,) the tool's own pose, to start from.
+        look: tells from where along the sweep the board has to be wiped again, None where it is clean.
+        pace: speeds.
+    """
+
+    def __init__(
+        self,
+        level: Level,
+        hands: Hands,
+        target: np.ndarray,
+        look: Callable[[], float | None],
+        pace: Pace | None = None,
+    ) -> None:
         self.level, self.hands, self.pace = level, hands, pace or Pace()
         self.sweep = Sweep(level)
-        self.target = np.array(target, dtype=np.float64)  # starts at the tool's own pose
+        self.target = np.array(target, dtype=np.float64)
         self.phase = "descend"
+        self._look, self._looks_left = look, LOOKS_BACK
         self._along_m = 0.0
         self._speed_m_s = 0.0
 
@@ -99,7 +117,7 @@ class WipeSequence:
     def _carry(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
         self._move({Z: self.level.layout.carry_height_m})
-        start = self.sweep.start
+        start = self.sweep.point(self._along_m)  # the first row, or the first that is still dirty
         self._move({X: start[0], Y: start[1]})
         return bool(np.linalg.norm(measured[:2] - start) < 2 * NEAR_m)
 
@@ -123,7 +141,16 @@ class WipeSequence:
         self._speed_m_s += float(np.clip(wanted - self._speed_m_s, -limit, limit))
         self._along_m += self._speed_m_s / CONTROL_HZ
         self.target[[X, Y]] = self.sweep.point(self._along_m)
-        return self._along_m >= self.sweep.length_m
+        return self._along_m >= self.sweep.length_m and not self._again()
+
+    def _again(self) -> bool:
+        """Look at the board; where ink is left go back to the phase that lifts and carries the eraser there."""
+        dirty_m = self._look() if self._looks_left else None
+        if dirty_m is None:
+            return False
+        self.phase, self._along_m, self._speed_m_s = "lift", dirty_m, 0.0
+        self._looks_left -= 1
+        return True
 
     def _leave(self, measured: np.ndarray) -> bool:
         self._move({Z: self.level.layout.carry_height_m + 0.015})

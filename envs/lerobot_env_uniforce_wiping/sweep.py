@@ -30,10 +30,10 @@ class Sweep:
         """Total arc length."""
         return float(self._at[-1])
 
-    @property
-    def start(self) -> np.ndarray:
-        """(2,) where the eraser is put down."""
-        return self.corners[0]
+    def row_at(self, x_m: float) -> float:
+        """Return the arc length at which the row nearest to an x begins."""
+        rows = self.corners[::2, 0]
+        return float(self._at[2 * int(np.argmin(np.abs(rows - x_m)))])
 
     def between_rows(self, along_m: float) -> bool:
         """Whether the tool moves from one row to the next there, along the closing axis."""

@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.disturbance import Nudge
+from lerobot_env_uniforce_wiping.disturbance import Nudge, Rewrite
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source
 from uniforce_vtla.contracts import FINGERS
@@ -82,13 +82,16 @@ def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int, nudge: fl
 
     Row t: observation and command at t, the command without the nudge that was added to it.
     """
-    expert, push = WipeExpert(), Nudge(seed, nudge)
+    expert, push, rewrite = WipeExpert(), Nudge(seed, nudge), Rewrite(seed)
     observation, _ = env.reset(seed=seed)
     expert.reset(env)
     for step in _until_done():
         action = np.asarray(expert.act(env), dtype=np.float32)
         recorder.add(_frame(env, observation, action, step), env.task)
-        observation, _, terminated, truncated, _ = env.step(push.apply(action, wiping=expert.phase == "wipe"))
+        wiping = expert.phase == "wipe"
+        if nudge:
+            rewrite.apply(env.sim.ink, wiping)
+        observation, _, terminated, truncated, _ = env.step(push.apply(action, wiping))
         if terminated or truncated:
             break
     return env.result()

@@ -1,0 +1,119 @@
+"""Scripts look at the board after a sweep and wipe again where ink is left; demos show them doing so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.disturbance import Rewrite, RewriteSettings
+from lerobot_env_uniforce_wiping.ink import InkField
+from lerobot_env_uniforce_wiping.look_back import look_back
+from lerobot_env_uniforce_wiping.scene_params import draw_scene
+from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK
+from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
+from lerobot_env_uniforce_wiping.sweep import Sweep
+
+SEED = 9001
+EVERYWHERE = RewriteSettings(
+    share=1.0, after_s=(5.0, 5.0), height_m=(0.1, 0.1), length_m=(0.2, 0.2), strength=(1.0, 1.0)
+)
+
+
+@pytest.fixture
+def env() -> WipeEnv:
+    env = WipeEnv("paper")
+    env.start(SEED)
+    return env
+
+
+def run(env: WipeEnv, disturb: Callable[[InkField, bool], None]) -> list[str]:
+    """Return the phases the expert went through, in turn."""
+    expert, phases, done = WipeExpert(), [], False
+    expert.reset(env)
+    while not done:
+        action = expert.act(env)
+        if not phases or phases[-1] != expert.phase:
+            phases.append(expert.phase)
+        disturb(env.sim.ink, expert.phase == "wipe")
+        done = env.advance(action)
+    return phases
+
+
+def test_a_clean_board_needs_no_second_look(env: WipeEnv) -> None:
+    env.sim.ink.ink[:] = 0
+    env.sim.ink.version += 1
+    assert look_back(env) is None
+
+
+@pytest.mark.parametrize("row", [0, 1, 2])
+def test_wiping_begins_again_at_the_first_row_with_ink(env: WipeEnv, row: int) -> None:
+    ink, sweep = env.sim.ink, Sweep(env.level)
+    x_m = sweep.corners[2 * row, 0] - env.level.layout.board_center_m[0] - env.scene.board_shift_m[0]
+    ink.ink[:] = 1.0 * ((ink.x_m > x_m - 0.004) & (np.abs(ink.y_m) < 0.05))
+    ink.version += 1
+    assert np.array_equal(sweep.point(look_back(env)), sweep.corners[2 * row])
+
+
+def test_the_expert_goes_back_once_and_leaves_a_clean_board(env: WipeEnv) -> None:
+    phases = run(env, Rewrite(0, EVERYWHERE).apply)
+    once = ["lift", "carry", "lower", "wipe"]
+    assert phases == ["descend", "close", *once, *once, "leave"]
+    assert env.result().success
+
+
+def test_nobody_goes_back_to_a_board_that_is_clean(env: WipeEnv) -> None:
+    assert run(env, lambda ink, wiping: None).count("wipe") == 1
+
+
+def test_ink_that_never_goes_is_given_up() -> None:
+    env = WipeEnv("easy", max_steps=round(40 * CONTROL_HZ))
+    env.start(SEED)
+    phases = run(env, lambda ink, wiping: ink.rewrite(np.zeros(2), np.array([0.2, 0.3]), 1.0))
+    assert phases.count("wipe") == 1 + LOOKS_BACK and phases[-1] == "done"
+    assert env.result().outcome == "residual"
+
+
+def test_ink_comes_back_where_it_was_and_not_darker() -> None:
+    ink = InkField(draw_scene(SEED, "paper"))
+    first = ink.ink.copy()
+    ink.rewrite(np.zeros(2), np.array([0.2, 0.3]), 0.5)
+    assert np.array_equal(ink.ink, first)  # nothing was gone
+    ink.ink[:] = 0
+    ink.rewrite(np.array([0.02, 0.0]), np.array([0.03, 0.3]), 0.5)
+    back = ink.ink > 0
+    assert back.any() and np.array_equal(ink.ink[back], 0.5 * first[back])
+    assert np.abs(ink.x_m[back] - 0.02).max() <= 0.015 and 0 < ink.residual < 1
+    center_m, extent_m = ink.written_box_m
+    x, y = ink.x_m[first > 0], ink.y_m[first > 0]
+    assert np.allclose([x.min(), y.min()], center_m - extent_m / 2)
+    assert np.allclose([x.max(), y.max()], center_m + extent_m / 2)
+
+
+def test_somebody_writes_once_while_wiping_and_the_same_each_time() -> None:
+    def boards(seed: int) -> list[bytes]:
+        ink = InkField(draw_scene(SEED, "paper"))
+        ink.ink[:] = 0
+        rewrite = Rewrite(seed, RewriteSettings(share=1.0))
+        seen = []
+        for step in range(round(8 * CONTROL_HZ)):
+            rewrite.apply(ink, wiping=step % 2 == 0)  # half of the time: 4 s of wiping
+            seen.append(ink.ink.tobytes())
+        return seen
+
+    early = [seed for seed in range(20) if len(set(boards(seed))) == 2]
+    assert 1 <= len(early) < 20  # some would write within 4 s, some later
+    assert boards(early[0]) == boards(early[0])
+
+
+def test_the_share_of_episodes_is_the_one_asked_for() -> None:
+    ink = InkField(draw_scene(SEED, "paper"))
+    written = 0
+    for seed in range(300):
+        ink.ink[:], rewrite = 0, Rewrite(seed)
+        for _ in range(round(7 * CONTROL_HZ)):
+            rewrite.apply(ink, wiping=True)
+        written += bool(ink.ink.any())
+    assert abs(written / 300 - RewriteSettings().share) < 0.1
