@@ -47,7 +47,8 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         "policy.device=cpu",
         f"policy.touch_input={recipe.touch_input}",
         f"policy.touch_slots={{{slots}}}",
-        "policy.n_action_steps=4",  # of 16: see docs/experiments/tiny_policy.md
+        "policy.hear_whole_pad=true",  # reads the other finger's grip better: docs/experiments/tiny_policy.md
+        "policy.n_action_steps=4",  # of 16: see there
         f"policy.state_noise={list(recipe.state_noise)}",
         f"policy.sensor_transfer={recipe.sensor_transfer}",
         f"policy.delta_knee={list(DELTA_KNEE)}",
