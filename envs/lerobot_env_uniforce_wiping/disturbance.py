@@ -20,8 +20,10 @@ from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 class NudgeSettings:
     """Spread of the offset per axis; an offset in z or width is a force through the arm's or gripper's stiffness."""
 
-    sd: tuple[float, float, float, float, float] = (0.0012, 0.0012, 0.0022, 0.010, 0.0004)  # m, m, m, rad, m
+    sd: tuple[float, float, float, float, float] = (0.0012, 0.0012, 0.0022, 0.010, 0.0009)  # m, m, m, rad, m
     # 2.2 mm · 800 N/m ≈ 1.8 N: presses of 10 N and more occur, and are corrected within half a second
+    # .9 mm · 1200 N/m ≈ 1.1 N, of which regulation leaves half: less of grip drowns in what a finger misreads of it,
+    # and a policy then squeezes by the width it knows; with 1.2 mm every second demo is no longer clean
     correlation_s: float = 0.6  # about the time the expert needs to correct a press
     lift_m: tuple[float, float] = (0.004, 0.022)  # a soft arm gives way by 19 mm at the usual press
     lifts_per_s: float = 0.08  # while wiping: two in three episodes, about

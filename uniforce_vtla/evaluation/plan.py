@@ -35,8 +35,9 @@ class Recipe:
     """How a checkpoint of the plan is trained: what it feels, with which fingers, on which rigs' demos.
 
     ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default. ``state_noise`` blurs
-    the measured height by 6 mm while training: boards lie at other heights and arms give way, so that who trusts the
-    height strokes in the air or presses too hard (docs/experiments/tiny_policy.md). V keeps it, having nothing else.
+    the measured height by 6 mm and the width by 1.4 mm while training: boards lie at other heights, erasers are wider or
+    narrower, arms and grippers give way, so that who trusts the pose strokes in the air, presses or squeezes too hard
+    (docs/experiments/tiny_policy.md). V keeps both, having nothing else.
     ``sensor_transfer`` is the share of samples whose latents are told as another finger would tell them.
     """
 
@@ -44,7 +45,7 @@ class Recipe:
     slots: tuple[tuple[str, Finger], ...] = (("touch0", "right"),)
     rigs: tuple[str, ...] = ("gelsight", "uskin")
     touch_dropout: float | None = None
-    state_noise: tuple[float, ...] = (0.0, 0.0, 0.2, 0.0, 0.0)  # of half the demos' range per axis
+    state_noise: tuple[float, ...] = (0.0, 0.0, 0.2, 0.0, 0.1)  # of half the demos' range per axis
     sensor_transfer: float = 0.0
 
 
