@@ -35,7 +35,7 @@ class Recipe:
     """How a checkpoint of the plan is trained: what it feels, with which fingers, on which rigs' demos.
 
     ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default. ``state_noise`` blurs
-    the measured height by 6 mm and the width by 1.4 mm while training: boards lie at other heights, erasers are wider or
+    the measured height by 6 mm and the width by 1.4 mm while training: boards lie higher or lower, erasers are wider or
     narrower, arms and grippers give way, so that who trusts the pose strokes in the air, presses or squeezes too hard
     (docs/experiments/tiny_policy.md). V keeps both, having nothing else.
     ``sensor_transfer`` is the share of samples whose latents are told as another finger would tell them.
