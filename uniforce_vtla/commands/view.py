@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import torch
 
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.errors import UniForceError
+
+if TYPE_CHECKING:
+    from uniforce_datasets.view_plan import EpisodeFacts
 
 
 @dataclass
@@ -26,6 +30,8 @@ class ViewConfig:
     latent_grid: int = 4  # latents pooled to 4×4; the policy's latent_grid must match
     slots: str = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
     tokenizer: str = ""  # folder of a tokenizer; empty = the shipped one
+    # take demos that wiped the board with an event (too much force, a slip): a nudged expert's way back from it
+    keep_events: bool = False
     keep_failures: bool = False  # take failed demos too
 
 
@@ -40,8 +46,14 @@ def make_view(config: ViewConfig) -> Path:
         config.latent_grid,
         dict(pair.split(":", 1) for pair in config.slots.split(",") if ":" in pair),
         config.tokenizer or None,
-        keep=lambda facts: facts.success or config.keep_failures,
+        keep=lambda facts: chosen(facts, config),
     )
+
+
+def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
+    """Return whether an episode is taken: clean successes always."""
+    wiped = facts.outcome == "success"
+    return facts.success or config.keep_failures or (config.keep_events and wiped)
 
 
 def main(argv: list[str] | None = None) -> int:
