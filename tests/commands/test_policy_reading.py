@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 from uniforce_vtla.commands import policy_reading as module
-from uniforce_vtla.commands.policy_reading import PolicyReadingConfig, main, read_forces, wiping_moments
+from uniforce_vtla.commands.policy_reading import PolicyReadingConfig, find_moments, main, read_forces
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.keys import truth_wrench_key
+from uniforce_vtla.evaluation.reading import SITUATIONS
+from uniforce_vtla.keys import ACTION, truth_wrench_key
 
 LENGTH, KINDS = 30, ["gelsight", "uskin"] * 10  # frames per episode, and the left finger's sensors
 MISREAD_N = {"gelsight": 0.5, "uskin": -0.3}  # press, by a policy that learnt with the right finger
 PRESS_mm_N, GRIP_mm_N = 0.4, 0.05
+EXPERT_mm_N = 0.3  # by which the made-up demos open within AFTER steps, per N of grip
+AFTER = 4
+WIPING = SITUATIONS["wiping"]
 
 
 class MadeUp:
@@ -36,29 +40,52 @@ class MadeUp:
 
 @pytest.fixture
 def view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The true wrenches of a view; each episode wipes in its second half."""
-    rng = np.random.default_rng(0)
+    """The true wrenches and commands of a view; each episode carries in its first half and wipes in its second."""
+    rng, number = np.random.default_rng(0), LENGTH * len(KINDS)
     for finger in FINGERS:
         wrench = rng.standard_normal((LENGTH * len(KINDS), 4)) * (1, 0.3, 1, 30) + (0, 0, 9, 0)
         wrench[np.arange(len(wrench)) % LENGTH >= LENGTH // 2, 1] -= 3.5
         np.save(tmp_path / f"{truth_wrench_key(finger)}.npy", wrench.astype(np.float32))
+        if (
+            finger == MadeUp.finger
+        ):  # every AFTER-th command opens by what was gripped when the last ones began
+            opened = EXPERT_mm_N / 1000 * wrench[:, 2]
+    command = np.zeros((number, 5))
+    for frame in range(AFTER, number):
+        command[frame, 4] = command[frame - AFTER, 4] + opened[frame - AFTER + 1]
+    np.save(tmp_path / f"{ACTION}.npy", command)
     episodes = [{"length": LENGTH, "left_sensor": kind, "right_sensor": "tactip"} for kind in KINDS]
     monkeypatch.setattr(module, "read_marker", lambda root: {"wrench": True, "episodes": episodes})
     return tmp_path
 
 
 def test_moments_are_wipes_evenly_from_all_episodes(view: Path) -> None:
-    moments = wiping_moments(view, "right", PolicyReadingConfig(moments=5))
+    moments = find_moments(view, "right", WIPING, PolicyReadingConfig(moments=5))
     assert len(set(moments.frames)) == 5 * len(KINDS)
     assert (moments.frames % LENGTH >= LENGTH // 2).all()
     assert list(moments.worn["left"]) == [KINDS[episode] for episode in moments.episode]
     with pytest.raises(DatasetError, match="moments"):
-        wiping_moments(view, "right", PolicyReadingConfig(moments=LENGTH))
+        find_moments(view, "right", WIPING, PolicyReadingConfig(moments=LENGTH))
+
+
+def test_no_move_is_taken_across_an_episodes_border(view: Path) -> None:
+    last = LENGTH - LENGTH // 2 - (AFTER - 1)  # wiping frames whose next commands are there
+    moments = find_moments(view, "right", WIPING, PolicyReadingConfig(moments=last, after=AFTER))
+    assert (moments.frames % LENGTH).max() == LENGTH - AFTER
+    with pytest.raises(DatasetError, match="moments"):
+        find_moments(view, "right", WIPING, PolicyReadingConfig(moments=last + 1, after=AFTER))
+
+
+def test_how_the_demos_answer_stands_beside(view: Path) -> None:
+    moments = find_moments(view, "right", SITUATIONS["carrying"], PolicyReadingConfig(moments=4, after=AFTER))
+    assert (moments.frames % LENGTH < LENGTH // 2).all()
+    assert moments.demonstrated.of("grip") == pytest.approx(EXPERT_mm_N, rel=1e-3)
 
 
 def test_a_misread_finger_comes_out_as_it_was_made(view: Path) -> None:
     truth = {finger: np.load(view / f"{truth_wrench_key(finger)}.npy") for finger in FINGERS}
-    answered, found = read_forces(MadeUp(truth), wiping_moments(view, "right", PolicyReadingConfig()), 0)  # type: ignore[arg-type]
+    moments = find_moments(view, "right", WIPING, PolicyReadingConfig())
+    answered, found = read_forces(MadeUp(truth), moments, WIPING.forces, 0)  # type: ignore[arg-type]
     assert answered.of("press") == pytest.approx(PRESS_mm_N) and answered.of("grip") == pytest.approx(
         GRIP_mm_N
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uniforce_vtla.errors import DatasetError, RolloutError
-from uniforce_vtla.evaluation.reading import Changes, misreading, response
+from uniforce_vtla.evaluation.reading import SITUATIONS, Changes, misreading, response
 
 SLOPES = np.array([[0.0, 0.01], [-0.4, 0.002], [0.03, 0.05], [0.001, 0.0]])  # mm per N, N, N, Nmm
 EPISODES, MOMENTS = 30, 12
@@ -54,5 +54,13 @@ def test_too_few_moments_and_a_policy_that_does_not_answer_are_refused() -> None
     few = changes(0)
     with pytest.raises(DatasetError, match="moments"):
         response(Changes(few.moves_mm[:9], few.wrench[:9], few.episode[:9]))
+    deaf = response(changes(0, SLOPES * (1, -1)))
     with pytest.raises(RolloutError, match="grip"):
-        misreading(changes(1), changes(2), response(changes(0, SLOPES * (1, -1))))
+        misreading(changes(1), changes(2), deaf)
+    assert list(misreading(changes(1), changes(2), deaf, ["press"])) == ["press"]
+
+
+def test_every_moment_is_of_one_situation_at_most() -> None:
+    wrench = np.random.default_rng(0).uniform((-2, -6, 0, -50), (2, 6, 13, 50), (2000, 4))
+    meant = np.array([situation.meant(wrench) for situation in SITUATIONS.values()])
+    assert (meant.sum(axis=0) <= 1).all() and (meant.sum(axis=1) > 50).all()

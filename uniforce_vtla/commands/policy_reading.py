@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,18 @@ from uniforce_vtla.array_file import read_array
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, DatasetError, UniForceError, expected
-from uniforce_vtla.evaluation.reading import FELT, Changes, Misreading, Response, misreading, response
-from uniforce_vtla.keys import AXES, CAMERAS, STATE, TASK, camera_key, latent_key, truth_wrench_key
+from uniforce_vtla.evaluation.reading import (
+    SITUATIONS,
+    Changes,
+    Misreading,
+    Response,
+    Situation,
+    misreading,
+    response,
+)
+from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TASK, camera_key, latent_key, truth_wrench_key
 from uniforce_vtla.results_file import provenance, write_json
 
-PRESSING_N = 2.0  # shear along the pad's height above this is a wipe
 HEIGHT_AND_WIDTH = [AXES.index("z.pos"), AXES.index("width.pos")]
 BATCH = 64  # moments at a time
 
@@ -33,8 +41,9 @@ Sample = dict[str, Any]
 
 @dataclass
 class PolicyReadingConfig:
-    """Give a policy the touch of its other finger at recorded moments of wiping and write how far it misreads forces.
+    """Give a policy the touch of its other finger at recorded moments and write how far it misreads forces.
 
+    Asked for while closing, carrying and wiping; how strongly it answers its own finger stands beside how the demos do.
     Needs simulated demos (the true wrench) and a policy with one slot that feels latents. Not a score: a policy that
     reads well may still wipe badly.
 
@@ -43,7 +52,7 @@ class PolicyReadingConfig:
 
     policy: str = "outputs/arms/seed0/vt"  # checkpoint folder
     view: str = "outputs/view_paper"  # training view of demos with both fingers
-    moments: int = 12  # per episode, while wiping
+    moments: int = 12  # per episode and situation
     after: int = 4  # [steps] of a chunk whose target is compared
     seed: int = 0  # of moments and of whose touch is exchanged
     out: str = "outputs/policy_reading.json"  # result file
@@ -92,51 +101,65 @@ class Reader:
 
 @dataclass(frozen=True)
 class Moments:
-    """Frames of a view in which the board is wiped, evenly from its episodes.
+    """Frames of a view in one situation, evenly from its episodes.
 
     Attributes:
         frames: (N,) indices in the view.
         episode: (N,) whose.
         wrench: finger → (N, 4) true wrench.
         worn: finger → (N,) kind of sensor.
+        demonstrated: how the demos' own commands answer ``learnt``'s force.
     """
 
     frames: np.ndarray
     episode: np.ndarray
     wrench: dict[Finger, np.ndarray]
     worn: dict[Finger, np.ndarray]
+    demonstrated: Response
 
 
-def wiping_moments(root: Path, learnt: Finger, config: PolicyReadingConfig) -> Moments:
-    """Return moments in which the finger ``learnt`` feels a wipe.
+def find_moments(root: Path, learnt: Finger, situation: Situation, config: PolicyReadingConfig) -> Moments:
+    """Return moments in which the finger ``learnt`` is in a situation.
 
     Raises:
-        DatasetError: a view without the true wrench, or without wiping.
+        DatasetError: a view without the true wrench, or without such moments.
     """
     marker = read_marker(root)
     if not marker["wrench"]:
         raise DatasetError(expected(str(root), "the true wrench", "none", "Only simulated demos know it."))
     truth = {finger: read_array(root / f"{truth_wrench_key(finger)}.npy") for finger in FINGERS}
     episodes = np.repeat(np.arange(len(marker["episodes"])), [e["length"] for e in marker["episodes"]])
-    wiping = np.abs(truth[learnt][:, FELT["press"][0]]) > PRESSING_N
+    meant = situation.meant(truth[learnt]) & _has_chunk(episodes, config.after)
     rng, picked = np.random.default_rng(config.seed), []
     for episode in np.unique(episodes):
-        found = np.flatnonzero(wiping & (episodes == episode))
+        found = np.flatnonzero(meant & (episodes == episode))
         if len(found) >= config.moments:
             picked.append(rng.choice(found, config.moments, replace=False))
     if not picked:
         came = f"no episode with {config.moments} such moments"
         raise DatasetError(
-            expected(str(root), f"wiping with over {PRESSING_N} N", came, "Name another view.")
+            expected(str(root), "episodes that close, carry and wipe", came, "Name another view.")
         )
     frames = np.concatenate(picked)
     kinds = {f: np.array([e[f"{f}_sensor"] for e in marker["episodes"]]) for f in FINGERS}
     worn = {f: kinds[f][episodes[frames]] for f in FINGERS}
-    return Moments(frames, episodes[frames], {f: truth[f][frames] for f in FINGERS}, worn)
+    felt = {f: truth[f][frames] for f in FINGERS}
+    command = 1000 * read_array(root / f"{ACTION}.npy")[:, HEIGHT_AND_WIDTH]
+    moves_mm = command[frames + config.after - 1] - command[frames - 1]
+    demonstrated = response(Changes(moves_mm, felt[learnt], episodes[frames]))
+    return Moments(frames, episodes[frames], felt, worn, demonstrated)
+
+
+def _has_chunk(episodes: np.ndarray, after: int) -> np.ndarray:
+    """Return (N,) bool: the command before a frame and the last of its next ``after`` are of its episode."""
+    frame = np.arange(len(episodes))
+    return (episodes[np.maximum(frame - 1, 0)] == episodes[np.minimum(frame + after - 1, len(frame) - 1)]) & (
+        (frame > 0) & (frame + after <= len(frame))
+    )
 
 
 def read_forces(
-    reader: Reader, moments: Moments, seed: int
+    reader: Reader, moments: Moments, forces: Sequence[str], seed: int
 ) -> tuple[Response, dict[str, dict[str, Misreading]]]:
     """Return how the policy answers its own finger, and sensor of the other finger → force → misreading."""
     learnt, other = reader.finger, next(finger for finger in FINGERS if finger != reader.finger)
@@ -153,38 +176,40 @@ def read_forces(
     for kind in np.unique(moments.worn[other]):
         chosen = np.flatnonzero(moments.worn[other] == kind)
         same, elsewhere = (changes(chosen, felt, other) for felt in (chosen, rng.permutation(chosen)))
-        found[str(kind)] = misreading(same, elsewhere, answered)
+        found[str(kind)] = misreading(same, elsewhere, answered, forces)
     return answered, found
 
 
-def _run(config: PolicyReadingConfig) -> str:
-    reader = Reader(config)
-    moments = wiping_moments(Path(config.view), reader.finger, config)
-    answered, found = read_forces(reader, moments, config.seed)
-    facts = {
-        "policy": config.policy,
-        "moments": len(moments.frames),
-        "mm_per_N": {force: answered.of(force) for force in FELT},
-        "misread": {
-            kind: {force: asdict(m) for force, m in forces.items()} for kind, forces in found.items()
-        },
-    }
-    written = write_json(Path(config.out), facts | provenance())
-    lines = [f"{'other finger':13s} force   mean N  between episodes N  single moments N  heard"]
-    for kind, forces in found.items():
+def read_policy(config: PolicyReadingConfig) -> tuple[dict[str, Any], list[str]]:
+    """Return the facts for the result file and the lines of the table."""
+    reader, facts = Reader(config), dict[str, Any]()
+    lines = ["situation force  other finger   mean N  between episodes N  single moments N  heard"]
+    answers = ["situation force  mm per N: policy  demos"]
+    for name, situation in SITUATIONS.items():
+        moments = find_moments(Path(config.view), reader.finger, situation, config)
+        answered, found = read_forces(reader, moments, situation.forces, config.seed)
+        per_N = {f: {"policy": answered.of(f), "demos": moments.demonstrated.of(f)} for f in situation.forces}
+        answers += [f"{name:9s} {f:6s} {v['policy']:16.3f} {v['demos']:6.3f}" for f, v in per_N.items()]
         lines += [
-            f"{kind:13s} {force:6s} {m.mean_N:+7.2f} {m.between_episodes_N:19.2f} {m.rms_N:17.2f} {m.heard:6.2f}"
+            f"{name:9s} {force:6s} {kind:12s} {m.mean_N:+8.2f} {m.between_episodes_N:19.2f} {m.rms_N:17.2f} "
+            f"{m.heard:6.2f}"
+            for kind, forces in found.items()
             for force, m in forces.items()
         ]
-    return "\n".join([*lines, f"written to {written}"])
+        misread = {kind: {force: asdict(m) for force, m in forces.items()} for kind, forces in found.items()}
+        facts[name] = {"moments": len(moments.frames), "mm_per_N": per_N, "misread": misread}
+    return facts, [*lines, *answers]
 
 
 def main(argv: list[str] | None = None) -> int:
     """Entry of ``uniforce-policy-reading``."""
     torch.set_num_threads(1)
     try:
-        print(_run(parse(PolicyReadingConfig, argv)))
+        config = parse(PolicyReadingConfig, argv)
+        facts, lines = read_policy(config)
+        written = write_json(Path(config.out), {"policy": config.policy, **facts} | provenance())
     except UniForceError as error:
         print(f"policy_reading: {error}")
         return 2
+    print("\n".join([*lines, f"written to {written}"]))
     return 0

@@ -6,6 +6,7 @@ The slope of that answer, found by handing it the touch of other moments, turns 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,28 @@ from uniforce_vtla.errors import DatasetError, RolloutError, expected
 # force → its place in a wrench and its sign there (pads feel −y)
 FELT = {"press": (1, -1.0), "grip": (2, 1.0)}
 LEAST_MOMENTS = 20  # fewer can't tell four slopes
+PRESSING_N = 2.0  # shear along the pad's height above this is a wipe
+IN_AIR_N = 1.0  # below this only the eraser's weight pulls
+CLOSING_N, HELD_N = 2.0, 8.0  # grip from the first touch to about the demos' own
+
+
+@dataclass(frozen=True)
+class Situation:
+    """When forces are asked for: what is regulated then, and which moments (by (N, 4) true wrench) are meant."""
+
+    forces: tuple[str, ...]
+    meant: Callable[[np.ndarray], np.ndarray]
+
+
+def _in_air(wrench: np.ndarray) -> np.ndarray:
+    return np.asarray(np.abs(wrench[:, 1]) < IN_AIR_N)
+
+
+SITUATIONS = {
+    "closing": Situation(("grip",), lambda w: _in_air(w) & (w[:, 2] > CLOSING_N) & (w[:, 2] < HELD_N)),
+    "carrying": Situation(("grip",), lambda w: _in_air(w) & (w[:, 2] >= HELD_N)),
+    "wiping": Situation(("press", "grip"), lambda w: np.abs(w[:, 1]) > PRESSING_N),
+}
 
 
 @dataclass(frozen=True)
@@ -75,25 +98,28 @@ def response(changes: Changes) -> Response:
     return Response(slopes[:-1], left.std(axis=0))
 
 
-def misreading(same: Changes, other: Changes, learnt: Response) -> dict[str, Misreading]:
-    """Return what a policy misreads with a finger, by force → press, grip.
+def misreading(
+    same: Changes, other: Changes, learnt: Response, forces: Sequence[str] = tuple(FELT)
+) -> dict[str, Misreading]:
+    """Return what a policy misreads with a finger, by force.
 
     Args:
         same: that finger's touch of the same moments instead of the learnt one's.
         other: that finger's touch of other moments.
         learnt: how the policy answers the finger it learnt with.
+        forces: which are asked for.
 
     Raises:
         RolloutError: it doesn't answer a force as one who regulates it.
     """
-    for force in FELT:
+    for force in forces:
         if not learnt.of(force) > 0:
             came, do = f"{learnt.of(force):.3f} mm per N", "Train it longer, or with touch."
             raise RolloutError(expected(f"answer to more {force}", "a command that gives way", came, do))
     answered, found = response(other), {}
     surplus_mm = same.moves_mm - same.wrench @ learnt.slopes  # fingers truly feel different forces
-    for column, force in enumerate(FELT):
-        error_N = surplus_mm[:, column] / learnt.of(force)
+    for force in forces:
+        error_N = surplus_mm[:, list(FELT).index(force)] / learnt.of(force)
         means = np.array([error_N[same.episode == one].mean() for one in np.unique(same.episode)])
         found[force] = Misreading(
             mean_N=float(error_N.mean()),
