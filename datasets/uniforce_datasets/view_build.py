@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from itertools import batched
+from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 from tqdm import tqdm
 
 from uniforce_datasets.latent_encoder import LatentEncoder, pooled_tokenizer
-from uniforce_datasets.source import Episode, Source, episode_frames
+from uniforce_datasets.source import Episode, episode_frames
 from uniforce_datasets.view_plan import (
     TOUCH_STREAMS,
     EpisodeFacts,
@@ -46,6 +50,7 @@ def build_view(
     tokenizer: Tokenizer | str | Path | None = None,
     encoder: LatentEncoder | None = None,
     keep: Callable[[EpisodeFacts], bool] = lambda facts: facts.success,
+    workers: int = 1,
 ) -> Path:
     """Build the view of one or more recorded datasets; go on where an interrupted build stopped.
 
@@ -58,6 +63,7 @@ def build_view(
         tokenizer: encoder of touch; None is the shipped one.
         encoder: anything else that encodes touch, instead of ``tokenizer``.
         keep: chooses episodes; clean successes by default.
+        workers: processes that decode and encode, an episode each at a time.
 
     Raises:
         DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
@@ -69,7 +75,7 @@ def build_view(
     if _same_view(out, plan):
         return out
     building = out.with_name(out.name + ".building")
-    _write_frames(plan, encoder, building)
+    _write_frames(plan, encoder, building, workers)
     for key, values in plan.columns.items():
         np.save(building / f"{key}.npy", values)
     write_json(building / VIEW_MARKER, plan.marker)
@@ -90,22 +96,42 @@ def _same_view(out: Path, plan: ViewPlan) -> bool:
     return False
 
 
-def _write_frames(plan: ViewPlan, encoder: LatentEncoder, building: Path) -> None:
+@dataclass(frozen=True)
+class _Job:
+    """One episode to decode and encode, in this process or another."""
+
+    episode: Episode
+    fps: int
+    side: int
+    encoder: LatentEncoder
+
+
+def _write_frames(plan: ViewPlan, encoder: LatentEncoder, building: Path, workers: int) -> None:
     done = _resume(plan, building)
     arrays: dict[str, np.ndarray] = {}
     starts = plan.starts
     bar = tqdm(total=plan.num_frames, initial=int(starts[done]), desc="view", unit="frame")
-    with bar:
-        for number in range(done, len(plan.episodes)):
-            source, episode = plan.episodes[number]
-            for name, block in _episode_blocks(source, episode, plan.settings.image_side, encoder):
+    side, left = plan.settings.image_side, plan.episodes[done:]
+    jobs = [_Job(episode, source.fps, side, encoder) for source, episode in left]
+    with bar, closing(_in_turn(jobs, workers)) as blocks:
+        for number, episode_blocks in enumerate(blocks, done):
+            for name, block in episode_blocks.items():
                 if name not in arrays:
                     arrays[name] = _open(building, name, plan.num_frames, block)
                 arrays[name][starts[number] : starts[number + 1]] = block
             _flush(arrays)
             write_json(building / PROGRESS, {"content": plan.marker["content"], "done": number + 1})
-            bar.update(episode.length)
+            bar.update(int(starts[number + 1] - starts[number]))
     (building / PROGRESS).unlink(missing_ok=True)
+
+
+def _in_turn(jobs: Sequence[_Job], workers: int) -> Generator[dict[str, np.ndarray]]:
+    """Yield the episodes' blocks in order, whoever made them."""
+    if workers <= 1:
+        yield from map(_episode_blocks, jobs)
+        return
+    with get_context("spawn").Pool(workers, torch.set_num_threads, (1,)) as pool:
+        yield from pool.imap(_episode_blocks, jobs)
 
 
 def _resume(plan: ViewPlan, building: Path) -> int:
@@ -133,16 +159,15 @@ def _flush(arrays: dict[str, np.ndarray]) -> None:
         array.flush()
 
 
-def _episode_blocks(
-    source: Source, episode: Episode, side: int, encoder: LatentEncoder
-) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield each stream's name and its (length, …) block."""
+def _episode_blocks(job: _Job) -> dict[str, np.ndarray]:
+    """Return each stream's name and its (length, …) block."""
+    blocks = {}
     for camera in CAMERAS:
-        span = episode.videos[camera_key(camera)]
-        frames = episode_frames(span, episode.length, source.fps)
-        yield camera, np.stack([resize(frame, side) for frame in frames])
+        frames = episode_frames(job.episode.videos[camera_key(camera)], job.episode.length, job.fps)
+        blocks[camera] = np.stack([resize(frame, job.side) for frame in frames])
     for finger in FINGERS:
-        yield from _touch(source, episode, finger, encoder).items()
+        blocks |= _touch(job, finger)
+    return blocks
 
 
 def resize(image: np.ndarray, side: int) -> np.ndarray:
@@ -152,11 +177,12 @@ def resize(image: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
 
 
-def _touch(source: Source, episode: Episode, finger: Finger, encoder: LatentEncoder) -> dict[str, np.ndarray]:
+def _touch(job: _Job, finger: Finger) -> dict[str, np.ndarray]:
     """Return a finger's latents (length, K·latent), and the two controls: descriptors and small image pairs."""
+    episode, encoder = job.episode, job.encoder
     spans = episode.videos[tactile_key(finger, reference=True)], episode.videos[tactile_key(finger)]
-    reference = next(episode_frames(spans[0], episode.length, source.fps))[..., 0]
-    current = episode_frames(spans[1], episode.length, source.fps)
+    reference = next(episode_frames(spans[0], episode.length, job.fps))[..., 0]
+    current = episode_frames(spans[1], episode.length, job.fps)
     parts: dict[str, list[np.ndarray]] = {name: [] for name in TOUCH_STREAMS}
     for frames in batched(current, BATCH):
         images = np.stack([check_marker_image(frame[..., 0], tactile_key(finger)) for frame in frames])

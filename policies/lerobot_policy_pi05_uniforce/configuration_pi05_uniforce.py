@@ -73,9 +73,8 @@ class PI05UniforceConfig(PI05Config):
     token_site: str = "prefix"
     # True: training starts at the base policy exactly, touch behind a gate that is learnt (touch_gate.py). tiny off
     start_at_base: bool = _BY_SIZE
-    hear_whole_pad: bool = (
-        False  # each force token also holds what is made of its slot's whole map (force_tokens.py)
-    )
+    # each force token also holds what is made of its slot's whole map (force_tokens.py); tiny on, base not tried
+    hear_whole_pad: bool = _BY_SIZE
     force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one

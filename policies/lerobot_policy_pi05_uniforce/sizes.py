@@ -20,6 +20,7 @@ TINY: dict[str, Any] = {
     "tokenizer_max_length": 64,
     "state_token": True,
     "start_at_base": False,  # from scratch there is no base
+    "hear_whole_pad": True,  # another finger's grip is read a fourth better: docs/experiments/tiny_policy.md
     "action_form": "target_delta",
     "action_objective": "regression",
     "sampling_noise": 0.0,
@@ -40,6 +41,7 @@ BASE: dict[str, Any] = {  # LeRobot's own π0.5 values; published weights fit th
     "tokenizer_max_length": 200,
     "state_token": False,
     "start_at_base": True,
+    "hear_whole_pad": False,  # not tried at this size
     "action_form": "absolute",
     "action_objective": "flow",
     "sampling_noise": 1.0,

@@ -213,3 +213,13 @@ def test_view_feeds_the_trainer_fast_enough(demos: Path) -> None:
     rates = bench_loader(demos, seconds=1.0)
     assert rates["view_samples_per_s"] >= 200, rates
     assert rates["view_samples_per_s"] > 3 * rates["stock_samples_per_s"], rates
+
+
+def test_several_processes_build_the_same_view(demos: Path, tmp_path: Path) -> None:
+    one, two = (
+        build_view([demos, demos], tmp_path / str(workers), encoder=BlockMeans(), workers=workers)
+        for workers in (1, 2)
+    )
+    files = sorted(path.name for path in one.iterdir())
+    assert files == sorted(path.name for path in two.iterdir())
+    assert all((one / name).read_bytes() == (two / name).read_bytes() for name in files)

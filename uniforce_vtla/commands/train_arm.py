@@ -47,8 +47,7 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         "policy.device=cpu",
         f"policy.touch_input={recipe.touch_input}",
         f"policy.touch_slots={{{slots}}}",
-        "policy.hear_whole_pad=true",  # reads the other finger's grip better: docs/experiments/tiny_policy.md
-        "policy.n_action_steps=4",  # of 16: see there
+        "policy.n_action_steps=4",  # of 16: see docs/experiments/tiny_policy.md
         f"policy.state_noise={list(recipe.state_noise)}",
         f"policy.sensor_transfer={recipe.sensor_transfer}",
         f"policy.delta_knee={list(DELTA_KNEE)}",

@@ -33,6 +33,7 @@ class ViewConfig:
     # take demos that wiped the board with an event (too much force, a slip): a nudged expert's way back from it
     keep_events: bool = False
     keep_failures: bool = False  # take failed demos too
+    workers: int = 2  # processes; each needs about 1 GB
 
 
 def make_view(config: ViewConfig) -> Path:
@@ -47,6 +48,7 @@ def make_view(config: ViewConfig) -> Path:
         dict(pair.split(":", 1) for pair in config.slots.split(",") if ":" in pair),
         config.tokenizer or None,
         keep=lambda facts: chosen(facts, config),
+        workers=config.workers,
     )
 
 
