@@ -16,8 +16,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -141,13 +139,3 @@ class FairClock:
     def pytest_unconfigure(self) -> None:
         if self.witnesses:
             self.witnesses.close()
-
-
-@contextmanager
-def witnesses() -> Iterator[Witnesses]:
-    """Yield running witnesses, and stop them."""
-    running = Witnesses()
-    try:
-        yield running
-    finally:
-        running.close()

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import signal
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-from fair_clock import TRIES, stolen_s, witnesses
+from fair_clock import TRIES, Witnesses, stolen_s
 
 pytest_plugins = ["pytester"]
 
@@ -49,7 +50,7 @@ def run(pytester: pytest.Pytester, lost: list[float], passes_at: int, mark: str 
 
 
 def test_a_witness_sees_a_core_taken_away():
-    with witnesses() as seen:
+    with closing(Witnesses()) as seen:
         time.sleep(0.5)
         before_s = seen.lost_s()
         victim = seen.processes[-1].pid
