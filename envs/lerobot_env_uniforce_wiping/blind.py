@@ -14,6 +14,7 @@ from uniforce_vtla.errors import ContractError, expected
 if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
+BEST = "open_loop", BlindSettings(press_N=8.0, grip_N=14.0)  # of the sweep in docs/results/blind_scripts.json
 STYLES = {"open_loop": OpenLoopHands, "measured_relative": MeasuredRelativeHands}
 
 

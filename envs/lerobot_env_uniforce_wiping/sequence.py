@@ -60,7 +60,7 @@ class WipeSequence:
         level: for the layout.
         hands: choose grip and press.
         target: (5,) the tool's own pose, to start from.
-        look: tells from where along the sweep the board has to be wiped again, None where it is clean.
+        look: tells the x at which the ink that is left begins, m, None where the board is clean.
         pace: speeds.
     """
 
@@ -145,10 +145,10 @@ class WipeSequence:
 
     def _again(self) -> bool:
         """Look at the board; where ink is left go back to the phase that lifts and carries the eraser there."""
-        dirty_m = self._look() if self._looks_left else None
-        if dirty_m is None:
+        dirty_x_m = self._look() if self._looks_left else None
+        if dirty_x_m is None:
             return False
-        self.phase, self._along_m, self._speed_m_s = "lift", dirty_m, 0.0
+        self.phase, self._along_m, self._speed_m_s = "lift", self.sweep.row_at(dirty_x_m), 0.0
         self._looks_left -= 1
         return True
 

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from lerobot_env_uniforce_wiping.blind import BEST
+from uniforce_vtla.commands import score_worker
 from uniforce_vtla.commands.benchmark import BenchmarkConfig, configs, main
 from uniforce_vtla.commands.score import score_arms
 from uniforce_vtla.commands.score_config import ScoreConfig
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.evaluation.plan import ARMS
+from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS
 
 
 def test_arms_without_a_checkpoint_are_named_and_left_out(
@@ -20,7 +22,7 @@ def test_arms_without_a_checkpoint_are_named_and_left_out(
     (tmp_path / "vt").mkdir()
     (tmp_path / "vt" / "config.json").write_text("{}")
     found = configs(BenchmarkConfig(checkpoints=str(tmp_path)), rollouts=3)
-    assert {c.arm for c in found} == {a.name for a in ARMS if a.checkpoint in ("vt", "expert")}
+    assert {c.arm for c in found} == {a.name for a in ARMS if a.checkpoint in ("vt", *SCRIPTS)}
     assert {c.swap for c in found if c.arm in ("V+G", "V+U")} == {"touch0:left"}
     assert "left out: V+T+G" in capsys.readouterr().out
     with pytest.raises(DatasetError, match="Train the arms"):
@@ -62,3 +64,10 @@ def test_the_expert_is_scored_and_replayed(tmp_path: Path, capsys: pytest.Captur
 def test_nothing_to_replay_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([f"results={tmp_path}", "replay=2"]) == 2
     assert "Run the benchmark first" in capsys.readouterr().out
+
+
+def test_every_script_of_the_plan_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:
+    assert set(score_worker.SCRIPTS) == set(SCRIPTS)
+    style, settings = BEST
+    swept = json.loads(Path("docs/results/blind_scripts.json").read_text())
+    assert f"{style}_press{settings.press_N:g}_grip{settings.grip_N:g}" == swept["best_blind"]

@@ -11,7 +11,7 @@ from uniforce_vtla.commands import train_arm as module
 from uniforce_vtla.commands.benchmark import BenchmarkConfig
 from uniforce_vtla.commands.train_arm import TrainArmConfig, arguments, main, train_arm
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.evaluation.plan import ARMS, RECIPES
+from uniforce_vtla.evaluation.plan import ARMS, RECIPES, SCRIPTS
 from uniforce_vtla.keys import VIEW_MARKER
 
 
@@ -25,7 +25,7 @@ def view(tmp_path: Path) -> Path:
 
 
 def test_every_arm_has_a_recipe_and_every_recipe_an_arm() -> None:
-    assert {arm.checkpoint for arm in ARMS} - {"expert"} == set(RECIPES)
+    assert {arm.checkpoint for arm in ARMS} - set(SCRIPTS) == set(RECIPES)
 
 
 def test_the_benchmark_looks_where_arms_are_put() -> None:

@@ -54,7 +54,7 @@ def test_wiping_begins_again_at_the_first_row_with_ink(env: WipeEnv, row: int) -
     x_m = sweep.corners[2 * row, 0] - env.level.layout.board_center_m[0] - env.scene.board_shift_m[0]
     ink.ink[:] = 1.0 * ((ink.x_m > x_m - 0.004) & (np.abs(ink.y_m) < 0.05))
     ink.version += 1
-    assert np.array_equal(sweep.point(look_back(env)), sweep.corners[2 * row])
+    assert np.array_equal(sweep.point(sweep.row_at(look_back(env))), sweep.corners[2 * row])
 
 
 def test_the_expert_goes_back_once_and_leaves_a_clean_board(env: WipeEnv) -> None:

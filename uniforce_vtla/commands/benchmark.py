@@ -18,7 +18,7 @@ from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, table
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms, draw_z_profiles
-from uniforce_vtla.evaluation.plan import ARMS, Arm
+from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS, Arm
 from uniforce_vtla.results_file import provenance, write_json
 
 
@@ -63,8 +63,8 @@ def configs(command: BenchmarkConfig, rollouts: int) -> list[ScoreConfig]:
 
 def _policy(command: BenchmarkConfig, arm: Arm) -> str:
     """Return what the scorer calls the arm's policy; empty where there is none."""
-    if arm.checkpoint == "expert":
-        return "expert"
+    if arm.checkpoint in SCRIPTS:
+        return arm.checkpoint
     folder = Path(command.checkpoints) / arm.checkpoint
     return str(folder) if (folder / "config.json").exists() else ""
 
@@ -97,7 +97,7 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
         "level_hash": level_hash(LEVELS[command.level]),
         "arms": {r.arm: r.as_dict() for r in reports},
         "tests": better(by_name),
-        "swaps": as_good(by_name),
+        "as_good": as_good(by_name),
         "seconds": seconds,
     }
     write_json(path, kept | content | provenance())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import cv2
 import torch
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.blind import BEST, BlindScript
+from lerobot_env_uniforce_wiping.episodes import Script
 from lerobot_policy_pi05_uniforce.controller import PolicyController, ScriptController, shipped_checkpoint
 from uniforce_vtla.commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_vtla.commands.score_controls import controlled
@@ -18,6 +21,8 @@ from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet, write_video
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.results_file import write_json
+
+SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert, "blind": lambda: BlindScript(*BEST)}
 
 
 @dataclass(frozen=True)
@@ -69,12 +74,13 @@ def _build(setup: _Setup, out: Path) -> tuple[WipeEnv, Controller]:
 
 
 def _make(setup: _Setup) -> tuple[WipeEnv, Controller]:
-    if setup.policy == "expert":
+    if setup.policy in SCRIPTS:
         if setup.control:
             do = "Controls are for policies."
-            raise ContractError(expected("control of the expert", "none", setup.control, do))
+            raise ContractError(expected(f"control of the {setup.policy}", "none", setup.control, do))
         mounted = mounted_sensors(setup.left, setup.right)
-        return WipeEnv(setup.level, mounted["left"], mounted["right"]), ScriptController(WipeExpert())
+        env = WipeEnv(setup.level, mounted["left"], mounted["right"])
+        return env, ScriptController(SCRIPTS[setup.policy]())
     env, controller = policy_on_rig(setup.policy, setup.level, setup.left, setup.right, setup.swap)
     return env, controlled(controller, setup.control, env)
 

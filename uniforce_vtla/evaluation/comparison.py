@@ -1,4 +1,4 @@
-"""The plan's questions, answered from paired rows: which arm is better, which swap costs nothing."""
+"""The plan's questions, answered from paired rows: which arm is better, which is at most a margin worse."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from uniforce_vtla.evaluation.arms import ArmReport
-from uniforce_vtla.evaluation.plan import AS_GOOD, BETTER, SWAP_MARGIN
+from uniforce_vtla.evaluation.plan import AS_GOOD, BETTER, AtMostWorse
 from uniforce_vtla.evaluation.statistics import anytime, holm, mcnemar, non_inferior
 
 Pairs = Sequence[tuple[str, str]]
@@ -50,11 +50,12 @@ def _watched(one: Clean, two: Clean) -> dict[str, Any]:
 
 
 def as_good(
-    reports: Mapping[str, ArmReport], pairs: Pairs = AS_GOOD, margin: float = SWAP_MARGIN
+    reports: Mapping[str, ArmReport], claims: Sequence[AtMostWorse] = AS_GOOD
 ) -> list[dict[str, Any]]:
-    """Return, per swap scored on shared seeds, whether it is non-inferior within ``margin``."""
+    """Return, per claim about arms scored on shared seeds, whether non-inferiority within its margin is shown."""
     tests = []
-    for who, one, two in _scored(reports, pairs):
-        found = non_inferior(one, two, margin)
-        tests.append(who | asdict(found) | {"shown": found.shown})
+    for claim in claims:
+        for who, one, two in _scored(reports, [(claim.first, claim.second)]):
+            found = non_inferior(one, two, claim.margin)
+            tests.append({"about": claim.about} | who | asdict(found) | {"shown": found.shown})
     return tests

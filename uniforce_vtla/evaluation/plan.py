@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 from uniforce_vtla.contracts import Finger
 
-SWAP_MARGIN = 0.10  # clean success a swapped sensor may cost and still count as "as good"
+SCRIPTS = ("expert", "blind")  # the scene's own: feels both pads' true wrench; the best that feels nothing
 
 
 @dataclass(frozen=True)
 class Arm:
     """One line of the table: which checkpoint, on which rig, and what was changed at rollout time.
 
-    ``checkpoint`` is the name of a folder of checkpoints, or "expert".
+    ``checkpoint`` is the name of a folder of checkpoints, or one of ``SCRIPTS``.
     """
 
     name: str
@@ -65,6 +65,7 @@ RECIPES = {
 
 ARMS = (
     Arm("expert", "expert", "gelsight"),
+    Arm("best blind script", "blind", "gelsight"),
     Arm("V", "v", "gelsight"),
     Arm("V+T", "vt", "gelsight"),
     Arm("V+G", "vt", "gelsight", swap="touch0:left"),
@@ -83,15 +84,33 @@ ARMS = (
 # first succeeds more often than second; one family for Holm's correction
 BETTER = (
     ("V+T", "V"),
+    ("V+T", "best blind script"),
     ("V+G", "V"),
     ("V+U", "V"),
     ("V+T+G", "V"),
     ("V+T+U", "V"),
     ("raw images", "raw images swapped"),
 )
-# first is at most SWAP_MARGIN worse than second: a sensor swapped, nothing trained
+
+
+@dataclass(frozen=True)
+class AtMostWorse:
+    """The claim that ``first`` succeeds cleanly at most ``margin`` (a share) less often than ``second``."""
+
+    about: str
+    first: str
+    second: str
+    margin: float
+
+
 AS_GOOD = (
-    ("V+G", "V+T"),
-    ("V+U", "V+T"),
-    ("V+T+G on the uSkin rig", "V+T+G"),
+    AtMostWorse("sensor swapped, nothing trained", "V+G", "V+T", 0.10),
+    AtMostWorse("sensor swapped, nothing trained", "V+U", "V+T", 0.10),
+    AtMostWorse("sensor swapped, nothing trained", "V+T+G on the uSkin rig", "V+T+G", 0.10),
+    AtMostWorse("next to the expert", "V+T+G", "expert", 0.07),
+    AtMostWorse("next to the expert", "V+T+U", "expert", 0.07),
+    AtMostWorse("tokens next to the true wrench", "V+T+G", "true wrench", 0.08),
+    AtMostWorse("tokens next to the true wrench", "V+T+U", "true wrench", 0.08),
+    AtMostWorse("no better than none", "V", "V+T masked", 0.05),
+    AtMostWorse("no better than none", "V", "V+T shuffled", 0.05),
 )
