@@ -15,6 +15,8 @@ from uniforce_vtla.commands.score_config import ScoreConfig
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS
 
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
+
 
 def test_arms_without_a_checkpoint_are_named_and_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -69,5 +71,5 @@ def test_nothing_to_replay_says_so(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_every_script_of_the_plan_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:
     assert set(score_worker.SCRIPTS) == set(SCRIPTS)
     style, settings = BEST
-    swept = json.loads(Path("docs/results/blind_scripts.json").read_text())
+    swept = json.loads(RESULTS.joinpath("blind_scripts.json").read_text())
     assert f"{style}_press{settings.press_N:g}_grip{settings.grip_N:g}" == swept["best_blind"]

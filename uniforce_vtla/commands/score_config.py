@@ -14,7 +14,9 @@ class ScoreConfig:
     Example: uniforce-score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    policy: str = "shipped"  # checkpoint folder; shipped = the tiny V+T policy in the package; expert | blind = a script
+    policy: str = (
+        "shipped"  # checkpoint folder; shipped = the tiny V+T policy in the package; or expert | blind
+    )
     arm: str = "V+T"  # name of this arm in the table
     level: str = "paper"  # easy | paper (what the shipped policy learnt at) | hard | easy_v1
     left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
