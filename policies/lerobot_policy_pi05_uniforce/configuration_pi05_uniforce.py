@@ -81,7 +81,7 @@ class PI05UniforceConfig(PI05Config):
     )
     # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.2, base 0
     touch_noise: float = _BY_SIZE
-    # training only: share of samples whose latents are told as another sensor would (other_sensors.py); needs slots
+    # training only: share of samples whose latents are told as another sensor would (transferred_touch.py); needs slots
     # whose demos are of one kind each
     sensor_transfer: float = 0.0
     # training only, with a state token: Gaussian noise on the normalised state, per axis; [] = none

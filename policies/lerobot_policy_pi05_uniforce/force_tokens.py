@@ -55,8 +55,8 @@ class ForceTokens(nn.Module):
     ) -> None:
         super().__init__()
         self.noise = noise
-        self.others: nn.Module | None = None  # training only, with sensor_transfer: OtherSensors
-        self.needs_others = False
+        self.transferred: nn.Module | None = None  # training only, with sensor_transfer: TransferredTouch
+        self.needs_transfer = False
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
         self.proj = _two_layers(input_shape[1], width)
@@ -68,7 +68,7 @@ class ForceTokens(nn.Module):
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
-        if self.training and self.needs_others:
+        if self.training and self.needs_transfer:
             touch = self._told(touch, slot)
         felt = (touch - self.input_mean) / self.input_scale
         if self.training and self.noise:
@@ -80,10 +80,10 @@ class ForceTokens(nn.Module):
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
 
     def _told(self, touch: Tensor, slot: int) -> Tensor:
-        if self.others is None:
+        if self.transferred is None:
             do = "Give the policy its dataset_meta, or set policy.sensor_transfer=0."
             raise ContractError(expected("sensor_transfer", "maps, found by a view's sensors", "no view", do))
-        told: Tensor = self.others(touch, slot)
+        told: Tensor = self.transferred(touch, slot)
         return told
 
 

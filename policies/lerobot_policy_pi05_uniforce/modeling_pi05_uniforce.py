@@ -23,7 +23,6 @@ from lerobot_policy_pi05_uniforce.dataset_facts import read_provenance, read_tou
 from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
-from lerobot_policy_pi05_uniforce.other_sensors import other_sensors
 from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
 from lerobot_policy_pi05_uniforce.stored_settings import (
     PROCESSORS,
@@ -34,6 +33,7 @@ from lerobot_policy_pi05_uniforce.stored_settings import (
 from lerobot_policy_pi05_uniforce.tactile_encoder import check_hash
 from lerobot_policy_pi05_uniforce.touch_input import TouchInput
 from lerobot_policy_pi05_uniforce.trainable import NEW_MODULES, lora_targets, parameter_groups
+from lerobot_policy_pi05_uniforce.transferred_touch import transferred_touch
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.keys import STATE
 
@@ -84,7 +84,7 @@ class PI05UniforcePolicy(ActionLoss):
         read_view(meta, self.config)
         if meta is not None:
             read_provenance(meta, self.config)
-            self._know_other_sensors()
+            self._prepare_transfer()
         if not stats:
             return
         stats.update(floor_quantiles(stats) or {})
@@ -94,10 +94,10 @@ class PI05UniforcePolicy(ActionLoss):
             self.model.force_tokens.input_mean.copy_(mean)
             self.model.force_tokens.input_scale.copy_(scale)
 
-    def _know_other_sensors(self) -> None:
+    def _prepare_transfer(self) -> None:
         tokens = self.model.force_tokens
         if self.config.sensor_transfer and isinstance(tokens, ForceTokens):
-            tokens.others = other_sensors(self.config)
+            tokens.transferred = transferred_touch(self.config)
 
     @classmethod
     def from_pretrained(

@@ -86,7 +86,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         tokens = ForceTokens(
             shape, config.tokens_per_slot, slots, self.touch_width, scale, noise, config.hear_whole_pad
         )
-        tokens.needs_others = config.sensor_transfer > 0
+        tokens.needs_transfer = config.sensor_transfer > 0
         if config.touch_input == "wrench":
             tokens.input_scale.copy_(wrench_scale())
         return tokens

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from uniforce_vtla.commands import policy_reading as module
-from uniforce_vtla.commands.policy_reading import PolicyReadingConfig, find_moments, main, read_forces
+from uniforce_vtla.commands.policy_reading import Demos, PolicyReadingConfig, find_moments, main, read_forces
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.reading import SITUATIONS
@@ -19,7 +19,6 @@ MISREAD_N = {"gelsight": 0.5, "uskin": -0.3}  # press, by a policy that learnt w
 PRESS_mm_N, GRIP_mm_N = 0.4, 0.05
 EXPERT_mm_N = 0.3  # by which the made-up demos open within AFTER steps, per N of grip
 AFTER = 4
-WIPING = SITUATIONS["wiping"]
 
 
 class MadeUp:
@@ -60,32 +59,34 @@ def view(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_moments_are_wipes_evenly_from_all_episodes(view: Path) -> None:
-    moments = find_moments(view, "right", WIPING, PolicyReadingConfig(moments=5))
+    moments = find_moments(Demos.read(view), "right", "wiping", PolicyReadingConfig(moments=5))
     assert len(set(moments.frames)) == 5 * len(KINDS)
     assert (moments.frames % LENGTH >= LENGTH // 2).all()
     assert list(moments.worn["left"]) == [KINDS[episode] for episode in moments.episode]
-    with pytest.raises(DatasetError, match="moments"):
-        find_moments(view, "right", WIPING, PolicyReadingConfig(moments=LENGTH))
+    with pytest.raises(DatasetError, match="moments of wiping"):
+        find_moments(Demos.read(view), "right", "wiping", PolicyReadingConfig(moments=LENGTH))
 
 
 def test_no_move_is_taken_across_an_episodes_border(view: Path) -> None:
     last = LENGTH - LENGTH // 2 - (AFTER - 1)  # wiping frames whose next commands are there
-    moments = find_moments(view, "right", WIPING, PolicyReadingConfig(moments=last, after=AFTER))
+    moments = find_moments(
+        Demos.read(view), "right", "wiping", PolicyReadingConfig(moments=last, after=AFTER)
+    )
     assert (moments.frames % LENGTH).max() == LENGTH - AFTER
-    with pytest.raises(DatasetError, match="moments"):
-        find_moments(view, "right", WIPING, PolicyReadingConfig(moments=last + 1, after=AFTER))
+    with pytest.raises(DatasetError, match="moments of wiping"):
+        find_moments(Demos.read(view), "right", "wiping", PolicyReadingConfig(moments=last + 1, after=AFTER))
 
 
 def test_how_the_demos_answer_stands_beside(view: Path) -> None:
-    moments = find_moments(view, "right", SITUATIONS["carrying"], PolicyReadingConfig(moments=4, after=AFTER))
+    moments = find_moments(Demos.read(view), "right", "carrying", PolicyReadingConfig(moments=4, after=AFTER))
     assert (moments.frames % LENGTH < LENGTH // 2).all()
     assert moments.demonstrated.of("grip") == pytest.approx(EXPERT_mm_N, rel=1e-3)
 
 
 def test_a_misread_finger_comes_out_as_it_was_made(view: Path) -> None:
     truth = {finger: np.load(view / f"{truth_wrench_key(finger)}.npy") for finger in FINGERS}
-    moments = find_moments(view, "right", WIPING, PolicyReadingConfig())
-    answered, found = read_forces(MadeUp(truth), moments, WIPING.forces, 0)  # type: ignore[arg-type]
+    moments = find_moments(Demos.read(view), "right", "wiping", PolicyReadingConfig())
+    answered, found = read_forces(MadeUp(truth), moments, SITUATIONS["wiping"].forces, 0)  # type: ignore[arg-type]
     assert answered.of("press") == pytest.approx(PRESS_mm_N) and answered.of("grip") == pytest.approx(
         GRIP_mm_N
     )

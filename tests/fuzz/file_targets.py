@@ -34,8 +34,8 @@ from uniforce_vtla.probes.touch_gauge import TouchGauge
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.sensor_transfer import FOLDER, SensorTransfer
 from uniforce_vtla.tokenizer.training_state import load_state, save_state
-from uniforce_vtla.tokenizer.transfer import FOLDER, SensorTransfer
 
 TYPED = (UniForceError,)
 SMALL = TokenizerConfig(side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)

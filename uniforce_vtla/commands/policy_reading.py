@@ -26,7 +26,6 @@ from uniforce_vtla.evaluation.reading import (
     Changes,
     Misreading,
     Response,
-    Situation,
     misreading,
     response,
 )
@@ -100,6 +99,46 @@ class Reader:
 
 
 @dataclass(frozen=True)
+class Demos:
+    """What is asked of a view, frame by frame.
+
+    Attributes:
+        root: the view.
+        episode: (F,) number of each frame's episode.
+        wrench: finger → (F, 4) true wrench.
+        worn: finger → (F,) kind of sensor.
+        command_mm: (F, 2) commanded height and width.
+    """
+
+    root: Path
+    episode: np.ndarray
+    wrench: dict[Finger, np.ndarray]
+    worn: dict[Finger, np.ndarray]
+    command_mm: np.ndarray
+
+    @classmethod
+    def read(cls, root: Path) -> Demos:
+        """Read a view.
+
+        Raises:
+            DatasetError: no view, or one without the true wrench.
+        """
+        marker = read_marker(root)
+        if not marker["wrench"]:
+            do = "Only simulated demos know it."
+            raise DatasetError(expected(str(root), "the true wrench", "none", do))
+        facts = marker["episodes"]
+        episode = np.repeat(np.arange(len(facts)), [e["length"] for e in facts])
+        return cls(
+            root,
+            episode,
+            {f: read_array(root / f"{truth_wrench_key(f)}.npy") for f in FINGERS},
+            {f: np.array([e[f"{f}_sensor"] for e in facts])[episode] for f in FINGERS},
+            1000 * read_array(root / f"{ACTION}.npy")[:, HEIGHT_AND_WIDTH],
+        )
+
+
+@dataclass(frozen=True)
 class Moments:
     """Frames of a view in one situation, evenly from its episodes.
 
@@ -118,36 +157,27 @@ class Moments:
     demonstrated: Response
 
 
-def find_moments(root: Path, learnt: Finger, situation: Situation, config: PolicyReadingConfig) -> Moments:
-    """Return moments in which the finger ``learnt`` is in a situation.
+def find_moments(demos: Demos, learnt: Finger, name: str, config: PolicyReadingConfig) -> Moments:
+    """Return moments in which the finger ``learnt`` is in the situation of that name.
 
     Raises:
-        DatasetError: a view without the true wrench, or without such moments.
+        DatasetError: demos without such moments.
     """
-    marker = read_marker(root)
-    if not marker["wrench"]:
-        raise DatasetError(expected(str(root), "the true wrench", "none", "Only simulated demos know it."))
-    truth = {finger: read_array(root / f"{truth_wrench_key(finger)}.npy") for finger in FINGERS}
-    episodes = np.repeat(np.arange(len(marker["episodes"])), [e["length"] for e in marker["episodes"]])
-    meant = situation.meant(truth[learnt]) & _has_chunk(episodes, config.after)
+    meant = SITUATIONS[name].meant(demos.wrench[learnt]) & _has_chunk(demos.episode, config.after)
     rng, picked = np.random.default_rng(config.seed), []
-    for episode in np.unique(episodes):
-        found = np.flatnonzero(meant & (episodes == episode))
+    for episode in np.unique(demos.episode):
+        found = np.flatnonzero(meant & (demos.episode == episode))
         if len(found) >= config.moments:
             picked.append(rng.choice(found, config.moments, replace=False))
     if not picked:
-        came = f"no episode with {config.moments} such moments"
-        raise DatasetError(
-            expected(str(root), "episodes that close, carry and wipe", came, "Name another view.")
-        )
+        wanted = f"episodes with {config.moments} moments of {name}"
+        raise DatasetError(expected(str(demos.root), wanted, "none", "Name another view, or ask for fewer."))
     frames = np.concatenate(picked)
-    kinds = {f: np.array([e[f"{f}_sensor"] for e in marker["episodes"]]) for f in FINGERS}
-    worn = {f: kinds[f][episodes[frames]] for f in FINGERS}
-    felt = {f: truth[f][frames] for f in FINGERS}
-    command = 1000 * read_array(root / f"{ACTION}.npy")[:, HEIGHT_AND_WIDTH]
-    moves_mm = command[frames + config.after - 1] - command[frames - 1]
-    demonstrated = response(Changes(moves_mm, felt[learnt], episodes[frames]))
-    return Moments(frames, episodes[frames], felt, worn, demonstrated)
+    episode = demos.episode[frames]
+    worn = {f: demos.worn[f][frames] for f in FINGERS}
+    felt = {f: demos.wrench[f][frames] for f in FINGERS}
+    moves_mm = demos.command_mm[frames + config.after - 1] - demos.command_mm[frames - 1]
+    return Moments(frames, episode, felt, worn, response(Changes(moves_mm, felt[learnt], episode)))
 
 
 def _has_chunk(episodes: np.ndarray, after: int) -> np.ndarray:
@@ -182,11 +212,11 @@ def read_forces(
 
 def read_policy(config: PolicyReadingConfig) -> tuple[dict[str, Any], list[str]]:
     """Return the facts for the result file and the lines of the table."""
-    reader, facts = Reader(config), dict[str, Any]()
+    reader, demos, facts = Reader(config), Demos.read(Path(config.view)), dict[str, Any]()
     lines = ["situation force  other finger   mean N  between episodes N  single moments N  heard"]
     answers = ["situation force  mm per N: policy  demos"]
     for name, situation in SITUATIONS.items():
-        moments = find_moments(Path(config.view), reader.finger, situation, config)
+        moments = find_moments(demos, reader.finger, name, config)
         answered, found = read_forces(reader, moments, situation.forces, config.seed)
         per_N = {f: {"policy": answered.of(f), "demos": moments.demonstrated.of(f)} for f in situation.forces}
         answers += [f"{name:9s} {f:6s} {v['policy']:16.3f} {v['demos']:6.3f}" for f, v in per_N.items()]

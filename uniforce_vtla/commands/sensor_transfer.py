@@ -18,7 +18,7 @@ from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.pooling import pool_latent
-from uniforce_vtla.tokenizer.transfer import FOLDER, GraspLatents, TransferConfig, fit_transfer
+from uniforce_vtla.tokenizer.sensor_transfer import FOLDER, GraspLatents, SensorTransferFit, fit_transfer
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 
@@ -33,10 +33,12 @@ class SensorTransferCommand:
 
     tokenizer: str = "small"  # shipped size, or a checkpoint folder; the maps go beside or into it
     sensors: str = ""  # registry names, commas between; empty = all
-    fit: TransferConfig = field(default_factory=TransferConfig)  # grasps drawn, and how maps are fitted
+    fit: SensorTransferFit = field(default_factory=SensorTransferFit)  # grasps drawn, and how maps are fitted
 
 
-def draw_latents(tokenizer: Tokenizer, kinds: list[str], config: TransferConfig) -> dict[str, GraspLatents]:
+def draw_latents(
+    tokenizer: Tokenizer, kinds: list[str], config: SensorTransferFit
+) -> dict[str, GraspLatents]:
     """Return sensor → what it says of the same grasps on either finger."""
     force_range = ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm)
     settings = PairSettings(

@@ -61,11 +61,9 @@ class Response:
 
     Attributes:
         slopes: (4, 2) mm per N (per Nmm) of fx, fy, fz, torsion, for height and width.
-        spread_mm: (2,) what the slopes leave.
     """
 
     slopes: np.ndarray
-    spread_mm: np.ndarray
 
     def of(self, force: str) -> float:
         """Return mm per N of press (height) or grip (width)."""
@@ -94,8 +92,7 @@ def response(changes: Changes) -> Response:
         raise DatasetError(expected("moments", f"at least {LEAST_MOMENTS}", len(changes.wrench), do))
     told = np.c_[changes.wrench, np.ones(len(changes.wrench))]
     slopes, *_ = np.linalg.lstsq(told, changes.moves_mm, rcond=None)
-    left = changes.moves_mm - told @ slopes
-    return Response(slopes[:-1], left.std(axis=0))
+    return Response(slopes[:-1])
 
 
 def misreading(

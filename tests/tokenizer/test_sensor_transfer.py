@@ -15,7 +15,12 @@ from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.two_fingers import OtherFinger, _shared
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.transfer import GraspLatents, SensorTransfer, TransferConfig, fit_transfer
+from uniforce_vtla.tokenizer.sensor_transfer import (
+    GraspLatents,
+    SensorTransfer,
+    SensorTransferFit,
+    fit_transfer,
+)
 
 HASH = "abc"
 NOISE = 0.05
@@ -35,7 +40,7 @@ def two_sensors(n: int = 3000) -> tuple[dict[str, GraspLatents], np.ndarray]:
 
 def test_a_linear_difference_and_its_noise_are_found() -> None:
     latents, mixture = two_sensors()
-    transfer, facts = fit_transfer(latents, HASH, TransferConfig(ridge=1e-3))
+    transfer, facts = fit_transfer(latents, HASH, SensorTransferFit(ridge=1e-3))
     matrix, doubt = transfer.matrix[0], transfer.doubt[0]
     assert np.allclose(matrix[1].numpy(), mixture, atol=0.03)
     a, b = (torch.from_numpy(latents[kind].first).float().flatten(1) for kind in "ab")
@@ -48,7 +53,7 @@ def test_a_linear_difference_and_its_noise_are_found() -> None:
 
 
 def test_saved_equals_loaded_and_strange_files_are_refused(tmp_path: Path) -> None:
-    transfer, facts = fit_transfer(two_sensors(400)[0], HASH, TransferConfig())
+    transfer, facts = fit_transfer(two_sensors(400)[0], HASH, SensorTransferFit())
     folder = transfer.save(tmp_path / "transfer", facts)
     again = SensorTransfer.from_pretrained(tmp_path)
     assert again.kinds == ("a", "b") and again.tokenizer_hash == HASH
@@ -72,7 +77,7 @@ def test_saved_equals_loaded_and_strange_files_are_refused(tmp_path: Path) -> No
 
 
 def test_doubt_grows_with_what_is_felt_and_is_none_in_free_air() -> None:
-    transfer = fit_transfer(two_sensors(600)[0], HASH, TransferConfig())[0]
+    transfer = fit_transfer(two_sensors(600)[0], HASH, SensorTransferFit())[0]
     rest = transfer.rest[0]
     spread = {}
     for loud in (0.0, 1.0, 2.0, 9.0):
@@ -98,12 +103,12 @@ def test_fingers_share_the_force_and_not_the_torsion() -> None:
 
 def test_a_grasp_is_said_alike_by_fingers_of_a_sensor_and_otherwise_by_others() -> None:
     tokenizer = Tokenizer.from_pretrained("nano")
-    config = TransferConfig(grasps=64, other=OtherFinger(0.0, own_torsion=False))
+    config = SensorTransferFit(grasps=64, other=OtherFinger(0.0, own_torsion=False))
     latents = draw_latents(tokenizer, ["gelsight", "uskin"], config)
     one, other = latents["gelsight"], latents["uskin"]
     assert one.first.shape == other.second.shape == (64, 16, 6) and one.rest.shape == (16, 6)
     assert np.abs(one.first - one.second).mean() < 0.8 * np.abs(one.first - other.first).mean()
-    twisted = draw_latents(tokenizer, ["gelsight"], TransferConfig(grasps=64))["gelsight"]
+    twisted = draw_latents(tokenizer, ["gelsight"], SensorTransferFit(grasps=64))["gelsight"]
     assert np.abs(twisted.first - twisted.second).mean() > 1.5 * np.abs(one.first - one.second).mean()
     again = draw_latents(tokenizer, ["gelsight", "uskin"], config)
     assert np.array_equal(again["uskin"].second, other.second)

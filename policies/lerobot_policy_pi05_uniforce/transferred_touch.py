@@ -1,7 +1,7 @@
 """Training only: part of what is felt, told as another finger with another sensor would have told it.
 
-The maps are the tokenizer's (uniforce_vtla/tokenizer/transfer.py), made from simulated grasps before any policy exists.
-Nothing of this is stored in a checkpoint or runs when actions are sampled.
+The maps are the tokenizer's (uniforce_vtla/tokenizer/sensor_transfer.py), made from simulated grasps before any
+policy exists. Nothing of this is stored in a checkpoint or runs when actions are sampled.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import torch
 from torch import Tensor, nn
 
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.tokenizer.transfer import SensorTransfer
+from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 
-class OtherSensors(nn.Module):
+class TransferredTouch(nn.Module):
     """Replace a share of each slot's latents by what another finger with a random known sensor would have said.
 
     Args:
@@ -44,7 +44,7 @@ class OtherSensors(nn.Module):
         return heard.view_as(touch)
 
 
-def other_sensors(config: PI05UniforceConfig) -> OtherSensors:
+def transferred_touch(config: PI05UniforceConfig) -> TransferredTouch:
     """Return the module for a policy that is about to be trained; ``config.trained_sensors`` is filled.
 
     Raises:
@@ -62,4 +62,4 @@ def other_sensors(config: PI05UniforceConfig) -> OtherSensors:
         do = "Run uniforce-sensor-transfer with fit.grid as policy.latent_grid."
         raise ContractError(expected("numbers per slot", numbers, transfer.rest.shape[-1], do))
     worn = [config.trained_sensors.get(slot, "") for slot in config.slots]
-    return OtherSensors(transfer, worn, config.sensor_transfer)
+    return TransferredTouch(transfer, worn, config.sensor_transfer)

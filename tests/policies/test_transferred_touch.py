@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-from lerobot_policy_pi05_uniforce.other_sensors import OtherSensors
+from lerobot_policy_pi05_uniforce.transferred_touch import TransferredTouch
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.tokenizer import Tokenizer
-from uniforce_vtla.tokenizer.transfer import SensorTransfer
+from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 
 KINDS = ("tactip", "uskin")
 NUMBERS = 96
@@ -29,21 +29,21 @@ def maps(tokenizer_hash="", shift=7.0):
 
 
 def test_a_share_of_the_samples_is_told_by_each_known_sensor():
-    others = OtherSensors(maps(), ["uskin", "tactip"], share=0.6)
+    transferred = TransferredTouch(maps(), ["uskin", "tactip"], share=0.6)
     touch = torch.randn(4000, 16, 6)
-    moved = (others(touch, 1) - touch).mean(dim=(1, 2))
+    moved = (transferred(touch, 1) - touch).mean(dim=(1, 2))
     assert torch.all((moved.abs() < 1e-4) | ((moved - 7).abs() < 1e-4))
     assert (
         0.27 < float((moved > 1).float().mean()) < 0.33
     )  # half of .6: the slot's own kind is drawn as often
-    assert torch.allclose(others(touch, 0), touch, atol=1e-5)
+    assert torch.allclose(transferred(touch, 0), touch, atol=1e-5)
 
 
 def test_doubt_is_noise_of_its_size():
     transfer = maps(shift=0.0)
     transfer.doubt[:] = 0.3 * torch.eye(NUMBERS)
     felt = torch.ones(500, 16, 6)  # loudness 1: rest is 0, units are 1
-    told = OtherSensors(transfer, ["tactip"], share=1.0)(felt, 0)
+    told = TransferredTouch(transfer, ["tactip"], share=1.0)(felt, 0)
     assert 0.29 < float(told.std()) < 0.31
 
 
@@ -71,16 +71,16 @@ def test_only_training_hears_other_sensors_and_the_checkpoint_stays_as_it_was(ma
     heard = tokens.train()(felt, 0)
     changed = (heard - plain).abs().amax(dim=(1, 2)) > 1e-3
     assert 0.3 < float(changed.float().mean()) < 0.7
-    assert not [name for name in policy.state_dict() if "others" in name]
+    assert not [name for name in policy.state_dict() if "transferred" in name]
     policy.save_pretrained(tmp_path / "saved")
     again = PI05UniforcePolicy.from_pretrained(tmp_path / "saved")
-    assert again.model.force_tokens.others is None and again.config.sensor_transfer == 1.0
+    assert again.model.force_tokens.transferred is None and again.config.sensor_transfer == 1.0
     resumed = PI05UniforcePolicy.from_pretrained(tmp_path / "saved", dataset_meta=view)
-    assert resumed.model.force_tokens.others is not None
+    assert resumed.model.force_tokens.transferred is not None
 
 
-def test_no_maps_no_others(make_config, view):
-    assert trained(make_config, view, sensor_transfer=0.0).model.force_tokens.others is None
+def test_without_maps_nothing_is_transferred(make_config, view):
+    assert trained(make_config, view, sensor_transfer=0.0).model.force_tokens.transferred is None
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ MAX_KINDS, MAX_NUMBERS = 16, 1024  # larger files are none of ours
 
 
 @dataclass(frozen=True)
-class TransferConfig:
+class SensorTransferFit:
     """How the grasps are drawn and the maps fitted."""
 
     grasps: int = 4096  # each felt by every sensor on either finger; about a minute per thousand
@@ -128,7 +128,7 @@ class GraspLatents:
 
 
 def fit_transfer(
-    latents: Mapping[str, GraspLatents], tokenizer_hash: str, config: TransferConfig
+    latents: Mapping[str, GraspLatents], tokenizer_hash: str, config: SensorTransferFit
 ) -> tuple[SensorTransfer, dict[str, Any]]:
     """Return the maps and how well they tell, on grasps held out.
 
@@ -165,7 +165,7 @@ class _Fitted:
 
 
 def _fit(
-    before: np.ndarray, after: np.ndarray, spread: np.ndarray, loud: np.ndarray, config: TransferConfig
+    before: np.ndarray, after: np.ndarray, spread: np.ndarray, loud: np.ndarray, config: SensorTransferFit
 ) -> _Fitted:
     """Fit after − before = M' before + b by ridge in units of the source's spread; doubt from what is held out."""
     mean = before.mean(axis=0, dtype=np.float64)
