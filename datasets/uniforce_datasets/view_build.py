@@ -130,8 +130,14 @@ def _in_turn(jobs: Sequence[_Job], workers: int) -> Generator[dict[str, np.ndarr
     if workers <= 1:
         yield from map(_episode_blocks, jobs)
         return
-    with get_context("spawn").Pool(workers, torch.set_num_threads, (1,)) as pool:
+    with get_context("spawn").Pool(workers, _one_thread) as pool:
         yield from pool.imap(_episode_blocks, jobs)
+
+
+def _one_thread() -> None:
+    """Processes share the cores already: more threads each only fight."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
 
 
 def _resume(plan: ViewPlan, building: Path) -> int:

@@ -38,6 +38,7 @@ class Job:
 def score_job(job: Job) -> tuple[int, EpisodeRow]:
     """Roll one episode out and return its row."""
     torch.set_num_threads(1)  # processes share the cores; more threads each only fight
+    cv2.setNumThreads(1)
     config, seed = job.config, job.seed
     env, controller = _build(_Setup.of(config), job.folder)
     film = seed < config.first_seed + config.videos
