@@ -236,7 +236,8 @@ class PI05UniforcePolicy(ActionLoss):
         Raises:
             RolloutError: target deltas that leap; nothing is issued.
         """
-        action = super().select_action(batch)
+        # a queued action needs no network, and LeRobot's look at every module's mode takes milliseconds
+        action = self._action_queue.popleft() if self._action_queue else super().select_action(batch)
         if self.config.action_form == "target_delta":
             check_leap(action, self.issued.last, self.delta_scale)
         self.issued.record(action)
