@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from uniforce_vtla.commands import train_arm as module
-from uniforce_vtla.commands.benchmark import BenchmarkConfig
 from uniforce_vtla.commands.train_arm import TrainArmConfig, arguments, main, train_arm
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.plan import ARMS, RECIPES, SCRIPTS
@@ -26,11 +25,6 @@ def view(tmp_path: Path) -> Path:
 
 def test_every_arm_has_a_recipe_and_every_recipe_an_arm() -> None:
     assert {arm.checkpoint for arm in ARMS} - set(SCRIPTS) == set(RECIPES)
-
-
-def test_the_benchmark_looks_where_arms_are_put() -> None:
-    trained = TrainArmConfig()
-    assert BenchmarkConfig().checkpoints == f"{trained.out}/seed{trained.seed}"
 
 
 @pytest.mark.parametrize("name", sorted(RECIPES))

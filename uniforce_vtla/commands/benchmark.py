@@ -26,10 +26,11 @@ from uniforce_vtla.results_file import provenance, write_json
 class BenchmarkConfig:
     """Score every arm of the plan whose checkpoint is there; a killed run goes on with what is missing.
 
-    Example: uniforce-benchmark checkpoints=outputs/arms/seed0 rollouts=200
+    Example: uniforce-benchmark rollouts=200
+    or, of arms you trained: uniforce-benchmark checkpoints=outputs/arms/seed0 results=outputs/benchmark_results
     """
 
-    checkpoints: str = "outputs/arms/seed0"  # where uniforce-train-arm puts them, a folder each (see plan.py)
+    checkpoints: str = "checkpoints/wiping/seed0"  # a folder each (see plan.py); these come with the source
     level: str = "paper"  # locked level
     only: str = ""  # names of arms (comma between them); empty = all that have a checkpoint
     rollouts: int = 200  # paired seeds per arm; ≥ 200 for claims
@@ -56,7 +57,7 @@ def configs(command: BenchmarkConfig, rollouts: int) -> list[ScoreConfig]:
         else:
             print(f"left out: {arm.name} (no checkpoint {Path(command.checkpoints) / arm.checkpoint})")
     if not found:
-        do = "Train the arms, or name their folder with checkpoints=."
+        do = "Train the arms (uniforce-train-arm), or name their folder with checkpoints=."
         raise DatasetError(expected(command.checkpoints, "a checkpoint of the plan", "none", do))
     return found
 
