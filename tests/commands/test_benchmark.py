@@ -12,10 +12,15 @@ from uniforce_vtla.commands import score_worker
 from uniforce_vtla.commands.benchmark import BenchmarkConfig, configs, main
 from uniforce_vtla.commands.score import score_arms
 from uniforce_vtla.commands.score_config import ScoreConfig
-from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
+
+
+def test_a_script_is_not_taken_for_a_policy() -> None:
+    arms = [ScoreConfig(policy=policy).arm for policy in ("shipped", "expert", "blind")]
+    assert arms == ["V+T", "expert", "blind"] and ScoreConfig(policy="expert", arm="me").arm == "me"
 
 
 def test_arms_without_a_checkpoint_are_named_and_left_out(
@@ -50,6 +55,30 @@ def test_arms_take_turns_and_a_second_run_does_nothing(
     assert [r.count("clean") for r in reports] == [2, 2]
     score_arms(arms, workers=1)
     assert len(order) == 4
+
+
+def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from uniforce_vtla.commands import score as module
+    from uniforce_vtla.evaluation.arms import EpisodeRow
+
+    rolled = []
+
+    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
+        rolled.append(job.seed)
+        if job.seed in job.config.film:
+            score_worker.video_path(job.folder, job.seed).touch()
+        return job.index, EpisodeRow(job.seed, "success", True, False, False, 0, 0, 0, 0, 0, 0)
+
+    monkeypatch.setattr(module, "score_job", fake)
+    plain = {"arm": "V", "rollouts": 3, "first_seed": 5, "out": str(tmp_path)}
+    score_arms([ScoreConfig(**plain)], workers=1)  # type: ignore[arg-type]
+    for _ in range(2):
+        reports = score_arms([ScoreConfig(**plain, film=[6])], workers=1)  # type: ignore[arg-type]
+        assert rolled == [5, 6, 7, 6] and reports[0].n == 3
+    with pytest.raises(ContractError, match="5…7"):
+        score_arms([ScoreConfig(**plain, film=[8])], workers=1)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import json
 import logging
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,9 @@ class BenchmarkConfig:
     first_seed: int = 10_000  # never recorded from
     workers: int = 2  # processes, one torch thread each
     videos: int = 1  # episodes filmed per arm, the first ones
+    film: list[int] = field(
+        default_factory=list
+    )  # seeds filmed besides; rolled out again where scored unfilmed
     out: str = "outputs/benchmark"  # an episode per line and arm, sheets and videos
     results: str = "docs/results"  # wiping.json and its pictures
     replay: int = 0  # only roll so many seeds out again and compare them with the committed table
@@ -82,6 +85,7 @@ def _config(command: BenchmarkConfig, arm: Arm, policy: str, rollouts: int) -> S
         rollouts=rollouts,
         first_seed=command.first_seed,
         videos=command.videos,
+        film=command.film,
         out=command.out,
     )
 

@@ -19,8 +19,8 @@ from tqdm import tqdm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.commands.score_config import ScoreConfig, mounted_sensors
-from uniforce_vtla.commands.score_worker import Job, score_job
-from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.commands.score_worker import Job, score_job, video_path
+from uniforce_vtla.errors import ContractError, UniForceError, expected
 from uniforce_vtla.evaluation.arms import (
     ArmReport,
     EpisodeRow,
@@ -72,13 +72,24 @@ def _seeds(config: ScoreConfig) -> range:
     return range(config.first_seed, config.first_seed + config.rollouts)
 
 
+def _to_film(config: ScoreConfig) -> set[int]:
+    """Return the seeds asked for by number whose video isn't there."""
+    strangers = sorted(set(config.film) - set(_seeds(config)))
+    if strangers:
+        seeds = _seeds(config)
+        do = "Film what is scored: set first_seed and rollouts."
+        raise ContractError(expected("film", f"seeds {seeds[0]}…{seeds[-1]}", strangers, do))
+    return {seed for seed in config.film if not video_path(_folder(config), seed).exists()}
+
+
 def _missing(configs: Sequence[ScoreConfig], done: Sequence[dict[int, EpisodeRow]]) -> list[Job]:
     """Return what is left to do, all arms' first seeds first."""
+    to_film = [_to_film(config) for config in configs]
     jobs = [
         (seed, index)
         for index, (config, rows) in enumerate(zip(configs, done, strict=True))
         for seed in _seeds(config)
-        if seed not in rows
+        if seed not in rows or seed in to_film[index]
     ]
     return [Job(index, configs[index], _folder(configs[index]), seed) for seed, index in sorted(jobs)]
 

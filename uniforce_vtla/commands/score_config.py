@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from uniforce_vtla.contracts import Finger
+from uniforce_vtla.evaluation.plan import SCRIPTS
 
 
 @dataclass
@@ -17,7 +18,7 @@ class ScoreConfig:
     policy: str = (
         "shipped"  # checkpoint folder; shipped = the tiny V+T policy in the package; or expert | blind
     )
-    arm: str = "V+T"  # name of this arm in the table
+    arm: str = ""  # name of this arm in the table; "" = V+T, or the script's own
     level: str = "paper"  # easy | paper (what the shipped policy learnt at) | hard | easy_v1
     left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
     right_sensor: str = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
@@ -27,8 +28,15 @@ class ScoreConfig:
     first_seed: int = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
     workers: int = 2  # processes, one torch thread each
     videos: int = 1  # episodes filmed, the first ones
+    film: list[int] = field(
+        default_factory=list
+    )  # seeds filmed besides; rolled out again where scored unfilmed
     resume: bool = True  # keep episodes already scored in `out`
     out: str = "outputs/score"  # rows, table, picture and videos go here
+
+    def __post_init__(self) -> None:
+        """Name the arm."""
+        self.arm = self.arm or (self.policy if self.policy in SCRIPTS else "V+T")
 
 
 def mounted_sensors(left: str = "", right: str = "") -> dict[Finger, str]:

@@ -41,7 +41,7 @@ def score_job(job: Job) -> tuple[int, EpisodeRow]:
     cv2.setNumThreads(1)
     config, seed = job.config, job.seed
     env, controller = _build(_Setup.of(config), job.folder)
-    film = seed < config.first_seed + config.videos
+    film = seed < config.first_seed + config.videos or seed in config.film
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
     rollout = roll_out(env, controller, seed, keep_frames=film)
     if film:
@@ -99,5 +99,10 @@ def policy_on_rig(
 
 def _keep(rollout: Rollout, out: Path, arm: str) -> None:
     frames = [cv2.resize(f, None, fx=2, fy=2) for f in rollout.frames]
-    write_video(out / f"seed_{rollout.seed}.mp4", frames, fps=5)
     write_trace_sheet(out / f"seed_{rollout.seed}.png", rollout, title=f"{arm}, seed {rollout.seed}")
+    write_video(video_path(out, rollout.seed), frames, fps=5)
+
+
+def video_path(out: Path, seed: int) -> Path:
+    """Return where an episode's video lies, once it is filmed."""
+    return out / f"seed_{seed}.mp4"
