@@ -17,24 +17,40 @@ from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
 
 @dataclass(frozen=True)
+class Push:
+    """A shove of the hand along z that wears off."""
+
+    by_m: tuple[float, float]  # drawn evenly; up is positive
+    per_s: float  # how often one begins
+    fall_s: float  # time constant of its wearing off
+
+
+@dataclass(frozen=True)
 class NudgeSettings:
     """Spread of the offset per axis; an offset in z or width is a force through the arm's or gripper's stiffness."""
 
-    sd: tuple[float, float, float, float, float] = (0.0012, 0.0012, 0.0022, 0.010, 0.0009)  # m, m, m, rad, m
-    # 2.2 mm · 800 N/m ≈ 1.8 N: presses of 10 N and more occur, and are corrected within half a second
+    sd: tuple[float, float, float, float, float] = (0.0012, 0.0012, 0.0028, 0.010, 0.0009)  # m, m, m, rad, m
+    # 2.8 mm · 800 N/m ≈ 2.2 N: presses of 10 N and more occur, and are corrected within half a second. With less, what
+    # a swapped finger misreads of the press is as large as what demos show of it, and a policy listens to it less
     # .9 mm · 1200 N/m ≈ 1.1 N, of which regulation leaves half: less of grip drowns in what a finger misreads of it,
     # and a policy then squeezes by the width it knows; with 1.2 mm every second demo is no longer clean
     correlation_s: float = 0.6  # about the time the expert needs to correct a press
-    lift_m: tuple[float, float] = (0.004, 0.022)  # a soft arm gives way by 19 mm at the usual press
-    lifts_per_s: float = 0.08  # while wiping: two in three episodes, about
-    rise_s: float = 0.1  # of a lift
-    fall_s: float = 4.0  # it wears off slowly: the press that comes back with it stays within 2 N
+    # a soft arm gives way by 19 mm at the usual press; slow: the press that comes back with it stays within 2 N
+    wiping: Push = Push((0.004, 0.022), per_s=0.08, fall_s=4.0)
+    in_air: Push = Push((-0.015, 0.045), per_s=0.5, fall_s=1.2)
+    rise_s: float = 0.1  # of a push
+
+    def push(self, phase: str) -> Push | None:
+        """Return what may happen in a phase of the sequence."""
+        return {"lift": self.in_air, "carry": self.in_air, "wipe": self.wiping}.get(phase)
 
 
 class Nudge:
-    """Ornstein-Uhlenbeck offset of the executed target, and while wiping a lift now and then.
+    """Ornstein-Uhlenbeck offset of the executed target, and a push along z now and then.
 
-    Without lifts demos lose the board for moments at most, and a policy that begins a stroke in the air goes on so.
+    Without pushes while wiping demos lose the board for moments at most, and a policy that begins a stroke in the air
+    goes on so; without those in the air nobody shows the way back from too high, and a policy that rises too far
+    drifts.
 
     Args:
         seed: the scene's; an episode repeats exactly.
@@ -44,33 +60,34 @@ class Nudge:
 
     def __init__(self, seed: int, scale: float = 1.0, settings: NudgeSettings | None = None) -> None:
         settings = settings or NudgeSettings()
-        self._rng, self._lifts = np.random.default_rng([seed, 777]), np.random.default_rng([seed, 778])
+        self._rng, self._pushes = np.random.default_rng([seed, 777]), np.random.default_rng([seed, 778])
         self._sd = scale * np.array(settings.sd)
         self._keep = _kept(settings.correlation_s)
         self._settings, self._scale = settings, scale
-        self._lifted_m = self._wanted_m = 0.0
+        self._pushed_m = self._wanted_m = 0.0
+        self._fall_s = settings.wiping.fall_s
         self.offset = np.zeros(len(self._sd))
 
-    def apply(self, target: np.ndarray, wiping: bool = False) -> np.ndarray:
+    def apply(self, target: np.ndarray, phase: str = "") -> np.ndarray:
         """Return the (5,) float32 target the arm is really sent to, one step later each call.
 
         Args:
             target: what was commanded.
-            wiping: whether a lift may begin.
+            phase: what the expert is doing (``sequence.PHASES``): it decides which push may begin.
         """
         kick = np.sqrt(1 - self._keep**2) * self._sd * self._rng.standard_normal(len(self._sd))
         self.offset = self._keep * self.offset + kick
         executed = target + self.offset
-        executed[Z] += self._lift(wiping)
+        executed[Z] += self._push(phase)
         return executed.astype(np.float32)
 
-    def _lift(self, wiping: bool) -> float:
-        s = self._settings
-        self._wanted_m *= _kept(s.fall_s)
-        if self._lifts.random() < s.lifts_per_s / CONTROL_HZ and wiping:
-            self._wanted_m = self._scale * self._lifts.uniform(*s.lift_m)
-        self._lifted_m += (1 - _kept(s.rise_s)) * (self._wanted_m - self._lifted_m)
-        return self._lifted_m
+    def _push(self, phase: str) -> float:
+        push, chance = self._settings.push(phase), self._pushes.random()
+        self._wanted_m *= _kept(self._fall_s)
+        if push and chance < push.per_s / CONTROL_HZ:
+            self._wanted_m, self._fall_s = self._scale * self._pushes.uniform(*push.by_m), push.fall_s
+        self._pushed_m += (1 - _kept(self._settings.rise_s)) * (self._wanted_m - self._pushed_m)
+        return self._pushed_m
 
 
 @dataclass(frozen=True)

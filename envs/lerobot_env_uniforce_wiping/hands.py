@@ -28,7 +28,8 @@ class Feel:
 class TouchSettings:
     """How the expert regulates."""
 
-    press_N: float = 7.5  # wipes clean well below the excess limit
+    # at 7.5 policies pressed too hard far more often than too lightly, and only a light sweep can be wiped again
+    press_N: float = 7.0
     grip_N: float = 9.0  # holds at the lowest friction, below the pads' rated depth
     press_rate_m_s_N: float = 0.0035  # z speed per N of press error
     press_speed_m_s: float = 0.020  # fastest regulation

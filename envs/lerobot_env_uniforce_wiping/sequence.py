@@ -98,25 +98,34 @@ class WipeSequence:
             self.target[axis] += step / CONTROL_HZ
         return all(abs(self.target[axis] - value) < NEAR_m for axis, value in goal.items())
 
+    def _go_to_height(self, goal_m: float, measured: np.ndarray) -> None:
+        """Slew the z target until target and *measured* height are a goal on average.
+
+        A hand that is pushed away comes back half the way. The measured height alone lags too much to be regulated.
+        """
+        missing_m = goal_m - (self.target[Z] + measured[Z]) / 2
+        limit = self.pace.vertical_m_s
+        self.target[Z] += float(np.clip(APPROACH_GAIN * missing_m, -limit, limit)) / CONTROL_HZ
+
     def _descend(self, measured: np.ndarray) -> bool:
         layout = self.level.layout
         here = self._move({X: layout.tray_m[0], Y: layout.tray_m[1], WIDTH: layout.open_width_m})
-        self._move({Z: layout.grasp_height_m})
+        self._go_to_height(layout.grasp_height_m, measured)
         return here and measured[Z] < layout.grasp_height_m + 2 * NEAR_m
 
     def _close(self, measured: np.ndarray) -> bool:
-        self._move({Z: self.level.layout.grasp_height_m})
+        self._go_to_height(self.level.layout.grasp_height_m, measured)
         self.target[WIDTH], held = self.hands.close(self.target[WIDTH], measured)
         return held
 
     def _lift(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
-        self._move({Z: self.level.layout.carry_height_m})
+        self._go_to_height(self.level.layout.carry_height_m, measured)
         return measured[Z] > self.level.layout.carry_height_m - 0.010
 
     def _carry(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
-        self._move({Z: self.level.layout.carry_height_m})
+        self._go_to_height(self.level.layout.carry_height_m, measured)
         start = self.sweep.point(self._along_m)  # the first row, or the first that is still dirty
         self._move({X: start[0], Y: start[1]})
         return bool(np.linalg.norm(measured[:2] - start) < 2 * NEAR_m)

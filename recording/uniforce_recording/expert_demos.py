@@ -88,10 +88,9 @@ def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int, nudge: fl
     for step in _until_done():
         action = np.asarray(expert.act(env), dtype=np.float32)
         recorder.add(_frame(env, observation, action, step), env.task)
-        wiping = expert.phase == "wipe"
         if nudge:
-            rewrite.apply(env.sim.ink, wiping)
-        observation, _, terminated, truncated, _ = env.step(push.apply(action, wiping))
+            rewrite.apply(env.sim.ink, expert.phase == "wipe")
+        observation, _, terminated, truncated, _ = env.step(push.apply(action, expert.phase))
         if terminated or truncated:
             break
     return env.result()

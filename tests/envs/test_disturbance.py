@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.disturbance import Nudge, NudgeSettings
+from lerobot_env_uniforce_wiping.disturbance import Nudge, NudgeSettings, Push
 from lerobot_env_uniforce_wiping.sequence import Z
 from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
@@ -33,20 +33,24 @@ def test_an_episode_repeats_and_episodes_differ() -> None:
     assert np.array_equal(run(1), run(1)) and not np.array_equal(run(1), run(2))
 
 
+def always(by_m: float, fall_s: float = 4.0) -> Push:
+    return Push((by_m, by_m), per_s=CONTROL_HZ, fall_s=fall_s)  # begins at every step
+
+
 def test_lifts_begin_while_wiping_only_rise_quickly_and_wear_off() -> None:
-    settings = NudgeSettings(sd=STILL, lift_m=(0.02, 0.02), lifts_per_s=CONTROL_HZ)  # at every step
+    settings = NudgeSettings(sd=STILL, wiping=always(0.02))
     nudge = Nudge(0, 1.0, settings)
     assert not any(nudge.apply(np.zeros(5)).any() for _ in range(100))
-    up = np.array([nudge.apply(np.zeros(5), wiping=True) for _ in range(30)])
+    up = np.array([nudge.apply(np.zeros(5), "wipe") for _ in range(30)])
     assert not up[:, [0, 1, 3, 4]].any() and up[10, Z] > 0.018
     down = np.array([nudge.apply(np.zeros(5))[Z] for _ in range(10 * round(CONTROL_HZ))])
     assert np.all(np.diff(down) < 0) and 0.001 < down[-1] < 0.003  # 20 mm over e at 4 s, twice and a half
 
 
 def test_lifts_leave_the_other_offsets_as_they_were() -> None:
-    calm, lifted = Nudge(4), Nudge(4, settings=NudgeSettings(lifts_per_s=CONTROL_HZ))
+    calm, lifted = Nudge(4), Nudge(4, settings=NudgeSettings(wiping=always(0.01)))
     for _ in range(50):
-        one, other = calm.apply(np.zeros(5)), lifted.apply(np.zeros(5), wiping=True)
+        one, other = calm.apply(np.zeros(5)), lifted.apply(np.zeros(5), "wipe")
         assert np.array_equal(np.delete(one, Z), np.delete(other, Z))
     assert other[Z] > one[Z]
 
@@ -55,7 +59,7 @@ def test_an_expert_who_loses_the_board_stays_there_and_goes_down_again() -> None
     env, expert = WipeEnv("paper"), WipeExpert()
     env.start(9001)
     expert.reset(env)
-    nudge = Nudge(1, settings=NudgeSettings(sd=STILL, lift_m=(0.03, 0.03), lifts_per_s=CONTROL_HZ))
+    nudge = Nudge(1, settings=NudgeSettings(sd=STILL, wiping=always(0.03)))
     steps_wiping, lost = 0, []
     done = False
     while not done:
@@ -63,9 +67,26 @@ def test_an_expert_who_loses_the_board_stays_there_and_goes_down_again() -> None
         steps_wiping += expert.phase == "wipe"
         if steps_wiping > 30 and expert.phase == "lower":
             lost.append(target)
-        done = env.advance(nudge.apply(target, wiping=steps_wiping == 30))
+        done = env.advance(nudge.apply(target, "wipe" if steps_wiping == 30 else ""))
     assert lost, "a lift of 30 mm loses the board"
     path = np.array(lost)
     assert np.ptp(path[:, :2], axis=0).max() < 0.005  # no stroke in the air
     assert path[-1, Z] < path[0, Z] - 0.005
     assert env.result().success
+
+
+def test_a_hand_pushed_up_in_the_air_is_seen_to_come_down_by_its_own_command() -> None:
+    env, expert = WipeEnv("paper"), WipeExpert()
+    env.start(9001)
+    expert.reset(env)
+    nudge = Nudge(1, settings=NudgeSettings(sd=STILL, in_air=always(0.04)))
+    carry_m, too_high_m, answered_m, done = env.level.layout.carry_height_m, [], [], False
+    while not done:
+        command, high_m = expert.act(env), float(env.state[Z])
+        pushing = expert.phase == "carry" and not too_high_m
+        if expert.phase == "carry" and high_m > carry_m + 0.015:
+            too_high_m.append(high_m)
+            answered_m.append(float(command[Z]))
+        done = env.advance(nudge.apply(command, "carry" if pushing else ""))
+    assert max(too_high_m) > carry_m + 0.02 and min(answered_m) < carry_m - 0.005
+    assert env.result().clean
