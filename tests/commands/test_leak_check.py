@@ -38,10 +38,10 @@ def test_a_check_that_touch_fails_too_proves_nothing() -> None:
 
 @pytest.mark.slow
 def test_samples_are_moments_of_wiping_with_their_past() -> None:
-    samples = collect(LeakConfig(level="easy", scenes=2, image_side=28))
+    samples = collect(LeakConfig(level="easy", scenes=3, image_side=28))
     n = len(samples.press_N)
-    assert n > 10 and set(samples.scene) == {0, 1}
+    assert n > 10 and set(samples.scene) == {0, 1, 2}
     assert samples.state.shape == (n, 5 * HISTORY) and samples.cameras.shape == (n, 6 * HISTORY, 28, 28)
-    assert (samples.press_N > 0.5).mean() > 0.9  # wiping
+    assert (samples.press_N > 0.5).all()  # wiping, not leaving the board
     moved = samples.state[:, 1] - samples.state[:, -4]  # y, first frame against the last
     assert np.abs(moved).max() > 0.005

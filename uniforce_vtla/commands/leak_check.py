@@ -22,7 +22,6 @@ from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.evaluation.episode import WIPING_PHASE
 from uniforce_vtla.evaluation.leak import Samples, measure, verdict
 from uniforce_vtla.keys import CAMERAS, tactile_name
 from uniforce_vtla.probes.plain_touch import descriptors
@@ -67,7 +66,9 @@ def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any,
     expert, nudge = WipeExpert(settings=TouchSettings(press_N=wanted_N)), Nudge(seed)
     past: list[tuple[np.ndarray, np.ndarray, np.ndarray | None]] = []
     for step, target in enumerate(walk(env, expert, seed, nudge), start=1):
-        looks = env.phase == WIPING_PHASE and step % HISTORY_STEP == 0
+        looks = (
+            expert.phase == "wipe" and step % HISTORY_STEP == 0
+        )  # the hand that leaves the board presses nothing
         pixels = env.observe()["pixels"] if looks else {}
         past.append((env.state, target, _pictures(pixels, config.image_side) if looks else None))
         frames = past[-1 - (HISTORY - 1) * HISTORY_STEP :: HISTORY_STEP]
