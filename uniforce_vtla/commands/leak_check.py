@@ -66,8 +66,8 @@ def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any,
     expert, nudge = WipeExpert(settings=TouchSettings(press_N=wanted_N)), Nudge(seed)
     past: list[tuple[np.ndarray, np.ndarray, np.ndarray | None]] = []
     for step, target in enumerate(walk(env, expert, seed, nudge), start=1):
-        sweeping = expert.phase == "wipe"  # a hand that leaves the board presses nothing, and anybody sees that
-        looks = sweeping and step % HISTORY_STEP == 0
+        # Only while the eraser sweeps: a hand that leaves the board presses nothing, and anybody sees that.
+        looks = expert.phase == "wipe" and step % HISTORY_STEP == 0
         pixels = env.observe()["pixels"] if looks else {}
         past.append((env.state, target, _pictures(pixels, config.image_side) if looks else None))
         frames = past[-1 - (HISTORY - 1) * HISTORY_STEP :: HISTORY_STEP]
