@@ -11,16 +11,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from lerobot.configs import PreTrainedConfig
 from lerobot.envs.utils import preprocess_observation
-from lerobot.policies.factory import make_pre_post_processors
 
-from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.compatibility import check_sensors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.deadlines import Deadlines
-from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
-from lerobot_policy_pi05_uniforce.stored_settings import check_processors, check_settings, misfits_named
+from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_policy
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import wrench_key
@@ -38,23 +34,6 @@ def shipped_checkpoint() -> Path:
             )
         )
     return SHIPPED
-
-
-def stored_config(checkpoint: Path) -> PI05UniforceConfig:
-    """Return the checked settings of a checkpoint folder, to be run on the CPU.
-
-    Raises:
-        CheckpointError: no such folder, another policy, or settings that don't fit this package.
-    """
-    check_settings(weights.read_config(weights.find(checkpoint, weights.CONFIG)), str(checkpoint))
-    check_processors(checkpoint)
-    with misfits_named(str(checkpoint)):
-        config = PreTrainedConfig.from_pretrained(checkpoint)
-    if not isinstance(config, PI05UniforceConfig):
-        raise CheckpointError(expected("policy type", "pi05_uniforce", config.type, "Choose another folder."))
-    config.device = "cpu"
-    config.pretrained_path = checkpoint
-    return config
 
 
 class PolicyController:
@@ -85,11 +64,9 @@ class PolicyController:
         for finger, sensor in (asked or {}).items():
             setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))
         self.notes = check_sensors(config, mounted)
-        self.policy = PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
+        self.policy, self._before, self._after = stored_policy(config)
         self.config: PI05UniforceConfig = self.policy.config
         self._deadlines = Deadlines(CONTROL_HZ)
-        with misfits_named(f"processors of {checkpoint}"):
-            self._before, self._after = make_pre_post_processors(config, pretrained_path=str(checkpoint))
 
     @property
     def needs_true_wrench(self) -> bool:

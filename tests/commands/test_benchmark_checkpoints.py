@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-from lerobot_policy_pi05_uniforce.controller import stored_config
+from lerobot_policy_pi05_uniforce.stored_policy import stored_config
 from uniforce_vtla.commands.benchmark import BenchmarkConfig
 from uniforce_vtla.commands.train_arm import DELTA_KNEE
 from uniforce_vtla.evaluation.plan import RECIPES

@@ -122,13 +122,11 @@ def test_a_held_port_is_refused(slcan: StandIn, reader: SampleReader):
 
 
 @pytest.mark.slow
-def test_500_scans_per_second_and_none_lost(cpu_share: float):
+def test_500_scans_per_second_and_none_lost():
     """The seconds to run can be set: ``UNIFORCE_RATE_SECONDS=60``."""
     seen = measure_rate(float(os.environ.get("UNIFORCE_RATE_SECONDS", "5")))
-    warnings.warn(f"{seen}, core share {cpu_share:.2f}", stacklevel=1)  # shown in the summary: worth reading
+    warnings.warn(str(seen), stacklevel=1)  # shown in the summary: worth reading
     assert seen.lost == seen.bad == 0
     assert seen.samples == seen.sent
-    if cpu_share < 0.8:
-        pytest.skip(f"rate and age not judged: this machine gives us {cpu_share:.0%} of a core")
     assert seen.rate_hz == pytest.approx(500, rel=0.02)
     assert seen.age_p50_ms <= 2.0

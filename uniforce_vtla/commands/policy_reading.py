@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from lerobot.policies.factory import make_pre_post_processors
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
-from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-from lerobot_policy_pi05_uniforce.controller import stored_config
+from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_policy
 from uniforce_datasets.training_view import TrainingView
 from uniforce_datasets.view_marker import read_marker
 from uniforce_vtla.array_file import read_array
@@ -72,8 +70,7 @@ class Reader:
                 expected(config.policy, "one slot of latents", came, "Name a V+T checkpoint.")
             )
         self.slot, self.finger = settings.slots[0], settings.finger_by_slot()[settings.slots[0]]
-        self._policy = PI05UniforcePolicy.from_pretrained(config.policy, config=settings).eval()
-        self._before, _ = make_pre_post_processors(settings, pretrained_path=config.policy)
+        self._policy, self._before, _ = stored_policy(settings)
         self._view = {finger: TrainingView(config.view, slots={self.slot: finger}) for finger in FINGERS}
         self._step = config.after - 1
 
