@@ -84,6 +84,9 @@ class PI05UniforceConfig(PI05Config):
     # training only: share of samples whose latents are told as another sensor would (transferred_touch.py); needs slots
     # whose demos are of one kind each
     sensor_transfer: float = 0.0
+    # how much of the maps' doubt is drawn then, 0 to 1: whole doubt makes a policy listen less to swapped fingers and
+    # reads them no better (docs/experiments/tiny_policy.md)
+    sensor_transfer_doubt: float = 0.25
     # training only, with a state token: Gaussian noise on the normalised state, per axis; [] = none
     state_noise: list[float] = field(default_factory=list)
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
@@ -165,6 +168,9 @@ class PI05UniforceConfig(PI05Config):
             came = f"{self.sensor_transfer} with touch_input={self.touch_input}"
             do = "Set it to 0, or feel latents."
             raise ContractError(expected("sensor_transfer", "a share of latents", came, do))
+        if not 0 <= self.sensor_transfer_doubt <= 1:
+            do = "Take the tested 0.25."
+            raise ContractError(expected("sensor_transfer_doubt", "0 to 1", self.sensor_transfer_doubt, do))
         for slot, finger in self.touch_slots.items():
             _check_slot(slot)
             check_finger(finger)

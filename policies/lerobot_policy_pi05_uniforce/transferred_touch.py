@@ -26,11 +26,12 @@ class TransferredTouch(nn.Module):
         transfer: maps between sensors.
         worn: the sensor of each slot in the training data.
         share: chance per sample; each known sensor is as likely, the slot's own kind (another unit) too.
+        doubt: how much of the maps' doubt is drawn, 0 to 1.
     """
 
-    def __init__(self, transfer: SensorTransfer, worn: Sequence[str], share: float) -> None:
+    def __init__(self, transfer: SensorTransfer, worn: Sequence[str], share: float, doubt: float) -> None:
         super().__init__()
-        self.share, self._rows = share, [transfer.row(kind) for kind in worn]
+        self.share, self.doubt, self._rows = share, doubt, [transfer.row(kind) for kind in worn]
         self._transfer = (transfer,)  # in a tuple: no part of the policy, which saves its modules
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
@@ -40,7 +41,8 @@ class TransferredTouch(nn.Module):
         kind = torch.where(torch.rand_like(told[:, :1]) < self.share, kind, -1)  # -1: as it is
         heard = told
         for target in range(len(transfer.kinds)):
-            heard = torch.where(kind == target, transfer.told(told, self._rows[slot], target), heard)
+            other = transfer.told(told, self._rows[slot], target, self.doubt)
+            heard = torch.where(kind == target, other, heard)
         return heard.view_as(touch)
 
 
@@ -62,4 +64,4 @@ def transferred_touch(config: PI05UniforceConfig) -> TransferredTouch:
         do = "Run uniforce-sensor-transfer with fit.grid as policy.latent_grid."
         raise ContractError(expected("numbers per slot", numbers, transfer.rest.shape[-1], do))
     worn = [config.trained_sensors.get(slot, "") for slot in config.slots]
-    return TransferredTouch(transfer, worn, config.sensor_transfer)
+    return TransferredTouch(transfer, worn, config.sensor_transfer, config.sensor_transfer_doubt)

@@ -21,6 +21,7 @@ from uniforce_vtla.contact import (
     pair_batches,
 )
 from uniforce_vtla.contact.bench import bench_contact
+from uniforce_vtla.contact.grid import cell_positions_mm
 from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, sample_loads, sample_objects
 from uniforce_vtla.contact.sequences import press_shear_release
 from uniforce_vtla.sensors import list_sensors
@@ -101,6 +102,16 @@ def test_large_flat_faces_cover_the_pad() -> None:
     )
     beside = [np.ptp(gap, axis=(1, 2)) > 2 for gap in (usual, large)]  # mm: tilt alone makes less
     assert beside[0].mean() > 0.3 and not beside[1].any()
+
+
+def test_faces_lean_as_far_as_asked() -> None:
+    """The gap of a face over the whole grid differs by its lean times the grid between two opposite edges."""
+    across_mm = np.ptp(cell_positions_mm()[:, 0])
+    for lean in (0.0, 0.01, 0.03):
+        settings = PairSettings(flat_share=1.0, flat_side_mm=(60.0, 70.0), flat_tilt_rad=lean)
+        gap = settings.objects(np.random.default_rng(8), 200, PRETRAIN).gap_mm
+        edge = np.ptp(gap[:, gap.shape[1] // 2], axis=1)
+        assert 0.9 * across_mm * lean <= edge.max() <= 1.001 * across_mm * lean
 
 
 @pytest.mark.parametrize("sensor", list_sensors())

@@ -29,7 +29,7 @@ def maps(tokenizer_hash="", shift=7.0):
 
 
 def test_a_share_of_the_samples_is_told_by_each_known_sensor():
-    transferred = TransferredTouch(maps(), ["uskin", "tactip"], share=0.6)
+    transferred = TransferredTouch(maps(), ["uskin", "tactip"], share=0.6, doubt=1.0)
     touch = torch.randn(4000, 16, 6)
     moved = (transferred(touch, 1) - touch).mean(dim=(1, 2))
     assert torch.all((moved.abs() < 1e-4) | ((moved - 7).abs() < 1e-4))
@@ -43,8 +43,15 @@ def test_doubt_is_noise_of_its_size():
     transfer = maps(shift=0.0)
     transfer.doubt[:] = 0.3 * torch.eye(NUMBERS)
     felt = torch.ones(500, 16, 6)  # loudness 1: rest is 0, units are 1
-    told = TransferredTouch(transfer, ["tactip"], share=1.0)(felt, 0)
-    assert 0.29 < float(told.std()) < 0.31
+    for doubt in (0.0, 0.5, 1.0):
+        told = TransferredTouch(transfer, ["tactip"], share=1.0, doubt=doubt)(felt, 0)
+        assert float(told.std()) == pytest.approx(0.3 * doubt, abs=0.01)
+
+
+@pytest.mark.parametrize("doubt", [-0.1, 1.5])
+def test_no_more_doubt_than_there_is(doubt, make_config):
+    with pytest.raises(ContractError, match="sensor_transfer_doubt"):
+        make_config(sensor_transfer_doubt=doubt)
 
 
 @pytest.fixture

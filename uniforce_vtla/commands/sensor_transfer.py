@@ -42,7 +42,10 @@ def draw_latents(
     """Return sensor → what it says of the same grasps on either finger."""
     force_range = ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm)
     settings = PairSettings(
-        flat_share=config.flat_share, flat_side_mm=config.flat_side_mm, force_range=force_range
+        flat_share=config.flat_share,
+        flat_side_mm=config.flat_side_mm,
+        flat_tilt_rad=config.flat_tilt_rad,
+        force_range=force_range,
     )
     blocks = -(-config.grasps // settings.pairs_per_unit)
     rng, side = np.random.default_rng([config.seed, 77]), tokenizer.config.side

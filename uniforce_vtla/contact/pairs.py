@@ -10,7 +10,14 @@ import numpy as np
 from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.mirror import mirrored
 from uniforce_vtla.contact.options import ContactOptions
-from uniforce_vtla.contact.sampling import FLAT_SIDE_mm, ForceRange, sample_loads, sample_objects
+from uniforce_vtla.contact.sampling import (
+    FLAT_SIDE_mm,
+    FLAT_TILT_rad,
+    ForceRange,
+    Objects,
+    sample_loads,
+    sample_objects,
+)
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.views import Transform, draw_simulator, images_of, rows_of, slices
 from uniforce_vtla.contact.virtual import VirtualSensor
@@ -46,6 +53,7 @@ class PairSettings:
         force_range: bounds of the loads.
         flat_share: share of flat faces (the side of a held tool) beside the named indenters.
         flat_side_mm: their shortest and longest side.
+        flat_tilt_rad: how far they lean at most, along either axis of the pad.
         unit_strength: unit-to-unit variation; 0 for drawings only.
         pairs_per_unit: pairs felt by the same two units before others take over.
         options: terms of the contact model.
@@ -57,12 +65,24 @@ class PairSettings:
     force_range: ForceRange = field(default_factory=ForceRange)
     flat_share: float = 0.15  # the wiping eraser presses a flat side, which no indenter resembles
     flat_side_mm: tuple[float, float] = FLAT_SIDE_mm
+    flat_tilt_rad: float = FLAT_TILT_rad
     unit_strength: float = 1.0
     pairs_per_unit: int = 64  # building a unit takes as long as some twenty images
     options: ContactOptions = field(default_factory=ContactOptions)
     look: Look | None = None
     misaligned_cells: int = 0
     imbalance: float = 0.0
+
+    def objects(self, rng: np.random.Generator, n: int, indenters: Sequence[str]) -> Objects:
+        """Return ``n`` random objects, flat faces as these settings say."""
+        return sample_objects(
+            rng,
+            n,
+            indenters,
+            self.flat_share,
+            flat_side_mm=self.flat_side_mm,
+            flat_tilt_rad=self.flat_tilt_rad,
+        )
 
 
 def equilibrium_pairs(
@@ -88,7 +108,7 @@ def equilibrium_pairs(
         transform: applied to (B, 480, 640) images before they are kept.
     """
     settings = settings or PairSettings()
-    objects = sample_objects(rng, n, indenters, settings.flat_share, flat_side_mm=settings.flat_side_mm)
+    objects = settings.objects(rng, n, indenters)
     force, torsion = sample_loads(rng, n, force_range or settings.force_range, objects.names)
     contact = ContactState(objects.gap_mm, force, torsion)
     left = finger_views(rng, left_sensor, contact, settings, transform)

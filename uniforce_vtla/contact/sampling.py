@@ -11,6 +11,7 @@ from uniforce_vtla.contact.indenters import flat_face_gap, gap_maps
 
 FLAT = "flat"  # name given to flat faces among the indenters
 FLAT_SIDE_mm = (12.0, 40.0)  # shortest and longest side of a flat face: partly beyond the pad
+FLAT_TILT_rad = 0.03  # a tool pressed by hand; what two parallel fingers hold lies flatter
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,7 @@ def sample_objects(
     flat_share: float = 0.0,
     reach_mm: float = 4.0,
     flat_side_mm: tuple[float, float] = FLAT_SIDE_mm,
+    flat_tilt_rad: float = FLAT_TILT_rad,
 ) -> Objects:
     """Return ``n`` objects at random places (±``reach_mm``), angles and sizes (±15 %; flat faces by their sides)."""
     names = [str(indenters[i]) for i in rng.integers(len(indenters), size=n)]
@@ -57,17 +59,19 @@ def sample_objects(
     angle = rng.uniform(-np.pi, np.pi, n)
     gap = gap_maps(names, center, angle, rng.uniform(0.85, 1.15, n))
     flat = rng.random(n) < flat_share
-    gap[flat] = _flat_faces(rng, int(flat.sum()), flat_side_mm)
+    gap[flat] = _flat_faces(rng, int(flat.sum()), flat_side_mm, flat_tilt_rad)
     return Objects(gap, tuple(FLAT if is_flat else name for is_flat, name in zip(flat, names, strict=True)))
 
 
-def _flat_faces(rng: np.random.Generator, n: int, side_mm: tuple[float, float]) -> np.ndarray:
+def _flat_faces(
+    rng: np.random.Generator, n: int, side_mm: tuple[float, float], tilt_rad: float
+) -> np.ndarray:
     """Return (n, G, G) gaps of tool sides, slightly tilted."""
     return flat_face_gap(
         rng.uniform(-5, 5, (n, 2)),
         rng.uniform(*side_mm, (n, 2)),
         rng.uniform(-0.3, 0.3, n),
-        rng.uniform(-0.03, 0.03, (n, 2)),
+        rng.uniform(-tilt_rad, tilt_rad, (n, 2)),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.pairs import PairSettings, finger_views
-from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
+from uniforce_vtla.contact.sampling import ForceRange, sample_loads
 from uniforce_vtla.contact.views import Transform
 from uniforce_vtla.contracts import ContactState
 
@@ -47,7 +47,7 @@ def two_fingers(
     """
     n = settings.pairs_per_unit
     for _ in range(blocks):
-        objects = sample_objects(rng, n, PRETRAIN, settings.flat_share, flat_side_mm=settings.flat_side_mm)
+        objects = settings.objects(rng, n, PRETRAIN)
         force, torsion = sample_loads(rng, n, settings.force_range, objects.names)
         loads = (force, torsion), _shared(rng, force, torsion, settings.force_range, other)
         first, second = (ContactState(objects.gap_mm, *load) for load in loads)

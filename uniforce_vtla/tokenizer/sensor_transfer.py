@@ -36,6 +36,9 @@ class SensorTransferFit:
     flat_torsion_arm_mm: float = 9.0  # a held tool that wipes twists flat pads so much (contact/sampling.py)
     # a held tool covers the pad; 12–40 bent the reading of GelSight
     flat_side_mm: tuple[float, float] = (30.0, 70.0)
+    # what parallel fingers hold lies flat on both pads but for their give (a wiped eraser leans by .01); a flat gel
+    # shows a leaning face as less grip: with .03 a finger that swaps to GelSight felt 1.7 N too much grip
+    flat_tilt_rad: float = 0.015
     other: OtherFinger = field(default_factory=OtherFinger)  # what fingers of a grasp don't share
     grid: int = 4  # latents pooled to grid × grid, as policies read them
     ridge: float = 30.0  # grasps' worth of belief that fingers say the same
@@ -88,11 +91,18 @@ class SensorTransfer(nn.Module):
             raise ContractError(expected("sensor of the demos", " | ".join(self.kinds), repr(source), do))
         return self.kinds.index(source)
 
-    def told(self, z: Tensor, row: int, target: int) -> Tensor:
-        """Return what a finger with the sensor ``target`` would have said, drawn at random, of z (B, n)."""
+    def told(self, z: Tensor, row: int, target: int, doubt: float = 1.0) -> Tensor:
+        """Return what a finger with the sensor ``target`` would have said, drawn at random, of z (B, n).
+
+        ``doubt`` is how much of it is drawn: 0 tells what is expected, 1 what may come.
+        """
         loud = ((z - self.rest[row]) / self.unit[row]).square().mean(dim=1, keepdim=True).sqrt()  # (B, 1)
         noise = torch.randn_like(z) @ self.doubt[row, target].T
-        return z @ self.matrix[row, target].T + self.offset[row, target] + loud.clamp(max=LOUDEST) * noise
+        return (
+            z @ self.matrix[row, target].T
+            + self.offset[row, target]
+            + doubt * loud.clamp(max=LOUDEST) * noise
+        )
 
     @classmethod
     def from_pretrained(cls, tokenizer: str | Path | None = None) -> SensorTransfer:
