@@ -11,6 +11,7 @@ from lerobot.scripts import lerobot_eval
 from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_env_uniforce_wiping import draw_scene
+from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_vtla.commands.record import RecordConfig, record
 from uniforce_vtla.commands.score import score
 from uniforce_vtla.commands.score_config import ScoreConfig
@@ -70,26 +71,41 @@ def test_a_finished_episode_is_not_scored_again(checkpoint: Path, tmp_path: Path
     assert rows.read_text() == before
 
 
-def test_lerobot_eval_runs_the_same_checkpoint(
-    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def lerobot_evaluated(
+    monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, level: str, seed: int, episodes: int
+) -> list[bool]:
+    """Return which of some consecutive scenes succeed in LeRobot's own command."""
     flags = [
-        f"--policy.path={checkpoint}",
+        f"--policy.path={policy}",
         "--policy.device=cpu",
         "--env.type=uniforce_wiping",
-        "--env.level=easy",
-    ]
-    flags += [
-        "--eval.n_episodes=1",
+        f"--env.level={level}",
+        f"--eval.n_episodes={episodes}",
         "--eval.batch_size=1",
         "--eval.use_async_envs=false",
-        f"--output_dir={tmp_path}",
+        f"--seed={seed}",
+        f"--output_dir={out}",
     ]
     monkeypatch.setattr(sys, "argv", ["lerobot-eval", *flags])
     register_third_party_plugins()
     lerobot_eval.main()
-    info = json.loads((tmp_path / "eval_info.json").read_text())
-    assert info["overall"]["pc_success"] in (0.0, 100.0)
+    (told,) = json.loads((out / "eval_info.json").read_text())["per_task"]
+    return [bool(success) for success in told["metrics"]["successes"]]
+
+
+def test_lerobot_eval_runs_the_same_checkpoint(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert lerobot_evaluated(monkeypatch, tmp_path, checkpoint, "easy", 10_000, 1) == [False]
+
+
+def test_lerobot_eval_agrees_with_our_score(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The shipped policy wipes the board of the first scene, whoever asks."""
+    config = ScoreConfig(level="paper", rollouts=1, workers=1, videos=0, out=str(tmp_path / "score"))
+    (row,) = score(config).rows
+    policy = shipped_checkpoint()
+    assert lerobot_evaluated(monkeypatch, tmp_path / "eval", policy, "paper", row.seed, 1) == [True]
+    assert row.outcome == "success"
 
 
 def test_a_recording_is_scored_from_its_fingers_alone(demos: Path, tmp_path: Path) -> None:

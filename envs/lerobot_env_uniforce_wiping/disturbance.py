@@ -38,11 +38,15 @@ class NudgeSettings:
     # a soft arm gives way by 19 mm at the usual press; slow: the press that comes back with it stays within 2 N
     wiping: Push = Push((0.004, 0.022), per_s=0.08, fall_s=4.0)
     in_air: Push = Push((-0.015, 0.045), per_s=0.5, fall_s=1.2)
+    # back down to the wiped board: leaving takes a third of a second, too short to learn that a clean board is left
+    leaving: Push = Push((-0.012, -0.003), per_s=2.0, fall_s=1.0)
     rise_s: float = 0.1  # of a push
 
     def push(self, phase: str) -> Push | None:
         """Return what may happen in a phase of the sequence."""
-        return {"lift": self.in_air, "carry": self.in_air, "wipe": self.wiping}.get(phase)
+        return {"lift": self.in_air, "carry": self.in_air, "wipe": self.wiping, "leave": self.leaving}.get(
+            phase
+        )
 
 
 class Nudge:
@@ -50,7 +54,7 @@ class Nudge:
 
     Without pushes while wiping demos lose the board for moments at most, and a policy that begins a stroke in the air
     goes on so; without those in the air nobody shows the way back from too high, and a policy that rises too far
-    drifts.
+    drifts; without those while leaving, one that leaves a clean board too slowly goes down again.
 
     Args:
         seed: the scene's; an episode repeats exactly.

@@ -138,8 +138,8 @@ class WipeSequence:
         return pressed
 
     def _wipe(self, measured: np.ndarray) -> bool:
-        if self.hands.lost():
-            self.phase, self._speed_m_s = "lower", 0.0
+        if self.hands.lost():  # who hangs over a clean board is done, who hangs over ink goes down again
+            self.phase, self._speed_m_s = "leave" if self._look() is None else "lower", 0.0
             return False
         shifting = self.sweep.between_rows(self._along_m + SLOW_DOWN_m)
         if not shifting:  # drag along the closing axis loads the pads unevenly: hold still and trust the gel
@@ -162,7 +162,7 @@ class WipeSequence:
         return True
 
     def _leave(self, measured: np.ndarray) -> bool:
-        self._move({Z: self.level.layout.carry_height_m + 0.015})
+        self._go_to_height(self.level.layout.carry_height_m + 0.015, measured)
         return measured[Z] > self.level.layout.carry_height_m + 0.005
 
     def _done(self, measured: np.ndarray) -> bool:

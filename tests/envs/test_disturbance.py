@@ -75,6 +75,40 @@ def test_an_expert_who_loses_the_board_stays_there_and_goes_down_again() -> None
     assert env.result().success
 
 
+def test_an_expert_who_loses_a_clean_board_leaves_it() -> None:
+    """Otherwise demos show a hand over a clean board that goes down, and a policy wipes to the end of its time."""
+    env, expert = WipeEnv("paper"), WipeExpert()
+    env.start(9001)
+    expert.reset(env)
+    nudge = Nudge(1, settings=NudgeSettings(sd=STILL, wiping=always(0.03)))
+    phases, steps_wiping, done = [], 0, False
+    while not done:
+        target = expert.act(env)
+        steps_wiping += expert.phase == "wipe"
+        phases.append(expert.phase)
+        if steps_wiping == 30:
+            env.sim.ink.ink[:] = 0
+            env.sim.ink.version += 1
+        done = env.advance(nudge.apply(target, "wipe" if steps_wiping == 30 else ""))
+    assert "lower" not in phases[phases.index("wipe") :] and phases[-1] == "leave"
+    assert steps_wiping < 60 and env.result().success
+
+
+def test_a_hand_pushed_back_to_the_board_while_it_leaves_answers_by_its_own_command() -> None:
+    env, expert = WipeEnv("paper"), WipeExpert()
+    env.start(9001)
+    expert.reset(env)
+    nudge = Nudge(1, settings=NudgeSettings(sd=STILL, leaving=always(-0.03, fall_s=1.0)))
+    gap_m, done = [], False
+    while not done:
+        command = expert.act(env)
+        if expert.phase == "leave":
+            gap_m.append(float(command[Z] - env.state[Z]))
+        done = env.advance(nudge.apply(command, expert.phase if len(gap_m) < 30 else ""))
+    assert len(gap_m) > 30 and max(gap_m) > 0.025  # it pulls the harder the lower it is held
+    assert env.result().success
+
+
 def test_a_hand_pushed_up_in_the_air_is_seen_to_come_down_by_its_own_command() -> None:
     env, expert = WipeEnv("paper"), WipeExpert()
     env.start(9001)
