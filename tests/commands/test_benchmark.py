@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 
 from lerobot_env_uniforce_wiping.blind import BEST
 from uniforce_vtla.commands import score_worker
-from uniforce_vtla.commands.benchmark import BenchmarkConfig, configs, main
+from uniforce_vtla.commands.benchmark import BenchmarkConfig, configs, main, report
 from uniforce_vtla.commands.score import score_arms
 from uniforce_vtla.commands.score_config import ScoreConfig
 from uniforce_vtla.errors import ContractError, DatasetError
@@ -34,6 +35,32 @@ def test_arms_without_a_checkpoint_are_named_and_left_out(
     assert "left out: V+T+G" in capsys.readouterr().out
     with pytest.raises(DatasetError, match="Train the arms"):
         configs(BenchmarkConfig(checkpoints=str(tmp_path), only="V"), rollouts=3)
+
+
+def test_training_seeds_take_turns_from_scene_to_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from uniforce_vtla.commands import score as module
+    from uniforce_vtla.evaluation.arms import EpisodeRow
+
+    for folder in (tmp_path / "seed0" / "v", tmp_path / "seed1" / "v", tmp_path / "seed0" / "vt"):
+        folder.mkdir(parents=True)
+        (folder / "config.json").write_text("{}")
+
+    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
+        clean = "seed0" in job.config.policy_of(job.seed)
+        return job.index, EpisodeRow(job.seed, "success", clean, False, False, 0, 0, 0, 0, 0, 0)
+
+    monkeypatch.setattr(module, "score_job", fake)
+    both = f"{tmp_path / 'seed0'}, {tmp_path / 'seed1'}"
+    command = BenchmarkConfig(checkpoints=both, rollouts=5, out=str(tmp_path / "out"), results=str(tmp_path))
+    with pytest.raises(DatasetError, match="Train the arms"):
+        configs(dataclasses.replace(command, only="V+T"), rollouts=5)  # one training seed lacks it
+    wanted = configs(dataclasses.replace(command, only="V"), rollouts=5)
+    assert wanted[0].policies == [str(tmp_path / seed / "v") for seed in ("seed0", "seed1")]
+    table = json.loads(report(command, score_arms(wanted, workers=1), 0.0).read_text())
+    assert table["arms"]["V"]["by_seed"] == "CsCsC" and table["checkpoints"] == both.split(", ")
+    assert table["arms"]["V"]["clean_by_checkpoint"] == ["3/3", "0/2"]
 
 
 def test_arms_take_turns_and_a_second_run_does_nothing(

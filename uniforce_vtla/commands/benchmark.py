@@ -30,7 +30,9 @@ class BenchmarkConfig:
     or, of arms you trained: uniforce-benchmark checkpoints=outputs/arms/seed0 results=outputs/benchmark_results
     """
 
-    checkpoints: str = "checkpoints/wiping/seed0"  # a folder each (see plan.py); these come with the source
+    # holds a folder per checkpoint (see plan.py); these come with the source. Several (comma between them), one for
+    # each training seed, take turns from scene to scene, the same for all arms
+    checkpoints: str = "checkpoints/wiping/seed0"
     level: str = "paper"  # locked level
     only: str = ""  # names of arms (comma between them); empty = all that have a checkpoint
     rollouts: int = 200  # paired seeds per arm; ≥ 200 for claims
@@ -58,7 +60,7 @@ def configs(command: BenchmarkConfig, rollouts: int) -> list[ScoreConfig]:
         if policy:
             found.append(_config(command, arm, policy, rollouts))
         else:
-            print(f"left out: {arm.name} (no checkpoint {Path(command.checkpoints) / arm.checkpoint})")
+            print(f"left out: {arm.name} (no checkpoint {arm.checkpoint} in {command.checkpoints})")
     if not found:
         do = "Train the arms (uniforce-train-arm), or name their folder with checkpoints=."
         raise DatasetError(expected(command.checkpoints, "a checkpoint of the plan", "none", do))
@@ -69,8 +71,8 @@ def _policy(command: BenchmarkConfig, arm: Arm) -> str:
     """Return what the scorer calls the arm's policy; empty where there is none."""
     if arm.checkpoint in SCRIPTS:
         return arm.checkpoint
-    folder = Path(command.checkpoints) / arm.checkpoint
-    return str(folder) if (folder / "config.json").exists() else ""
+    folders = [Path(seed.strip()) / arm.checkpoint for seed in command.checkpoints.split(",")]
+    return ",".join(map(str, folders)) if all((f / "config.json").exists() for f in folders) else ""
 
 
 def _config(command: BenchmarkConfig, arm: Arm, policy: str, rollouts: int) -> ScoreConfig:
@@ -100,7 +102,8 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
         "what": "simulated; clean success = success without slippage or excess force",
         "level": command.level,
         "level_hash": level_hash(LEVELS[command.level]),
-        "arms": {r.arm: r.as_dict() for r in reports},
+        "checkpoints": [seed.strip() for seed in command.checkpoints.split(",")],
+        "arms": {r.arm: r.as_dict() | _by_checkpoint(r, command) for r in reports},
         "tests": better(by_name),
         "as_good": as_good(by_name),
         "seconds": seconds,
@@ -109,6 +112,18 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
     draw_arms(reports, path.with_suffix(".png"), title=f"wiping, level {command.level}, simulated")
     draw_z_profiles(reports, path.with_name("wiping_z.png"))
     return path
+
+
+def _by_checkpoint(arm: ArmReport, command: BenchmarkConfig) -> dict[str, Any]:
+    """Return the clean rollouts of each training seed, where they took turns."""
+    seeds = command.checkpoints.split(",")
+    if len(seeds) == 1:
+        return {}
+    turns = [
+        [r.clean for r in arm.rows if (r.seed - command.first_seed) % len(seeds) == i]
+        for i in range(len(seeds))
+    ]
+    return {"clean_by_checkpoint": [f"{sum(clean)}/{len(clean)}" for clean in turns]}
 
 
 def _same_level(earlier: dict[str, Any], level: str) -> bool:

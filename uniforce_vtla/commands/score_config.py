@@ -15,9 +15,9 @@ class ScoreConfig:
     Example: uniforce-score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    policy: str = (
-        "shipped"  # checkpoint folder; shipped = the tiny V+T policy in the package; or expert | blind
-    )
+    # checkpoint folder; shipped = the tiny V+T policy in the package; or expert | blind. Several (comma between them,
+    # e.g. two training seeds) take turns, scene by scene
+    policy: str = "shipped"
     arm: str = ""  # name of this arm in the table; "" = V+T, or the script's own
     level: str = "paper"  # easy | paper (what the shipped policy learnt at) | hard | easy_v1
     left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
@@ -36,7 +36,12 @@ class ScoreConfig:
 
     def __post_init__(self) -> None:
         """Name the arm."""
+        self.policies = [policy.strip() for policy in self.policy.split(",")]
         self.arm = self.arm or (self.policy if self.policy in SCRIPTS else "V+T")
+
+    def policy_of(self, seed: int) -> str:
+        """Return which policy acts in the scene of that seed."""
+        return self.policies[(seed - self.first_seed) % len(self.policies)]
 
 
 def mounted_sensors(left: str = "", right: str = "") -> dict[Finger, str]:

@@ -40,7 +40,7 @@ def score_job(job: Job) -> tuple[int, EpisodeRow]:
     torch.set_num_threads(1)  # processes share the cores; more threads each only fight
     cv2.setNumThreads(1)
     config, seed = job.config, job.seed
-    env, controller = _build(_Setup.of(config), job.folder)
+    env, controller = _build(_Setup.of(config, seed), job.folder)
     film = seed < config.first_seed + config.videos or seed in config.film
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
     rollout = roll_out(env, controller, seed, keep_frames=film)
@@ -61,12 +61,12 @@ class _Setup:
     control: str
 
     @classmethod
-    def of(cls, config: ScoreConfig) -> _Setup:
+    def of(cls, config: ScoreConfig, seed: int) -> _Setup:
         sensors = config.left_sensor, config.right_sensor
-        return cls(config.policy, config.level, *sensors, config.swap, config.control)
+        return cls(config.policy_of(seed), config.level, *sensors, config.swap, config.control)
 
 
-@functools.lru_cache(maxsize=16)  # arms take turns
+@functools.lru_cache(maxsize=64)  # arms take turns, and training seeds within them
 def _build(setup: _Setup, out: Path) -> tuple[WipeEnv, Controller]:
     """Build both once per process and store which sensors they run on."""
     env, controller = _make(setup)
