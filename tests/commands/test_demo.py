@@ -10,7 +10,7 @@ from uniforce_datasets.view_plan import EpisodeFacts
 from uniforce_vtla.commands import demo, record, view
 
 
-class Stop(Exception):
+class SeenEnoughError(Exception):
     """Ends the demo where a test has seen enough."""
 
 
@@ -22,11 +22,11 @@ def test_it_learns_from_every_demo_that_wiped_the_board(
 
     def stop(config: view.ViewConfig) -> Path:
         asked.append(config)
-        raise Stop
+        raise SeenEnoughError
 
     monkeypatch.setattr(record, "record", lambda config: None)
     monkeypatch.setattr(view, "make_view", stop)
-    with pytest.raises(Stop):
+    with pytest.raises(SeenEnoughError):
         demo.run(demo.DemoConfig(out=str(tmp_path / "demo")))
     wiped, left_ink = (
         EpisodeFacts("demos", 0, 400, "wipe", False, outcome, 0, "gelsight", "tactip")
