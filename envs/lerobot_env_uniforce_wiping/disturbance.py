@@ -44,9 +44,8 @@ class NudgeSettings:
 
     def push(self, phase: str) -> Push | None:
         """Return what may happen in a phase of the sequence."""
-        return {"lift": self.in_air, "carry": self.in_air, "wipe": self.wiping, "leave": self.leaving}.get(
-            phase
-        )
+        by_phase = {"lift": self.in_air, "carry": self.in_air, "wipe": self.wiping, "leave": self.leaving}
+        return by_phase.get(phase)
 
 
 class Nudge:

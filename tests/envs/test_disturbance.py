@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
@@ -55,19 +57,27 @@ def test_lifts_leave_the_other_offsets_as_they_were() -> None:
     assert other[Z] > one[Z]
 
 
-def test_an_expert_who_loses_the_board_stays_there_and_goes_down_again() -> None:
-    env, expert = WipeEnv("paper"), WipeExpert()
+def commands(env: WipeEnv, nudge: Nudge, push_in: Callable[[str], str]) -> Iterator[tuple[str, np.ndarray]]:
+    """Let the expert wipe scene 9001: yield phase and command before each step, then push as ``push_in`` says."""
+    expert, done = WipeExpert(), False
     env.start(9001)
     expert.reset(env)
-    nudge = Nudge(1, settings=NudgeSettings(sd=STILL, wiping=always(0.03)))
-    steps_wiping, lost = 0, []
-    done = False
     while not done:
-        target = expert.act(env)
-        steps_wiping += expert.phase == "wipe"
-        if steps_wiping > 30 and expert.phase == "lower":
+        command = expert.act(env)
+        phase = expert.phase
+        yield phase, command
+        done = env.advance(nudge.apply(command, push_in(phase)))
+
+
+def test_an_expert_who_loses_the_board_stays_there_and_goes_down_again() -> None:
+    env = WipeEnv("paper")
+    nudge = Nudge(1, settings=NudgeSettings(sd=STILL, wiping=always(0.03)))
+    phases: list[str] = []
+    lost = []
+    for phase, target in commands(env, nudge, lambda _: "wipe" if phases.count("wipe") == 30 else ""):
+        phases.append(phase)
+        if phases.count("wipe") > 30 and phase == "lower":
             lost.append(target)
-        done = env.advance(nudge.apply(target, "wipe" if steps_wiping == 30 else ""))
     assert lost, "a lift of 30 mm loses the board"
     path = np.array(lost)
     assert np.ptp(path[:, :2], axis=0).max() < 0.005  # no stroke in the air
@@ -77,50 +87,40 @@ def test_an_expert_who_loses_the_board_stays_there_and_goes_down_again() -> None
 
 def test_an_expert_who_loses_a_clean_board_leaves_it() -> None:
     """Otherwise demos show a hand over a clean board that goes down, and a policy wipes to the end of its time."""
-    env, expert = WipeEnv("paper"), WipeExpert()
-    env.start(9001)
-    expert.reset(env)
+    env = WipeEnv("paper")
     nudge = Nudge(1, settings=NudgeSettings(sd=STILL, wiping=always(0.03)))
-    phases, steps_wiping, done = [], 0, False
-    while not done:
-        target = expert.act(env)
-        steps_wiping += expert.phase == "wipe"
-        phases.append(expert.phase)
-        if steps_wiping == 30:
+    phases: list[str] = []
+    for phase, _ in commands(env, nudge, lambda _: "wipe" if phases.count("wipe") == 30 else ""):
+        phases.append(phase)
+        if phases.count("wipe") == 30:
             env.sim.ink.ink[:] = 0
             env.sim.ink.version += 1
-        done = env.advance(nudge.apply(target, "wipe" if steps_wiping == 30 else ""))
     assert "lower" not in phases[phases.index("wipe") :] and phases[-1] == "leave"
-    assert steps_wiping < 60 and env.result().success
+    assert phases.count("wipe") < 60 and env.result().success
 
 
 def test_a_hand_pushed_back_to_the_board_while_it_leaves_answers_by_its_own_command() -> None:
-    env, expert = WipeEnv("paper"), WipeExpert()
-    env.start(9001)
-    expert.reset(env)
+    env = WipeEnv("paper")
     nudge = Nudge(1, settings=NudgeSettings(sd=STILL, leaving=always(-0.03, fall_s=1.0)))
-    gap_m, done = [], False
-    while not done:
-        command = expert.act(env)
-        if expert.phase == "leave":
+    gap_m: list[float] = []
+    for phase, command in commands(env, nudge, lambda phase: phase if len(gap_m) < 30 else ""):
+        if phase == "leave":
             gap_m.append(float(command[Z] - env.state[Z]))
-        done = env.advance(nudge.apply(command, expert.phase if len(gap_m) < 30 else ""))
     assert len(gap_m) > 30 and max(gap_m) > 0.025  # it pulls the harder the lower it is held
     assert env.result().success
 
 
 def test_a_hand_pushed_up_in_the_air_is_seen_to_come_down_by_its_own_command() -> None:
-    env, expert = WipeEnv("paper"), WipeExpert()
-    env.start(9001)
-    expert.reset(env)
+    env = WipeEnv("paper")
     nudge = Nudge(1, settings=NudgeSettings(sd=STILL, in_air=always(0.04)))
-    carry_m, too_high_m, answered_m, done = env.level.layout.carry_height_m, [], [], False
-    while not done:
-        command, high_m = expert.act(env), float(env.state[Z])
-        pushing = expert.phase == "carry" and not too_high_m
-        if expert.phase == "carry" and high_m > carry_m + 0.015:
+    too_high_m: list[float] = []
+    answered_m: list[float] = []
+    for phase, command in commands(
+        env, nudge, lambda phase: phase if phase == "carry" and not too_high_m else ""
+    ):
+        carry_m, high_m = env.level.layout.carry_height_m, float(env.state[Z])
+        if phase == "carry" and high_m > carry_m + 0.015:
             too_high_m.append(high_m)
             answered_m.append(float(command[Z]))
-        done = env.advance(nudge.apply(command, "carry" if pushing else ""))
     assert max(too_high_m) > carry_m + 0.02 and min(answered_m) < carry_m - 0.005
     assert env.result().clean

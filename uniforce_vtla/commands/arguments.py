@@ -33,13 +33,18 @@ def parse[ConfigT](
     return draccus.parse(config_class=config_class, config_path=config_path, args=args)
 
 
+def names_in(text: str) -> list[str]:
+    """Return the names in a text with commas between them."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
     """Return the entries named in ``only`` (comma between them); all of them when empty.
 
     Raises:
         ContractError: a name nobody knows.
     """
-    names = [name.strip() for name in only.split(",") if name.strip()] or list(known)
+    names = names_in(only) or list(known)
     unknown = sorted(set(names) - set(known))
     if unknown:
         raise ContractError(expected("only", " | ".join(known), unknown, "Name rows of the table."))

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from uniforce_vtla.commands.arguments import choose, parse
+from uniforce_vtla.commands.arguments import choose, names_in, parse
 from uniforce_vtla.commands.score import score_arms
-from uniforce_vtla.commands.score_config import ScoreConfig
+from uniforce_vtla.commands.score_config import ScoreConfig, whose_turn
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, table
 from uniforce_vtla.evaluation.comparison import as_good, better
@@ -71,7 +71,7 @@ def _policy(command: BenchmarkConfig, arm: Arm) -> str:
     """Return what the scorer calls the arm's policy; empty where there is none."""
     if arm.checkpoint in SCRIPTS:
         return arm.checkpoint
-    folders = [Path(seed.strip()) / arm.checkpoint for seed in command.checkpoints.split(",")]
+    folders = [Path(seed) / arm.checkpoint for seed in names_in(command.checkpoints)]
     return ",".join(map(str, folders)) if all((f / "config.json").exists() for f in folders) else ""
 
 
@@ -102,7 +102,7 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
         "what": "simulated; clean success = success without slippage or excess force",
         "level": command.level,
         "level_hash": level_hash(LEVELS[command.level]),
-        "checkpoints": [seed.strip() for seed in command.checkpoints.split(",")],
+        "checkpoints": names_in(command.checkpoints),
         "arms": {r.arm: r.as_dict() | _by_checkpoint(r, command) for r in reports},
         "tests": better(by_name),
         "as_good": as_good(by_name),
@@ -116,12 +116,12 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
 
 def _by_checkpoint(arm: ArmReport, command: BenchmarkConfig) -> dict[str, Any]:
     """Return the clean rollouts of each training seed, where they took turns."""
-    seeds = command.checkpoints.split(",")
+    seeds = names_in(command.checkpoints)
     if len(seeds) == 1:
         return {}
     turns = [
-        [r.clean for r in arm.rows if (r.seed - command.first_seed) % len(seeds) == i]
-        for i in range(len(seeds))
+        [row.clean for row in arm.rows if whose_turn(row.seed - command.first_seed, seeds) == seed]
+        for seed in seeds
     ]
     return {"clean_by_checkpoint": [f"{sum(clean)}/{len(clean)}" for clean in turns]}
 

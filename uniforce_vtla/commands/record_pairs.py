@@ -14,7 +14,7 @@ import torch
 from tqdm import tqdm
 
 import datasets
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.commands.arguments import names_in, parse
 from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
 from uniforce_vtla.errors import ContractError, UniForceError, expected
 from uniforce_vtla.results_file import provenance, write_json
@@ -146,7 +146,7 @@ def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
 
 
 def _check(config: RecordPairsConfig) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in config.indenters.split(",") if name.strip())
+    names = tuple(names_in(config.indenters))
     if config.robot not in ("sim", "franka"):
         raise ContractError(expected("robot", "sim | franka", repr(config.robot), "Name one."))
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []

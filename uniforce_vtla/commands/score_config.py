@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from uniforce_vtla.commands.arguments import names_in
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.evaluation.plan import SCRIPTS
 
@@ -36,12 +38,21 @@ class ScoreConfig:
 
     def __post_init__(self) -> None:
         """Name the arm."""
-        self.policies = [policy.strip() for policy in self.policy.split(",")]
         self.arm = self.arm or (self.policy if self.policy in SCRIPTS else "V+T")
+
+    @property
+    def policies(self) -> list[str]:
+        """Who takes turns."""
+        return names_in(self.policy) or [self.policy]
 
     def policy_of(self, seed: int) -> str:
         """Return which policy acts in the scene of that seed."""
-        return self.policies[(seed - self.first_seed) % len(self.policies)]
+        return whose_turn(seed - self.first_seed, self.policies)
+
+
+def whose_turn(scene: int, names: Sequence[str]) -> str:
+    """Return whose turn a scene is, counted from the first one scored."""
+    return names[scene % len(names)]
 
 
 def mounted_sensors(left: str = "", right: str = "") -> dict[Finger, str]:

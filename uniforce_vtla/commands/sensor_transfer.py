@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.commands.arguments import names_in, parse
 from uniforce_vtla.contact.pairs import PairSettings
 from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.two_fingers import two_fingers
@@ -66,7 +66,7 @@ def draw_latents(
 
 def _run(command: SensorTransferCommand) -> str:
     tokenizer = Tokenizer.from_pretrained(command.tokenizer)
-    kinds = [get_sensor(name.strip()).name for name in command.sensors.split(",") if name.strip()]
+    kinds = [get_sensor(name).name for name in names_in(command.sensors)]
     latents = draw_latents(tokenizer, kinds or list(list_sensors()), command.fit)
     transfer, facts = fit_transfer(latents, tokenizer.hash, command.fit)
     folder = checkpoint_folder(command.tokenizer, FOLDER)

@@ -10,7 +10,7 @@ import torch
 from tqdm import tqdm
 
 from uniforce_datasets.source import Episode, Source
-from uniforce_vtla.commands.arguments import numbers, parse
+from uniforce_vtla.commands.arguments import names_in, numbers, parse
 from uniforce_vtla.commands.dataset_rerun import write_recording
 from uniforce_vtla.commands.dataset_sheet import write_sheet
 from uniforce_vtla.commands.dataset_story import tell
@@ -94,7 +94,7 @@ def _friction(text: str) -> tuple[float, float] | None:
 def _chosen(source: Source, text: str) -> list[Episode]:
     if text == "all":
         return list(source.episodes)
-    words = [word.strip() for word in text.split(",") if word.strip()]
+    words = names_in(text)
     known = {str(episode.index): episode for episode in source.episodes}
     unknown = [word for word in words if word not in known]
     if unknown or not words:
