@@ -14,6 +14,7 @@ from uniforce_vtla.commands.benchmark import BenchmarkConfig, configs, main, rep
 from uniforce_vtla.commands.score import score_arms
 from uniforce_vtla.commands.score_config import ScoreConfig
 from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.evaluation.arms import read_rows
 from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
@@ -111,12 +112,14 @@ def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
 @pytest.mark.slow
 def test_the_expert_is_scored_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     where = [f"out={tmp_path / 'out'}", f"results={tmp_path}", "only=expert", "videos=0", "workers=1"]
-    assert main([*where, "rollouts=1"]) == 0
+    assert main([*where, "rollouts=1", "first_seed=10007"]) == 0
     written = json.loads((tmp_path / "wiping.json").read_text())
     assert written["arms"]["expert"]["n"] == 1 and written["level"] == "paper" and written["tests"] == []
     assert (tmp_path / "wiping_z.png").exists()
     assert main([*where, "replay=1"]) == 0
     assert "0 of 1 episodes differ" in capsys.readouterr().out
+    (again,) = (tmp_path / "out_replay").glob("**/episodes.jsonl")
+    assert list(read_rows(again)) == [10_007]  # the table's scene, whatever the first one is by default
 
 
 def test_nothing_to_replay_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -131,7 +131,7 @@ def _same_level(earlier: dict[str, Any], level: str) -> bool:
 
 
 def replay(command: BenchmarkConfig) -> str:
-    """Roll the first seeds out again into a folder of their own; say on how many the outcome differs."""
+    """Roll the table's first seeds out again into a folder of their own; say on how many the outcome differs."""
     path = Path(command.results) / "wiping.json"
     if not path.exists():
         raise DatasetError(
@@ -142,6 +142,7 @@ def replay(command: BenchmarkConfig) -> str:
     wanted = [c for c in configs(command, command.replay) if c.arm in committed["arms"]]
     for config in wanted:
         config.resume = False  # an earlier replay proves nothing about this one
+        config.first_seed = committed["arms"][config.arm]["seeds"][0]
     differing, lines = 0, []
     for again in score_arms(wanted, command.workers):
         before = committed["arms"][again.arm]["by_seed"][: command.replay]
