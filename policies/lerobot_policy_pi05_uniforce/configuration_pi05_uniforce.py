@@ -13,6 +13,7 @@ from lerobot_policy_pi05_uniforce.sizes import resolve_size, size_defaults
 from uniforce_vtla.contracts import FINGERS, Finger, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
+from uniforce_vtla.tokenizer.agreed_directions import MOST
 
 _BY_SIZE: Any = None  # "take the size's default"; never left after __post_init__
 
@@ -75,6 +76,8 @@ class PI05UniforceConfig(PI05Config):
     start_at_base: bool = _BY_SIZE
     # each force token also holds what is made of its slot's whole map (force_tokens.py); tiny on, base not tried
     hear_whole_pad: bool = _BY_SIZE
+    # hear latents only along so many directions on which all sensors agree (agreed_directions.py); 0 = the whole map
+    touch_directions: int = 0
     force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
@@ -168,6 +171,9 @@ class PI05UniforceConfig(PI05Config):
             came = f"{self.sensor_transfer} with touch_input={self.touch_input}"
             do = "Set it to 0, or feel latents."
             raise ContractError(expected("sensor_transfer", "a share of latents", came, do))
+        if not 0 <= self.touch_directions <= MOST or (self.touch_directions and self.touch_input != "latent"):
+            came = f"{self.touch_directions} with touch_input={self.touch_input}"
+            raise ContractError(expected("touch_directions", f"0 to {MOST} of latents", came, "Set it to 0."))
         if not 0 <= self.sensor_transfer_doubt <= 1:
             do = "Take the tested 0.25."
             raise ContractError(expected("sensor_transfer_doubt", "0 to 1", self.sensor_transfer_doubt, do))

@@ -41,6 +41,8 @@ class ForceTokens(nn.Module):
             What survives it is what many cells agree on, and that is what another sensor's latents share.
         whole: every token also holds what one network makes of the slot's whole map. Force is a sum over cells, which
             attention over tokens made cell by cell reads less exactly than a head on the map does.
+        directions: hear the slot's map along so many directions only, those on which all sensors agree best
+            (uniforce_vtla/tokenizer/agreed_directions.py), told to all cells alike; 0 = the whole map.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class ForceTokens(nn.Module):
         scale: float,
         noise: float = 0.0,
         whole: bool = False,
+        directions: int = 0,
     ) -> None:
         super().__init__()
         self.noise = noise
@@ -59,8 +62,12 @@ class ForceTokens(nn.Module):
         self.needs_transfer = False
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
-        self.proj = _two_layers(input_shape[1], width)
-        rows, numbers = input_shape
+        if directions:
+            self.register_buffer("directions", torch.zeros(input_shape[0] * input_shape[1], directions))
+            self.register_buffer("origin", torch.zeros(directions))
+        self.agreed_only = bool(directions)
+        rows, numbers = (1, directions) if directions else input_shape
+        self.proj = _two_layers(numbers, width)
         self.whole = _two_layers(rows * numbers, width) if whole and rows > 1 else None
         self.cell_embedding = nn.Parameter(0.5 * torch.randn(num_tokens, width))
         self.slot_embedding = nn.Parameter(0.5 * torch.randn(num_slots, width))
@@ -70,7 +77,7 @@ class ForceTokens(nn.Module):
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
         if self.training and self.needs_transfer:
             touch = self._told(touch, slot)
-        felt = (touch - self.input_mean) / self.input_scale
+        felt = self._felt(touch)
         if self.training and self.noise:
             felt = felt + self.noise * torch.randn_like(felt)
         hidden = self.proj(felt)  # (B, K or 1, D)
@@ -78,6 +85,11 @@ class ForceTokens(nn.Module):
             hidden = hidden + self.whole(felt.flatten(1))[:, None]
         hidden = hidden + self.cell_embedding + self.slot_embedding[slot]  # (B, K, D)
         return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
+
+    def _felt(self, touch: Tensor) -> Tensor:
+        if self.agreed_only:
+            return (touch.flatten(1) @ self.directions - self.origin)[:, None]  # (B, 1, directions)
+        return (touch - self.input_mean) / self.input_scale
 
     def _told(self, touch: Tensor, slot: int) -> Tensor:
         if self.transferred is None:

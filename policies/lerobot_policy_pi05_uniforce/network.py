@@ -22,6 +22,7 @@ from lerobot_policy_pi05_uniforce.onednn import use_onednn
 from lerobot_policy_pi05_uniforce.state_token import StateToken
 from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
 from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
+from lerobot_policy_pi05_uniforce.tokenizer_maps import take_directions
 from lerobot_policy_pi05_uniforce.touch_gate import GatedBackbone, Heard, TouchGate
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from lerobot_policy_pi05_uniforce.trainable import freeze_unread
@@ -50,6 +51,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self._touch: SuffixTouch | None = None  # of the call in progress, at token_site=suffix
         self.tactile_encoder = _make_encoder(config, empty)
         self.force_tokens = self._make_force_tokens(config)
+        if config.touch_directions and isinstance(self.force_tokens, ForceTokens) and not empty:
+            take_directions(self.force_tokens, config)  # a checkpoint brings its own
         gated = config.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
         self.state_token = self._make_state_token(config)
@@ -84,7 +87,14 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
         shape, noise = touch_shape(config), config.touch_noise if config.touch_input == "latent" else 0.0
         tokens = ForceTokens(
-            shape, config.tokens_per_slot, slots, self.touch_width, scale, noise, config.hear_whole_pad
+            shape,
+            config.tokens_per_slot,
+            slots,
+            self.touch_width,
+            scale,
+            noise,
+            config.hear_whole_pad,
+            config.touch_directions,
         )
         tokens.needs_transfer = config.sensor_transfer > 0
         if config.touch_input == "wrench":

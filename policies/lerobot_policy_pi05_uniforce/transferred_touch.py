@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from lerobot_policy_pi05_uniforce.tokenizer_maps import tokenizer_maps
 from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 
 if TYPE_CHECKING:
@@ -53,15 +53,6 @@ def transferred_touch(config: PI05UniforceConfig) -> TransferredTouch:
         CheckpointError: the tokenizer comes without maps, or they are another tokenizer's.
         ContractError: a slot's demos are of several kinds, of none that is stated, or of one without maps.
     """
-    transfer = SensorTransfer.from_pretrained(config.tokenizer_path)
-    if transfer.tokenizer_hash != config.tokenizer_hash:
-        do = "Run uniforce-sensor-transfer for this tokenizer."
-        raise CheckpointError(
-            expected("tokenizer of the maps", config.tokenizer_hash, transfer.tokenizer_hash, do)
-        )
-    numbers = config.tokens_per_slot * config.latent_size
-    if transfer.rest.shape[-1] != numbers:
-        do = "Run uniforce-sensor-transfer with fit.grid as policy.latent_grid."
-        raise ContractError(expected("numbers per slot", numbers, transfer.rest.shape[-1], do))
+    transfer = tokenizer_maps(config)
     worn = [config.trained_sensors.get(slot, "") for slot in config.slots]
     return TransferredTouch(transfer, worn, config.sensor_transfer, config.sensor_transfer_doubt)

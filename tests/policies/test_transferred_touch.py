@@ -18,6 +18,7 @@ from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 
 KINDS = ("tactip", "uskin")
 NUMBERS = 96
+ORIGIN = 0.25  # of free air along the directions
 
 
 def maps(tokenizer_hash="", shift=7.0):
@@ -25,6 +26,8 @@ def maps(tokenizer_hash="", shift=7.0):
     transfer = SensorTransfer(KINDS, NUMBERS, tokenizer_hash)
     transfer.matrix.copy_(torch.eye(NUMBERS))
     transfer.offset[0, 1] = shift
+    transfer.directions.copy_(torch.eye(NUMBERS)[:, : transfer.directions.shape[1]])
+    transfer.origin.fill_(ORIGIN)
     return transfer
 
 
@@ -127,4 +130,33 @@ def test_maps_of_another_tokenizer_are_refused(make_config, view):
 )
 def test_a_share_of_latents_it_must_be(settings, make_config):
     with pytest.raises(ContractError, match="sensor_transfer"):
+        make_config(**settings)
+
+
+def test_directions_are_all_that_is_heard_and_come_back_with_the_checkpoint(make_config, view, tmp_path):
+    policy = trained(make_config, view, sensor_transfer=0.0, touch_directions=3)
+    tokens, felt = policy.model.force_tokens.eval(), torch.randn(4, 16, 6)
+    other = felt + torch.randn_like(felt)
+    other.flatten(1)[:, :3] = felt.flatten(1)[:, :3]  # maps() names the first numbers as the agreed ones
+    assert torch.equal(tokens(felt, 0), tokens(other, 0))
+    other.flatten(1)[:, 2] += 0.5
+    assert not torch.allclose(tokens(felt, 0), tokens(other, 0))
+    assert torch.allclose(tokens.origin, torch.full((3,), ORIGIN))
+    shutil.rmtree(f"{view.tokenizer}/transfer")  # of no use any more
+    policy.save_pretrained(tmp_path / "saved")
+    again = PI05UniforcePolicy.from_pretrained(tmp_path / "saved").model.force_tokens
+    assert torch.equal(again(felt, 0), tokens(felt, 0))
+
+
+def test_directions_need_the_tokenizers_own_maps(make_config, view):
+    maps("another").save(f"{view.tokenizer}/transfer", {})
+    with pytest.raises(CheckpointError, match="uniforce-sensor-transfer"):
+        PI05UniforcePolicy(make_config(tokenizer_path=view.tokenizer, touch_directions=3))
+
+
+@pytest.mark.parametrize(
+    "settings", [{"touch_directions": 17}, {"touch_input": "wrench", "touch_directions": 2}]
+)
+def test_directions_are_of_latents_and_few(settings, make_config):
+    with pytest.raises(ContractError, match="touch_directions"):
         make_config(**settings)

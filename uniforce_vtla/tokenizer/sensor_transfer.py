@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from uniforce_vtla.contact.two_fingers import OtherFinger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.agreed_directions import MOST, agreed_directions
 from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
 
 FOLDER = "transfer"  # beside a shipped tokenizer's folder, inside one given by path
@@ -58,6 +59,8 @@ class SensorTransfer(nn.Module):
         offset: (S, S, n).
         rest: (S, n) latents of a source in free air.
         unit: (S, n) what a number is divided by for loudness: its spread times the average grasp's loudness.
+        directions: (n, MOST) on which all sensors agree, best first, of spread 1 over grasps (agreed_directions.py).
+        origin: (MOST,) what free air shows along them.
     """
 
     matrix: Tensor
@@ -65,6 +68,8 @@ class SensorTransfer(nn.Module):
     offset: Tensor
     rest: Tensor
     unit: Tensor
+    directions: Tensor
+    origin: Tensor
 
     def __init__(self, kinds: Sequence[str], numbers: int, tokenizer_hash: str = "") -> None:
         super().__init__()
@@ -79,6 +84,9 @@ class SensorTransfer(nn.Module):
         self.register_buffer("offset", torch.zeros(square[:3]))
         self.register_buffer("rest", torch.zeros(square[1:3]))
         self.register_buffer("unit", torch.ones(square[1:3]))
+        most = min(MOST, numbers)
+        self.register_buffer("directions", torch.zeros(numbers, most))
+        self.register_buffer("origin", torch.zeros(most))
 
     def row(self, source: str) -> int:
         """Return the index of a source sensor.
@@ -163,7 +171,14 @@ def fit_transfer(
             transfer.matrix[i, j] = _tensor(fitted.matrix)
             transfer.offset[i, j] = _tensor(fitted.offset)
             transfer.doubt[i, j] = _tensor(fitted.doubt)
-    return transfer, {"config": asdict(config), "differences": cells}
+    agreed = agreed_directions(
+        [finger.reshape(count, -1) for told in latents.values() for finger in (told.first, told.second)],
+        [told.rest.reshape(-1) for told in latents.values()],
+    )
+    transfer.directions.copy_(_tensor(agreed.matrix))
+    transfer.origin.copy_(_tensor(agreed.origin))
+    ratios = [round(float(ratio), 1) for ratio in agreed.ratios]
+    return transfer, {"config": asdict(config), "differences": cells, "agreement": ratios}
 
 
 @dataclass(frozen=True)
