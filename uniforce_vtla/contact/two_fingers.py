@@ -1,8 +1,9 @@
-"""What two fingers of one grasp feel, for as many sensors as wanted: the same force, torsions of their own.
+"""What two fingers of one grasp feel, for as many sensors as wanted: the same grip and pull, the rest of their own.
 
 Statics shares the force of a grasp equally between its fingers; how torsion about the closing axis is shared hangs on
-both pads, and a couple about the other axes pushes the fingers apart sideways. In the wiping scene the fingers' forces
-along the pad's height differ by .6 N, sideways by 1.2 N, and their torsions by 50 Nmm, as much as each of them is.
+both pads, and a couple about the other axes pushes the fingers apart sideways: an eraser grasped a little turned stays
+wedged between pads that stick. In the wiping scene the fingers' forces along the pad's height differ by .5 N from
+episode to episode, sideways by up to 4 N, and their torsions by 50 Nmm, as much as each of them is.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ Views = list[tuple[np.ndarray, np.ndarray]]
 class OtherFinger:
     """How the second finger's load differs from the first's."""
 
-    side_N: float = 1.2  # spread of the difference sideways (x), within friction; as in the wiping scene
-    own_torsion: bool = True  # drawn anew within friction; False: as the first finger's
+    own_side: bool = True  # sideways (x) force drawn anew within friction; False: as the first finger's
+    own_torsion: bool = True  # likewise
 
 
 def two_fingers(
@@ -62,13 +63,13 @@ def _shared(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the second finger's force (n, 3) and torsion (n,)."""
     force, room = force.copy(), bounds.friction * force[:, 2]
-    side = force[:, 0] + other.side_N * rng.standard_normal(len(force)).astype(force.dtype)
-    widest = np.sqrt(np.maximum(room**2 - force[:, 1] ** 2, 0))
-    force[:, 0] = np.clip(side, -widest, widest)
-    if not other.own_torsion:
-        return force, torsion
-    own = rng.uniform(-1, 1, len(torsion)) * room * bounds.flat_torsion_arm_mm
-    return force, own.astype(torsion.dtype)
+    if other.own_side:
+        widest = np.sqrt(np.maximum(room**2 - force[:, 1] ** 2, 0))
+        force[:, 0] = rng.uniform(-1, 1, len(widest)) * widest
+    if other.own_torsion:
+        own = rng.uniform(-1, 1, len(torsion)) * room * bounds.flat_torsion_arm_mm
+        torsion = own.astype(torsion.dtype)
+    return force, torsion
 
 
 def _seen(
