@@ -9,6 +9,7 @@ command, because commanded − measured predicts the press.  Hence the base is a
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 import torch
@@ -69,24 +70,36 @@ def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
     return base[:, None] + units.meant(deltas)
 
 
-class IssuedTarget:
-    """The last target sent to each environment row; empty until the first one after a reset."""
+def told_move(commands: Tensor) -> Tensor:
+    """Return (B, A) how far the command moved before a sample, SI: from the first of its (B, T, A) to the second.
 
-    def __init__(self) -> None:
-        self._target: Tensor | None = None
+    Before an episode's first command both are that command, so nothing moved.
+    """
+    return commands[:, 1] - commands[:, 0]
+
+
+class IssuedTarget:
+    """The last targets sent to each environment row; empty until the first one after a reset.
+
+    Args:
+        steps: how many steps back ``moved`` looks.
+    """
+
+    def __init__(self, steps: int = 0) -> None:
+        self._targets: deque[Tensor] = deque(maxlen=steps + 1)
 
     def reset(self) -> None:
         """Forget all targets."""
-        self._target = None
+        self._targets.clear()
 
     def record(self, target: Tensor) -> None:
         """Remember (B, A) targets just handed out."""
-        self._target = target.detach().clone()
+        self._targets.append(target.detach().clone())
 
     @property
     def last(self) -> Tensor | None:
         """The (B, A) targets sent last, None after a reset."""
-        return self._target
+        return self._targets[-1] if self._targets else None
 
     def base(self, measured: Tensor) -> Tensor:
         """Return the (B, A) base of the next chunk: what was issued last, else the measured state.
@@ -94,15 +107,23 @@ class IssuedTarget:
         Raises:
             RolloutError: the number of environments changed without a reset.
         """
-        if self._target is None:
+        if self.last is None:
             return measured
-        if self._target.shape != measured.shape:
+        if self.last.shape != measured.shape:
             raise RolloutError(
-                expected(
-                    "batch", tuple(self._target.shape), tuple(measured.shape), "Call policy.reset() first."
-                )
+                expected("batch", tuple(self.last.shape), tuple(measured.shape), "Call policy.reset() first.")
             )
-        return self._target
+        return self.last
+
+    def moved(self, measured: Tensor) -> Tensor:
+        """Return (B, A) how far the target moved over the steps kept, 0 before the second; SI units.
+
+        Raises:
+            RolloutError: as ``base``.
+        """
+        if self.last is None:
+            return torch.zeros_like(measured)
+        return self.base(measured) - self._targets[0]
 
 
 def check_axes(state_size: int, action_size: int, scale: list[float], knee: list[float]) -> None:

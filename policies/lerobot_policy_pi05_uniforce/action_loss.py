@@ -36,7 +36,9 @@ class ActionLoss(stock.PI05Policy):
         actions = batch[ACTION]
         if self.config.action_form == "target_delta":
             is_pad = batch.get("action_is_pad")
-            actions = to_deltas(actions, is_pad, self._measured(batch), self.network_units)
+            known = actions.shape[1] - 1 - self.config.chunk_size  # commands before the last one
+            is_pad = is_pad if is_pad is None else is_pad[:, known:]
+            actions = to_deltas(actions[:, known:], is_pad, self._measured(batch), self.network_units)
         return stock.pad_vector(actions, self.config.max_action_dim)
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:

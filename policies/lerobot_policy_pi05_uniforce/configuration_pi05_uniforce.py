@@ -92,6 +92,11 @@ class PI05UniforceConfig(PI05Config):
     sensor_transfer_doubt: float = 0.25
     # training only, with a state token: Gaussian noise on the normalised state, per axis; [] = none
     state_noise: list[float] = field(default_factory=list)
+    # with a state token and target_delta: how far the command moved over so many of its last steps is told beside the
+    # state, so that who is in mid-stroke knows which way; 0 = not told. As many as n_action_steps, or more
+    last_move_steps: int = 0
+    # training only: noise on it, in units of delta_scale: corrections of force drown in it, strokes and lifts don't
+    last_move_noise: float = 0.1
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
     tokenizer_config: dict[str, Any] | None = None  # filled from that tokenizer, rebuilds it on load
@@ -174,6 +179,12 @@ class PI05UniforceConfig(PI05Config):
         if not 0 <= self.touch_directions <= MOST or (self.touch_directions and self.touch_input != "latent"):
             came = f"{self.touch_directions} with touch_input={self.touch_input}"
             raise ContractError(expected("touch_directions", f"0 to {MOST} of latents", came, "Set it to 0."))
+        if self.last_move_steps < 0 or (
+            self.last_move_steps and not (self.state_token and self.action_form == "target_delta")
+        ):
+            came = f"{self.last_move_steps} with state_token={self.state_token}, {self.action_form}"
+            do = "Set it to 0, or tell the state and predict target_delta."
+            raise ContractError(expected("last_move_steps", "0, or steps before now", came, do))
         if not 0 <= self.sensor_transfer_doubt <= 1:
             do = "Take the tested 0.25."
             raise ContractError(expected("sensor_transfer_doubt", "0 to 1", self.sensor_transfer_doubt, do))
@@ -225,9 +236,14 @@ class PI05UniforceConfig(PI05Config):
 
     @property
     def action_delta_indices(self) -> list[int]:
-        """Frames of the action to load: the chunk, and for target deltas the last command before it."""
+        """Frames of the action to load: the chunk, for target deltas behind the last command, for its move one before.
+
+        ``prepare_action`` and ``told_move`` know this order.
+        """
         chunk = list(range(self.chunk_size))
-        return [-1, *chunk] if self.action_form == "target_delta" else chunk
+        if self.action_form != "target_delta":
+            return chunk
+        return [-1 - self.last_move_steps, -1, *chunk] if self.last_move_steps else [-1, *chunk]
 
     def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
         """Warm-up, then one cosine over the run (LeRobot shortens both for shorter runs)."""

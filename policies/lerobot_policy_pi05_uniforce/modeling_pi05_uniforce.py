@@ -14,7 +14,13 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import weights
-from lerobot_policy_pi05_uniforce.action_form import IssuedTarget, NetworkUnits, check_axes, to_targets
+from lerobot_policy_pi05_uniforce.action_form import (
+    IssuedTarget,
+    NetworkUnits,
+    check_axes,
+    to_targets,
+    told_move,
+)
 from lerobot_policy_pi05_uniforce.action_loss import LANGUAGE, ActionLoss
 from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
@@ -35,7 +41,7 @@ from lerobot_policy_pi05_uniforce.touch_input import TouchInput
 from lerobot_policy_pi05_uniforce.trainable import NEW_MODULES, lora_targets, parameter_groups
 from lerobot_policy_pi05_uniforce.transferred_touch import transferred_touch
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.keys import STATE
+from uniforce_vtla.keys import ACTION, STATE
 
 logger = logging.getLogger(__name__)
 
@@ -73,7 +79,7 @@ class PI05UniforcePolicy(ActionLoss):
         if config.action_form == "target_delta":
             check_axes(state_size(config), self._action_size, config.delta_scale, config.delta_knee)
         self.touch = TouchInput(config, self.model.tactile_encoder)
-        self.issued = IssuedTarget()
+        self.issued = IssuedTarget(config.last_move_steps)
         self.register_buffer("delta_scale", torch.tensor(config.delta_scale), persistent=False)
         self.network_units = NetworkUnits(config.delta_scale, config.delta_knee)
         if not empty:
@@ -156,10 +162,19 @@ class PI05UniforcePolicy(ActionLoss):
         )  # cameras only: see config.image_features
         if self.model.state_token is not None:
             state = batch[STATE].to(images[0].device, torch.float32)
-            images.append(state[:, None])  # (B, 1, S)
+            if self.config.last_move_steps:
+                state = torch.cat([state, self._last_move(batch).to(state)], dim=1)
+            images.append(state[:, None])  # (B, 1, S), or S + A with the last move
             masks.append(torch.ones(len(state), dtype=torch.bool, device=state.device))
         touches, touch_masks = self.touch.gather(batch, images[0].device, self.training)
         return images + touches, masks + touch_masks
+
+    def _last_move(self, batch: dict[str, Tensor]) -> Tensor:
+        """Return (B, A) in units of ``delta_scale``: of a sample its demo's commands, of a rollout those issued."""
+        commands = batch.get(ACTION)
+        if commands is not None and commands.ndim == 3:
+            return told_move(commands.to(self.delta_scale)) / self.delta_scale
+        return self.issued.moved(self._measured(batch)) / self.delta_scale
 
     def _shrunk(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Area-resize larger camera frames, as training views do; base keeps π0.5's own bilinear resize."""

@@ -104,7 +104,10 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
     def _make_state_token(self, config: PI05UniforceConfig) -> StateToken | None:
         if not config.state_token:
             return None
-        return StateToken(state_size(config), self.vlm_width, config.state_noise)
+        moves = len(config.delta_scale) if config.last_move_steps else 0
+        return StateToken(
+            state_size(config), self.vlm_width, config.state_noise, moves, config.last_move_noise
+        )
 
     def _make_next_force(self, config: PI05UniforceConfig) -> NextForce | None:
         if not config.next_force_weight:

@@ -71,7 +71,9 @@ class Reader:
             )
         self.slot, self.finger = settings.slots[0], settings.finger_by_slot()[settings.slots[0]]
         self._policy, self._before, _ = stored_policy(settings)
-        self._view = {finger: TrainingView(config.view, slots={self.slot: finger}) for finger in FINGERS}
+        self._moves = settings.last_move_steps > 0  # then it is told where its command came from
+        before = settings.action_delta_indices[:2] if self._moves else (0,)
+        self._view = {finger: TrainingView(config.view, before, {self.slot: finger}) for finger in FINGERS}
         self._step = config.after - 1
 
     @torch.no_grad()
@@ -92,7 +94,8 @@ class Reader:
         sample = self._view[self.finger][int(moment)]
         sample[touch] = self._view[finger][int(felt)][touch]
         pictures = {camera_key(camera): sample[camera_key(camera)] / 255 for camera in CAMERAS}
-        return pictures | {key: sample[key] for key in (STATE, touch, TASK)}
+        told = (STATE, touch, TASK, ACTION) if self._moves else (STATE, touch, TASK)
+        return pictures | {key: sample[key] for key in told}
 
 
 @dataclass(frozen=True)
