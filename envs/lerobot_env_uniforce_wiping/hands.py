@@ -28,8 +28,9 @@ class Feel:
 class TouchSettings:
     """How the expert regulates."""
 
-    # policies press less: at 7.0 those with a swapped finger pressed 5.7 N and wiped twice in a third of 35 scenes
-    press_N: float = 7.5
+    # policies press up to .9 N less and, with a swapped finger, 1.1 N more or less by scene: 4.6 to 8.2 N wipe in one
+    # or two sweeps without an event (docs/experiments/tiny_policy.md)
+    press_N: float = 7.0
     grip_N: float = 9.0  # holds at the lowest friction, below the pads' rated depth
     press_rate_m_s_N: float = 0.0035  # z speed per N of press error
     press_speed_m_s: float = 0.020  # fastest regulation

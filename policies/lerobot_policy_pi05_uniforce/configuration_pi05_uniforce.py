@@ -82,7 +82,8 @@ class PI05UniforceConfig(PI05Config):
     touch_dropout: float | None = (
         None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
     )
-    # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.2, base 0
+    # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.2, base 0. With
+    # touch_directions in units of what fingers of one grasp disagree along each: 1 hears as if another finger told it
     touch_noise: float = _BY_SIZE
     # training only: share of samples whose latents are told as another sensor would (transferred_touch.py); needs slots
     # whose demos are of one kind each

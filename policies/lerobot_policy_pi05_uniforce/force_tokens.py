@@ -38,7 +38,8 @@ class ForceTokens(nn.Module):
         width: VLM width D.
         scale: initial RMS of a token.
         noise: spread of the Gaussian noise that training adds to each input number, in units of its channel's spread.
-            What survives it is what many cells agree on, and that is what another sensor's latents share.
+            What survives it is what many cells agree on, and that is what another sensor's latents share. With
+            ``directions``, in units of what fingers of one grasp disagree along each.
         whole: every token also holds what one network makes of the slot's whole map. Force is a sum over cells, which
             attention over tokens made cell by cell reads less exactly than a head on the map does.
         directions: hear the slot's map along so many directions only, those on which all sensors agree best
@@ -65,6 +66,7 @@ class ForceTokens(nn.Module):
         if directions:
             self.register_buffer("directions", torch.zeros(input_shape[0] * input_shape[1], directions))
             self.register_buffer("origin", torch.zeros(directions))
+            self.register_buffer("disagreement", torch.ones(directions))
         self.agreed_only = bool(directions)
         rows, numbers = (1, directions) if directions else input_shape
         self.proj = _two_layers(numbers, width)
@@ -79,7 +81,7 @@ class ForceTokens(nn.Module):
             touch = self._told(touch, slot)
         felt = self._felt(touch)
         if self.training and self.noise:
-            felt = felt + self.noise * torch.randn_like(felt)
+            felt = felt + self.noise * self._noise_unit() * torch.randn_like(felt)
         hidden = self.proj(felt)  # (B, K or 1, D)
         if self.whole is not None:
             hidden = hidden + self.whole(felt.flatten(1))[:, None]
@@ -90,6 +92,9 @@ class ForceTokens(nn.Module):
         if self.agreed_only:
             return (touch.flatten(1) @ self.directions - self.origin)[:, None]  # (B, 1, directions)
         return (touch - self.input_mean) / self.input_scale
+
+    def _noise_unit(self) -> Tensor | float:
+        return self.disagreement if self.agreed_only else 1.0
 
     def _told(self, touch: Tensor, slot: int) -> Tensor:
         if self.transferred is None:

@@ -41,3 +41,4 @@ def take_directions(tokens: ForceTokens, config: PI05UniforceConfig) -> None:
     transfer, count = tokenizer_maps(config), config.touch_directions
     tokens.directions.copy_(transfer.directions[:, :count])
     tokens.origin.copy_(transfer.origin[:count])
+    tokens.disagreement.copy_(transfer.disagreement[:count])

@@ -19,6 +19,7 @@ from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 KINDS = ("tactip", "uskin")
 NUMBERS = 96
 ORIGIN = 0.25  # of free air along the directions
+DISAGREEMENT = torch.tensor([0.1, 0.3, 0.9])  # of fingers along the first three
 
 
 def maps(tokenizer_hash="", shift=7.0):
@@ -28,6 +29,7 @@ def maps(tokenizer_hash="", shift=7.0):
     transfer.offset[0, 1] = shift
     transfer.directions.copy_(torch.eye(NUMBERS)[:, : transfer.directions.shape[1]])
     transfer.origin.fill_(ORIGIN)
+    transfer.disagreement[: len(DISAGREEMENT)] = DISAGREEMENT
     return transfer
 
 
@@ -146,6 +148,20 @@ def test_directions_are_all_that_is_heard_and_come_back_with_the_checkpoint(make
     policy.save_pretrained(tmp_path / "saved")
     again = PI05UniforcePolicy.from_pretrained(tmp_path / "saved").model.force_tokens
     assert torch.equal(again(felt, 0), tokens(felt, 0))
+
+
+def test_noise_along_directions_is_what_fingers_of_a_grasp_disagree_by(make_config, view, tmp_path):
+    policy = trained(make_config, view, sensor_transfer=0.0, touch_directions=3, touch_noise=0.5)
+    policy.save_pretrained(tmp_path / "saved")
+    tokens = PI05UniforcePolicy.from_pretrained(
+        tmp_path / "saved"
+    ).model.force_tokens  # training goes on with it
+    heard = []
+    tokens.proj.register_forward_pre_hook(lambda _, given: heard.append(given[0]))
+    felt = torch.randn(1, 16, 6).expand(4000, 16, 6)
+    tokens.eval()(felt, 0)
+    tokens.train()(felt, 0)
+    assert torch.allclose((heard[1] - heard[0]).std(dim=(0, 1)), 0.5 * DISAGREEMENT, rtol=0.1)
 
 
 def test_directions_need_the_tokenizers_own_maps(make_config, view):

@@ -49,6 +49,16 @@ def test_spread_over_grasps_is_one_and_free_air_is_zero() -> None:
     assert np.allclose(rests[0] @ agreed.matrix - agreed.origin, 0.0)
 
 
+def test_disagreement_is_what_fingers_of_a_grasp_differ_by() -> None:
+    _, told, rests, _ = fingers(2, 1.0)
+    agreed = agreed_directions(told, rests)
+    heard = np.stack([finger @ agreed.matrix for finger in told])
+    own = heard - heard.mean(axis=0)
+    within = np.sqrt(np.square(own).sum(axis=(0, 1)) / (own.shape[1] * (own.shape[0] - 1)))
+    assert np.allclose(within[2:5], agreed.disagreement[2:5], rtol=0.02)
+    assert (within[:2] < agreed.disagreement[:2]).all()  # where they hardly differ the floor is most of it
+
+
 def test_a_number_that_never_moves_is_not_taken_for_agreement() -> None:
     _, told, rests, _ = fingers(1, 1.0)
     still = [np.c_[finger, np.full(len(finger), 3.0)] for finger in told]

@@ -32,6 +32,11 @@ class AgreedDirections:
     origin: np.ndarray
     ratios: np.ndarray
 
+    @property
+    def disagreement(self) -> np.ndarray:
+        """(MOST,) spread of what fingers of one grasp say along each direction, where grasps have a spread of 1."""
+        return 1 / np.sqrt(self.ratios)
+
 
 def agreed_directions(fingers: Sequence[np.ndarray], rests: Sequence[np.ndarray]) -> AgreedDirections:
     """Return the directions.

@@ -37,8 +37,9 @@ class SensorTransferFit:
     flat_torsion_arm_mm: float = 9.0  # a held tool that wipes twists flat pads so much (contact/sampling.py)
     # a held tool covers the pad; 12–40 bent the reading of GelSight
     flat_side_mm: tuple[float, float] = (30.0, 70.0)
-    # what parallel fingers hold lies flat on both pads but for their give (a wiped eraser leans by .01); a flat gel
-    # shows a leaning face as less grip: with .03 a finger that swaps to GelSight felt 1.7 N too much grip
+    # what parallel fingers hold lies flat on both pads but for their give (a wiped eraser leans by .01, a wedged one by
+    # up to .046); a flat gel shows a leaning face as less grip: with .03 or .045 a finger that swaps to GelSight feels
+    # 1.2 to 1.7 N too much grip, and no less by scene
     flat_tilt_rad: float = 0.015
     other: OtherFinger = field(default_factory=OtherFinger)  # what fingers of a grasp don't share
     grid: int = 4  # latents pooled to grid × grid, as policies read them
@@ -61,6 +62,7 @@ class SensorTransfer(nn.Module):
         unit: (S, n) what a number is divided by for loudness: its spread times the average grasp's loudness.
         directions: (n, MOST) on which all sensors agree, best first, of spread 1 over grasps (agreed_directions.py).
         origin: (MOST,) what free air shows along them.
+        disagreement: (MOST,) spread of what fingers of one grasp say along them.
     """
 
     matrix: Tensor
@@ -70,6 +72,7 @@ class SensorTransfer(nn.Module):
     unit: Tensor
     directions: Tensor
     origin: Tensor
+    disagreement: Tensor
 
     def __init__(self, kinds: Sequence[str], numbers: int, tokenizer_hash: str = "") -> None:
         super().__init__()
@@ -87,6 +90,7 @@ class SensorTransfer(nn.Module):
         most = min(MOST, numbers)
         self.register_buffer("directions", torch.zeros(numbers, most))
         self.register_buffer("origin", torch.zeros(most))
+        self.register_buffer("disagreement", torch.ones(most))
 
     def row(self, source: str) -> int:
         """Return the index of a source sensor.
@@ -177,6 +181,7 @@ def fit_transfer(
     )
     transfer.directions.copy_(_tensor(agreed.matrix))
     transfer.origin.copy_(_tensor(agreed.origin))
+    transfer.disagreement.copy_(_tensor(agreed.disagreement))
     ratios = [round(float(ratio), 1) for ratio in agreed.ratios]
     return transfer, {"config": asdict(config), "differences": cells, "agreement": ratios}
 
