@@ -15,6 +15,8 @@ from uniforce_vtla.keys import VIEW_MARKER
 
 # m, m, m, rad, m: so that .4 mm of height and .03 mm of width, a newton's worth, weigh
 DELTA_KNEE = (0.0, 0.0, 0.003, 0.0, 0.0003)
+# steps of a chunk of 16, and how far back a policy's own moves are told (docs/experiments/tiny_policy.md)
+EXECUTED = 4
 
 
 @dataclass
@@ -47,9 +49,11 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         "policy.device=cpu",
         f"policy.touch_input={recipe.touch_input}",
         f"policy.touch_slots={{{slots}}}",
-        "policy.n_action_steps=4",  # of 16: see docs/experiments/tiny_policy.md
+        f"policy.n_action_steps={EXECUTED}",
+        f"policy.last_move_steps={EXECUTED}",
         f"policy.state_noise={list(recipe.state_noise)}",
         f"policy.sensor_transfer={recipe.sensor_transfer}",
+        f"policy.touch_directions={recipe.touch_directions}",
         f"policy.delta_knee={list(DELTA_KNEE)}",
         "dataset.repo_id=local/view",
         f"dataset.root={config.view}",
@@ -62,8 +66,8 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         f"seed={config.seed}",
         f"output_dir={run}",
     ]
-    dropout = [] if recipe.touch_dropout is None else [f"policy.touch_dropout={recipe.touch_dropout}"]
-    return [*given, *dropout]
+    settings = {"touch_dropout": recipe.touch_dropout, "touch_noise": recipe.touch_noise}
+    return [*given, *(f"policy.{name}={value}" for name, value in settings.items() if value is not None)]
 
 
 def _episodes(view: Path, recipe: Recipe, demos: int) -> list[int]:
