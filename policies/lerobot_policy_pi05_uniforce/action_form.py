@@ -9,6 +9,7 @@ command, because commanded − measured predicts the press.  Hence the base is a
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 
@@ -68,6 +69,35 @@ def to_deltas(actions: Tensor, is_pad: Tensor | None, measured: Tensor, units: N
 def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
     """Invert :func:`to_deltas`: (B, chunk, A) network units on a (B, A) base → absolute targets, SI units."""
     return base[:, None] + units.meant(deltas)
+
+
+class TargetRange(nn.Module):
+    """Keeps absolute targets within the demos' own.
+
+    Args:
+        axes: A.
+        bounds: the lowest and the highest target (A,) each, SI; [] keeps nothing.
+
+    Raises:
+        ContractError: bounds that aren't two of that length, the first nowhere above the second.
+    """
+
+    def __init__(self, axes: int, bounds: Sequence[Sequence[float]] = ()) -> None:
+        super().__init__()
+        if bounds and not ([len(bound) for bound in bounds] == [axes, axes] and _rising(*bounds)):
+            do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
+            raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
+        low, high = bounds or ((-math.inf,), (math.inf,))
+        self.register_buffer("low", torch.tensor(list(low)), persistent=False)
+        self.register_buffer("high", torch.tensor(list(high)), persistent=False)
+
+    def kept(self, targets: Tensor) -> Tensor:
+        """Return (…, A) targets, each axis no further than the range goes; NaN stays NaN."""
+        return targets.clamp(self.low.to(targets), self.high.to(targets))
+
+
+def _rising(low: Sequence[float], high: Sequence[float]) -> bool:
+    return all(below <= above for below, above in zip(low, high, strict=True))
 
 
 def told_move(commands: Tensor) -> Tensor:

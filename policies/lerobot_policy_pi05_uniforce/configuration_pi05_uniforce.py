@@ -120,6 +120,11 @@ class PI05UniforceConfig(PI05Config):
     # the same units: beyond it the network tells a move by its logarithm, so that corrections of force weigh beside
     # whole moves (action_form.py); 0 = linear, [] = all axes
     delta_knee: list[float] = field(default_factory=list)
+    # target_delta: targets stay within what the demos commanded, axis by axis: changes could add up to places nobody
+    # has shown, and a hand that rose there went on rising (docs/experiments/tiny_policy.md)
+    keep_inside_demos: bool = True
+    # the lowest and the highest target of the demos, SI per axis; found in the training data, [] = not known: not kept
+    target_range: list[list[float]] = field(default_factory=list)
 
     normalization_mapping: dict[str, NormalizationMode] = (
         field(  # only state and absolute actions are normalised

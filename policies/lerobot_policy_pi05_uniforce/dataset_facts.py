@@ -12,7 +12,7 @@ from lerobot_policy_pi05_uniforce.force_tokens import channel_spread
 from lerobot_policy_pi05_uniforce.touch_input import touch_shape
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import VIEW_MARKER, descriptor_key, latent_key
+from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -36,6 +36,14 @@ def read_touch_scale(
     mean = torch.stack([torch.as_tensor(row["mean"]).float().reshape(shape) for row in rows]).mean(dim=0)
     spreads = torch.stack([channel_spread(torch.as_tensor(row["std"]), shape[1]) for row in rows])
     return mean, spreads.square().mean(dim=0).sqrt()
+
+
+def read_target_range(stats: dict[str, dict[str, Any]]) -> list[list[float]]:
+    """Return the lowest and the highest commanded target per axis; [] where the data don't say."""
+    action = stats.get(ACTION, {})
+    if "min" not in action or "max" not in action:
+        return []
+    return [torch.as_tensor(action[bound]).float().flatten().tolist() for bound in ("min", "max")]
 
 
 def read_provenance(dataset_meta: Any, config: PI05UniforceConfig) -> None:

@@ -17,6 +17,7 @@ from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.action_form import (
     IssuedTarget,
     NetworkUnits,
+    TargetRange,
     check_axes,
     to_targets,
     told_move,
@@ -25,7 +26,12 @@ from lerobot_policy_pi05_uniforce.action_loss import LANGUAGE, ActionLoss
 from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.dataset_facts import read_provenance, read_touch_scale, read_view
+from lerobot_policy_pi05_uniforce.dataset_facts import (
+    read_provenance,
+    read_target_range,
+    read_touch_scale,
+    read_view,
+)
 from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
@@ -82,6 +88,8 @@ class PI05UniforcePolicy(ActionLoss):
         self.issued = IssuedTarget(config.last_move_steps)
         self.register_buffer("delta_scale", torch.tensor(config.delta_scale), persistent=False)
         self.network_units = NetworkUnits(config.delta_scale, config.delta_knee)
+        bounds = config.target_range if config.keep_inside_demos else ()
+        self.target_range = TargetRange(len(config.delta_scale), bounds)
         if not empty:
             self.to(config.device)
         self.reset()
@@ -94,6 +102,7 @@ class PI05UniforcePolicy(ActionLoss):
         if not stats:
             return
         stats.update(floor_quantiles(stats) or {})
+        self.config.target_range = read_target_range(stats)
         found = read_touch_scale(stats, self.config)
         if found is not None and self.model.force_tokens is not None:
             mean, scale = found
@@ -237,7 +246,8 @@ class PI05UniforcePolicy(ActionLoss):
         """Return what the postprocessor takes: the network's chunk, deltas put on the last command."""
         if self.config.action_form == "absolute":
             return chunk
-        return to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
+        targets = to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
+        return self.target_range.kept(targets)
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""

@@ -6,10 +6,11 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, make_pi05_uniforce_pre_post_processors
 from lerobot_policy_pi05_uniforce.action_form import (
     IssuedTarget,
     NetworkUnits,
+    TargetRange,
     to_deltas,
     to_targets,
     told_move,
@@ -17,6 +18,7 @@ from lerobot_policy_pi05_uniforce.action_form import (
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.quantile_floor import SPAN_FLOOR, floor_quantiles
 from uniforce_vtla.errors import ContractError, RolloutError
+from uniforce_vtla.keys import ACTION
 
 UNITS = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003])  # the default delta_scale
 BENT = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003], [0, 0, 0.003, 0, 0.0003])
@@ -76,6 +78,29 @@ def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_bat
     assert torch.allclose(
         policy.select_action(elsewhere), elsewhere[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6
     )
+
+
+def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats, monkeypatch, tmp_path):
+    """A hand that had risen out of the demos went on rising: changes add up, and nobody had shown the way back."""
+    low, high = [0.3, -0.1, 0.0, -0.5, 0.0], [0.5, 0.1, 0.2, 0.5, 0.08]
+    known = stats | {ACTION: stats[ACTION] | {"min": torch.tensor(low), "max": torch.tensor(high)}}
+    for inside in (True, False):
+        policy = PI05UniforcePolicy(make_config(keep_inside_demos=inside), dataset_stats=known)
+        policy.save_pretrained(tmp_path / str(inside))
+        policy = PI05UniforcePolicy.from_pretrained(tmp_path / str(inside))
+        up = torch.full((2, policy.config.chunk_size, 5), 9.0)
+        monkeypatch.setattr(policy.model, "sample_actions", lambda *_, up=up, **__: up)
+        policy.issued.record(torch.tensor(high).expand(2, 5))
+        batch = make_batch(policy)
+        chunk = policy.predict_action_chunk(batch)
+        assert torch.allclose(chunk.amax(dim=(0, 1)), torch.tensor(high)) == inside
+        assert bool((chunk > torch.tensor(high) + 1e-3).any()) != inside
+
+
+@pytest.mark.parametrize("bounds", [[[0.0] * 5], [[0.0] * 4, [1.0] * 4], [[0.0] * 5, [1.0] * 4 + [-1.0]]])
+def test_a_range_that_is_none_is_refused(bounds):
+    with pytest.raises(ContractError, match="target_range"):
+        TargetRange(5, bounds)
 
 
 def test_postprocessor_leaves_targets_in_si_units(make_policy, make_batch, stats):
