@@ -5,12 +5,13 @@ Its twin without touch (``fingers="none"``) runs the same sequence on nominal nu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from lerobot_env_uniforce_wiping.hands import BlindSettings, Feel, OpenLoopHands, TouchHands, TouchSettings
+from lerobot_env_uniforce_wiping.levels import Layout, Level
 from lerobot_env_uniforce_wiping.look_back import look_back
 from lerobot_env_uniforce_wiping.sequence import Hands, Pace, WipeSequence
 from uniforce_vtla.contracts import FINGERS, Finger
@@ -39,6 +40,9 @@ class ExpertNoise:
     grip_sd_N: float = 0.10  # wanted grip, per episode
     pace_sd: float = 0.04  # speeds, per episode
     wander_m: float = 0.0008  # slow sideways drift of the hand
+    # a policy's hand stops some millimetres too low or too high; without demos from there it is lost for good
+    grasp_sd_m: float = 0.004  # height of the grasp on the eraser, per episode
+    carry_sd_m: float = 0.005  # height of carrying, per episode
 
 
 class WipeExpert:
@@ -70,17 +74,27 @@ class WipeExpert:
         press = self.settings.press_N + n.press_sd_N * rng.standard_normal()
         grip = self.settings.grip_N + n.grip_sd_N * rng.standard_normal()
         slower = 1 - np.abs(n.pace_sd * rng.standard_normal(3))
-        pace = Pace(*(np.array([0.115, 0.078, 0.095]) * slower))
+        pace = Pace(*(np.array([0.115, 0.055, 0.095]) * slower))
         self._phase_rad, self._clock = rng.uniform(0, 2 * np.pi, 2), 0
         self._felt = Feel(0.0, 0.0)
-        layout = env.scene.level.layout
-        self._weight_N = layout.eraser_mass_kg * GRAVITY_m_s2
-        hands = self._hands(env, press, grip)
+        level = self._own_heights(env.scene.level)
+        self._weight_N = level.layout.eraser_mass_kg * GRAVITY_m_s2
+        hands = self._hands(level.layout, press, grip)
         start = env.state.astype(np.float64)
-        self._sequence = WipeSequence(env.scene.level, hands, start, lambda: look_back(env), pace)
+        self._sequence = WipeSequence(level, hands, start, lambda: look_back(env), pace)
 
-    def _hands(self, env: WipeEnv, press_N: float, grip_N: float) -> Hands:
-        layout = env.scene.level.layout
+    def _own_heights(self, level: Level) -> Level:
+        """Return the level as this run goes about it: grasped and carried a little higher or lower."""
+        layout, n = level.layout, self.noise
+        grasp, carry = np.clip(self._rng.standard_normal(2), -2, 2) * (n.grasp_sd_m, n.carry_sd_m)
+        own = replace(
+            layout,
+            grasp_height_m=layout.grasp_height_m + float(grasp),
+            carry_height_m=layout.carry_height_m + float(carry),
+        )
+        return replace(level, layout=own)
+
+    def _hands(self, layout: Layout, press_N: float, grip_N: float) -> Hands:
         if not self.fingers:
             return OpenLoopHands(layout, BlindSettings(press_N, grip_N))
         s = self.settings

@@ -12,7 +12,8 @@ from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
 from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
 CLEARANCE_m = 0.008  # above the nominal contact height, where lowering slows down
-FAST_m_s, SLOW_m_s = 0.070, 0.025  # lowering
+FAST_m_s, SLOW_m_s = 0.050, 0.018  # lowering
+LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
 CLOSING_m_s = 0.040  # gripper in free air
 
 
@@ -43,7 +44,7 @@ class TouchSettings:
 def lowering_speed(target_m: float, layout: Layout) -> float:
     """Fast in free air, slow where the board may be, changing smoothly."""
     height = target_m - (layout.board_height_m + layout.grasp_height_m + CLEARANCE_m)
-    return float(np.clip(5 * height, SLOW_m_s, FAST_m_s))
+    return float(np.clip(LOWERING_GAIN * height, SLOW_m_s, FAST_m_s))
 
 
 class TouchHands:

@@ -20,6 +20,10 @@ LOOKS_BACK = 2  # times a board that is not clean is wiped again: more don't fit
 NEAR_m = 0.002  # arrived
 SLOW_DOWN_m = 0.008  # before a corner
 APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
+# A soft arm lags behind its command by .3 s, a stiff one by .1 s, and who learns from demos is told neither the command
+# nor the stiffness. Braking early makes the command's own speed tell how far it has left to go
+# (docs/experiments/tiny_policy.md).
+HEIGHT_GAIN = 2.5  # 1/s
 PHASES = ("descend", "close", "lift", "carry", "lower", "wipe", "leave", "done")
 
 
@@ -28,7 +32,7 @@ class Pace:
     """Speeds of a run; a person's vary a little from one run to the next."""
 
     horizontal_m_s: float = 0.115
-    vertical_m_s: float = 0.078
+    vertical_m_s: float = 0.055
     stroke_m_s: float = 0.095
     shift_m_s: float = 0.045  # between rows: drag along the closing axis loads one pad more
     ramp_m_s2: float = 0.5  # change of speed along the sweep
@@ -105,7 +109,7 @@ class WipeSequence:
         """
         missing_m = goal_m - (self.target[Z] + measured[Z]) / 2
         limit = self.pace.vertical_m_s
-        self.target[Z] += float(np.clip(APPROACH_GAIN * missing_m, -limit, limit)) / CONTROL_HZ
+        self.target[Z] += float(np.clip(HEIGHT_GAIN * missing_m, -limit, limit)) / CONTROL_HZ
 
     def _descend(self, measured: np.ndarray) -> bool:
         layout = self.level.layout

@@ -7,10 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping import ExpertNoise, WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_env_uniforce_wiping.hands import BlindSettings
+from lerobot_env_uniforce_wiping.scene_params import draw_scene
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeTrace
@@ -169,3 +170,33 @@ def test_runs_without_gl() -> None:
     )
     assert run.returncode == 0, run.stderr
     assert float(run.stdout) > 10
+
+
+def descent(seed: int, noise: ExpertNoise) -> np.ndarray:
+    """Return measured and commanded height (n, 2), m, of an expert's hand on its way down to the eraser."""
+    env, expert = WipeEnv("paper"), WipeExpert(noise=noise)
+    env.start(seed)
+    expert.reset(env)
+    heights = []
+    while (command := expert.act(env)) is not None and expert.phase == "descend":
+        heights.append((float(env.state[2]), float(command[2])))
+        env.advance(command)
+    return np.array(heights)
+
+
+def test_a_soft_arm_is_not_far_behind_its_command_where_the_hand_must_stop() -> None:
+    """A policy knows neither the command nor the stiffness: where the two differ by more, soft arms grasp too low."""
+    leads_m = {}
+    for seed in (41_018, 41_026):
+        path = descent(seed, ExpertNoise(grasp_sd_m=0.0, carry_sd_m=0.0))
+        first = np.argmax(path[:, 0] < 0.040)  # 10 mm above the grasp
+        leads_m[draw_scene(seed, "paper").stiffness_scale] = path[first, 0] - path[first, 1]
+    soft, stiff = sorted(leads_m)
+    assert soft < 0.5 and stiff > 1.5
+    assert leads_m[soft] - leads_m[stiff] < 0.010
+
+
+def test_every_expert_grasps_at_a_height_of_its_own() -> None:
+    varied = [descent(seed, ExpertNoise())[-1, 0] for seed in range(6)]
+    alike = [descent(seed, ExpertNoise(grasp_sd_m=0.0))[-1, 0] for seed in range(6)]
+    assert np.std(varied) > 0.002 > np.std(alike)
