@@ -74,7 +74,8 @@ class WipeExpert:
         press = self.settings.press_N + n.press_sd_N * rng.standard_normal()
         grip = self.settings.grip_N + n.grip_sd_N * rng.standard_normal()
         slower = 1 - np.abs(n.pace_sd * rng.standard_normal(3))
-        pace = Pace(*(np.array([0.115, 0.055, 0.095]) * slower))
+        usual = Pace()
+        pace = Pace(*(np.array([usual.horizontal_m_s, usual.vertical_m_s, usual.stroke_m_s]) * slower))
         self._phase_rad, self._clock = rng.uniform(0, 2 * np.pi, 2), 0
         self._felt = Feel(0.0, 0.0)
         level = self._own_heights(env.scene.level)
