@@ -98,8 +98,7 @@ class WipeExpert:
     def _hands(self, layout: Layout, press_N: float, grip_N: float) -> Hands:
         if not self.fingers:
             return OpenLoopHands(layout, BlindSettings(press_N, grip_N))
-        s = self.settings
-        wanted = TouchSettings(press_N, grip_N, s.press_rate_m_s_N, s.press_speed_m_s, s.grip_rate_m_s_N)
+        wanted = replace(self.settings, press_N=press_N, grip_N=grip_N)
         return TouchHands(layout, lambda: self._felt, wanted)
 
     @property

@@ -29,12 +29,16 @@ class Feel:
 class TouchSettings:
     """How the expert regulates."""
 
-    # policies press up to .9 N less and, with a swapped finger, 1.1 N more or less by scene: 4.6 to 8.2 N wipe in one
-    # or two sweeps without an event (docs/experiments/tiny_policy.md)
-    press_N: float = 7.0
-    # at 7 N of press nothing slips from 8 N on and no pad is too deep up to 9 (10: 3 scenes of 40); policies hold .4 to
-    # 1.4 N more than they were shown
+    # every scene is wiped from 3 N on, 8.5 N make grasps slip, 10 N are an event; policies' means spread by a newton
+    # and their peaks are 1.4 times the mean (docs/experiments/tiny_policy.md)
+    press_N: float = 6.0
+    # nothing slips from 8 N on (at 7 N of press) and no pad is too deep up to 9 (10: 3 scenes of 40); policies hold .4
+    # to 1.4 N more than they were shown
     grip_N: float = 8.0
+    lift_from: float = 0.85  # share of the wanted grip at which the grasp is made
+    # share of the wanted press at which sweeping begins, still pressing harder: who reads his press too low must not
+    # wait for the rest in one place
+    sweep_from: float = 0.5
     press_rate_m_s_N: float = 0.0035  # z speed per N of press error
     press_speed_m_s: float = 0.020  # fastest regulation
     grip_rate_m_s_N: float = 0.0030  # width speed per N of grip error
@@ -54,8 +58,9 @@ class TouchHands:
         self._layout, self._feel, self._settings = layout, feel, settings
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Close fast until a pad feels something, then regulate; made at 92 % of the wanted grip."""
-        return self.hold(target_m, measured), self._feel().grip_N > 0.92 * self._settings.grip_N
+        """Close fast until a pad feels something, then regulate; made at `lift_from` of the wanted grip."""
+        s = self._settings
+        return self.hold(target_m, measured), self._feel().grip_N > s.lift_from * s.grip_N
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
         """Move the width against the grip error."""
@@ -64,11 +69,11 @@ class TouchHands:
         return float(target_m + speed / CONTROL_HZ)
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
-        """Go down until the board is felt, then regulate; start at 80 % of the wanted press."""
+        """Go down until the board is felt, then regulate; sweep from `sweep_from` of the wanted press on."""
         felt, s = self._feel().press_N, self._settings
         if felt < s.contact_N:
             return target_m - lowering_speed(target_m, self._layout) / CONTROL_HZ, False
-        return self.press(target_m, measured), felt > 0.8 * s.press_N
+        return self.press(target_m, measured), felt > s.sweep_from * s.press_N
 
     def press(self, target_m: float, measured: np.ndarray) -> float:
         """Move z against the press error."""

@@ -10,8 +10,9 @@ import pytest
 from lerobot_env_uniforce_wiping import ExpertNoise, WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import run_script
-from lerobot_env_uniforce_wiping.hands import BlindSettings
+from lerobot_env_uniforce_wiping.hands import BlindSettings, TouchSettings
 from lerobot_env_uniforce_wiping.scene_params import draw_scene
+from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeTrace
@@ -200,3 +201,19 @@ def test_every_expert_grasps_at_a_height_of_its_own() -> None:
     varied = [descent(seed, ExpertNoise())[-1, 0] for seed in range(6)]
     alike = [descent(seed, ExpertNoise(grasp_sd_m=0.0))[-1, 0] for seed in range(6)]
     assert np.std(varied) > 0.002 > np.std(alike)
+
+
+def test_the_expert_regulates_by_every_setting_it_was_given() -> None:
+    """Fields used to be handed on by position, those added later not at all."""
+    early, late = (seconds_to_the_first_sweep(TouchSettings(sweep_from=share)) for share in (0.3, 0.95))
+    assert early < late
+
+
+def seconds_to_the_first_sweep(settings: TouchSettings) -> float:
+    env, expert, steps = WipeEnv("paper"), WipeExpert(settings=settings), 0
+    env.reset(seed=3)
+    expert.reset(env)
+    while expert.phase != "wipe":
+        env.step(expert.act(env))
+        steps += 1
+    return steps / CONTROL_HZ
