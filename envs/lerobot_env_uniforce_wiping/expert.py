@@ -75,7 +75,12 @@ class WipeExpert:
         grip = self.settings.grip_N + n.grip_sd_N * rng.standard_normal()
         slower = 1 - np.abs(n.pace_sd * rng.standard_normal(3))
         usual = Pace()
-        pace = Pace(*(np.array([usual.horizontal_m_s, usual.vertical_m_s, usual.stroke_m_s]) * slower))
+        pace = replace(
+            usual,
+            horizontal_m_s=usual.horizontal_m_s * slower[0],
+            vertical_m_s=usual.vertical_m_s * slower[1],
+            stroke_m_s=usual.stroke_m_s * slower[2],
+        )
         self._phase_rad, self._clock = rng.uniform(0, 2 * np.pi, 2), 0
         self._felt = Feel(0.0, 0.0)
         level = self._own_heights(env.scene.level)

@@ -12,7 +12,6 @@ from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_env_uniforce_wiping.hands import BlindSettings, TouchSettings
 from lerobot_env_uniforce_wiping.scene_params import draw_scene
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeTrace
@@ -27,12 +26,20 @@ def grasped() -> WipeEnv:
     """An environment whose expert has just put the eraser on the board."""
     env, expert = WipeEnv(), WipeExpert()
     env.start(SEED)
-    expert.reset(env)
-    while expert.phase != "wipe":
-        env.advance(expert.act(env))
+    steps_to_the_first_sweep(env, expert)
     for _ in range(8):
         env.advance(expert.act(env))
     return env
+
+
+def steps_to_the_first_sweep(env: WipeEnv, expert: WipeExpert) -> int:
+    """Let an expert begin, up to where its first sweep does; return the control steps it took."""
+    expert.reset(env)
+    steps = 0
+    while expert.phase != "wipe":
+        env.advance(expert.act(env))
+        steps += 1
+    return steps
 
 
 def test_observation_is_inside_its_space_and_finite(grasped: WipeEnv) -> None:
@@ -205,15 +212,10 @@ def test_every_expert_grasps_at_a_height_of_its_own() -> None:
 
 def test_the_expert_regulates_by_every_setting_it_was_given() -> None:
     """Fields used to be handed on by position, those added later not at all."""
-    early, late = (seconds_to_the_first_sweep(TouchSettings(sweep_from=share)) for share in (0.3, 0.95))
+    steps = []
+    for share in (0.3, 0.95):
+        env = WipeEnv("paper")
+        env.start(3)
+        steps.append(steps_to_the_first_sweep(env, WipeExpert(settings=TouchSettings(sweep_from=share))))
+    early, late = steps
     assert early < late
-
-
-def seconds_to_the_first_sweep(settings: TouchSettings) -> float:
-    env, expert, steps = WipeEnv("paper"), WipeExpert(settings=settings), 0
-    env.reset(seed=3)
-    expert.reset(env)
-    while expert.phase != "wipe":
-        env.step(expert.act(env))
-        steps += 1
-    return steps / CONTROL_HZ
