@@ -1,4 +1,9 @@
-"""Ink on the board, worn off by pressure and sliding (Archard), with uneven adhesion."""
+"""Ink on the board, worn off by pressure and sliding, with uneven adhesion.
+
+Archard's law above a threshold: felt pressed with less than F₀ glides over the ink, and more wears it by F − F₀ (as in
+Preston's equation with a threshold pressure, but for the felt as a whole: its leading edge presses twice as hard as its
+middle, so that a threshold per cell would let a light hand wipe with the edge alone).
+"""
 
 from __future__ import annotations
 
@@ -33,7 +38,7 @@ class InkField:
     def __init__(self, scene: SceneParams) -> None:
         level = scene.level
         self.rows, self.columns = 150, 210  # cells along board x and y
-        self.wear = level.wear_per_kPa_m
+        self.wear, self.wear_from_N = level.wear_per_kPa_m, level.wear_from_N
         rng = np.random.default_rng([scene.seed, 711])
         noise = rng.standard_normal((self.rows, self.columns)).astype(np.float32)
         noise = cv2.GaussianBlur(noise, (0, 0), ADHESION_CELLS)
@@ -99,8 +104,8 @@ class InkField:
             press: (3,) normal force N and the centre of pressure in the felt's frame, m.
             slide_m: sliding distance since the last call.
         """
-        force_N = press[0]
-        if force_N <= 0 or slide_m <= 0:
+        wearing_N = press[0] - self.wear_from_N
+        if wearing_N <= 0 or slide_m <= 0:
             return
         reach = np.hypot(*size_m) / 2 + PIXEL_m
         rows = self._span(center_m[0], reach, self.rows)
@@ -112,8 +117,8 @@ class InkField:
         u, v = (c * dx + s * dy) / size_m[0], (c * dy - s * dx) / size_m[1]  # in felt halves of ±0.5
         inside = (np.abs(u) <= 0.5) & (np.abs(v) <= 0.5)
         tilt = 1 + 12 * (press[1] / size_m[0] * u + press[2] / size_m[1] * v)  # bilinear, right moment
-        pressure_kPa = force_N / (size_m[0] * size_m[1]) / 1000 * np.maximum(tilt, 0) * inside
-        worn = np.exp(-self.wear * pressure_kPa * slide_m / self.adhesion[rows, columns])
+        wearing_kPa = wearing_N / (size_m[0] * size_m[1]) / 1000 * np.maximum(tilt, 0) * inside
+        worn = np.exp(-self.wear * wearing_kPa * slide_m / self.adhesion[rows, columns])
         self.ink[rows, columns] *= worn
         self.version += 1
 

@@ -58,6 +58,9 @@ def draw_scene(seed: int, level_name: str) -> SceneParams:
     def uniform(span: Range) -> float:
         return float(rng.uniform(*span))
 
+    def factor(span: Range) -> float:
+        return float(np.exp(rng.uniform(*np.log(span))))  # twice as much is as likely as half as much
+
     def spread(half: float, n: int) -> tuple[float, ...]:
         return tuple(float(v) for v in rng.uniform(-half, half, n))
 
@@ -66,10 +69,10 @@ def draw_scene(seed: int, level_name: str) -> SceneParams:
     scene = SceneParams(
         seed=seed,
         level=level,
-        stiffness_scale=uniform(level.stiffness_scale),
-        damping_scale=uniform(level.damping_scale),
+        stiffness_scale=factor(level.stiffness_scale),
+        damping_scale=factor(level.damping_scale),
         stiction_Nm=uniform(level.stiction_Nm),
-        gripper_gain=uniform(level.gripper_gain),
+        gripper_gain=factor(level.gripper_gain),
         gripper_dead_band_m=uniform(level.gripper_dead_band_m),
         board_height_m=level.layout.board_height_m + uniform(level.board_offset_m),
         board_tilt_rad=(uniform(level.board_tilt_rad), uniform(level.board_tilt_rad)),
@@ -77,7 +80,7 @@ def draw_scene(seed: int, level_name: str) -> SceneParams:
         eraser_mass_kg=uniform(level.eraser_mass_kg),
         pad_friction=(friction, friction),
         board_friction=uniform(level.board_friction),
-        gel_scale=(uniform(level.gel_scale), uniform(level.gel_scale)),
+        gel_scale=(factor(level.gel_scale), factor(level.gel_scale)),
         eraser_offset_m=(place[0], place[1]),
         start_offset_m=spread(2 * level.placement_m, 3),  # type: ignore[arg-type]
         word=str(rng.choice(level.words)),

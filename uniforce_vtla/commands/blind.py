@@ -13,10 +13,10 @@ from typing import Any
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping.blind import STYLES, BlindScript
+from lerobot_env_uniforce_wiping.blind_hands import BlindSettings, NominalGrip
 from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.expert import WipeExpert
-from lerobot_env_uniforce_wiping.hands import BlindSettings
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.evaluation.episode import EpisodeResult, ScoreLimits
@@ -36,9 +36,10 @@ class BlindConfig:
     level: str = "paper"  # name of a locked level
     episodes: int = 100  # seeds 0 … n − 1, the same for every script
     first_seed: int = 0  # where the seeds start
-    press_N: list[float] = field(default_factory=lambda: [6.0, 7.0, 8.0, 9.0])  # blind press set points
-    grip_open_N: list[float] = field(default_factory=lambda: [11.0, 14.0])  # open loop: pads yield, so more
-    grip_relative_N: list[float] = field(default_factory=lambda: [7.5, 9.0])  # measured-relative
+    press_N: list[float] = field(default_factory=lambda: [4.0, 5.0, 6.0, 7.0])  # blind press set points
+    # a nominal width: pads yield, so more
+    grip_open_N: list[float] = field(default_factory=lambda: [11.0, 12.0, 13.0])
+    grip_relative_N: list[float] = field(default_factory=lambda: [6.5, 7.5])  # inside the measured width
     experts: list[str] = field(default_factory=lambda: list(EXPERTS))  # which fingers the expert feels
     workers: int = 2  # processes
     out: str = "docs/results/blind_scripts.json"  # the result file
@@ -77,10 +78,10 @@ def run_job(job: Job) -> tuple[Job, EpisodeResult]:
 
 def all_jobs(config: BlindConfig) -> list[Job]:
     """Return every script × seed."""
-    grips = {"open_loop": config.grip_open_N, "measured_relative": config.grip_relative_N}
     scripts = [("expert", fingers, 0.0, 0.0) for fingers in config.experts]
-    for style in STYLES:
-        scripts += [("blind", style, p, g) for p, g in itertools.product(config.press_N, grips[style])]
+    for style, (grip, _) in STYLES.items():
+        grips_N = config.grip_open_N if grip is NominalGrip else config.grip_relative_N
+        scripts += [("blind", style, p, g) for p, g in itertools.product(config.press_N, grips_N)]
     seeds = range(config.first_seed, config.first_seed + config.episodes)
     return [Job(*script, level=config.level, seed=seed) for script in scripts for seed in seeds]
 
