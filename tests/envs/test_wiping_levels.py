@@ -13,7 +13,7 @@ from lerobot_env_uniforce_wiping.sweep import Sweep
 from uniforce_vtla.errors import ContractError
 
 LOCKED = {
-    "easy": "6a2c09d81bb2",
+    "easy": "0b78b06bf546",
     "paper": "0036bf19c376",
     "hard": "2ddaad60ba94",
 }

@@ -21,7 +21,7 @@ class ScoreConfig:
     # e.g. two training seeds) take turns, scene by scene
     policy: str = "shipped"
     arm: str = ""  # name of this arm in the table; "" = V+T, or the script's own
-    level: str = "paper"  # easy | paper (what the shipped policy learnt at) | hard | easy_v1
+    level: str = "paper"  # easy | paper (what the shipped policy learnt at) | hard
     left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
     right_sensor: str = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: str = ""  # e.g. touch0:left — which finger fills which slot
