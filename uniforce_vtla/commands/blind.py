@@ -38,7 +38,7 @@ class BlindConfig:
     first_seed: int = 0  # where the seeds start
     press_N: list[float] = field(default_factory=lambda: [4.0, 5.0, 6.0, 7.0])  # blind press set points
     # a nominal width: pads yield, so more
-    grip_open_N: list[float] = field(default_factory=lambda: [11.0, 12.0, 13.0])
+    grip_open_N: list[float] = field(default_factory=lambda: [11.0, 13.0])
     grip_relative_N: list[float] = field(default_factory=lambda: [6.5, 7.5])  # inside the measured width
     experts: list[str] = field(default_factory=lambda: list(EXPERTS))  # which fingers the expert feels
     workers: int = 2  # processes
