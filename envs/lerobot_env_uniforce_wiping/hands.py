@@ -28,7 +28,7 @@ class Feel:
 class TouchSettings:
     """How the expert regulates."""
 
-    # the middle of what wipes clean (5 N on) and what makes a grasp of 8 N slip (8.5 N) or is an event (10 N).
+    # the middle of what wipes clean (4 N on) and what makes a grasp of 8 N slip (8.5 N) or is an event (10 N).
     # Policies' means spread by a newton and their peaks are 1.4 times the mean (docs/experiments/tiny_policy.md)
     press_N: float = 6.5
     # nothing slips from 8 N on (at 7 N of press) and no pad is too deep up to 9 (10: 3 scenes of 40); policies hold .4

@@ -76,10 +76,10 @@ class Level:
 
 
 _HIDDEN = {
-    # clean after one sweep with 6.5 N, after two or three with 5 N, seldom with 4 N: a hand may err by a factor of two,
-    # from 5 to the 10 N that are too much
-    "wear_per_kPa_m": 18.0,
-    "wear_from_N": 3.0,
+    # clean after one sweep with 6.5 N, after two or three with 4 N, seldom with less: a hand may err by a factor of
+    # two, from 4 to the 9 N whose peaks are too much
+    "wear_per_kPa_m": 14.0,
+    "wear_from_N": 2.0,
     "adhesion_sigma": 0.15,
     "stiffness_scale": (0.5, 1.5),
     "damping_scale": (0.8, 1.2),
@@ -141,7 +141,7 @@ EASY = Level(
     light_gain=(0.85, 1.1),
     light_tint=0.03,
     light_turn_rad=0.2,
-    **(_HIDDEN | {"wear_per_kPa_m": 27.0}),  # type: ignore[arg-type]  # two rows, no time for a second sweep
+    **(_HIDDEN | {"wear_per_kPa_m": 20.0}),  # type: ignore[arg-type]  # two rows, no time for a second sweep
 )
 PAPER = Level(
     name="paper",

@@ -13,9 +13,9 @@ from lerobot_env_uniforce_wiping.sweep import Sweep
 from uniforce_vtla.errors import ContractError
 
 LOCKED = {
-    "easy": "0b78b06bf546",
-    "paper": "0036bf19c376",
-    "hard": "2ddaad60ba94",
+    "easy": "532baefcfd12",
+    "paper": "86163b2c2d29",
+    "hard": "ae94c474e3d0",
 }
 
 
