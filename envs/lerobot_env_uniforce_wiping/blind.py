@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 BEST = (
     "measured_press",
-    BlindSettings(press_N=6.0, grip_N=13.0),
+    BlindSettings(press_N=4.0, grip_N=12.0),
 )  # of the sweep in docs/results/blind_scripts.json
 Style = tuple[Callable[[Layout, BlindSettings], Grip], Callable[[Layout, BlindSettings], Press]]
 STYLES: dict[str, Style] = {
