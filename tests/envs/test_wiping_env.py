@@ -146,10 +146,10 @@ def test_expert_wipes_clean(seed: int) -> None:
 @pytest.mark.slow
 def test_who_feels_wipes_and_who_is_blind_does_not() -> None:
     """At the benchmark's own level, against the sweep's best blind script: touch has to matter."""
-    env, scenes = WipeEnv(level="paper"), range(40_000, 40_020)
+    env, scenes = WipeEnv(level="paper"), range(30)
     touch = [run_script(env, WipeExpert(), seed).clean for seed in scenes]
     blind = [run_script(env, BlindScript(*BEST), seed).clean for seed in scenes]
-    assert sum(touch) >= 19 and sum(blind) <= 12
+    assert sum(touch) >= 29 and sum(blind) <= 18
 
 
 @pytest.mark.parametrize("style", sorted(STYLES))
