@@ -70,12 +70,12 @@ def test_below_the_slip_load_nothing_creeps(friction: float) -> None:
     assert abs(creep_mm_s(0.8, friction)) < 0.01
 
 
-@pytest.mark.parametrize(("depth_m", "residual"), [(0.008, 0.06), (0.012, 0.03), (0.014, 0.03)])
+@pytest.mark.parametrize(("depth_m", "residual"), [(0.008, 0.08), (0.012, 0.03), (0.014, 0.03)])
 def test_finer_time_steps_change_nothing_that_matters(depth_m: float, residual: float) -> None:
-    """480, 960 and 1920 Hz agree; the lightest press lies where a newton costs a fifth of the ink."""
+    """480, 960 and 1920 Hz agree; the lightest press lies where a newton decides between all of the ink and none."""
     strokes = [stroke(depth_m, SolverSettings(substeps=n)) for n in (4, 8, 16)]
     for a, b in itertools.combinations(strokes, 2):
-        assert a.press_N == pytest.approx(b.press_N, abs=0.15)
+        assert a.press_N == pytest.approx(b.press_N, abs=0.08)
         assert a.residual == pytest.approx(b.residual, abs=residual)
 
 
