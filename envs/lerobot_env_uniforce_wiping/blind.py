@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.blind_hands import (
-    BlindHands,
-    BlindSettings,
-    Grip,
-    MeasuredGrip,
-    MeasuredPress,
-    NominalGrip,
-    NominalPress,
-    Press,
-)
-from lerobot_env_uniforce_wiping.levels import Layout
+from lerobot_env_uniforce_wiping.blind_hands import STYLES, BlindSettings, blind_hands
 from lerobot_env_uniforce_wiping.look_back import look_back
 from lerobot_env_uniforce_wiping.sequence import WipeSequence
 from uniforce_vtla.errors import ContractError, expected
@@ -25,16 +14,8 @@ from uniforce_vtla.errors import ContractError, expected
 if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
-BEST = (
-    "measured_press",
-    BlindSettings(press_N=4.0, grip_N=12.0),
-)  # of the sweep in docs/results/blind_scripts.json
-Style = tuple[Callable[[Layout, BlindSettings], Grip], Callable[[Layout, BlindSettings], Press]]
-STYLES: dict[str, Style] = {
-    "open_loop": (NominalGrip, NominalPress),
-    "measured_relative": (MeasuredGrip, MeasuredPress),
-    "measured_press": (NominalGrip, MeasuredPress),
-}
+# of the sweep in docs/results/blind_scripts.json
+BEST = "measured_press", BlindSettings(press_N=4.0, grip_N=12.0)
 
 
 class BlindScript:
@@ -47,9 +28,7 @@ class BlindScript:
 
     def reset(self, env: WipeEnv) -> None:
         """Start a new episode."""
-        grip, press = STYLES[self._style]
-        layout = env.level.layout
-        hands = BlindHands(grip(layout, self._settings), press(layout, self._settings))
+        hands = blind_hands(self._style, env.level.layout, self._settings)
         self._sequence = WipeSequence(env.level, hands, env.state.astype(np.float64), lambda: look_back(env))
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -159,6 +160,15 @@ class BlindHands:
         return False
 
 
-def nominal_hands(layout: Layout, settings: BlindSettings) -> BlindHands:
-    """Return hands that trust the nominal eraser, board and stiffness."""
-    return BlindHands(NominalGrip(layout, settings), NominalPress(layout, settings))
+Style = tuple[Callable[[Layout, BlindSettings], Grip], Callable[[Layout, BlindSettings], Press]]
+STYLES: dict[str, Style] = {
+    "open_loop": (NominalGrip, NominalPress),
+    "measured_relative": (MeasuredGrip, MeasuredPress),
+    "measured_press": (NominalGrip, MeasuredPress),
+}
+
+
+def blind_hands(style: str, layout: Layout, settings: BlindSettings) -> BlindHands:
+    """Return the hands of one of ``STYLES``."""
+    grip, press = STYLES[style]
+    return BlindHands(grip(layout, settings), press(layout, settings))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.blind_hands import BlindSettings, nominal_hands
+from lerobot_env_uniforce_wiping.blind_hands import BlindSettings, blind_hands
 from lerobot_env_uniforce_wiping.hands import Feel, TouchHands, TouchSettings
 from lerobot_env_uniforce_wiping.levels import Layout, Level
 from lerobot_env_uniforce_wiping.look_back import look_back
@@ -103,7 +103,7 @@ class WipeExpert:
 
     def _hands(self, layout: Layout, press_N: float, grip_N: float) -> Hands:
         if not self.fingers:
-            return nominal_hands(layout, BlindSettings(press_N, grip_N))
+            return blind_hands("open_loop", layout, BlindSettings(press_N, grip_N))
         wanted = replace(self.settings, press_N=press_N, grip_N=grip_N)
         return TouchHands(layout, lambda: self._felt, wanted)
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import ExpertNoise, WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.blind import BEST, STYLES, BlindScript
-from lerobot_env_uniforce_wiping.blind_hands import BlindSettings
+from lerobot_env_uniforce_wiping.blind import BEST, BlindScript
+from lerobot_env_uniforce_wiping.blind_hands import STYLES, BlindSettings
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from lerobot_env_uniforce_wiping.scene_params import draw_scene

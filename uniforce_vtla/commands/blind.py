@@ -12,8 +12,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from lerobot_env_uniforce_wiping.blind import STYLES, BlindScript
-from lerobot_env_uniforce_wiping.blind_hands import BlindSettings, NominalGrip
+from lerobot_env_uniforce_wiping.blind import BlindScript
+from lerobot_env_uniforce_wiping.blind_hands import STYLES, BlindSettings, NominalGrip
 from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.expert import WipeExpert
