@@ -36,7 +36,7 @@ def walk(env: WipeEnv, script: Script, seed: int, nudge: Nudge | None = None) ->
     while not done:
         target = script.act(env)
         if nudge is not None:
-            target = nudge.apply(target)
+            target = nudge.apply(target, script.phase)
         done = env.advance(target)
         yield target
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uniforce_vtla.commands.leak_check import HISTORY, LeakConfig, collect
-from uniforce_vtla.evaluation.leak import Samples, measure, verdict
+from uniforce_vtla.commands.leak_check import TOUCHING_N, LeakConfig, collect
+from uniforce_vtla.evaluation.leak import FRAMES, Samples, measure, verdict
 from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE
 
 
@@ -15,7 +15,7 @@ def made_up(leaky: bool) -> Samples:
     rng = np.random.default_rng(0)
     n = 600
     press = rng.uniform(3, 12, n)
-    state = rng.standard_normal((n, 5 * HISTORY))
+    state = rng.standard_normal((n, 5 * FRAMES))
     if leaky:
         state[:, 2] = press + 0.1 * rng.standard_normal(n)
     touch = rng.standard_normal((n, 2 * DESCRIPTOR_SIZE))
@@ -31,9 +31,16 @@ def test_a_leak_is_found_and_no_leak_is_not() -> None:
 
 
 def test_a_check_that_touch_fails_too_proves_nothing() -> None:
-    assert verdict({"state": 0.0, "cameras and state": 0.0, "touch and state": 0.5}).startswith(
-        "proves nothing"
-    )
+    blind = dict.fromkeys(("state", "state and own moves", "cameras and state"), 0.0)
+    assert verdict(blind | {"touch and state": 0.5}).startswith("proves nothing")
+
+
+def test_moves_are_changes_of_the_targets_and_count_as_blind() -> None:
+    samples = made_up(leaky=False)
+    samples.command[:, 2] = samples.command[:, 7] - samples.press_N  # z of the first frame against the second
+    assert np.allclose(samples.moves[:, 2], samples.press_N)
+    found = measure(samples, cnn_steps=5)
+    assert found["state"] < 0.1 < 0.9 < found["state and own moves"] and verdict(found).startswith("LEAK")
 
 
 @pytest.mark.slow
@@ -41,7 +48,7 @@ def test_samples_are_moments_of_wiping_with_their_past() -> None:
     samples = collect(LeakConfig(level="easy", scenes=3, image_side=28))
     n = len(samples.press_N)
     assert n > 10 and set(samples.scene) == {0, 1, 2}
-    assert samples.state.shape == (n, 5 * HISTORY) and samples.cameras.shape == (n, 6 * HISTORY, 28, 28)
-    assert (samples.press_N > 0.5).all()  # wiping, not leaving the board
+    assert samples.state.shape == (n, 5 * FRAMES) and samples.cameras.shape == (n, 6 * FRAMES, 28, 28)
+    assert (samples.press_N > TOUCHING_N).all()  # wiping, not leaving the board
     moved = samples.state[:, 1] - samples.state[:, -4]  # y, first frame against the last
     assert np.abs(moved).max() > 0.005

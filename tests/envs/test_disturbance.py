@@ -8,6 +8,7 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.disturbance import Nudge, NudgeSettings, Push
+from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.sequence import Z
 from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
@@ -124,3 +125,19 @@ def test_a_hand_pushed_up_in_the_air_is_seen_to_come_down_by_its_own_command() -
             answered_m.append(float(command[Z]))
     assert max(too_high_m) > carry_m + 0.02 and min(answered_m) < carry_m - 0.005
     assert env.result().clean
+
+
+def test_a_walked_expert_is_pushed_as_its_phase_says() -> None:
+    class Listening(Nudge):
+        heard: list[str]
+
+        def apply(self, target: np.ndarray, phase: str = "") -> np.ndarray:
+            self.heard.append(phase)
+            return super().apply(target, phase)
+
+    env, expert = WipeEnv("paper"), WipeExpert()
+    nudge = Listening(1, settings=NudgeSettings(sd=STILL, in_air=always(0.04)))
+    nudge.heard = []
+    highest_m = max(float(env.state[Z]) for _ in walk(env, expert, 9001, nudge))
+    assert {"descend", "lift", "carry"} <= set(nudge.heard)
+    assert highest_m > env.level.layout.carry_height_m + 0.015

@@ -22,18 +22,18 @@ from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from uniforce_vtla.commands.arguments import parse
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.evaluation.leak import Samples, measure, verdict
+from uniforce_vtla.evaluation.leak import FRAMES, Samples, measure, verdict
 from uniforce_vtla.keys import CAMERAS, tactile_name
 from uniforce_vtla.probes.plain_touch import descriptors
 from uniforce_vtla.results_file import provenance, write_json
 
-HISTORY = 3  # frames a regressor sees, the last one now
 HISTORY_STEP = 3  # control steps between them: 0.1 s
 EVERY = 5  # looks between two samples
 PRESS_RANGE_N = (
     3.0,
     12.0,
 )  # wanted press, drawn per scene: an expert that always presses alike leaks nothing
+TOUCHING_N = 0.5  # a nudged hand is pushed off the board now and then
 
 
 @dataclass
@@ -66,11 +66,11 @@ def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any,
     expert, nudge = WipeExpert(settings=TouchSettings(press_N=wanted_N)), Nudge(seed)
     past: list[tuple[np.ndarray, np.ndarray, np.ndarray | None]] = []
     for step, target in enumerate(walk(env, expert, seed, nudge), start=1):
-        # Only while the eraser sweeps: a hand that leaves the board presses nothing, and anybody sees that.
-        looks = expert.phase == "wipe" and step % HISTORY_STEP == 0
+        # Only while the eraser sweeps and presses: a hand off the board presses nothing, and anybody sees that.
+        looks = expert.phase == "wipe" and env.sim.press_N > TOUCHING_N and step % HISTORY_STEP == 0
         pixels = env.observe()["pixels"] if looks else {}
         past.append((env.state, target, _pictures(pixels, config.image_side) if looks else None))
-        frames = past[-1 - (HISTORY - 1) * HISTORY_STEP :: HISTORY_STEP]
+        frames = past[-1 - (FRAMES - 1) * HISTORY_STEP :: HISTORY_STEP]
         if looks and step % (EVERY * HISTORY_STEP) == 0 and all(frame[2] is not None for frame in frames):
             state, command, pictures = (np.concatenate(part) for part in zip(*frames, strict=True))
             yield state, command, _touch(pixels), pictures, env.sim.press_N

@@ -16,6 +16,7 @@ from torch import nn
 from tqdm import tqdm
 
 LEAK_LIMIT, TOUCH_FLOOR = 0.3, 0.75  # R²
+FRAMES = 3  # of history in a sample
 
 
 @dataclass(frozen=True)
@@ -29,12 +30,21 @@ class Samples:
     press_N: np.ndarray  # (N,)
     scene: np.ndarray  # (N,)
 
+    @property
+    def moves(self) -> np.ndarray:
+        """Return (N, 10): how the targets changed between the three frames; the targets themselves tell a force."""
+        frames = self.command.reshape(len(self.command), -1, self.state.shape[1] // FRAMES)
+        return np.diff(frames, axis=1).reshape(len(frames), -1)
+
 
 def measure(samples: Samples, cnn_steps: int) -> dict[str, float]:
     """Return R² of the press on unseen scenes, for each input."""
     train = samples.scene < round(2 / 3 * (samples.scene.max() + 1))
     flat = {
         "state": samples.state,
+        "state and own moves": np.hstack(
+            [samples.state, samples.moves]
+        ),  # what a policy without touch is told
         "state and own targets": np.hstack([samples.state, samples.command]),
         "touch": samples.touch,
         "touch and state": np.hstack([samples.touch, samples.state]),
@@ -98,6 +108,6 @@ def verdict(found: dict[str, float]) -> str:
     """Say in a sentence whether the scene leaks, or whether the check proves nothing."""
     if found["touch and state"] < TOUCH_FLOOR:
         return f"proves nothing: even touch reads the press at R² {found['touch and state']:.2f} only"
-    blind = max(found["state"], found["cameras and state"])
+    blind = max(found["state"], found["state and own moves"], found["cameras and state"])
     word = "no leak" if blind < LEAK_LIMIT else "LEAK"
     return f"{word}: R² {blind:.2f} without touch, {found['touch and state']:.2f} with it"
