@@ -37,6 +37,8 @@ class NudgeSettings:
     correlation_s: float = 0.6  # about the time the expert needs to correct a press
     # a soft arm gives way by 19 mm at the usual press; slow: the press that comes back with it stays within 2 N
     wiping: Push = Push((0.004, 0.022), per_s=0.08, fall_s=4.0)
+    # a policy that misses the moment to grip goes on sinking, and hangs where nobody ever was
+    descending: Push = Push((-0.025, 0.020), per_s=0.8, fall_s=1.5)
     in_air: Push = Push((-0.015, 0.045), per_s=0.5, fall_s=1.2)
     # back down to the wiped board: leaving takes a third of a second, too short to learn that a clean board is left
     leaving: Push = Push((-0.012, -0.003), per_s=2.0, fall_s=1.0)
@@ -44,7 +46,9 @@ class NudgeSettings:
 
     def push(self, phase: str) -> Push | None:
         """Return what may happen in a phase of the sequence."""
-        by_phase = {"lift": self.in_air, "carry": self.in_air, "wipe": self.wiping, "leave": self.leaving}
+        by_phase = dict.fromkeys(("descend", "close"), self.descending)
+        by_phase |= dict.fromkeys(("lift", "carry"), self.in_air)
+        by_phase |= {"wipe": self.wiping, "leave": self.leaving}
         return by_phase.get(phase)
 
 
@@ -97,7 +101,7 @@ class Nudge:
 class RewriteSettings:
     """When somebody writes on the board again, and how much."""
 
-    share: float = 0.4  # of the episodes; what the eraser still comes to is wiped without anyone noticing
+    share: float = 0.7  # of the episodes; what the eraser still comes to is wiped without anyone noticing
     after_s: tuple[float, float] = (3.5, 5.8)  # of wiping; the sweep takes six
     height_m: tuple[float, float] = (0.020, 0.040)  # along board x, of a writing 34 to 48 mm high
     length_m: tuple[float, float] = (0.030, 0.080)  # along board y, of a writing 70 to 100 mm long

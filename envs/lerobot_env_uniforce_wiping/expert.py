@@ -44,6 +44,8 @@ class ExpertNoise:
     # a policy's hand stops some millimetres too low or too high; without demos from there it is lost for good
     grasp_sd_m: float = 0.004  # height of the grasp on the eraser, per episode
     carry_sd_m: float = 0.005  # height of carrying, per episode
+    # across and along the row, how far beside its beginning the eraser is carried to, each time: likewise
+    stray_sd_m: tuple[float, float] = (0.004, 0.008)
 
 
 class WipeExpert:
@@ -88,7 +90,11 @@ class WipeExpert:
         self._weight_N = level.layout.eraser_mass_kg * GRAVITY_m_s2
         hands = self._hands(level.layout, press, grip)
         start = env.state.astype(np.float64)
-        self._sequence = WipeSequence(level, hands, start, lambda: look_back(env), pace)
+        self._sequence = WipeSequence(level, hands, start, lambda: look_back(env), pace, self._stray)
+
+    def _stray(self) -> np.ndarray:
+        """Draw by how much the hand arrives beside a row, (2,) m."""
+        return np.clip(self._rng.standard_normal(2), -2, 2) * self.noise.stray_sd_m
 
     def _own_heights(self, level: Level) -> Level:
         """Return the level as this run goes about it: grasped and carried a little higher or lower."""

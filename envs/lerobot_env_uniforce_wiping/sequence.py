@@ -24,6 +24,8 @@ APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
 # nor the stiffness. Braking early makes the command's own speed tell how far it has left to go
 # (docs/experiments/tiny_policy.md).
 HEIGHT_GAIN = 2.5  # 1/s
+# who arrives beside the row's beginning comes to it on the way down and, what is left, along the stroke
+STRAY_GAIN = 2.5  # 1/s
 PHASES = ("descend", "close", "lift", "carry", "lower", "wipe", "leave", "done")
 
 
@@ -66,6 +68,7 @@ class WipeSequence:
         target: (5,) the tool's own pose, to start from.
         look: tells the x at which the ink that is left begins, m, None where the board is clean.
         pace: speeds.
+        stray: draws by how much, (2,) m, the hand arrives beside the row it carries the eraser to; None: it doesn't.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class WipeSequence:
         target: np.ndarray,
         look: Callable[[], float | None],
         pace: Pace | None = None,
+        stray: Callable[[], np.ndarray] | None = None,
     ) -> None:
         self.level, self.hands, self.pace = level, hands, pace or Pace()
         self.sweep = Sweep(level)
@@ -83,6 +87,8 @@ class WipeSequence:
         self._look, self._looks_left = look, LOOKS_BACK
         self._along_m = 0.0
         self._speed_m_s = 0.0
+        self._draw_stray = stray or (lambda: np.zeros(2))
+        self._stray_m = self._draw_stray()
 
     def next(self, measured: np.ndarray) -> np.ndarray:
         """Return the next absolute target (5,)."""
@@ -111,6 +117,11 @@ class WipeSequence:
         limit = self.pace.vertical_m_s
         self.target[Z] += float(np.clip(HEIGHT_GAIN * missing_m, -limit, limit)) / CONTROL_HZ
 
+    def _come_to_row(self) -> None:
+        """Move the target a little closer to where on the sweep it is meant to be."""
+        stray_m = self.target[[X, Y]] - self.sweep.point(self._along_m)
+        self.target[[X, Y]] -= STRAY_GAIN / CONTROL_HZ * stray_m
+
     def _descend(self, measured: np.ndarray) -> bool:
         layout = self.level.layout
         here = self._move({X: layout.tray_m[0], Y: layout.tray_m[1], WIDTH: layout.open_width_m})
@@ -130,14 +141,14 @@ class WipeSequence:
     def _carry(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
         self._go_to_height(self.level.layout.carry_height_m, measured)
-        start = self.sweep.point(self._along_m)  # the first row, or the first that is still dirty
+        # of the first row, or of the first that is still dirty
+        start = self.sweep.point(self._along_m) + self._stray_m
         self._move({X: start[0], Y: start[1]})
         return bool(np.linalg.norm(measured[:2] - start) < 2 * NEAR_m)
 
     def _lower(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
-        here = self.sweep.point(self._along_m)  # the start, or where the board was lost
-        self._move({X: here[0], Y: here[1]})
+        self._come_to_row()  # to the start, or where the board was lost
         self.target[Z], pressed = self.hands.lower(self.target[Z], measured)
         return pressed
 
@@ -152,8 +163,10 @@ class WipeSequence:
         wanted = self.pace.shift_m_s if shifting else self.pace.stroke_m_s
         limit = self.pace.ramp_m_s2 / CONTROL_HZ
         self._speed_m_s += float(np.clip(wanted - self._speed_m_s, -limit, limit))
+        before = self.sweep.point(self._along_m)
         self._along_m += self._speed_m_s / CONTROL_HZ
-        self.target[[X, Y]] = self.sweep.point(self._along_m)
+        self.target[[X, Y]] += self.sweep.point(self._along_m) - before
+        self._come_to_row()
         return self._along_m >= self.sweep.length_m and not self._again()
 
     def _again(self) -> bool:
@@ -163,6 +176,7 @@ class WipeSequence:
             return False
         self.phase, self._along_m, self._speed_m_s = "lift", self.sweep.row_at(dirty_x_m), 0.0
         self._looks_left -= 1
+        self._stray_m = self._draw_stray()
         return True
 
     def _leave(self, measured: np.ndarray) -> bool:

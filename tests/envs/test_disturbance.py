@@ -127,6 +127,22 @@ def test_a_hand_pushed_up_in_the_air_is_seen_to_come_down_by_its_own_command() -
     assert env.result().clean
 
 
+def test_a_hand_pushed_below_its_grasp_height_comes_up_and_grips() -> None:
+    """Without demos from there a policy that misses the moment to grip hangs below the eraser's middle for good."""
+    env = WipeEnv("paper")
+    nudge = Nudge(1, settings=NudgeSettings(sd=STILL, descending=always(-0.025)))
+    too_low: list[tuple[float, float]] = []  # commanded, measured
+    for phase, command in commands(
+        env, nudge, lambda phase: phase if phase == "close" and not too_low else ""
+    ):
+        grasp_m, low_m = env.level.layout.grasp_height_m, float(env.state[Z])
+        if phase == "close" and low_m < grasp_m - 0.010:
+            too_low.append((float(command[Z]), low_m))
+    assert min(low_m for _, low_m in too_low) < grasp_m - 0.012
+    assert max(command_m for command_m, _ in too_low) > grasp_m + 0.005
+    assert env.result().success
+
+
 def test_a_walked_expert_is_pushed_as_its_phase_says() -> None:
     class Listening(Nudge):
         heard: list[str]

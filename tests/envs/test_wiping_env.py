@@ -14,6 +14,7 @@ from lerobot_env_uniforce_wiping.blind_hands import STYLES, BlindSettings
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from lerobot_env_uniforce_wiping.scene_params import draw_scene
+from lerobot_env_uniforce_wiping.sweep import Sweep
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeTrace
@@ -227,6 +228,25 @@ def test_every_expert_grasps_at_a_height_of_its_own() -> None:
     varied = [descent(seed, ExpertNoise())[-1, 0] for seed in range(6)]
     alike = [descent(seed, ExpertNoise(grasp_sd_m=0.0))[-1, 0] for seed in range(6)]
     assert np.std(varied) > 0.002 > np.std(alike)
+
+
+def test_a_hand_that_arrives_beside_its_row_comes_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A policy arrives there, too; without demos of the way back it takes another row's end for its own beginning."""
+    beside_m = np.array([0.008, -0.016])
+    monkeypatch.setattr(WipeExpert, "_stray", lambda self: beside_m)
+    env, expert = WipeEnv("paper"), WipeExpert()
+    env.start(SEED)
+    expert.reset(env)
+    start, by_phase, last, done = Sweep(env.level).point(0.0), {}, env.state[:2], False
+    fastest_m_s = 0.0
+    while not done:
+        command = expert.act(env)
+        by_phase.setdefault(expert.phase, command[:2] - start)  # at the beginning of each phase
+        fastest_m_s = max(fastest_m_s, float(np.linalg.norm(command[:2] - last)) * 30)
+        last, done = command[:2], env.advance(command)
+    assert np.linalg.norm(by_phase["lower"] - beside_m) < 0.005
+    assert np.linalg.norm(by_phase["wipe"]) < 0.5 * np.linalg.norm(beside_m)
+    assert fastest_m_s < 0.140 and env.result().success
 
 
 def test_the_expert_regulates_by_every_setting_it_was_given() -> None:
