@@ -57,6 +57,10 @@ class PI05UniforceConfig(PI05Config):
     tiny_vision_depth: int = 2  # SigLIP layers
     text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
 
+    # training only: lights and camera poses drawn anew per sample (camera_variation.py); 0 = none, 1 = about as much as
+    # scenes of level paper differ
+    camera_variation: float = 0.0
+
     # Touch
     # slot → finger; {} = none
     touch_slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
@@ -96,6 +100,8 @@ class PI05UniforceConfig(PI05Config):
     # with a state token and target_delta: how far the command moved over so many of its last steps is told beside the
     # state, so that who is in mid-stroke knows which way; 0 = not told. As many as n_action_steps, or more
     last_move_steps: int = 0
+    # the axes of it that are told, [] = all. Who is told that his fingers stand still learns to leave them so
+    last_move_axes: list[int] = field(default_factory=list)
     # training only: noise on it, in units of delta_scale: corrections of force drown in it, strokes and lifts don't
     last_move_noise: float = 0.1
     on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
@@ -191,6 +197,13 @@ class PI05UniforceConfig(PI05Config):
             came = f"{self.last_move_steps} with state_token={self.state_token}, {self.action_form}"
             do = "Set it to 0, or tell the state and predict target_delta."
             raise ContractError(expected("last_move_steps", "0, or steps before now", came, do))
+        axes = range(len(self.delta_scale))
+        if len(set(self.last_move_axes) & set(axes)) < len(self.last_move_axes):
+            do = "Name each at most once, or none for all."
+            raise ContractError(expected("last_move_axes", f"some of {[*axes]}", self.last_move_axes, do))
+        if self.camera_variation < 0:
+            do = "0 leaves the pictures as they are."
+            raise ContractError(expected("camera_variation", "≥ 0", self.camera_variation, do))
         if not 0 <= self.sensor_transfer_doubt <= 1:
             do = "Take the tested 0.25."
             raise ContractError(expected("sensor_transfer_doubt", "0 to 1", self.sensor_transfer_doubt, do))
@@ -234,6 +247,12 @@ class PI05UniforceConfig(PI05Config):
     def tokens_per_slot(self) -> int:
         """K: pooled latents per slot."""
         return self.latent_grid**2
+
+    @property
+    def told_axes(self) -> list[int]:
+        """Axes of the command whose last move is told; none without ``last_move_steps``."""
+        every = list(range(len(self.delta_scale)))
+        return (self.last_move_axes or every) if self.last_move_steps else []
 
     @property
     def image_features(self) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from lerobot_policy_pi05_uniforce.action_form import (
     told_move,
 )
 from lerobot_policy_pi05_uniforce.action_loss import LANGUAGE, ActionLoss
+from lerobot_policy_pi05_uniforce.camera_variation import vary
 from lerobot_policy_pi05_uniforce.check_action import check_leap
 from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -169,10 +170,13 @@ class PI05UniforcePolicy(ActionLoss):
         images, masks = super()._preprocess_images(
             self._shrunk(batch)
         )  # cameras only: see config.image_features
+        if self.training:
+            images = [vary(image, self.config.camera_variation) for image in images]
         if self.model.state_token is not None:
             state = batch[STATE].to(images[0].device, torch.float32)
             if self.config.last_move_steps:
-                state = torch.cat([state, self._last_move(batch).to(state)], dim=1)
+                told = self._last_move(batch)[:, self.config.told_axes]
+                state = torch.cat([state, told.to(state)], dim=1)
             images.append(state[:, None])  # (B, 1, S), or S + A with the last move
             masks.append(torch.ones(len(state), dtype=torch.bool, device=state.device))
         touches, touch_masks = self.touch.gather(batch, images[0].device, self.training)

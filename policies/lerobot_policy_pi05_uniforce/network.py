@@ -104,7 +104,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
     def _make_state_token(self, config: PI05UniforceConfig) -> StateToken | None:
         if not config.state_token:
             return None
-        moves = len(config.delta_scale) if config.last_move_steps else 0
+        moves = len(config.told_axes)
         return StateToken(
             state_size(config), self.vlm_width, config.state_noise, moves, config.last_move_noise
         )

@@ -9,7 +9,7 @@ import pytest
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.stored_policy import stored_config
 from uniforce_vtla.commands.benchmark import BenchmarkConfig
-from uniforce_vtla.commands.train_arm import DELTA_KNEE, EXECUTED
+from uniforce_vtla.commands.train_arm import CAMERA_VARIATION, DELTA_KNEE, EXECUTED, TOLD_AXES
 from uniforce_vtla.evaluation.plan import RECIPES
 
 ROOT = Path(__file__).parents[2]
@@ -33,4 +33,5 @@ def test_it_was_trained_as_the_plan_says(folder: Path) -> None:
     assert recipe.touch_noise in (None, config.touch_noise)
     assert list(config.delta_knee) == list(DELTA_KNEE)
     assert config.n_action_steps == config.last_move_steps == EXECUTED
+    assert config.told_axes == list(TOLD_AXES) and config.camera_variation == CAMERA_VARIATION
     PI05UniforcePolicy.from_pretrained(folder, config=config)  # strict: every weight is there

@@ -340,6 +340,27 @@ def test_training_reads_the_move_in_front_of_the_chunk_and_blurs_it(make_policy,
     assert 0.05 < (seen[0][:, 0, 5:] - told).abs().mean() < 2
 
 
+def test_of_the_last_move_only_the_axes_asked_for_are_told(make_policy, make_batch):
+    policy = make_policy(touch_input="none", last_move_steps=3, last_move_axes=[1, 2])
+    batch = make_batch(policy)
+    from_m = batch[MEASURED_STATE]
+
+    def chunk(move: list[float]) -> torch.Tensor:
+        commands = torch.stack([from_m - torch.tensor(move), from_m], dim=1)
+        return policy.predict_action_chunk({**batch, "action": commands})
+
+    still = chunk([0.0] * 5)
+    assert policy.model.state_token.proj[0].in_features == 5 + 2
+    assert torch.equal(chunk([0.02, 0.0, 0.0, 0.1, 0.01]), still)
+    assert (chunk([0.0, 0.02, 0.0, 0.0, 0.0]) - still).abs().max() > 1e-4
+
+
+@pytest.mark.parametrize("axes", [[5], [-1], [1, 1]])
+def test_axes_no_target_has_are_refused(axes, make_config):
+    with pytest.raises(ContractError, match="last_move_axes"):
+        make_config(last_move_steps=4, last_move_axes=axes)
+
+
 @pytest.mark.parametrize(
     "given", [{"action_form": "absolute"}, {"state_token": False}, {"last_move_steps": -1}]
 )

@@ -17,6 +17,8 @@ from uniforce_vtla.keys import VIEW_MARKER
 DELTA_KNEE = (0.0, 0.0, 0.003, 0.0, 0.0003)
 # steps of a chunk of 16, and how far back a policy's own moves are told (docs/experiments/tiny_policy.md)
 EXECUTED = 4
+TOLD_AXES = (0, 1, 2)  # of the last move: x, y, z
+CAMERA_VARIATION = 1.0
 
 
 @dataclass
@@ -51,10 +53,12 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         f"policy.touch_slots={{{slots}}}",
         f"policy.n_action_steps={EXECUTED}",
         f"policy.last_move_steps={EXECUTED}",
+        f"policy.last_move_axes={list(TOLD_AXES)}",
         f"policy.state_noise={list(recipe.state_noise)}",
         f"policy.sensor_transfer={recipe.sensor_transfer}",
         f"policy.touch_directions={recipe.touch_directions}",
         f"policy.delta_knee={list(DELTA_KNEE)}",
+        f"policy.camera_variation={CAMERA_VARIATION}",
         "dataset.repo_id=local/view",
         f"dataset.root={config.view}",
         f"dataset.episodes={_episodes(Path(config.view), recipe, config.demos)}",
