@@ -17,8 +17,8 @@ from uniforce_vtla.keys import VIEW_MARKER
 DELTA_KNEE = (0.0, 0.0, 0.003, 0.0, 0.0003)
 # steps of a chunk of 16, and how far back a policy's own moves are told (docs/experiments/tiny_policy.md)
 EXECUTED = 4
-TOLD_AXES = (0, 1, 2)  # of the last move: x, y, z
-CAMERA_VARIATION = 1.0
+TOLD_AXES = (0, 1, 2, 3, 4)  # of the last move
+CAMERA_VARIATION = 0.0
 
 
 @dataclass
