@@ -117,10 +117,11 @@ class WipeSequence:
         limit = self.pace.vertical_m_s
         self.target[Z] += float(np.clip(HEIGHT_GAIN * missing_m, -limit, limit)) / CONTROL_HZ
 
-    def _come_to_row(self) -> None:
-        """Move the target a little closer to where on the sweep it is meant to be."""
+    def _follow_sweep(self, step_m: float = 0.0) -> None:
+        """Move the target along the sweep, and a little closer to it."""
         stray_m = self.target[[X, Y]] - self.sweep.point(self._along_m)
-        self.target[[X, Y]] -= STRAY_GAIN / CONTROL_HZ * stray_m
+        self._along_m += step_m
+        self.target[[X, Y]] = self.sweep.point(self._along_m) + (1 - STRAY_GAIN / CONTROL_HZ) * stray_m
 
     def _descend(self, measured: np.ndarray) -> bool:
         layout = self.level.layout
@@ -148,7 +149,7 @@ class WipeSequence:
 
     def _lower(self, measured: np.ndarray) -> bool:
         self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
-        self._come_to_row()  # to the start, or where the board was lost
+        self._follow_sweep()  # to the start, or where the board was lost
         self.target[Z], pressed = self.hands.lower(self.target[Z], measured)
         return pressed
 
@@ -163,10 +164,7 @@ class WipeSequence:
         wanted = self.pace.shift_m_s if shifting else self.pace.stroke_m_s
         limit = self.pace.ramp_m_s2 / CONTROL_HZ
         self._speed_m_s += float(np.clip(wanted - self._speed_m_s, -limit, limit))
-        before = self.sweep.point(self._along_m)
-        self._along_m += self._speed_m_s / CONTROL_HZ
-        self.target[[X, Y]] += self.sweep.point(self._along_m) - before
-        self._come_to_row()
+        self._follow_sweep(self._speed_m_s / CONTROL_HZ)
         return self._along_m >= self.sweep.length_m and not self._again()
 
     def _again(self) -> bool:

@@ -2,6 +2,8 @@
 
 Demos of fifty episodes know fifty lights and fifty camera poses. A policy that learns those by heart doesn't see in the
 next scene whether the hand is at the eraser or which row is still dirty (docs/experiments/tiny_policy.md).
+
+Not torchvision's transforms, which draw once for a whole batch: here every sample of a batch gets its own.
 """
 
 from __future__ import annotations

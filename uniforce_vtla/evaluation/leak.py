@@ -33,7 +33,7 @@ class Samples:
     @property
     def moves(self) -> np.ndarray:
         """Return (N, 10): how the targets changed between the three frames; the targets themselves tell a force."""
-        frames = self.command.reshape(len(self.command), -1, self.state.shape[1] // FRAMES)
+        frames = self.command.reshape(len(self.command), FRAMES, -1)
         return np.diff(frames, axis=1).reshape(len(frames), -1)
 
 
@@ -42,9 +42,8 @@ def measure(samples: Samples, cnn_steps: int) -> dict[str, float]:
     train = samples.scene < round(2 / 3 * (samples.scene.max() + 1))
     flat = {
         "state": samples.state,
-        "state and own moves": np.hstack(
-            [samples.state, samples.moves]
-        ),  # what a policy without touch is told
+        # what a policy without touch is told
+        "state and own moves": np.hstack([samples.state, samples.moves]),
         "state and own targets": np.hstack([samples.state, samples.command]),
         "touch": samples.touch,
         "touch and state": np.hstack([samples.touch, samples.state]),
