@@ -58,8 +58,8 @@ class PI05UniforceConfig(PI05Config):
     text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
 
     # training only: lights and camera poses drawn anew per sample (camera_variation.py); 0 = none, 1 = about as much as
-    # scenes of level paper differ
-    camera_variation: float = 0.0
+    # scenes of level paper differ; tiny 1, base 0
+    camera_variation: float = _BY_SIZE
 
     # Touch
     # slot → finger; {} = none

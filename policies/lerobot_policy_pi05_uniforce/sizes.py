@@ -24,6 +24,7 @@ TINY: dict[str, Any] = {
     "action_form": "target_delta",
     "action_objective": "regression",
     "sampling_noise": 0.0,
+    "camera_variation": 1.0,  # else it knows its demos' lights by heart, and stalls: docs/experiments/tiny_policy.md
     "touch_noise": 0.2,  # what is left to hide once the tokenizer knows held tools: docs/experiments/tiny_policy.md
     "optimizer_lr": 1e-3,
     "new_module_lr": 1e-3,
@@ -45,6 +46,7 @@ BASE: dict[str, Any] = {  # LeRobot's own π0.5 values; published weights fit th
     "action_form": "absolute",
     "action_objective": "flow",
     "sampling_noise": 1.0,
+    "camera_variation": 0.0,  # not tried at this size
     "touch_noise": 0.0,  # not tried at this size
     "optimizer_lr": 2.5e-5,
     "new_module_lr": 1e-4,
