@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/bench.py."""
+"""See commands/uniforce_commands/bench.py."""
 
 import sys
 
-from uniforce_vtla.commands.bench import main
+from uniforce_commands.bench import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/benchmark.py."""
+"""See commands/uniforce_commands/benchmark.py."""
 
 import sys
 
-from uniforce_vtla.commands.benchmark import main
+from uniforce_commands.benchmark import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/blind.py."""
+"""See commands/uniforce_commands/blind.py."""
 
 import sys
 
-from uniforce_vtla.commands.blind import main
+from uniforce_commands.blind import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,3 +1,3 @@
-from uniforce_vtla.commands.calibrate import main
+from uniforce_commands.calibrate import main
 
 raise SystemExit(main())

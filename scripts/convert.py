@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/convert.py."""
+"""See commands/uniforce_commands/convert.py."""
 
 import sys
 
-from uniforce_vtla.commands.convert import main
+from uniforce_commands.convert import main
 
 if __name__ == "__main__":
     sys.exit(main())

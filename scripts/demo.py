@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/demo.py."""
+"""See commands/uniforce_commands/demo.py."""
 
 import sys
 
-from uniforce_vtla.commands.demo import main
+from uniforce_commands.demo import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/leak_check.py."""
+"""See commands/uniforce_commands/leak_check.py."""
 
 import sys
 
-from uniforce_vtla.commands.leak_check import main
+from uniforce_commands.leak_check import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/pair_quality.py."""
+"""See commands/uniforce_commands/pair_quality.py."""
 
 import sys
 
-from uniforce_vtla.commands.pair_quality import main
+from uniforce_commands.pair_quality import main
 
 if __name__ == "__main__":
     sys.exit(main())

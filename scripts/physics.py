@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/physics.py."""
+"""See commands/uniforce_commands/physics.py."""
 
 import sys
 
-from uniforce_vtla.commands.physics import main
+from uniforce_commands.physics import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,3 +1,3 @@
-from uniforce_vtla.commands.pretrain import main
+from uniforce_commands.pretrain import main
 
 raise SystemExit(main())

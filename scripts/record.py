@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/record.py."""
+"""See commands/uniforce_commands/record.py."""
 
 import sys
 
-from uniforce_vtla.commands.record import main
+from uniforce_commands.record import main
 
 if __name__ == "__main__":
     sys.exit(main())

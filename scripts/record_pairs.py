@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/record_pairs.py."""
+"""See commands/uniforce_commands/record_pairs.py."""
 
 import sys
 
-from uniforce_vtla.commands.record_pairs import main
+from uniforce_commands.record_pairs import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/score.py."""
+"""See commands/uniforce_commands/score.py."""
 
 import sys
 
-from uniforce_vtla.commands.score import main
+from uniforce_commands.score import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/score_recording.py."""
+"""See commands/uniforce_commands/score_recording.py."""
 
 import sys
 
-from uniforce_vtla.commands.score_recording import main
+from uniforce_commands.score_recording import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/sensitivity.py."""
+"""See commands/uniforce_commands/sensitivity.py."""
 
 import sys
 
-from uniforce_vtla.commands.sensitivity import main
+from uniforce_commands.sensitivity import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,3 +1,3 @@
-from uniforce_vtla.commands.sensor_transfer import main
+from uniforce_commands.sensor_transfer import main
 
 raise SystemExit(main())

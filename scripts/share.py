@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/share.py."""
+"""See commands/uniforce_commands/share.py."""
 
 import sys
 
-from uniforce_vtla.commands.share import main
+from uniforce_commands.share import main
 
 if __name__ == "__main__":
     sys.exit(main())

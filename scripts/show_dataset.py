@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/show_dataset.py."""
+"""See commands/uniforce_commands/show_dataset.py."""
 
 import sys
 
-from uniforce_vtla.commands.show_dataset import main
+from uniforce_commands.show_dataset import main
 
 if __name__ == "__main__":
     sys.exit(main())

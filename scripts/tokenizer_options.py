@@ -1,3 +1,3 @@
-from uniforce_vtla.commands.tokenizer_options import main
+from uniforce_commands.tokenizer_options import main
 
 raise SystemExit(main())

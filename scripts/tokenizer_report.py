@@ -1,3 +1,3 @@
-from uniforce_vtla.commands.tokenizer_report import main
+from uniforce_commands.tokenizer_report import main
 
 raise SystemExit(main())

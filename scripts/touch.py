@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/touch.py."""
+"""See commands/uniforce_commands/touch.py."""
 
 import sys
 
-from uniforce_vtla.commands.touch import main
+from uniforce_commands.touch import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,4 +1,4 @@
-from uniforce_vtla.commands.train import main
+from uniforce_commands.train import main
 
 if __name__ == "__main__":
     main()

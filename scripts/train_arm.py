@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/train_arm.py."""
+"""See commands/uniforce_commands/train_arm.py."""
 
 import sys
 
-from uniforce_vtla.commands.train_arm import main
+from uniforce_commands.train_arm import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
-"""See uniforce_vtla/commands/view.py."""
+"""See commands/uniforce_commands/view.py."""
 
 import sys
 
-from uniforce_vtla.commands.view import main
+from uniforce_commands.view import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -12,13 +12,13 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_env_uniforce_wiping import draw_scene
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
-from uniforce_vtla.commands.record import RecordConfig, record
-from uniforce_vtla.commands.score import score
-from uniforce_vtla.commands.score_config import ScoreConfig
-from uniforce_vtla.commands.score_recording import ScoreRecordingConfig, score_recording
-from uniforce_vtla.commands.score_recording import main as score_recording_main
-from uniforce_vtla.commands.train import main as train
-from uniforce_vtla.commands.view import ViewConfig, make_view
+from uniforce_commands.record import RecordConfig, record
+from uniforce_commands.score import score
+from uniforce_commands.score_config import ScoreConfig
+from uniforce_commands.score_recording import ScoreRecordingConfig, score_recording
+from uniforce_commands.score_recording import main as score_recording_main
+from uniforce_commands.train import main as train
+from uniforce_commands.view import ViewConfig, make_view
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 TINY = ["policy.tiny_width=32", "policy.tiny_depth=1", "policy.tiny_mlp_dim=32", "policy.tiny_vision_depth=1"]

@@ -8,7 +8,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SHARED = {"contracts", "errors", "keys", "results_file", "figure_file", "json_file", "array_file"}
+SHARED = {
+    "contracts",
+    "errors",
+    "keys",
+    "results_file",
+    "figure_file",
+    "json_file",
+    "array_file",
+    "arguments",
+}
 MAY_IMPORT = {
     "sensors": set(),
     "markers": {"sensors"},
@@ -37,21 +46,10 @@ def test_stage_imports_only_from_its_left(stage: str) -> None:
         assert not foreign, f"{file.relative_to(ROOT)} imports {foreign}"
 
 
-@pytest.mark.parametrize(
-    "package", ["sensors", "markers", "contact", "tokenizer", "probes", "peers", "evaluation"]
-)
-def test_nothing_left_of_the_seam_knows_policies_or_environments(package: str) -> None:
-    forbidden = (
-        "lerobot",
-        "lerobot_policy_pi05_uniforce",
-        "lerobot_env_uniforce_wiping",
-        "uniforce_datasets",
-        "uniforce_standins",
-    )
-    for file in (ROOT / "uniforce_vtla" / package).rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            module = node.module if isinstance(node, ast.ImportFrom) else None
-            assert not (module or "").startswith(forbidden), f"{file.relative_to(ROOT)} imports {module}"
+def test_nothing_left_of_the_seam_knows_policies_environments_or_robots() -> None:
+    others = {p.parent.name for p in ROOT.glob("*/*/__init__.py")} - set(MAY_IMPORT)
+    assert {"lerobot_policy_pi05_uniforce", "lerobot_env_uniforce_wiping", "uniforce_commands"} < others
+    assert not foreign_imports(ROOT / "uniforce_vtla", ("lerobot", *others))
 
 
 def foreign_imports(folder: Path, forbidden: tuple[str, ...]) -> list[str]:
@@ -62,6 +60,13 @@ def foreign_imports(folder: Path, forbidden: tuple[str, ...]) -> list[str]:
             modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             found += [f"{file.relative_to(ROOT)}: {m}" for m in modules if m.split(".")[0] in forbidden]
     return found
+
+
+def test_nothing_but_scripts_and_trials_of_whole_sessions_knows_the_commands() -> None:
+    may = ("commands", "scripts", "tests", "uniforce_recorder_trials")
+    for folder in {p.parent for p in ROOT.glob("*/*/__init__.py")}:
+        if folder.parent.name not in may and folder.name not in may:
+            assert not foreign_imports(folder, ("uniforce_commands",)), f"{folder.name} imports a command"
 
 
 def test_the_arms_stand_in_knows_nothing_of_the_project() -> None:

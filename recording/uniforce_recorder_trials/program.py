@@ -23,7 +23,7 @@ LOADED = (
     "uniforce_recording.assemble",
     "uniforce_recording.build",
     "uniforce_recording.robot_rig",
-    "uniforce_vtla.commands.record",
+    "uniforce_commands.record",
 )
 ARROWS_THREAD = "jemalloc_bg_thd"  # pyarrow's allocator starts it at import and itself looks after forks
 
@@ -63,7 +63,7 @@ def _import_all() -> None:
 
 def record_on(tty: str, argv: list[str]) -> int:
     """Run ``uniforce-record`` on a terminal of its own."""
-    from uniforce_vtla.commands.record import main as record
+    from uniforce_commands.record import main as record
 
     os.setsid()
     terminal = os.open(tty, os.O_RDWR)  # a session leader's first one becomes its controlling terminal

@@ -20,7 +20,7 @@ import numpy as np
 from uniforce_standins.control import Control
 from uniforce_standins.fci.kinematics import HOME_q_rad
 from uniforce_standins.pseudo_terminal import PseudoTerminal
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.arguments import parse
 
 FAULTS = ("crc", "missing", "garbage", "split", "mute", "jump", "alert", "unplug")
 HEADER = b"\xff\xff\xfd\x00"

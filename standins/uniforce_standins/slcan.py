@@ -19,7 +19,7 @@ from uniforce_standins.control import Control
 from uniforce_standins.pace import Pace
 from uniforce_standins.pseudo_terminal import PseudoTerminal
 from uniforce_standins.scene import SceneConfig, taxel_cycle
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.arguments import parse
 
 FAULTS = ("bel", "garbage", "split", "missing", "duplicate", "stall", "freeze", "unplug", "refuse", "mute")
 OUT_BYTES = 65_536  # what a tty's own buffers hold before data is lost

@@ -21,7 +21,7 @@ import numpy as np
 
 from uniforce_standins.control import Control
 from uniforce_standins.pace import Pace
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.arguments import parse
 
 FAULTS = ("push", "close", "freeze", "garbage", "short", "burst", "unplug")
 BURST = 40  # reports at once: what a reader that sleeps would find queued

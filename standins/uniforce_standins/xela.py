@@ -25,7 +25,7 @@ from uniforce_standins.control import Control
 from uniforce_standins.loopback import LoopbackServer
 from uniforce_standins.pace import Pace
 from uniforce_standins.scene import SceneConfig, taxel_cycle
-from uniforce_vtla.commands.arguments import parse
+from uniforce_vtla.arguments import parse
 
 FAULTS = (
     *("welcome", "list", "integers", "null", "sim", "close", "stall", "freeze", "stop"),

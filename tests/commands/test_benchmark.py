@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from lerobot_env_uniforce_wiping.blind import BEST
-from uniforce_vtla.commands import score_worker
-from uniforce_vtla.commands.benchmark import BenchmarkConfig, configs, main, report
-from uniforce_vtla.commands.score import score_arms
-from uniforce_vtla.commands.score_config import ScoreConfig
+from uniforce_commands import score_worker
+from uniforce_commands.benchmark import BenchmarkConfig, configs, main, report
+from uniforce_commands.score import score_arms
+from uniforce_commands.score_config import ScoreConfig
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.arms import read_rows
 from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS
@@ -41,7 +41,7 @@ def test_arms_without_a_checkpoint_are_named_and_left_out(
 def test_training_seeds_take_turns_from_scene_to_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from uniforce_vtla.commands import score as module
+    from uniforce_commands import score as module
     from uniforce_vtla.evaluation.arms import EpisodeRow
 
     for folder in (tmp_path / "seed0" / "v", tmp_path / "seed1" / "v", tmp_path / "seed0" / "vt"):
@@ -67,7 +67,7 @@ def test_training_seeds_take_turns_from_scene_to_scene(
 def test_arms_take_turns_and_a_second_run_does_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from uniforce_vtla.commands import score as module
+    from uniforce_commands import score as module
     from uniforce_vtla.evaluation.arms import EpisodeRow
 
     order = []
@@ -88,7 +88,7 @@ def test_arms_take_turns_and_a_second_run_does_nothing(
 def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from uniforce_vtla.commands import score as module
+    from uniforce_commands import score as module
     from uniforce_vtla.evaluation.arms import EpisodeRow
 
     rolled = []

@@ -15,10 +15,10 @@ from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.published import EMBEDDING, FRESH, HEADS, own_names
 from lerobot_policy_pi05_uniforce.weights import no_weights
+from uniforce_commands import train
+from uniforce_commands.convert import main
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
-from uniforce_vtla.commands import train
-from uniforce_vtla.commands.convert import main
 from uniforce_vtla.tokenizer import Tokenizer
 
 SMALL = {"tiny_width": 32, "tiny_depth": 2, "tiny_head_dim": 8, "tiny_mlp_dim": 32, "tiny_vision_depth": 1}

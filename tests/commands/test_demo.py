@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from uniforce_commands import demo, record, view
 from uniforce_datasets.view_plan import EpisodeFacts
-from uniforce_vtla.commands import demo, record, view
 
 
 class SeenEnoughError(Exception):

@@ -37,8 +37,8 @@ def test_scripts_hold_no_logic_and_shadow_no_library() -> None:
 
 
 def test_key_value_reaches_the_config() -> None:
-    from uniforce_vtla.commands.arguments import parse
-    from uniforce_vtla.commands.score_config import ScoreConfig
+    from uniforce_commands.score_config import ScoreConfig
+    from uniforce_vtla.arguments import parse
 
     config = parse(ScoreConfig, ["rollouts=3", "--level=paper", "swap=touch0:left"])
     assert (config.rollouts, config.level, config.swap) == (3, "paper", "touch0:left")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uniforce_vtla.commands.leak_check import TOUCHING_N, LeakConfig, collect
+from uniforce_commands.leak_check import TOUCHING_N, LeakConfig, collect
 from uniforce_vtla.evaluation.leak import FRAMES, Samples, measure, verdict
 from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE
 

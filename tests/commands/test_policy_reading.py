@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uniforce_vtla.commands import policy_reading as module
-from uniforce_vtla.commands.policy_reading import Demos, PolicyReadingConfig, find_moments, main, read_forces
+from uniforce_commands import policy_reading as module
+from uniforce_commands.policy_reading import Demos, PolicyReadingConfig, find_moments, main, read_forces
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.reading import SITUATIONS

@@ -7,9 +7,9 @@ from itertools import pairwise
 
 import pytest
 
-from uniforce_vtla.commands.arguments import choose, parse
-from uniforce_vtla.commands.pretrain import PRESETS, PretrainCommand
-from uniforce_vtla.commands.tokenizer_options import VARIANTS
+from uniforce_commands.pretrain import PRESETS, PretrainCommand
+from uniforce_commands.tokenizer_options import VARIANTS
+from uniforce_vtla.arguments import choose, parse
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.pair_cache import FAMILY
 

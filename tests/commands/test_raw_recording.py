@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
+from uniforce_commands.raw_recording import raw_touch
+from uniforce_commands.show_dataset import main
 from uniforce_datasets.features import flat_column
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import FPS, synthetic_frame
-from uniforce_vtla.commands.raw_recording import raw_touch
-from uniforce_vtla.commands.show_dataset import main
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.keys import counts_key
 

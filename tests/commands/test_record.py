@@ -9,8 +9,8 @@ import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.disturbance import Nudge
+from uniforce_commands.record import main
 from uniforce_recording.expert_demos import record_episode
-from uniforce_vtla.commands.record import main
 from uniforce_vtla.keys import ACTION
 
 

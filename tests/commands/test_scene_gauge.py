@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uniforce_vtla.commands.scene_gauge import FeltEpisode, errors, felt_episodes, judge, worn
+from uniforce_commands.scene_gauge import FeltEpisode, errors, felt_episodes, judge, worn
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode import EpisodeTrace
 from uniforce_vtla.probes.descriptor import NATURAL_UNITS

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
-from uniforce_vtla.commands import score_controls
-from uniforce_vtla.commands.score_config import ScoreConfig
-from uniforce_vtla.commands.score_controls import ShuffledTouch, controlled, donated_touch
-from uniforce_vtla.commands.score_worker import Job, score_job
+from uniforce_commands import score_controls
+from uniforce_commands.score_config import ScoreConfig
+from uniforce_commands.score_controls import ShuffledTouch, controlled, donated_touch
+from uniforce_commands.score_worker import Job, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.keys import TACTILE_NAMES
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from uniforce_vtla.commands.sensitivity import Look, measure
+from uniforce_commands.sensitivity import Look, measure
 from uniforce_vtla.keys import CAMERAS, tactile_name
 
 

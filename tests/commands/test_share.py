@@ -21,7 +21,7 @@ from lerobot_policy_pi05_uniforce import (
     local_tokenizer,
     make_pi05_uniforce_pre_post_processors,
 )
-from uniforce_vtla.commands import share
+from uniforce_commands import share
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
 STRANGER = """

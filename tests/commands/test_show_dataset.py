@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 import pytest
 
+from uniforce_commands.dataset_rerun import traces
+from uniforce_commands.dataset_sheet import write_sheet
+from uniforce_commands.dataset_story import tell
+from uniforce_commands.felt_recording import FeltEpisode, FeltRecording, gauges, latent_change
+from uniforce_commands.show_dataset import main
 from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import record_synthetic
-from uniforce_vtla.commands.dataset_rerun import traces
-from uniforce_vtla.commands.dataset_sheet import write_sheet
-from uniforce_vtla.commands.dataset_story import tell
-from uniforce_vtla.commands.felt_recording import FeltEpisode, FeltRecording, gauges, latent_change
-from uniforce_vtla.commands.show_dataset import main
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_story import EpisodeStory, Moment
 from uniforce_vtla.evaluation.finger_estimates import estimate_events

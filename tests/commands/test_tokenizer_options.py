@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from uniforce_vtla.commands.tokenizer_options import VARIANTS, OptionsCommand, _short, main, measure_variant
+from uniforce_commands.tokenizer_options import VARIANTS, OptionsCommand, _short, main, measure_variant
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.probes.hard_sets import HETERO_HARD, draw_hard
 from uniforce_vtla.probes.options_figure import draw_options

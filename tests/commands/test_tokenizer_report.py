@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from uniforce_vtla.commands import peer_rows, tokenizer_report
-from uniforce_vtla.commands.arguments import choose, parse
-from uniforce_vtla.commands.tokenizer_report import TokenizerReportCommand, main, measure
+from uniforce_commands import peer_rows, tokenizer_report
+from uniforce_commands.tokenizer_report import TokenizerReportCommand, main, measure
+from uniforce_vtla.arguments import choose, parse
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.probes.hard_sets import HETERO_HARD, draw_hard
 from uniforce_vtla.probes.report_sets import get_report_set

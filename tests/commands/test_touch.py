@@ -16,12 +16,12 @@ import pytest
 
 from lerobot_camera_uniforce import UniforceUskin, UniforceUskinConfig
 from lerobot_camera_uniforce.orientation import TURNS, Orientation
+from uniforce_commands.touch import main
+from uniforce_commands.touch_checks import advice, quarter_response
+from uniforce_commands.touch_live import TouchView
+from uniforce_commands.touch_outputs import as_text, make_output, panel, save_panel
 from uniforce_standins.process import StandIn
 from uniforce_standins.scene import QUARTERS, Scene, frame_cycle, taxel_cycle
-from uniforce_vtla.commands.touch import main
-from uniforce_vtla.commands.touch_checks import advice, quarter_response
-from uniforce_vtla.commands.touch_live import TouchView
-from uniforce_vtla.commands.touch_outputs import as_text, make_output, panel, save_panel
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.sensors.uskin_csv import COLUMNS
@@ -202,7 +202,7 @@ def test_advice_asks_for_what_it_needs():
 
 
 def test_a_finger_without_a_stand_in_name_is_made_from_its_source():
-    from uniforce_vtla.commands.touch import TouchConfig, make_finger
+    from uniforce_commands.touch import TouchConfig, make_finger
 
     links = {"ws://10.0.0.5:5000": "server", "trial.csv": "replay", "/dev/ttyUSB0": "slcan"}
     for source, link in links.items():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from uniforce_commands.view import ViewConfig, chosen
 from uniforce_datasets.view_plan import EpisodeFacts
-from uniforce_vtla.commands.view import ViewConfig, chosen
 
 CLEAN, EVENT, FAILED, ABORTED = (True, "success"), (False, "success"), (False, "residual"), (False, "aborted")
 

@@ -9,8 +9,8 @@ import pytest
 
 from lerobot_policy_pi05_uniforce.bench import CASES, BenchCase, bench_case
 from lerobot_policy_pi05_uniforce.bench_touch import bench_touch
-from uniforce_vtla.commands import bench_policy
-from uniforce_vtla.commands.bench_policy import main
+from uniforce_commands import bench_policy
+from uniforce_commands.bench_policy import main
 
 SMALL = {"tiny_width": 32, "tiny_depth": 2, "tiny_head_dim": 8, "tiny_mlp_dim": 32, "tiny_vision_depth": 1}
 

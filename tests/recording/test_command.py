@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import recording_fakes  # noqa: F401  registers the teleoperator recording_test
 
+from uniforce_commands.record import main, split_device_flags
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
-from uniforce_vtla.commands.record import main, split_device_flags
 
 QUICK = ["teleop=recording_test", "level=easy", "operator=nobody", "episode_s=0.2", "real_time=false"]
 
@@ -60,7 +60,7 @@ PROGRAM = """
 import sys
 sys.path[:0] = sys.argv[1:3]
 import recording_fakes
-from uniforce_vtla.commands.record import main
+from uniforce_commands.record import main
 if __name__ == "__main__":
     sys.exit(main(sys.argv[3:]))
 """

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import ipaddress
 import socket
-from pathlib import Path
 
 import psutil
 import pytest
@@ -16,8 +15,6 @@ from uniforce_standins.fci.protocol import ARM_HEADER
 from uniforce_standins.fci.raw_client import RawClient
 from uniforce_standins.process import StandIn
 
-ROOT = Path(__file__).parents[2]
-FOLDERS = ("uniforce_vtla", "policies", "envs", "datasets", "robots", "devices", "standins", "scripts")
 EVERYWHERE = ("0.0.0.0", "''", '""', "'::'", "INADDR_ANY")
 LISTENING = ("bind", "create_server", "HTTPServer", "ThreadingHTTPServer", "start_server", "serve")
 
@@ -28,13 +25,8 @@ def listeners(source: str) -> list[str]:
     return [ast.unparse(call) for call in calls if ast.unparse(call.func).split(".")[-1] in LISTENING]
 
 
-def test_no_listener_in_the_source_is_open_to_everybody() -> None:
-    found = [
-        call
-        for folder in FOLDERS
-        for file in (ROOT / folder).rglob("*.py")
-        for call in listeners(file.read_text())
-    ]
+def test_no_listener_in_the_source_is_open_to_everybody(source_files) -> None:
+    found = [call for file in source_files for call in listeners(file.read_text())]
     assert len(found) >= 5  # the stand-ins'
     assert not [call for call in found if any(word in call for word in EVERYWHERE)]
     assert listeners("sock.bind(('', 0))") == ["sock.bind(('', 0))"]  # the search finds what it looks for

@@ -14,6 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from uniforce_commands.pretrain import PRESETS, PretrainCommand
+from uniforce_commands.show_dataset import ShowDatasetConfig, show_dataset
 from uniforce_datasets import dataset_paths
 from uniforce_datasets.bench import BlockMeans
 from uniforce_datasets.lossless import open_dataset
@@ -21,9 +23,7 @@ from uniforce_datasets.readers import read_taf_lerobot
 from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view, make_training_dataset
-from uniforce_vtla.commands.arguments import parse
-from uniforce_vtla.commands.pretrain import PRESETS, PretrainCommand
-from uniforce_vtla.commands.show_dataset import ShowDatasetConfig, show_dataset
+from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, DatasetError
 
 INFO = Path("meta") / "info.json"

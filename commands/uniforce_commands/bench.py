@@ -1,0 +1,68 @@
+"""Measure latencies and throughputs, each beside an anchor measured in the same run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import torch
+
+from uniforce_vtla.arguments import parse
+from uniforce_vtla.results_file import provenance, write_json
+
+
+@dataclass
+class BenchConfig:
+    """Measure every stage on one core and write ``bench.json``.
+
+    Example: uniforce-bench seconds=2 only=contact
+    """
+
+    seconds: float = 2.0  # per measurement; timings on shared machines are noisy, longer is steadier
+    only: str = ""  # canonicalize | contact | encode | cached | stream | env | loader; empty = all
+    out: str = "outputs/bench"  # bench.json goes here
+
+
+def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
+    from lerobot_env_uniforce_wiping.bench import bench_env
+    from uniforce_datasets.bench import bench_loader
+    from uniforce_vtla.contact.bench import bench_contact
+    from uniforce_vtla.markers.bench import bench_canonicalizer
+    from uniforce_vtla.tokenizer.bench import bench_cached, bench_encode, bench_stream
+
+    return {
+        "canonicalize": bench_canonicalizer,
+        "contact": bench_contact,
+        "encode": bench_encode,
+        "cached": bench_cached,
+        "stream": bench_stream,
+        "env": bench_env,
+        "loader": lambda seconds: bench_loader(None, seconds),
+    }
+
+
+def run(config: BenchConfig) -> dict[str, Any]:
+    """Run the chosen benches one after another; anchors of all of them end up under ``anchors``."""
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+    results: dict[str, Any] = {"anchors": {}}
+    for name, bench in _benches().items():
+        if config.only in ("", name):
+            measured = bench(config.seconds)
+            results["anchors"] |= measured.pop("anchors", {})
+            results |= measured
+    return results
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-bench``."""
+    config = parse(BenchConfig, argv)
+    results = run(config)
+    path = write_json(Path(config.out) / "bench.json", results | {"config": asdict(config)} | provenance())
+    for name, value in results.items():
+        print(f"{name}: {value}")
+    print(f"written to {path}")
+    return 0

@@ -1,0 +1,150 @@
+"""Turn a published π0.5 (folder or hub id) into a pi05_uniforce that training can start from.
+
+Why not ``policy.pretrained_path``: LeRobot would load the published processors with it, which know nothing of touch,
+and its own loader goes on with random weights after an error. Here every tensor is placed by name or named in an error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from lerobot.utils.feature_utils import dataset_to_policy_features
+
+from lerobot_policy_pi05_uniforce import (
+    PI05UniforceConfig,
+    PI05UniforcePolicy,
+    make_pi05_uniforce_pre_post_processors,
+    weights,
+)
+from lerobot_policy_pi05_uniforce.published import FRESH, own_names
+from uniforce_vtla.arguments import parse
+from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
+from uniforce_vtla.keys import ACTION
+
+KNOWN_TYPES = ("pi05", "pi05_uniforce")
+NOT_TAKEN = (  # what the new policy decides for itself, or what its own data say
+    "type",
+    "device",
+    "dtype",
+    "input_features",
+    "output_features",
+    "normalization_mapping",
+    "pretrained_path",
+    "repo_id",
+    "touch_input",
+    "touch_slots",
+    "token_site",
+    "start_at_base",
+    "next_force_weight",
+    "trained_on",
+    "swap",
+    "left_sensor",
+    "right_sensor",
+    "tokenizer_path",
+    "tokenizer_config",
+    "tokenizer_hash",
+    "num_patches",
+    "trained_sensors",
+    "rtc_config",
+)
+
+
+@dataclass
+class ConvertConfig:
+    """Give a π0.5 force tokens: its weights, new modules that start fresh, processors for your own data.
+
+    Example: uniforce-convert source=lerobot/pi05_base view=outputs/view224 out=outputs/pi05_touch
+    then: uniforce-train policy.path=outputs/pi05_touch dataset.repo_id=local/view dataset.root=outputs/view224
+    """
+
+    source: str = "lerobot/pi05_base"  # folder or hub id of a pi05, or of a pi05_uniforce to change its touch
+    view: str = (
+        "outputs/view"  # training view of your demos (uniforce-view image_side=224): features, statistics
+    )
+    out: str = "outputs/converted"  # the new policy's folder
+    touch_input: str = "latent"  # latent | none, or a control: wrench | descriptor | marker_pair
+    touch_slots: str = "touch0:right,touch1:left"  # slot:finger, comma between them
+    token_site: str = "prefix"  # prefix | suffix (docs/design.md)
+    start_at_base: bool = (
+        True  # training starts with the source's actions, touch behind a gate (touch_gate.py)
+    )
+    dtype: str = "bfloat16"  # of the backbone; a tiny source stays float32
+    revision: str = ""  # of a hub repository
+
+
+def convert(config: ConvertConfig) -> Path:
+    """Build, fill and save the policy with its processors; return its folder.
+
+    Raises:
+        CheckpointError: no π0.5 there, a damaged file, or tensors that are missing, left over or misshapen.
+        ContractError: settings that don't go together.
+        DatasetError: no view, or one that lacks the touch input.
+    """
+    from uniforce_datasets.training_view import TrainingView
+
+    revision = config.revision or None
+    source = weights.read_config(weights.find(config.source, weights.CONFIG, revision))
+    slots = _slots(config.touch_slots)
+    view = TrainingView(config.view, slots=slots, touch=config.touch_input)
+    settings = _settings(source, config, slots)
+    features = dataset_to_policy_features(view.meta.features)
+    settings.output_features = {key: feature for key, feature in features.items() if key == ACTION}
+    settings.input_features = {key: feature for key, feature in features.items() if key != ACTION}
+    policy = PI05UniforcePolicy(settings, dataset_stats=view.meta.stats, dataset_meta=view.meta, empty=True)
+    file = weights.find(config.source, weights.WEIGHTS, revision)
+    weights.fill(policy, file, own_names(weights.names(file)).get, FRESH)
+    before, after = make_pi05_uniforce_pre_post_processors(settings, view.meta.stats)
+    for part in (policy, before, after):
+        part.save_pretrained(config.out)
+    return Path(config.out)
+
+
+def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, str]) -> PI05UniforceConfig:
+    """Return the source's sizes and flow with this project's touch.
+
+    Raises:
+        CheckpointError: a checkpoint of another policy.
+    """
+    if source.get("type") not in KNOWN_TYPES:
+        do = "Name a π0.5 checkpoint."
+        raise CheckpointError(
+            expected(f"policy type of {config.source}", " | ".join(KNOWN_TYPES), source.get("type"), do)
+        )
+    known = PI05UniforceConfig.__dataclass_fields__.keys() - set(NOT_TAKEN)
+    taken = {name: value for name, value in source.items() if name in known}
+    taken.setdefault("size", "base")
+    dtype = "float32" if taken["size"] == "tiny" else config.dtype
+    return PI05UniforceConfig(
+        **taken,
+        device="cpu",
+        dtype=dtype,
+        touch_input=config.touch_input,
+        touch_slots=slots,
+        token_site=config.token_site,
+        start_at_base=config.start_at_base,
+    )
+
+
+def _slots(text: str) -> dict[str, str]:
+    pairs = [entry.split(":") for entry in text.replace(" ", "").split(",") if entry]
+    if any(len(pair) != 2 for pair in pairs):
+        do = "Write touch_slots=touch0:right,touch1:left."
+        raise ContractError(expected("touch_slots", "slot:finger pairs", repr(text), do))
+    return dict(pairs)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-convert``."""
+    config = parse(ConvertConfig, argv)
+    torch.set_num_threads(1)
+    try:
+        out = convert(config)
+    except UniForceError as error:
+        print(f"convert: {error}")
+        return 2
+    print(f"policy in {out}; new modules start fresh: {', '.join(FRESH)}")
+    print(f"next: uniforce-train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")
+    return 0

@@ -1,0 +1,122 @@
+"""Measure the pair recorder's score against the simulator's truth: does it find the pairs out of balance?"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import torch
+from tqdm import tqdm
+
+from uniforce_vtla.arguments import parse
+from uniforce_vtla.contact.indenters import PRETRAIN, SEEN
+from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.sensors import get_sensor
+
+if TYPE_CHECKING:
+    from uniforce_pair_recording.evaluation import ScoredPairs
+
+BAR = 0.95  # wanted precision and recall
+SEEN_SEEDS = 2000  # sessions with seeds below were looked at while the score was made; scored ones lie above
+
+
+@dataclass
+class PairQualityConfig:
+    """Rehearse sessions with known truth and count right and wrong flags; or train the force readers.
+
+    Example: uniforce-pair-quality rigs=gelsight+tactip,uskin+tactip sessions=1 grasps=2
+    Readers of the shipped sensors: uniforce-pair-quality train=true
+    """
+
+    rigs: str = "gelsight+tactip,uskin+tactip,gelsight+uskin"  # left+right, commas between
+    sessions: int = 3  # pairs of units per rig
+    grasps: int = 3  # per indenter and session
+    indenters: str = ",".join(PRETRAIN)  # names
+    seed: int = SEEN_SEEDS  # of the first session; the next ones count up
+    train: bool = False  # train the force readers of the rigs' sensors first, into the package
+    out: str = "docs/results/pair_recorder.json"  # the figure lies beside it
+
+
+def measure(config: PairQualityConfig) -> dict[str, Any]:
+    """Return precision and recall over all rehearsed pairs, and by fault, rig, indenter and gate."""
+    from uniforce_pair_recording.evaluation import score_session
+    from uniforce_pair_recording.evaluation_figure import draw_scores
+    from uniforce_pair_recording.evaluation_report import report
+    from uniforce_pair_recording.pair_judge import JudgeSettings
+    from uniforce_pair_recording.rehearsal import Rehearsal
+
+    rigs, names = _rigs(config), _names(config)
+    if config.train:
+        _train(sorted({sensor for rig in rigs for sensor in rig}))
+    scored: list[ScoredPairs] = []
+    jobs = [(rig, k) for k in range(config.sessions) for rig in rigs]
+    for number, ((left, right), _) in enumerate(tqdm(jobs, desc="sessions", unit="session")):
+        rehearsal = Rehearsal(left, right, config.seed + number)
+        scored.append(score_session(rehearsal, names, config.grasps))
+    content = report(scored) | {"settings": asdict(JudgeSettings()), "config": asdict(config), "bar": BAR}
+    draw_scores(scored, content, Path(config.out).with_suffix(".png"))
+    return content
+
+
+def _train(sensors: list[str]) -> None:
+    from uniforce_pair_recording.finger_force import (
+        ForceTraining,
+        save_finger_force,
+        train_finger_force,
+        training_contacts,
+    )
+
+    training = ForceTraining()
+    for sensor in tqdm(sensors, desc="force readers", unit="sensor"):
+        model = train_finger_force(*training_contacts(sensor, training), training)
+        print(f"reader of {sensor} in {save_finger_force(model, sensor, training)}")
+
+
+def _rigs(config: PairQualityConfig) -> list[tuple[str, str]]:
+    rigs = []
+    for rig in config.rigs.split(","):
+        left, plus, right = rig.strip().partition("+")
+        if not plus:
+            raise ContractError(expected("rigs", "left+right, commas between", repr(rig), "Name sensors."))
+        rigs.append((get_sensor(left).name, get_sensor(right).name))
+    return rigs
+
+
+def _names(config: PairQualityConfig) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in config.indenters.split(","))
+    unknown = sorted(set(names) - set(SEEN))
+    if unknown or config.sessions < 1 or config.grasps < 1:
+        came = unknown or f"{config.sessions} sessions, {config.grasps} grasps"
+        raise ContractError(
+            expected("indenters, sessions, grasps", f"of {SEEN}, ≥ 1, ≥ 1", came, "Correct it.")
+        )
+    return names
+
+
+def _line(row: dict[str, Any]) -> str:
+    parts = []
+    for key in ("precision", "recall"):
+        low, high = row[f"{key}_95"]
+        parts.append(f"{key} {row[key]:.3f} ({low:.3f}–{high:.3f})")
+    return ", ".join(parts)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-pair-quality``."""
+    config = parse(PairQualityConfig, argv)
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    try:
+        content = measure(config)
+    except UniForceError as error:
+        print(f"pair_quality: {error}")
+        return 2
+    path = write_json(Path(config.out), content | provenance())
+    for name in ("goal_faults", "all_faults"):
+        row = content[name]
+        print(f"{name}: {_line(row)}, {row['bad']} of {row['pairs']} pairs out of balance")
+    print(f"written to {path} and {path.with_suffix('.png')}")
+    return 0

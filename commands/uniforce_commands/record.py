@@ -1,0 +1,192 @@
+"""Record demonstrations as a LeRobot dataset, from the robot or from the simulated scene."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from uniforce_vtla.arguments import parse
+from uniforce_vtla.errors import ContractError, UniForceError, expected
+
+if TYPE_CHECKING:
+    from lerobot.teleoperators import Teleoperator
+
+    from uniforce_recording.build import Devices
+    from uniforce_recording.rig import Rig
+    from uniforce_recording.session import SessionEnd
+
+INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
+
+
+@dataclass
+class RecordConfig:
+    """Record demos until the dataset holds ``episodes`` of them; run it again to go on after any stop.
+
+    Simulation, scripted: uniforce-record episodes=50 level=paper left_sensor=gelsight root=outputs/demos
+    Simulation, by hand:  uniforce-record teleop=keyboard root=outputs/by_hand
+    Robot, for example:   uniforce-record robot=franka rig=rig.yaml teleop=spacemouse root=outputs/real
+    ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with them. The keys to
+    press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted.
+    """
+
+    robot: str = "sim"  # sim | franka
+    teleop: str = "expert"  # expert (simulation) | keyboard | spacemouse | gello | hand_guide | replay | …
+    rig: str = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
+    episodes: int = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
+    level: str = "paper"  # simulation: easy | paper | hard, locked in the environment package
+    left_sensor: str = "gelsight"  # simulation: gelsight | tactip | uskin; a robot's own config says it there
+    right_sensor: str = "tactip"  # simulation
+    root: str = "outputs/demos"  # the dataset's folder
+    resume: str = ""  # the same as root, but refuses a folder without a dataset
+    repo_id: str = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
+    seed: int = 0  # scene of the first episode; the next ones count up
+    nudge: float = 1.3  # expert: hidden push on the executed target, so that demos hold recoveries; 0 = none
+    keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
+    prompts: list[str] = field(default_factory=list)  # instructions, in turn; none = the scene's own
+    episode_s: float = 60.0  # s, time limit of an episode
+    operator: str = "keys"  # who begins and judges: keys | nobody
+    verdict: str = "success"  # what nobody calls an episode: success | residual | failed_grasp
+    quick_notes: list[str] = field(default_factory=list)  # notes that the digits 1, 2, … add
+    drive_between: bool = True  # whether the teleoperator moves the robot between episodes
+    keep_aborted: bool = True  # whether what came before a fault is stored, labelled
+    keep_raw: bool = True  # robot: raw tactile frames beside the dataset
+    window: int = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
+    reserve_MB: float = 500.0  # MB that have to stay free on the disk
+    unwell_s: float = 10.0  # s, how long nobody waits for a sensor to become well
+    real_time: bool = True  # simulation by hand: keep to the wall clock
+
+
+def record(config: RecordConfig, device_flags: Sequence[str] = ()) -> SessionEnd:
+    """Record what is missing.
+
+    Args:
+        config: what and where.
+        device_flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``.
+
+    Raises:
+        ContractError: a robot, teleoperator, sensor, level or setting nobody knows.
+        DatasetError: see ``EpisodeRecorder``.
+        RobotError, SensorError, TeleoperatorError: it can't be connected.
+    """
+    _check(config)
+    if config.robot == "sim" and config.teleop == "expert":
+        return _record_expert(config)
+    from uniforce_recording.assemble import make_operator, run_session
+    from uniforce_recording.build import make_teleoperator, read_devices
+    from uniforce_recording.session import SessionSettings
+    from uniforce_recording.store import StoreSettings
+
+    devices = read_devices(device_flags, config.robot.replace("sim", ""), config.teleop, config.rig)
+    teleop = make_teleoperator(devices.teleop)
+    return run_session(
+        _rig(config, devices, teleop),
+        teleop,
+        make_operator(config.operator, config.verdict, config.quick_notes, teleop),
+        StoreSettings(Path(config.root), config.repo_id, config.reserve_MB),
+        SessionSettings(
+            config.episodes,
+            tuple(config.prompts),
+            config.episode_s,
+            config.drive_between,
+            config.unwell_s,
+            config.keep_aborted,
+            {**asdict(config), "devices": list(device_flags)},
+        ),
+        config.seed,
+        sys.stdout,
+    )
+
+
+def _record_expert(config: RecordConfig) -> SessionEnd:
+    from uniforce_recording.expert_demos import ExpertDemos, record_expert
+    from uniforce_recording.session import SessionEnd
+
+    record_expert(
+        ExpertDemos(
+            Path(config.root),
+            config.repo_id,
+            config.episodes,
+            config.level,
+            config.left_sensor,
+            config.right_sensor,
+            config.seed,
+            config.nudge,
+            config.keep_failures,
+        )
+    )
+    return SessionEnd(0, f"{config.episodes} episodes")
+
+
+def _rig(config: RecordConfig, devices: Devices, teleop: Teleoperator) -> Rig:
+    if config.robot == "sim":
+        from lerobot_env_uniforce_wiping import WipeEnv
+        from uniforce_recording.sim_rig import SimRig
+
+        max_steps = round(config.episode_s * WipeEnv.metadata["render_fps"])
+        env = WipeEnv(config.level, config.left_sensor, config.right_sensor, max_steps=max_steps)
+        return SimRig(env, config.real_time)
+    from uniforce_recording.build import make_robot
+    from uniforce_recording.robot_rig import RobotRig
+
+    assert devices.robot is not None  # read_devices gives its type
+    return RobotRig(make_robot(devices.robot, teleop), config.window, config.keep_raw)
+
+
+def _check(config: RecordConfig) -> None:
+    if config.robot not in ("sim", "franka"):
+        raise ContractError(expected("robot", "sim | franka", repr(config.robot), "Name one."))
+    if config.robot == "franka" and config.teleop == "expert":
+        do = "The expert feels the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
+        raise ContractError(expected("teleop", "one that works on a robot", "expert", do))
+    if config.robot == "franka" and not config.prompts:
+        do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'
+        raise ContractError(expected("prompts", "an instruction or more", "none", do))
+    if config.nudge < 0:
+        raise ContractError(expected("nudge", "≥ 0", config.nudge, "0 records an undisturbed expert."))
+    if config.episodes < 1:
+        raise ContractError(expected("episodes", "≥ 1", config.episodes, "Ask for some."))
+    if config.episode_s <= 0:
+        raise ContractError(expected("episode_s", "above 0", config.episode_s, "Give seconds."))
+    if config.resume:
+        _resume(config)
+
+
+def _resume(config: RecordConfig) -> None:
+    if not (Path(config.resume) / "meta" / "info.json").is_file():
+        do = "Begin one with root=…; a root that has one goes on by itself."
+        raise ContractError(expected(f"resume={config.resume}", "a recorded dataset", "none", do))
+    config.root = config.resume
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-record``."""
+    os.environ.setdefault("HF_HUB_OFFLINE", "1")
+    arguments = sys.argv[1:] if argv is None else argv
+    flags, own = split_device_flags(arguments)
+    config = parse(RecordConfig, own)
+    try:
+        end = record(config, flags)
+    except UniForceError as error:
+        print(f"record: {error}")
+        return 2
+    except KeyboardInterrupt:
+        print("record: interrupted twice; the robot has stopped, saved episodes are whole")
+        return INTERRUPTED
+    print(f"record: {end.message}")
+    print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})")
+    print(f"next: uniforce-view roots={config.root} out={Path(config.root).parent / 'view'}")
+    return end.exit_code
+
+
+def split_device_flags(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return (``--robot.…`` and ``--teleop.…`` flags, everything else) of a command line."""
+    own: list[str] = []
+    others: list[str] = []
+    for word in arguments:
+        name = word.removeprefix("--").partition("=")[0]
+        (own if name.startswith(("robot.", "teleop.")) else others).append(word)
+    return [f"--{word.removeprefix('--')}" for word in own], others

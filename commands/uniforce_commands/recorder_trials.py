@@ -1,0 +1,130 @@
+"""Try the recorder against stand-ins: whole sessions, kill -9, every fault, and what recording costs."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import logging
+import shutil
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.results_file import provenance, write_json
+
+if TYPE_CHECKING:
+    from uniforce_recorder_trials.ledger import Ledger
+    from uniforce_recorder_trials.plan import Plan
+
+
+@dataclass
+class TrialsConfig:
+    """Record, kill and break, and write what came of it to docs/results/recorder.json; run it again to go on.
+
+    Everything, on a machine with nothing else to do:  uniforce-recorder-trials
+    One part, for example:                             uniforce-recorder-trials only=faults faults=arm_reflex times=2
+    On a busy machine, to see that it works:           uniforce-recorder-trials fps=5 patience=20 uskin_hz=50 …
+    Needs the extra `franka`. The arm, fingers and cameras are stand-ins; nothing here is hardware.
+    """
+
+    only: str = ""  # end_to_end | kill9 | faults | overhead, comma between; empty = all
+    faults: str = ""  # of faults: only these, comma between
+    episodes: int = 50  # of the end to end run
+    episode_s: float = 4.0  # s, each of them
+    kills: int = 20  # with kill -9
+    times: int = 10  # each fault is injected
+    overhead_s: float = 30.0  # s, how long cost is measured
+    uskin_s: float = 60.0  # s, how long the taxels' full rate is measured
+    fps: int = 30  # ticks and camera frames per second; below 30 no bar is judged
+    patience: float = 1.0  # what limits of age and waiting times are multiplied by; above 1 no bar is judged
+    uskin_hz: float = 500.0  # scans per second of the finger in the rig
+    fresh: bool = False  # forget what earlier runs found
+    work: str = "outputs/recorder_trials"  # datasets, logs, findings so far
+    out: str = "docs/results/recorder.json"  # result file; parts not run keep what it says
+
+
+def try_recorder(config: TrialsConfig) -> dict[str, Any]:
+    """Run the chosen parts; return the whole result.
+
+    Raises:
+        ContractError: a part or a fault nobody knows.
+        TrialError: a trial that didn't come to its point outside the faults, which note it and go on.
+    """
+    from uniforce_recorder_trials.ledger import Ledger
+    from uniforce_recorder_trials.verdict import bars
+
+    chosen = choose(_parts(config), config.only)
+    work = Path(config.work)
+    if config.fresh:
+        shutil.rmtree(work, ignore_errors=True)
+    plan, ledger, out = _plan(config), Ledger(work / "found", _show), Path(config.out)
+    for name, part in chosen.items():
+        print(f"recorder_trials: {name}")
+        result = json.loads(out.read_text()) if out.is_file() else {}
+        result[name] = part(plan, ledger)
+        result.setdefault("runs", {})[name] = {"judged": plan.is_judged, **_settings(config), **provenance()}
+        result["bars"] = bars(result)
+        write_json(out, result)
+    whole: dict[str, Any] = json.loads(out.read_text())
+    return whole
+
+
+def _parts(config: TrialsConfig) -> dict[str, Callable[[Plan, Ledger], dict[str, Any]]]:
+    from uniforce_recorder_trials import end_to_end, faults, kill9, overhead
+
+    names = tuple(choose(dict.fromkeys(faults.NAMES), config.faults))
+    return {
+        "overhead": overhead.run,
+        "end_to_end": end_to_end.run,
+        "kill9": kill9.run,
+        "faults": lambda plan, ledger: faults.run(plan, ledger, names),
+    }
+
+
+def _plan(config: TrialsConfig) -> Plan:
+    from uniforce_recorder_trials.plan import Plan
+    from uniforce_recorder_trials.rig import RigOptions
+
+    return Plan(
+        Path(config.work).resolve(),
+        config.episodes,
+        config.episode_s,
+        config.kills,
+        config.times,
+        config.overhead_s,
+        config.uskin_s,
+        RigOptions(config.fps, config.patience, config.uskin_hz),
+    )
+
+
+def _settings(config: TrialsConfig) -> dict[str, Any]:
+    return {
+        key: value for key, value in dataclasses.asdict(config).items() if key not in ("work", "out", "fresh")
+    }
+
+
+def _show(name: str, number: int, finding: dict[str, Any]) -> None:
+    wanted = ("right_outcome", "label", "hold_s", "exit_code", "moment", "victim", "saved_lost")
+    said = ", ".join(f"{key} {finding[key]}" for key in wanted if key in finding)
+    print(f"  {datetime.datetime.now():%H:%M:%S} {name} {number}: {said or 'done'}", flush=True)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-recorder-trials``; 0 where every bar asked about is met, 1 where one isn't."""
+    config = parse(TrialsConfig, argv)
+    logging.basicConfig(level=logging.WARNING)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # stand-ins and sessions are ended too
+    try:
+        result = try_recorder(config)
+    except UniForceError as error:
+        print(f"recorder_trials: {error}")
+        return 2
+    for bar in result["bars"]:
+        print(f"{bar['verdict']:12s} {bar['bar']}: asked {bar['asked']}, seen {bar['seen']}")
+    print(f"written to {config.out}")
+    return int(any(bar["verdict"] == "missed" for bar in result["bars"]))

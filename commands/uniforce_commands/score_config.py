@@ -1,0 +1,60 @@
+"""What to score: one arm of the wiping task."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from uniforce_vtla.arguments import names_in
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.evaluation.plan import SCRIPTS
+
+
+@dataclass
+class ScoreConfig:
+    """Roll a checkpoint out and score it from simulator truth.
+
+    Example: uniforce-score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
+    """
+
+    # checkpoint folder; shipped = the tiny V+T policy in the package; or expert | blind. Several (comma between them,
+    # e.g. two training seeds) take turns, scene by scene
+    policy: str = "shipped"
+    arm: str = ""  # name of this arm in the table; "" = V+T, or the script's own
+    level: str = "paper"  # easy | paper (what the shipped policy learnt at) | hard
+    left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
+    right_sensor: str = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
+    swap: str = ""  # e.g. touch0:left — which finger fills which slot
+    control: str = ""  # masked (touch taken away) | shuffled (another scene's touch, same phase); "" = none
+    rollouts: int = 20  # 20 for parity with the paper, ≥ 200 for claims
+    first_seed: int = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
+    workers: int = 2  # processes, one torch thread each
+    videos: int = 1  # episodes filmed, the first ones
+    film: list[int] = field(
+        default_factory=list
+    )  # seeds filmed besides; rolled out again where scored unfilmed
+    resume: bool = True  # keep episodes already scored in `out`
+    out: str = "outputs/score"  # rows, table, picture and videos go here
+
+    def __post_init__(self) -> None:
+        """Name the arm."""
+        self.arm = self.arm or (self.policy if self.policy in SCRIPTS else "V+T")
+
+    @property
+    def policies(self) -> list[str]:
+        """Who takes turns."""
+        return names_in(self.policy) or [self.policy]
+
+    def policy_of(self, seed: int) -> str:
+        """Return which policy acts in the scene of that seed."""
+        return whose_turn(seed - self.first_seed, self.policies)
+
+
+def whose_turn(scene: int, names: Sequence[str]) -> str:
+    """Return whose turn a scene is, counted from the first one scored."""
+    return names[scene % len(names)]
+
+
+def mounted_sensors(left: str = "", right: str = "") -> dict[Finger, str]:
+    """Finger → sensor of the scene scored; the usual rig where none is named."""
+    return {"left": left or "gelsight", "right": right or "tactip"}

@@ -1,0 +1,136 @@
+"""Put everything a stranger needs of a policy into one folder, and on request onto the hub."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import torch
+from huggingface_hub import HfApi
+from lerobot.configs import PreTrainedConfig
+from lerobot.policies.factory import make_pre_post_processors
+
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
+from uniforce_vtla.arguments import parse
+from uniforce_vtla.errors import CheckpointError, UniForceError, expected
+from uniforce_vtla.results_file import write_json
+
+SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
+TOKENIZER = "model.tactile_encoder."
+UPLOADED = ["*.safetensors", "*.json", CARD]
+
+
+@dataclass
+class ShareConfig:
+    """Write weights, processors, tokenizers, model card and scores of a policy into one folder; push it on request.
+
+    Example: uniforce-share checkpoint=outputs/train/checkpoints/last/pretrained_model scores=outputs/score/wiping.json
+    then: uniforce-share … push=your-name/pi05-wiping  (needs `hf auth login`)
+    """
+
+    checkpoint: str = "outputs/train/checkpoints/last/pretrained_model"  # what the trainer saved
+    out: str = "outputs/shared"  # folder to hand on; no path of this machine is left in it
+    scores: str = ""  # wiping.json of uniforce-score; "" = the card says "not scored"
+    push: str = ""  # hub repository, name/model; "" = nothing leaves this machine
+    private: bool = False  # of a new hub repository
+    half: bool = False  # store trained weights as float16, half the size; they are computed with as before
+
+
+def share(config: ShareConfig) -> Path:
+    """Load the checkpoint strictly, write it whole, and return the folder.
+
+    Raises:
+        CheckpointError: files that are missing, damaged or don't fit.
+        ContractError: scores that aren't.
+    """
+    source, out = Path(config.checkpoint), Path(config.out)
+    policy = _load(source)
+    processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
+    _forget_this_machine(policy.config)
+    policy.config.repo_id = config.push or policy.config.repo_id
+    training, scores = _read(source / TRAIN_CONFIG), _scores(config.scores)
+    card = model_card(policy.config, training, scores)
+    if config.half:
+        _halve(policy)
+    for part in (policy, *processors):
+        part.save_pretrained(out)
+    card.save(out / CARD)
+    if scores is not None:
+        write_json(out / SCORES, scores)
+    return out
+
+
+def _load(source: Path) -> PI05UniforcePolicy:
+    """Return the policy, LoRA merged into its weights, without what only training needs."""
+    adapter = _read(source / ADAPTER)
+    if adapter is None:
+        policy = PI05UniforcePolicy.from_pretrained(source)
+    else:
+        policy = _merged(source, adapter["base_model_name_or_path"])
+    policy.model.next_force, policy.config.next_force_weight = None, 0.0
+    return policy
+
+
+def _halve(policy: PI05UniforcePolicy) -> None:
+    """Round trained weights to float16; the frozen tokenizer's stay, since its hash is of every bit."""
+    for name, weight in policy.named_parameters():
+        if not name.startswith(TOKENIZER):
+            weight.data = weight.data.half()
+
+
+def _merged(source: Path, base: str) -> PI05UniforcePolicy:
+    if find_spec("peft") is None:
+        raise CheckpointError(
+            expected(str(source), "the package peft", "none", "pip install 'lerobot[peft]'")
+        )
+    from peft import PeftModel  # an extra: only who trains adapters has it
+
+    policy = PeftModel.from_pretrained(PI05UniforcePolicy.from_pretrained(base), source).merge_and_unload()
+    policy.config = PreTrainedConfig.from_pretrained(source)
+    policy.config.use_peft = False
+    return policy
+
+
+def push(folder: Path, config: ShareConfig) -> str:
+    """Upload the folder in one commit; return the repository's address."""
+    api = HfApi()
+    repository = api.create_repo(repo_id=config.push, private=config.private, exist_ok=True)
+    api.upload_folder(repo_id=repository.repo_id, folder_path=folder, allow_patterns=UPLOADED)
+    return str(repository)
+
+
+def _forget_this_machine(config: Any) -> None:
+    """Drop paths nobody else has: both tokenizers are in the folder."""
+    config.tokenizer_path = config.pretrained_path = None
+    if config.text_tokenizer_name and Path(config.text_tokenizer_name).exists():
+        config.text_tokenizer_name = None
+
+
+def _scores(path: str) -> dict[str, Any] | None:
+    found = _read(Path(path)) if path else None
+    if path and found is None:
+        raise CheckpointError(expected("scores", "a JSON file", path, "Run uniforce-score first."))
+    return found
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    return json.loads(path.read_text()) if path.is_file() else None
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-share``."""
+    config = parse(ShareConfig, argv)
+    torch.set_num_threads(1)
+    try:
+        out = share(config)
+    except UniForceError as error:
+        print(f"share: {error}")
+        return 2
+    print(f"everything is in {out}; read {out / CARD} before you hand it on")
+    if config.push:
+        print(f"pushed to {push(out, config)}")
+    return 0

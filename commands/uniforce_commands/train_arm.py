@@ -1,0 +1,128 @@
+"""Train one checkpoint of the wiping benchmark as the plan says, with LeRobot's own trainer; resumable."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from uniforce_commands import train
+from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.errors import DatasetError, UniForceError, expected
+from uniforce_vtla.evaluation.plan import RECIPES, Recipe
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.keys import VIEW_MARKER
+
+# m, m, m, rad, m: so that .4 mm of height and .03 mm of width, a newton's worth, weigh
+DELTA_KNEE = (0.0, 0.0, 0.003, 0.0, 0.0003)
+# steps of a chunk of 16, and how far back a policy's own moves are told (docs/experiments/tiny_policy.md)
+EXECUTED = 4
+# of its last move x, y, z alone: a policy told that its fingers stand still leaves them so, and stalls
+TOLD_AXES = (0, 1, 2)
+CAMERA_VARIATION = 1.0  # fifty demos know fifty lights, the next scene has another
+
+
+@dataclass
+class TrainArmConfig:
+    """Train a checkpoint of the plan from one view of both rigs' demos; run it again to go on after any stop.
+
+    Example: uniforce-train-arm name=vt view=outputs/view_paper seed=0
+    """
+
+    name: str = "vt"  # v | vt | vtg | vtu, or a control: wrench | descriptor | images
+    view: str = "outputs/view_paper"  # training view that holds the demos of both rigs
+    demos: int = 0  # only the first so many of each rig, for the curve of success over demos; 0 = all
+    steps: int = 6000  # optimiser steps, the same for every arm
+    batch_size: int = 32  # samples per step
+    seed: int = 0  # of weights and batches; the plan asks for two
+    save_every: int = 1000  # steps between checkpoints a killed run continues from
+    out: str = "outputs/arms"  # the checkpoint lies in OUT/seedS/NAME when done
+
+
+def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
+    """Return what ``uniforce-train`` is called with.
+
+    Raises:
+        DatasetError: no view, or one without demos of a rig the recipe needs.
+    """
+    slots = ", ".join(f"{slot}: {finger}" for slot, finger in recipe.slots)
+    given = [
+        "policy=pi05_uniforce",
+        "policy.size=tiny",
+        "policy.device=cpu",
+        f"policy.touch_input={recipe.touch_input}",
+        f"policy.touch_slots={{{slots}}}",
+        f"policy.n_action_steps={EXECUTED}",
+        f"policy.last_move_steps={EXECUTED}",
+        f"policy.last_move_axes={list(TOLD_AXES)}",
+        f"policy.state_noise={list(recipe.state_noise)}",
+        f"policy.sensor_transfer={recipe.sensor_transfer}",
+        f"policy.touch_directions={recipe.touch_directions}",
+        f"policy.delta_knee={list(DELTA_KNEE)}",
+        f"policy.camera_variation={CAMERA_VARIATION}",
+        "dataset.repo_id=local/view",
+        f"dataset.root={config.view}",
+        f"dataset.episodes={_episodes(Path(config.view), recipe, config.demos)}",
+        f"steps={config.steps}",
+        f"save_freq={config.save_every}",
+        f"batch_size={config.batch_size}",
+        "num_workers=0",
+        "log_freq=100",
+        f"seed={config.seed}",
+        f"output_dir={run}",
+    ]
+    settings = {"touch_dropout": recipe.touch_dropout, "touch_noise": recipe.touch_noise}
+    return [*given, *(f"policy.{name}={value}" for name, value in settings.items() if value is not None)]
+
+
+def _episodes(view: Path, recipe: Recipe, demos: int) -> list[int]:
+    """Return the numbers of the view's episodes recorded on the recipe's rigs, ``demos`` of each if not 0."""
+    marker = view / VIEW_MARKER
+    if not marker.is_file():
+        do = "Record both rigs and run uniforce-view."
+        raise DatasetError(expected(str(view), "a training view", "none", do))
+    facts = read_object(marker, DatasetError).get("episodes", [])  # the trainer checks the rest of it
+    found = {rig: [i for i, e in enumerate(facts) if e["left_sensor"] == rig] for rig in recipe.rigs}
+    missing = [rig for rig, episodes in found.items() if not episodes]
+    if missing:
+        raise DatasetError(
+            expected(str(view), f"demos of {recipe.rigs}", f"none of {missing}", "Record them.")
+        )
+    fewest = min(len(episodes) for episodes in found.values())
+    if demos > fewest:
+        do = f"Record more, or ask for at most {fewest}."
+        raise DatasetError(expected(str(view), f"{demos} demos of each rig", fewest, do))
+    return sorted(i for episodes in found.values() for i in episodes[: demos or None])
+
+
+def _label(config: TrainArmConfig) -> str:
+    return f"{config.name}_{config.demos}demos" if config.demos else config.name
+
+
+def train_arm(config: TrainArmConfig) -> Path:
+    """Train, or go on training, and return the folder of the finished checkpoint."""
+    recipe = choose(RECIPES, config.name)[config.name]
+    done = Path(config.out) / f"seed{config.seed}" / _label(config)
+    run = Path(config.out) / "runs" / f"{_label(config)}_seed{config.seed}"
+    last = run / "checkpoints" / "last" / "pretrained_model"
+    if done.exists():
+        return done
+    if (last / "train_config.json").exists():
+        train.main(["resume=true", f"config_path={last / 'train_config.json'}"])
+    else:
+        train.main(arguments(config, recipe, run))
+    done.parent.mkdir(parents=True, exist_ok=True)
+    done.symlink_to(last.resolve(), target_is_directory=True)
+    return done
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-train-arm``."""
+    logging.basicConfig(level=logging.INFO)
+    config = parse(TrainArmConfig, argv)
+    try:
+        print(f"checkpoint in {train_arm(config)}")
+    except UniForceError as error:
+        print(f"train_arm: {error}")
+        return 2
+    return 0

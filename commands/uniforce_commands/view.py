@@ -1,0 +1,74 @@
+"""Build the training view of recorded demos."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import cv2
+import torch
+
+from uniforce_vtla.arguments import parse
+from uniforce_vtla.errors import UniForceError
+
+if TYPE_CHECKING:
+    from uniforce_datasets.view_plan import EpisodeFacts
+
+
+@dataclass
+class ViewConfig:
+    """Decode demos once: small camera images and pooled latents that feed the trainer fast.
+
+    Example: uniforce-view roots=outputs/demos_gelsight,outputs/demos_uskin out=outputs/view
+    """
+
+    roots: str = "outputs/demos"  # dataset folders, joined in order; comma between them
+    out: str = "outputs/view"  # the view's folder: give it to uniforce-train as dataset.root
+    image_side: int = 56  # px per side of the stored camera images; the tiny policy's size
+    latent_grid: int = 4  # latents pooled to 4×4; the policy's latent_grid must match
+    slots: str = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
+    tokenizer: str = ""  # folder of a tokenizer; empty = the shipped one
+    # take demos that wiped the board with an event (too much force, a slip): a nudged expert's way back from it
+    keep_events: bool = False
+    keep_failures: bool = False  # take failed demos too
+    workers: int = 2  # processes; each needs about 1 GB
+
+
+def make_view(config: ViewConfig) -> Path:
+    """Build the view, or go on with an interrupted build; return its folder."""
+    from uniforce_datasets.training_view import build_view
+
+    return build_view(
+        [root for root in config.roots.split(",") if root],
+        config.out,
+        config.image_side,
+        config.latent_grid,
+        dict(pair.split(":", 1) for pair in config.slots.split(",") if ":" in pair),
+        config.tokenizer or None,
+        keep=lambda facts: chosen(facts, config),
+        workers=config.workers,
+    )
+
+
+def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
+    """Return whether an episode is taken: clean successes always."""
+    wiped = facts.outcome == "success"
+    return facts.success or config.keep_failures or (config.keep_events and wiped)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry of ``uniforce-view``."""
+    config = parse(ViewConfig, argv)
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    try:
+        out = make_view(config)
+    except UniForceError as error:
+        print(f"view: {error}")
+        return 2
+    facts = json.loads((out / "uniforce_view.json").read_text())
+    print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")
+    print(f"next: uniforce-train policy=pi05_uniforce dataset.repo_id=local/view dataset.root={out}")
+    return 0
