@@ -2,10 +2,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uniforce_vtla.evaluation.arms import OUTCOMES, EpisodeRow, read_rows, summarise, table, write_row
+from uniforce_vtla.evaluation.arms import (
+    OUTCOMES,
+    PROFILE_POINTS,
+    EpisodeRow,
+    read_rows,
+    summarise,
+    table,
+    write_row,
+    z_profile,
+)
+from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 from uniforce_vtla.evaluation.pictures import draw_arms
 
 
@@ -34,3 +45,19 @@ def test_table_and_picture_show_every_arm(tmp_path: Path) -> None:
     text = table(reports)
     assert "| V | 0/1 = 0 %" in text and "| V+T | 1/1 = 100 %" in text
     assert draw_arms(reports, tmp_path / "arms.png", "t").stat().st_size > 1000
+
+
+def trace(press_N: list[float], tool_z_mm: list[float], phase: list[int]) -> EpisodeTrace:
+    fields = dict.fromkeys(STEP_FIELDS, np.zeros(len(phase)))
+    given = {"press_N": press_N, "tool_z_mm": tool_z_mm, "phase": phase}
+    return EpisodeTrace(**fields | {k: np.asarray(v) for k, v in given.items()}, rated_depth_mm=(1.5, 5.0))
+
+
+def test_a_profile_ends_with_the_last_contact_and_keeps_what_was_lifted_between() -> None:
+    """The lift at the end is twenty times as high as anything the wipe itself shows."""
+    heights = [30.0, 8.0, 9.0, 20.0, 8.5, 8.0, 25.0, 40.0]
+    wipe = trace([0.0, 5.0, 6.0, 0.0, 6.0, 5.0, 0.0, 0.0], heights, [1, 2, 2, 2, 2, 2, 2, 3])
+    profile = z_profile(wipe)
+    assert len(profile) == PROFILE_POINTS and profile[0] == 8.0 and profile[-1] == 8.0
+    assert 19 < max(profile) <= 20
+    assert z_profile(trace([0.0] * 3, [8.0] * 3, [2, 2, 2])) == ()  # never touched the board

@@ -16,6 +16,7 @@ from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 
 PROFILE_POINTS = 60
+CONTACT_N = 0.5  # of press: the eraser is on the board
 OUTCOMES = ("success", "failed_grasp", "residual", "aborted")
 
 
@@ -37,7 +38,7 @@ class EpisodeRow:
     missed_deadlines: int = 0  # calls answered after the action queue ran dry
     z_profile_mm: tuple[
         float, ...
-    ] = ()  # tool height while wiping, at PROFILE_POINTS even shares of that time
+    ] = ()  # tool height from first to last contact, at PROFILE_POINTS even shares of that time
 
     @property
     def code(self) -> str:
@@ -49,7 +50,7 @@ def row_of(rollout: Rollout) -> EpisodeRow:
     """Return the row of a rollout."""
     result, trace = rollout.result, rollout.trace
     press = np.asarray(trace.press_N, dtype=np.float64)
-    pressing = press[press > 0.5]  # N: in contact with the board
+    pressing = press[press > CONTACT_N]
     return EpisodeRow(
         seed=rollout.seed,
         outcome=result.outcome,
@@ -63,15 +64,16 @@ def row_of(rollout: Rollout) -> EpisodeRow:
         think_p50_ms=float(np.percentile(rollout.think_ms, 50)),
         think_p95_ms=float(np.percentile(rollout.think_ms, 95)),
         missed_deadlines=int(rollout.facts.get("missed_deadlines", 0)),
-        z_profile_mm=_z_profile(trace),
+        z_profile_mm=z_profile(trace),
     )
 
 
-def _z_profile(trace: EpisodeTrace) -> tuple[float, ...]:
-    """Return the tool's height while wiping, or nothing where it never wiped."""
-    height = trace.tool_z_mm[trace.phase == WIPING_PHASE]
-    if len(height) < 2:
+def z_profile(trace: EpisodeTrace) -> tuple[float, ...]:
+    """Return the tool's height from the first to the last contact of the wipe, or nothing where there was none."""
+    touching = np.flatnonzero((trace.phase == WIPING_PHASE) & (np.asarray(trace.press_N) > CONTACT_N))
+    if len(touching) < 2:
         return ()
+    height = trace.tool_z_mm[touching[0] : touching[-1] + 1]
     at = np.linspace(0, len(height) - 1, PROFILE_POINTS)
     return tuple(round(float(z), 2) for z in np.interp(at, np.arange(len(height)), height))
 

@@ -16,12 +16,19 @@ from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.figure_file import save_figure
 
 PICTURE_DPI = 110  # thumbnails need it
-COLOURS = {"success": "#2a9d8f", "failed_grasp": "#e76f51", "residual": "#e9c46a", "aborted": "#6c757d"}
+COLOURS = {
+    "clean": "#2a9d8f",
+    "success with an event": "#a8dcd5",
+    "residual": "#e9c46a",
+    "failed_grasp": "#e76f51",
+    "aborted": "#6c757d",
+}
+PANELS_PER_ROW = 6  # z-profiles that still fit a page
 
 
 def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
     """Draw each arm's outcomes and clean success with a 95 % interval."""
-    figure = Figure(figsize=(1.6 + 1.5 * len(reports), 3.6))
+    figure = Figure(figsize=(8, 1.2 + 0.34 * len(reports)))
     axes = figure.subplots()
     draw_outcomes(axes, reports)
     axes.set_title(title)
@@ -34,20 +41,24 @@ def draw_outcomes(axes: Axes, reports: Sequence[ArmReport]) -> None:
         _draw_bar(axes, place, report)
         clean = wilson(report.count("clean"), report.n)
         rate = clean.k / clean.n
-        axes.errorbar(place, rate, [[rate - clean.low], [clean.high - rate]], fmt="ko", capsize=4)
-    axes.set_xticks(range(len(reports)), [f"{r.arm}\n{r.count('clean')}/{r.n}" for r in reports])
-    axes.set_ylim(0, 1.02)
-    axes.set_ylabel("share of rollouts (dot: clean success, 95 %)")
-    axes.legend(bbox_to_anchor=(1.01, 1), frameon=False)
+        axes.errorbar(rate, place, xerr=[[rate - clean.low], [clean.high - rate]], fmt="ko", capsize=3, ms=4)
+    names = [f"{r.arm}  {r.count('clean')}/{r.n}" for r in reports]
+    axes.set_yticks(range(len(reports)), names)
+    axes.invert_yaxis()  # the first arm on top
+    axes.set_xlim(0, 1.02)
+    axes.set_xlabel("share of rollouts (dot: clean success, 95 %)")
+    axes.legend(bbox_to_anchor=(1.01, 1), loc="upper left", frameon=False)
 
 
 def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
-    bottom = 0.0
-    for outcome in OUTCOMES:
-        share = report.count(outcome) / report.n
-        label = outcome.replace("_", " ") if place == 0 else None
-        axes.bar(place, share, 0.6, bottom=bottom, color=COLOURS[outcome], label=label)
-        bottom += share
+    counts = {outcome: report.count(outcome) for outcome in OUTCOMES} | {"clean": report.count("clean")}
+    counts["success with an event"] = counts["success"] - counts["clean"]
+    left = 0.0
+    for name, colour in COLOURS.items():
+        share = counts[name] / report.n
+        label = name.replace("_", " ") if place == 0 else None
+        axes.barh(place, share, 0.7, left=left, color=colour, label=label)
+        left += share
 
 
 def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
@@ -56,9 +67,13 @@ def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
     A board's height and tilt differ between scenes, so every profile is taken against its own mean.
     """
     shown = [r for r in reports if any(row.z_profile_mm for row in r.rows)]
-    figure = Figure(figsize=(1.0 + 2.3 * max(len(shown), 1), 3.0), layout="constrained")
-    panels = np.atleast_1d(figure.subplots(1, max(len(shown), 1), sharey=True))
-    for panel, report in zip(panels, shown, strict=False):
+    columns = min(max(len(shown), 1), PANELS_PER_ROW)
+    rows = max(-(-len(shown) // columns), 1)
+    figure = Figure(figsize=(1.0 + 2.3 * columns, 0.4 + 2.6 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    for panel in panels.flat[len(shown) :]:
+        panel.axis("off")
+    for panel, report in zip(panels.flat, shown, strict=False):
         height = np.array([row.z_profile_mm for row in report.rows if row.z_profile_mm])
         height -= height.mean(axis=1, keepdims=True)
         share = np.linspace(0, 100, height.shape[1])
@@ -67,7 +82,7 @@ def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
         panel.plot(share, middle, color="#2a9d8f")
         panel.set_title(f"{report.arm}\nsd {height.std():.2f} mm", fontsize=9)
         panel.set_xlabel("% of the wipe", fontsize=8)
-    panels[0].set_ylabel("tool height about its mean, mm")
+    figure.supylabel("tool height about its mean, mm", fontsize=9)
     return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
