@@ -26,6 +26,7 @@ from uniforce_vtla.tokenizer.sensor_transfer import (
     SensorTransferFit,
     fit_transfer,
 )
+from uniforce_vtla.tokenizer.weights import ASSETS
 
 HASH = "abc"
 NOISE = 0.05
@@ -134,7 +135,7 @@ def test_the_command_leaves_maps_a_policy_finds(tmp_path: Path, capsys: pytest.C
 def test_shipped_maps_belong_to_the_shipped_tokenizer_and_bring_fingers_closer(size: str) -> None:
     transfer = SensorTransfer.from_pretrained(size)
     assert transfer.tokenizer_hash == Tokenizer.from_pretrained(size).hash
-    folder = Path(sensor_transfer.__file__).parents[1] / "tokenizer" / "assets" / size / "transfer"
+    folder = ASSETS / size / "transfer"
     told = json.loads((folder / "config.json").read_text())["differences"]
     assert all(0.3 < pair["rms_left"] < 0.9 * pair["rms"] < 0.9 for pair in told.values())
 
