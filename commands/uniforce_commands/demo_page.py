@@ -25,21 +25,21 @@ PRESS_N = (1.5, 1.0, 6.0)  # the one force all three sensors are shown under
 
 def draw_demo_page(reports: Sequence[ArmReport], sheet: Path, path: Path) -> Path:
     """Draw the page; ``sheet`` is the filmed episode's picture."""
-    figure = Figure(figsize=(16, 13))
-    grid = figure.add_gridspec(2, 1, height_ratios=[1, 1.35])
-    top, bottom = figure.add_subfigure(grid[0]), figure.add_subfigure(grid[1])
+    figure = Figure(figsize=(16, 12), layout="constrained")
+    top, bottom = figure.subfigures(2, 1, height_ratios=[1, 1.5])
     _draw_sensors(top)
     left, right = bottom.subplots(1, 2, width_ratios=[1.7, 1])
     left.imshow(imread(sheet))
     left.axis("off")
     draw_outcomes(right, reports)
+    right.set_box_aspect(0.4)  # three bars don't want a whole column
     right.set_title(f"shipped policy, n = {reports[0].n} per arm: smoke, no claim")
     return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def _draw_sensors(figure: SubFigure) -> None:
     tokenizer = Tokenizer.from_pretrained()
-    columns = figure.subplots(2, len(list_sensors()))
+    columns = figure.subplots(2, len(list_sensors()), height_ratios=[2.6, 1])
     head = ForceHead.from_pretrained("tactip")
     for (above, below), sensor in zip(columns.T, list_sensors(), strict=True):
         pair = _press(sensor)
