@@ -26,7 +26,7 @@ PRESS_N = (1.5, 1.0, 6.0)  # the one force all three sensors are shown under
 def draw_demo_page(reports: Sequence[ArmReport], sheet: Path, path: Path) -> Path:
     """Draw the page; ``sheet`` is the filmed episode's picture."""
     figure = Figure(figsize=(16, 12), layout="constrained")
-    top, bottom = figure.subfigures(2, 1, height_ratios=[1, 1.5])
+    top, bottom = figure.subfigures(2, 1, height_ratios=[1, 1.5], squeeze=False)[:, 0]
     _draw_sensors(top)
     left, right = bottom.subplots(1, 2, width_ratios=[1.7, 1])
     left.imshow(imread(sheet))
