@@ -107,9 +107,12 @@ def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
 
 
 def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
-    """Draw an episode: thumbnails, press and grip, height, residual."""
-    figure = Figure(figsize=(9, 7))
-    rows = figure.subplots(4, 1, height_ratios=[2, 1, 1, 1])
+    """Draw an episode: thumbnails, press and grip, slip in the hand, ink left."""
+    figure = Figure(figsize=(9, 6.4), layout="constrained")
+    rows = figure.subplots(4, 1, height_ratios=[1.3, 1, 1, 1])
+    for row in rows[1:3]:
+        row.sharex(rows[3])
+        row.tick_params(labelbottom=False)
     rows[0].imshow(_thumbnails(rollout.frames))
     rows[0].axis("off")
     events = [name for name in ("slippage", "excess_force") if getattr(rollout.result, name)]
@@ -119,10 +122,10 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     rows[1].plot(time_s, trace.press_N, label="press on board")
     rows[1].plot(time_s, trace.grip_left_N, label="grip, left pad", alpha=0.7)
     rows[1].plot(time_s, trace.grip_right_N, label="grip, right pad", alpha=0.7)
-    rows[1].set_ylabel("N")
+    rows[1].set_ylabel("force, N")
     rows[1].legend(frameon=False, ncols=3, fontsize=8)
     rows[2].plot(time_s, np.asarray(trace.slip_mm), color="#e76f51")
-    rows[2].set_ylabel("in-hand slip, mm")
+    rows[2].set_ylabel("slip, mm")
     rows[3].plot(time_s, 100 * np.asarray(trace.residual), color="k")
     rows[3].set_ylabel("ink left, %")
     rows[3].set_xlabel("s")
