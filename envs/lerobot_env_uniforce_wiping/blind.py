@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
 # of the sweep in docs/results/blind_scripts.json
-BEST = "measured_press", BlindSettings(press_N=4.0, grip_N=12.0)
+BEST = "open_loop", BlindSettings(press_N=7.0, grip_N=13.0)
 
 
 class BlindScript:
