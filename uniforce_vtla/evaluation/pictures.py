@@ -24,6 +24,7 @@ COLOURS = {
     "aborted": "#6c757d",
 }
 PANELS_PER_ROW = 6  # z-profiles that still fit a page
+Z_RANGE_MM = (-4.0, 6.0)  # what pressing changes; a look back lifts out of it
 
 
 def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
@@ -84,7 +85,8 @@ def draw_success_over_demos(curves: Mapping[str, Mapping[int, ArmReport]], path:
 def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
     """Draw each arm's tool height over the wipe: median, and the middle half of all rollouts as a band.
 
-    A board's height and tilt differ between scenes, so every profile is taken against its own mean.
+    A board's height and tilt differ between scenes, so every profile is taken against its own median; medians, since
+    who looks back at the board lifts by centimetres between two sweeps.
     """
     shown = [r for r in reports if any(row.z_profile_mm for row in r.rows)]
     columns = min(max(len(shown), 1), PANELS_PER_ROW)
@@ -95,14 +97,15 @@ def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
         panel.axis("off")
     for panel, report in zip(panels.flat, shown, strict=False):
         height = np.array([row.z_profile_mm for row in report.rows if row.z_profile_mm])
-        height -= height.mean(axis=1, keepdims=True)
+        height -= np.median(height, axis=1, keepdims=True)
         share = np.linspace(0, 100, height.shape[1])
         low, middle, high = np.percentile(height, [25, 50, 75], axis=0)
         panel.fill_between(share, low, high, alpha=0.25, color="#2a9d8f")
         panel.plot(share, middle, color="#2a9d8f")
-        panel.set_title(f"{report.arm}\nsd {height.std():.2f} mm", fontsize=9)
+        panel.set_title(f"{report.arm}\nhalf within {np.median(np.abs(height)):.2f} mm", fontsize=9)
+        panel.set_ylim(*Z_RANGE_MM)
         panel.set_xlabel("% of the wipe", fontsize=8)
-    figure.supylabel("tool height about its mean, mm", fontsize=9)
+    figure.supylabel("tool height about its median, mm", fontsize=9)
     return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
