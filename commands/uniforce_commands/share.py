@@ -17,6 +17,7 @@ from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, UniForceError, expected
+from uniforce_vtla.evaluation.checkpoint_scores import scores_of
 from uniforce_vtla.results_file import write_json
 
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
@@ -35,6 +36,8 @@ class ShareConfig:
     checkpoint: str = "outputs/train/checkpoints/last/pretrained_model"  # what the trainer saved
     out: str = "outputs/shared"  # folder to hand on; no path of this machine is left in it
     scores: str = ""  # wiping.json of uniforce-score; "" = the card says "not scored"
+    # in a wiping.json of uniforce-benchmark, this checkpoint's own scores: …/seed0/vt as it was scored there; "" = all
+    scored_as: str = ""
     push: str = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
@@ -52,7 +55,7 @@ def share(config: ShareConfig) -> Path:
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
     _forget_this_machine(policy.config)
     policy.config.repo_id = config.push or policy.config.repo_id
-    training, scores = _read(source / TRAIN_CONFIG), _scores(config.scores)
+    training, scores = _read(source / TRAIN_CONFIG), _scores(config.scores, config.scored_as)
     card = model_card(policy.config, training, scores)
     if config.half:
         _halve(policy)
@@ -110,11 +113,11 @@ def _forget_this_machine(config: Any) -> None:
         config.text_tokenizer_name = None
 
 
-def _scores(path: str) -> dict[str, Any] | None:
+def _scores(path: str, scored_as: str) -> dict[str, Any] | None:
     found = _read(Path(path)) if path else None
     if path and found is None:
         raise CheckpointError(expected("scores", "a JSON file", path, "Run uniforce-score first."))
-    return found
+    return scores_of(found, scored_as) if found and scored_as else found
 
 
 def _read(path: Path) -> dict[str, Any] | None:
