@@ -120,7 +120,7 @@ def main(argv: list[str] | None = None) -> int:
     config = parse(BlindConfig, argv)
     scripts = run_all(config)
     blind = {name: s for name, s in scripts.items() if not name.startswith("expert_")}
-    best = max(blind, key=lambda name: blind[name]["clean"])
+    best = max(blind, key=lambda name: blind[name]["clean"], default=None)
     content = {
         "level": config.level,
         "level_hash": level_hash(get_level(config.level)),
@@ -132,5 +132,5 @@ def main(argv: list[str] | None = None) -> int:
     path = write_json(Path(config.out), content | provenance())
     for name, s in scripts.items():
         print(f"{name:42s} clean {s['clean']:3d}/{s['n']}  {s['outcomes']}  {s['reasons']}")
-    print(f"best blind: {best}; written to {path}")
+    print(f"best blind: {best or 'none asked for'}; written to {path}")
     return 0
