@@ -45,17 +45,17 @@ GRIP_RANGE_N, PRESS_RANGE_N = (4.0, 13.0), (4.0, 14.0)  # from sliding to too de
 class SceneGaugeConfig:
     """Let experts of all strengths wipe, fit a gauge per sensor to their forces, score it on scenes it never saw.
 
-    Example: uniforce-scene-gauge scenes=24 out=outputs/gauge_wiping
+    Example: uniforce-scene-gauge scenes=60 out=outputs/gauge_wiping
     """
 
     level: str = "paper"  # locked level
-    scenes: int = 24  # expert episodes to learn from, half of them on each rig
+    scenes: int = 60  # expert episodes to learn from, half of them on each rig
     test_scenes: int = 32  # episodes to score on
     first_seed: int = 70_000  # not used elsewhere; test scenes count up from 71,000
     stretch: int = (
         45  # frames of a training sequence: 1.5 s, so that a gauge's memory is used to long stretches
     )
-    steps: int = 800  # optimiser steps
+    steps: int = 1600  # optimiser steps
     out: str = ""  # folder of gauges; empty = the package's own
     results: str = "docs/results/scene_gauge.json"  # error per sensor on unseen scenes
 
