@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from accelerate import utils
+import torch
+from accelerate import PartialState, utils
 from lerobot.datasets import factory
 from lerobot.scripts import lerobot_train
 from lerobot.utils.import_utils import register_third_party_plugins
@@ -39,6 +40,7 @@ Added unless given: policy.push_to_hub=false, wandb.enable=false.  A dataset roo
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
 OURS = "pi05_uniforce"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
+KEPT_GROUPS: list[Any] = []  # process groups of trainings that ended, see ``process_group_kept``
 
 
 def to_lerobot(argv: Sequence[str]) -> list[str]:
@@ -101,6 +103,27 @@ def every_weight_used(flags: Sequence[str]) -> Iterator[None]:
         utils.DistributedDataParallelKwargs = stock
 
 
+@contextmanager
+def process_group_kept() -> Iterator[None]:
+    """Let the process group live as long as the process, so that training on several processes can't hang at its end.
+
+    LeRobot's trainer drops the group with its last frame, microseconds after a barrier. Whoever drops it holds Python's
+    lock and waits for gloo's thread; that thread may still be letting go of the barrier's tensors, for which it wants
+    the lock: a deadlock inside PyTorch (``~Reducer`` → ``~ProcessGroupGloo`` → ``join``), once in some dozens of runs.
+    """
+    stock = PartialState.destroy_process_group
+
+    def destroy(state: PartialState, group: Any = None) -> None:
+        KEPT_GROUPS.append(group or torch.distributed.group.WORLD)
+        stock(state, group)
+
+    PartialState.destroy_process_group = destroy
+    try:
+        yield
+    finally:
+        PartialState.destroy_process_group = stock
+
+
 def trains_ours(flags: Sequence[str]) -> bool:
     """Return whether these flags name a pi05_uniforce, by type or by the folder it starts or goes on from."""
     given = dict(flag[2:].split("=", 1) for flag in flags if flag.startswith("--") and "=" in flag)
@@ -122,7 +145,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     flags = to_lerobot(arguments)
     before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
-        with training_views(), every_weight_used(flags):
+        with training_views(), every_weight_used(flags), process_group_kept():
             lerobot_train.main()
     finally:
         sys.argv = before

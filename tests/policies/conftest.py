@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
 from collections.abc import Callable
 from contextlib import suppress
@@ -9,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
@@ -126,9 +125,17 @@ def _run_to_the_end(call: list[str], env: dict[str, str], log: Path, seconds: fl
         except subprocess.TimeoutExpired:
             code = None
         finally:
-            with suppress(ProcessLookupError):
-                os.killpg(program.pid, signal.SIGKILL)
+            _kill_all(program.pid)
             program.wait()
     said = log.read_text()
     assert code == 0, f"exit {code} (None: still running after {seconds} s)\n{said[-4000:]}"
     return said
+
+
+def _kill_all(pid: int) -> None:
+    """Kill a program and its children; torchrun's are in sessions of their own, a signal to its group leaves them."""
+    with suppress(psutil.NoSuchProcess):
+        program = psutil.Process(pid)
+        for process in [*program.children(recursive=True), program]:
+            with suppress(psutil.NoSuchProcess):
+                process.kill()

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from accelerate import PartialState
 from lerobot.datasets import factory
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from safetensors.torch import load_file
@@ -169,6 +170,21 @@ def test_two_processes_train_without_a_search_for_unused_parameters(
     said = run_to_the_end(call, os.environ | quiet, tmp_path / "said", seconds=200)
     assert (tmp_path / "run/checkpoints/last/pretrained_model/model.safetensors").exists()
     assert "Effective batch size: 2 x 2" in said
+
+
+def test_the_process_group_outlives_the_trainer(monkeypatch):
+    """PyTorch deadlocks where the trainer's last frame is the last to hold the group: here it is not."""
+    monkeypatch.setattr(train, "KEPT_GROUPS", [])
+    monkeypatch.setenv("GLOO_SOCKET_IFNAME", "lo")
+    dist = torch.distributed
+    stock = PartialState.destroy_process_group
+    dist.init_process_group("gloo", store=dist.HashStore(), rank=0, world_size=1)
+    group = torch.nn.parallel.DistributedDataParallel(torch.nn.Linear(2, 2)).process_group
+    with train.process_group_kept():
+        PartialState.destroy_process_group(SimpleNamespace(fork_launched=False))
+    (kept,) = train.KEPT_GROUPS
+    assert kept is group and not dist.is_initialized()
+    assert PartialState.destroy_process_group is stock
 
 
 def test_only_our_policy_skips_the_search(tmp_path):
