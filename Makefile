@@ -8,8 +8,8 @@ export TOKENIZERS_PARALLELISM ?= false
 
 help:
 	@echo "make setup   fill .venv (Python 3.12, locked dependencies)"
-	@echo "make demo    record, train, roll out, score: one page and one video, 5–10 minutes on a laptop"
-	@echo "make test    lint, types and the whole test suite, 11 minutes on 2 cores, 20 on slow ones"
+	@echo "make demo    record, train, roll out, score: one page and one video, 5 to 10 minutes on a laptop"
+	@echo "make test    lint, types and the whole test suite, 12 minutes on 2 cores, 20 on slow ones"
 	@echo "make fuzz    100,000 injured inputs into each parser of bytes, 2,000 into each reader of files (half an hour)"
 	@echo "make ci      make test, then the wheel in a fresh environment"
 

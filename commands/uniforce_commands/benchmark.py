@@ -12,10 +12,11 @@ from typing import Any
 
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_commands.score import score_arms
-from uniforce_commands.score_config import ScoreConfig, whose_turn
+from uniforce_commands.score_config import ScoreConfig
 from uniforce_vtla.arguments import choose, names_in, parse
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, table
+from uniforce_vtla.evaluation.checkpoint_scores import own_scenes
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms, draw_z_profiles
 from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS, Arm
@@ -120,11 +121,9 @@ def _by_checkpoint(arm: ArmReport, command: BenchmarkConfig) -> dict[str, Any]:
     seeds = names_in(command.checkpoints)
     if len(seeds) == 1:
         return {}
-    turns = [
-        [row.clean for row in arm.rows if whose_turn(row.seed - command.first_seed, seeds) == seed]
-        for seed in seeds
-    ]
-    return {"clean_by_checkpoint": [f"{sum(clean)}/{len(clean)}" for clean in turns]}
+    by_seed = arm.as_dict()["by_seed"]
+    turns = [own_scenes(by_seed, seed, seeds) for seed in seeds]
+    return {"clean_by_checkpoint": [f"{own['clean']}/{own['n']}" for own in turns]}
 
 
 def _same_level(earlier: dict[str, Any], level: str) -> bool:

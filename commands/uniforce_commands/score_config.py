@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contracts import Finger
+from uniforce_vtla.evaluation.checkpoint_scores import whose_turn
 from uniforce_vtla.evaluation.plan import SCRIPTS
 
 
@@ -48,11 +48,6 @@ class ScoreConfig:
     def policy_of(self, seed: int) -> str:
         """Return which policy acts in the scene of that seed."""
         return whose_turn(seed - self.first_seed, self.policies)
-
-
-def whose_turn(scene: int, names: Sequence[str]) -> str:
-    """Return whose turn a scene is, counted from the first one scored."""
-    return names[scene % len(names)]
 
 
 def mounted_sensors(left: str = "", right: str = "") -> dict[Finger, str]:

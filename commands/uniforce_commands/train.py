@@ -109,7 +109,7 @@ def process_group_kept() -> Iterator[None]:
 
     LeRobot's trainer drops the group with its last frame, microseconds after a barrier. Whoever drops it holds Python's
     lock and waits for gloo's thread; that thread may still be letting go of the barrier's tensors, for which it wants
-    the lock: a deadlock inside PyTorch (``~Reducer`` → ``~ProcessGroupGloo`` → ``join``), once in some dozens of runs.
+    the lock: a deadlock inside PyTorch (``~Reducer`` → ``~ProcessGroupGloo`` → ``join``), seen once.
     """
     stock = PartialState.destroy_process_group
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 from collections.abc import Callable
 from contextlib import suppress
@@ -133,9 +135,10 @@ def _run_to_the_end(call: list[str], env: dict[str, str], log: Path, seconds: fl
 
 
 def _kill_all(pid: int) -> None:
-    """Kill a program and its children; torchrun's are in sessions of their own, a signal to its group leaves them."""
-    with suppress(psutil.NoSuchProcess):
-        program = psutil.Process(pid)
-        for process in [*program.children(recursive=True), program]:
-            with suppress(psutil.NoSuchProcess):
-                process.kill()
+    """Kill a program, its group and its children: torchrun's are in sessions of their own, out of a group's reach."""
+    children = psutil.Process(pid).children(recursive=True) if psutil.pid_exists(pid) else []
+    for child in children:
+        with suppress(psutil.NoSuchProcess):
+            child.kill()
+    with suppress(ProcessLookupError):
+        os.killpg(pid, signal.SIGKILL)

@@ -18,6 +18,7 @@ from uniforce_vtla.evaluation.statistics import wilson
 PROFILE_POINTS = 60
 CONTACT_N = 0.5  # of press: the eraser is on the board
 OUTCOMES = ("success", "failed_grasp", "residual", "aborted")
+CLEAN, EVENTFUL = "C", OUTCOMES[0][0]  # letters of ``EpisodeRow.code``: wiped clean, wiped with an event
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class EpisodeRow:
     @property
     def code(self) -> str:
         """One letter: C clean success, s success with an event, f failed grasp, r residual, a aborted."""
-        return "C" if self.clean else self.outcome[0]
+        return CLEAN if self.clean else self.outcome[0]
 
 
 def row_of(rollout: Rollout) -> EpisodeRow:

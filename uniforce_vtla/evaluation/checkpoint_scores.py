@@ -1,15 +1,26 @@
-"""What a benchmark's table says of one of its checkpoints: the arms that ran it, on the scenes that were its turn."""
+"""Checkpoints of several training seeds take turns: whose scene is whose, and what a table says of one of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.evaluation.arms import CLEAN, EVENTFUL
 from uniforce_vtla.evaluation.plan import ARMS
 
-CLEAN, EVENTFUL = "C", "s"  # letters of EpisodeRow.code: wiped clean, wiped with an event
+
+def whose_turn(scene: int, names: Sequence[str]) -> str:
+    """Return whose turn a scene is, counted from the first one scored."""
+    return names[scene % len(names)]
+
+
+def own_scenes(by_seed: str, name: str, names: Sequence[str]) -> dict[str, Any]:
+    """Return an arm's counts on the scenes that were one checkpoint's turn, from the letters of all of them."""
+    letters = "".join(letter for scene, letter in enumerate(by_seed) if whose_turn(scene, names) == name)
+    clean = letters.count(CLEAN)
+    return {"n": len(letters), "clean": clean, "success": clean + letters.count(EVENTFUL), "by_seed": letters}
 
 
 def scores_of(table: Mapping[str, Any], checkpoint: str) -> dict[str, Any]:
@@ -28,12 +39,5 @@ def scores_of(table: Mapping[str, Any], checkpoint: str) -> dict[str, Any]:
     if str(folder.parent) not in seeds or not arms:
         do = "Name it as it was scored."
         raise ContractError(expected("checkpoint", f"a checkpoint inside {seeds}", checkpoint, do))
-    turn = seeds.index(str(folder.parent))
-    own = {name: _turns(table["arms"][name]["by_seed"], turn, len(seeds)) for name in arms}
+    own = {name: own_scenes(table["arms"][name]["by_seed"], str(folder.parent), seeds) for name in arms}
     return dict(table) | {"checkpoints": [checkpoint], "arms": own, "tests": [], "as_good": []}
-
-
-def _turns(by_seed: str, turn: int, of: int) -> dict[str, Any]:
-    letters = by_seed[turn::of]  # as ``whose_turn`` deals scenes out
-    clean = letters.count(CLEAN)
-    return {"n": len(letters), "clean": clean, "success": clean + letters.count(EVENTFUL), "by_seed": letters}
