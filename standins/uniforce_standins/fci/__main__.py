@@ -1,4 +1,4 @@
-"""``python -m uniforce_standins.fci 127.0.0.2 [--mute] [--server-version 9] [--hand-hz 10] [--log wire.jsonl] …``."""
+"""``python -m uniforce_standins.fci 127.0.0.2 [--mute] [--server-version 9] [--hand-hz 10] [--fault NAME] …``."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from uniforce_standins.fci.arm_service import ArmOptions
 from uniforce_standins.fci.hand_service import HandOptions
+from uniforce_standins.fci.hostile import FAULTS, NONE
 from uniforce_standins.fci.protocol import ARM_VERSION
 from uniforce_standins.fci.server import Server, ServerOptions
 
@@ -20,6 +21,8 @@ def parse(arguments: list[str] | None = None) -> ServerOptions:
     parser.add_argument("--mute", action="store_true", help="accept connections and never answer")
     parser.add_argument("--server-version", type=int, default=ARM_VERSION, help="what the arm claims to be")
     parser.add_argument("--miss-rule", action="store_true", help="20 missed commands end a motion")
+    parser.add_argument("--no-rules", action="store_true", help="follow commands that a real arm refuses")
+    parser.add_argument("--fault", default=NONE, choices=[NONE, *FAULTS], help="start with this one")
     parser.add_argument("--patience-s", type=float, default=ArmOptions.patience_s, help="wait for a command")
     parser.add_argument(
         "--hand-hz", type=float, default=HandOptions.state_hz, help="states of the hand per second"
@@ -29,8 +32,9 @@ def parse(arguments: list[str] | None = None) -> ServerOptions:
     chosen = parser.parse_args(arguments)
     if not chosen.anywhere and not ipaddress.ip_address(chosen.address).is_loopback:
         parser.error(f"{chosen.address} is not a loopback address; the stand-in has no password (--anywhere)")
-    arm = ArmOptions(chosen.server_version, chosen.patience_s, chosen.miss_rule)
-    return ServerOptions(chosen.address, arm, HandOptions(state_hz=chosen.hand_hz), chosen.mute, chosen.log)
+    arm = ArmOptions(chosen.server_version, chosen.patience_s, chosen.miss_rule, not chosen.no_rules)
+    hand = HandOptions(state_hz=chosen.hand_hz)
+    return ServerOptions(chosen.address, arm, hand, chosen.mute, chosen.log, chosen.fault)
 
 
 def main() -> None:

@@ -32,6 +32,7 @@ BRAKE_SHARE = 0.9  # of the joint speed left each millisecond when something sto
 STILL_rad_s = 1e-9
 GUIDING_DAMPING_Nms = 5.0  # a hand that pushes moves the arm, and it stops when the push does
 PINV_DAMPING = 0.05
+SPEED_MAX_m_s = 3.0  # of the hand (FR3 specification)
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ class Arm:
         self.posture: Posture = posture(self.q_rad)
         self.ee_to_base = self.posture.flange_to_base @ self.ne_to_flange @ self.ee_to_ne
         self.jacobian = self.posture.jacobian(self.ee_to_base[:3, 3])
+        self.twist = self.jacobian @ self.dq_rad_s  # of the hand, m/s and rad/s
         self.felt_N = self._felt()
         self.tau_ext_Nm = self.jacobian.T @ self.felt_N
 
@@ -77,8 +79,8 @@ class Arm:
         felt = self.wrench_N.copy()
         if self.wall is not None:
             depth = self.wall.height_m - self.ee_to_base[2, 3]
-            speed = float(self.jacobian[2] @ self.dq_rad_s)
             if depth > 0:
+                speed = float(self.twist[2])
                 felt[2] += max(self.wall.stiffness_N_m * depth - self.wall.damping_Ns_m * speed, 0.0)
         return felt
 
@@ -139,6 +141,8 @@ class Arm:
             found.add(ErrorBit.JOINT_REFLEX)
         if np.any(np.abs(self.dq_rad_s) > DQ_MAX_rad_s * 1.001):  # drive() clips to the limit itself
             found.add(ErrorBit.JOINT_VELOCITY_VIOLATION)
+        if np.linalg.norm(self.twist[:3]) > SPEED_MAX_m_s:
+            found.add(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)
         if np.any((self.q_rad < Q_MIN_rad) | (self.q_rad > Q_MAX_rad)):
             found.add(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)
         return frozenset(found)
@@ -159,7 +163,6 @@ class Arm:
         pose = self.ee_to_base.T.ravel()
         ee_to_flange = self.ne_to_flange @ self.ee_to_ne
         turn = (self.ee_to_base @ self.k_to_ee)[:3, :3].T
-        twist = self.jacobian @ self.dq_rad_s
         return {
             "O_T_EE": pose,
             "O_T_EE_d": pose,
@@ -179,7 +182,19 @@ class Arm:
             "tau_ext_hat_filtered": self.tau_ext_Nm,
             "O_F_ext_hat_K": self.felt_N,
             "K_F_ext_hat_K": np.concatenate([turn @ self.felt_N[:3], turn @ self.felt_N[3:]]),
-            "O_dP_EE_c": twist,
-            "O_dP_EE_d": twist,
+            "O_dP_EE_c": self.twist,
+            "O_dP_EE_d": self.twist,
             "O_ddP_O": np.array([0.0, 0.0, -9.81]),  # a client computes gravity from this
+        }
+
+    def describe(self) -> dict[str, object]:
+        """Return where the arm really is and what really drives it, whatever its states say."""
+        return {
+            "q_rad": self.q_rad.tolist(),
+            "position_m": self.ee_to_base[:3, 3].tolist(),
+            "rotation": self.ee_to_base[:3, :3].tolist(),
+            "speed_rad_s": float(np.abs(self.dq_rad_s).max()),
+            "felt_N": self.felt_N.tolist(),
+            "tau_Nm": self.tau_Nm.tolist(),
+            "command_force_N": np.linalg.lstsq(self.jacobian.T, self.tau_Nm, rcond=None)[0].tolist(),
         }

@@ -4,30 +4,24 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-import numpy as np
-
 from uniforce_standins.fci.arm import Arm
+from uniforce_standins.fci.arm_settings import setting
 from uniforce_standins.fci.journal import Journal
 from uniforce_standins.fci.kinematics import urdf
 from uniforce_standins.fci.link import Link
+from uniforce_standins.fci.motion import Motion
 from uniforce_standins.fci.protocol import (
     ARM_HEADER,
     ARM_PORT,
     ARM_VERSION,
-    CARTESIAN_IMPEDANCE_COUNT,
-    GUIDING,
-    JOINT_IMPEDANCE_COUNT,
-    TRANSFORM_COUNT,
     ArmCommand,
-    CollisionBehavior,
     ConnectRequest,
     ConnectStatus,
     Controller,
-    ErrorBit,
-    Load,
     Message,
     MoveRequest,
     MoveStatus,
@@ -36,11 +30,10 @@ from uniforce_standins.fci.protocol import (
     RobotMode,
     RobotState,
     SetterStatus,
-    numbers,
-    unpack,
 )
+from uniforce_standins.fci.watch import Watch
 
-MISSES_ALLOWED = 20  # FCI: as many lost packets in a row end the motion
+KEPT = 200  # states sent, for faults that send them again
 SUCCESS_WINDOW = 100  # commands the success rate is about
 STOPPED = (RobotMode.REFLEX, RobotMode.USER_STOPPED)
 
@@ -55,22 +48,18 @@ class ArmOptions:
             off on a stale torque, which keeps results the same on a busy machine.
         miss_rule: end a motion after 20 missed commands, as the real arm does. Off by default: a test machine without
             a real-time kernel would be tested, not the client. On, a tick waits 1 ms only.
+        rules: end a motion by reflex when a command breaks a limit (``rules.py``), as the real arm does.
     """
 
     version: int = ARM_VERSION
     patience_s: float = 0.02
     miss_rule: bool = False
+    rules: bool = True
 
 
-@dataclass
-class Motion:
-    """A Move under way."""
-
-    command_id: int
-    request: MoveRequest
-    command: RobotCommand | None = None  # the newest
-    answered: bool = False  # whether the last state has got its command
-    misses: int = 0  # in a row
+def whole(state: RobotState) -> Iterable[bytes]:
+    """Yield a state as it is: what an arm without a fault sends."""
+    yield state.encode()
 
 
 class ArmService:
@@ -85,10 +74,23 @@ class ArmService:
         self.errors: frozenset[int] = frozenset()
         self.reflex_reason: frozenset[int] = frozenset()
         self.success_rate = 0.0
-        self.miss_rule = options.miss_rule
+        self.miss_rule, self.rules = options.miss_rule, options.rules
+        self.watch = Watch()
+        self.mend()
         self.milliseconds = 0
         self._sent_at = 0.0
         self._model = urdf().encode()
+        self.sent: deque[RobotState] = deque(maxlen=KEPT)  # the newest, until a fault
+
+    def mend(self) -> None:
+        """Take back every fault of the wire.
+
+        ``outgoing`` turns a state into datagrams. ``starved``: the client can't know of a tick, so none waits for it.
+        ``hears``: whether commands arrive.
+        """
+        self.outgoing: Callable[[RobotState], Iterable[bytes]] = whole
+        self.starved, self.hears = False, True
+        self.link.garbage = None
 
     # --- requests ----------------------------------------------------------------------------------------------------
 
@@ -153,7 +155,7 @@ class ArmService:
     def _set(self, message: Message) -> None:
         """Answer a setter; while the arm moves, the real one refuses what would change its dynamics."""
         try:
-            apply = self._setter(message)
+            apply = setting(self.arm, self.journal, message)
         except ProtocolError as error:
             self.journal.write("invalid", why=str(error))
             self._reply(message, SetterStatus.INVALID_ARGUMENT)
@@ -161,39 +163,8 @@ class ArmService:
         if self.motion is not None:
             self._reply(message, SetterStatus.NOT_POSSIBLE)
             return
-        if apply is not None:
-            apply()
+        apply()
         self._reply(message, SetterStatus.SUCCESS)
-
-    def _setter(self, message: Message) -> Callable[[], None] | None:
-        payload = message.payload
-        match message.command:
-            case ArmCommand.SET_COLLISION_BEHAVIOR:
-                behavior = CollisionBehavior.decode(payload)
-                return lambda: self._set_thresholds(behavior)
-            case ArmCommand.SET_JOINT_IMPEDANCE:
-                numbers(payload, JOINT_IMPEDANCE_COUNT, "SetJointImpedance")
-            case ArmCommand.SET_CARTESIAN_IMPEDANCE:
-                numbers(payload, CARTESIAN_IMPEDANCE_COUNT, "SetCartesianImpedance")
-            case ArmCommand.SET_GUIDING_MODE:
-                unpack(GUIDING, payload, "SetGuidingMode")
-            case ArmCommand.SET_EE_TO_K:
-                k_to_ee = numbers(payload, TRANSFORM_COUNT, "SetEEToK").reshape(4, 4).T
-                return lambda: setattr(self.arm, "k_to_ee", k_to_ee)
-            case ArmCommand.SET_NE_TO_EE:
-                ee_to_ne = numbers(payload, TRANSFORM_COUNT, "SetNEToEE").reshape(4, 4).T
-                return lambda: self.arm.set_ee(ee_to_ne)
-            case ArmCommand.SET_LOAD:
-                Load.decode(payload)
-            case _:
-                raise ProtocolError("arm command", "0 to 11", message.command)
-        return None
-
-    def _set_thresholds(self, behavior: CollisionBehavior) -> None:
-        self.arm.upper_torque_Nm = behavior.upper_torque_nominal
-        self.arm.upper_force_N = behavior.upper_force_nominal
-        thresholds = {"upper_torque_Nm": behavior.upper_torque_nominal.tolist()}
-        self.journal.write("thresholds", **thresholds, upper_force_N=behavior.upper_force_nominal.tolist())
 
     def _reply(self, message: Message, status: int) -> None:
         self.link.send(Message(message.command, message.command_id, bytes([status])))
@@ -218,6 +189,8 @@ class ArmService:
 
     def receive_command(self, datagram: bytes) -> None:
         """Take a command of the control loop."""
+        if not self.hears:
+            return
         try:
             command = RobotCommand.decode(datagram)
         except ProtocolError as error:
@@ -226,15 +199,19 @@ class ArmService:
         if self.journal.is_on:
             tau = [round(float(t), 4) for t in command.tau_J_d]
             self.journal.write("command", id=command.message_id, tau_Nm=tau, finished=command.finished)
+        self.watch.last_command_ms = self.milliseconds
         if self.motion is not None:
-            self.motion.command = command
-            self.motion.answered = command.message_id >= self.milliseconds
+            self.motion.take(command, self.arm, self.milliseconds, self.rules)
+
+    @property
+    def _counts_misses(self) -> bool:
+        return self.miss_rule or not self.hears
 
     def is_due(self, now_s: float) -> bool:
         """Whether the next millisecond may begin: the client has answered, or waited too long."""
         if self.motion is None or self.motion.answered:
             return True
-        patience = 0.001 if self.miss_rule else self.options.patience_s
+        patience = 0.001 if self._counts_misses or self.starved else self.options.patience_s
         return now_s - self._sent_at >= patience
 
     def tick(self) -> None:
@@ -246,6 +223,7 @@ class ArmService:
         else:
             self.arm.hold()
         self.milliseconds += 1
+        self.watch.look(self.arm, self.milliseconds)
         self._send_state()
 
     def _drive(self, motion: Motion) -> None:
@@ -254,24 +232,40 @@ class ArmService:
             self.arm.hold()
             return
         self._count(motion)
-        self.arm.drive(command, motion.request.generator)
-        violations = self.arm.violations()
-        if motion.misses >= MISSES_ALLOWED and self.miss_rule:
-            violations |= {ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION}
+        violations = motion.broken or self._follow(motion, command)
         if violations:
             self.reflex(violations)
         elif command.finished:
             self._end_motion(MoveStatus.SUCCESS)
 
+    def _follow(self, motion: Motion, command: RobotCommand) -> frozenset[int]:
+        """Drive the arm for a millisecond; return the error bits that end the motion."""
+        self.arm.drive(command, motion.request.generator)
+        return self.arm.violations() | motion.lost(self._counts_misses)
+
     def _count(self, motion: Motion) -> None:
-        motion.misses = 0 if motion.answered else motion.misses + 1
+        motion.count()
         self.success_rate += (float(motion.answered) - self.success_rate) / SUCCESS_WINDOW
         motion.answered = False
 
     def _send_state(self) -> None:
         self._sent_at = time.monotonic()
+        state = self._state()
+        if self.journal.is_on:
+            position = [round(float(x), 6) for x in self.arm.ee_to_base[:3, 3]]
+            self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position)
+        if self.outgoing is whole:
+            self.sent.append(state)
+        for datagram in self.outgoing(state):
+            self.link.send_state(datagram)
+
+    def newest(self) -> RobotState:
+        """Return the newest state that was sent without a fault; one of now if there is none."""
+        return self.sent[-1] if self.sent else self._state()
+
+    def _state(self) -> RobotState:
         request = self.motion.request if self.motion else None
-        state = RobotState(
+        return RobotState(
             self.milliseconds,
             self.arm.state_floats(),
             request.generator + 1 if request else 0,
@@ -281,10 +275,6 @@ class ArmService:
             self.mode,
             self.success_rate if request else 0.0,
         )
-        if self.journal.is_on:
-            position = [round(float(x), 6) for x in self.arm.ee_to_base[:3, 3]]
-            self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position)
-        self.link.send_state(state.encode())
 
     # --- faults ------------------------------------------------------------------------------------------------------
 
@@ -316,12 +306,7 @@ class ArmService:
             "milliseconds": self.milliseconds,
             "mode": self.mode.name,
             "moving": self.motion is not None,
-            "q_rad": self.arm.q_rad.tolist(),
-            "position_m": self.arm.ee_to_base[:3, 3].tolist(),
-            "rotation": self.arm.ee_to_base[:3, :3].tolist(),
-            "speed_rad_s": float(np.abs(self.arm.dq_rad_s).max()),
-            "felt_N": self.arm.felt_N.tolist(),
-            "tau_Nm": self.arm.tau_Nm.tolist(),
-            "command_force_N": np.linalg.lstsq(self.arm.jacobian.T, self.arm.tau_Nm, rcond=None)[0].tolist(),
+            **self.arm.describe(),
+            **self.watch.describe(self.milliseconds),
             "errors": sorted(int(e) for e in self.errors),
         }

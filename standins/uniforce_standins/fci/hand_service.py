@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from uniforce_standins.fci.hand import Hand
@@ -25,6 +26,12 @@ from uniforce_standins.fci.protocol import (
 )
 
 REST_C = 30  # temperature of a hand that is not there
+MIDWAY_s = 0.05  # a command is under way for
+
+
+def whole(state: HandState) -> Iterable[bytes]:
+    """Yield a state as it is: what a hand without a fault sends."""
+    yield state.encode()
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,23 @@ class HandService:
         self.hand = Hand()
         self._pending: Message | None = None
         self._states = 0
+        self._begun_s = 0.0
+        self.mend()
         self._next_state_s = self._last_tick_s = time.monotonic()
+
+    def mend(self) -> None:
+        """Take back every fault of the wire.
+
+        ``outgoing`` turns a state into datagrams. ``hung``: the fingers stand still and no command is answered.
+        """
+        self.outgoing: Callable[[HandState], Iterable[bytes]] = whole
+        self.hung = False
+        self.link.garbage = None
+
+    @property
+    def is_midway(self) -> bool:
+        """Whether a command has been under way for a while and is not done."""
+        return self._pending is not None and time.monotonic() - self._begun_s > MIDWAY_s
 
     def handle(self, message: Message) -> None:
         """Answer one request, or remember it until the fingers arrive."""
@@ -53,6 +76,8 @@ class HandService:
         details = {"command": name, "command_id": message.command_id, "busy": self._pending is not None}
         size = HAND_HEADER.layout.size + len(message.payload)
         self.journal.write("request", device="hand", bytes=size, **details)
+        if self.hung and message.command != HandCommand.CONNECT:
+            return
         try:
             self._dispatch(message)
         except ProtocolError as error:
@@ -69,7 +94,7 @@ class HandService:
             case HandCommand.HOMING:
                 self._abort()
                 self.hand.start_homing()
-                self._pending = message
+                self._await(message)
             case HandCommand.MOVE:
                 self._begin(message, HandMoveRequest.decode(message.payload))
             case HandCommand.GRASP:
@@ -92,9 +117,12 @@ class HandService:
         else:
             possible = self.hand.start_move(request)
         if possible:
-            self._pending = message
+            self._await(message)
         else:
             self._reply(message, HandStatus.FAIL)
+
+    def _await(self, message: Message) -> None:
+        self._pending, self._begun_s = message, time.monotonic()
 
     def _abort(self) -> None:
         self.hand.stop()
@@ -112,7 +140,7 @@ class HandService:
 
     def tick(self, now_s: float) -> None:
         """Let time pass, on the wall's clock: the hand waits for no client."""
-        outcome = self.hand.advance(now_s - self._last_tick_s)
+        outcome = None if self.hung else self.hand.advance(now_s - self._last_tick_s)
         self._last_tick_s = now_s
         if outcome is not None and self._pending is not None:
             pending, self._pending = self._pending, None
@@ -125,7 +153,8 @@ class HandService:
         self._states += 1
         hand = self.hand
         state = HandState(self._states, hand.width_m, hand.max_width_m, hand.is_grasped, REST_C)
-        self.link.send_state(state.encode())
+        for datagram in self.outgoing(state):
+            self.link.send_state(datagram)
 
     def describe(self) -> dict[str, object]:
         """Return what a test wants to know without a client."""

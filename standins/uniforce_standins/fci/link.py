@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from uniforce_standins.fci.journal import Journal
 from uniforce_standins.fci.protocol import ConnectRequest, Header, Message, ProtocolError
 
 DATAGRAM_BYTES = 65536
+UNREAD_s = 1.0  # how long an answer may wait for its client to read
 
 
 class Link:
@@ -24,6 +25,7 @@ class Link:
         self.udp.setblocking(False)
         self.client: socket.socket | None = None
         self.states_to: tuple[str, int] | None = None
+        self.garbage: Callable[[], bytes] | None = None  # sent in place of every answer
         self._peer, self._buffer = "", b""
 
     def sockets(self) -> list[socket.socket]:
@@ -100,13 +102,17 @@ class Link:
             status=message.payload[0] if message.payload else None,
             bytes=self.header.layout.size + len(message.payload),
         )
+        self.send_bytes(self.garbage() if self.garbage else self.header.encode(message))
+
+    def send_bytes(self, data: bytes) -> None:
+        """Send bytes as they are; drop a client that has left or doesn't read."""
         if self.client is None:
             return
         try:
-            self.client.setblocking(True)  # the model is larger than a socket buffer may be
-            self.client.sendall(self.header.encode(message))
+            self.client.settimeout(UNREAD_s)  # the model is larger than a socket buffer may be
+            self.client.sendall(data)
             self.client.setblocking(False)
-        except ConnectionError:
+        except (ConnectionError, TimeoutError):
             self.drop("gone")
 
     def send_state(self, datagram: bytes) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
 
+from uniforce_standins.fci.kinematics import JOINTS
 from uniforce_standins.fci.protocol import (
     ARM_HEADER,
     ARM_PORT,
@@ -29,6 +31,7 @@ from uniforce_standins.fci.protocol import (
     RobotState,
     unpack,
 )
+from uniforce_standins.fci.rules import TORQUE_STEP_Nm
 
 ARM_GREETING, HAND_GREETING = struct.Struct("<BH"), struct.Struct("<HH")  # status, version
 HAND_STATUS = struct.Struct("<H")
@@ -109,6 +112,8 @@ class RawClient:
 class RawArm(RawClient):
     """The arm's port."""
 
+    _tau_Nm: np.ndarray = np.zeros(JOINTS)  # last sent
+
     def __init__(self, address: str, version: int = ARM_VERSION) -> None:
         super().__init__(address, ARM_PORT, ARM_HEADER)
         self.greet(version)
@@ -138,6 +143,7 @@ class RawArm(RawClient):
         self, generator: Generator = Generator.NONE, controller: Controller = Controller.EXTERNAL
     ) -> int:
         """Ask for a motion; return the request's id. The first answer is still to be received."""
+        self._tau_Nm = np.zeros(JOINTS)
         return self.send(ArmCommand.MOVE, MoveRequest(controller, generator).encode())
 
     def command(self, command: RobotCommand) -> None:
@@ -147,10 +153,14 @@ class RawArm(RawClient):
         self.udp.sendto(command.encode(), self.server)
 
     def loop(self, law: Callable[[RobotState], RobotCommand], ticks: int) -> RobotState:
-        """Answer so many states with a control law; return the last one."""
+        """Answer so many states with a control law, its torques limited in rate; return the last one."""
         for _ in range(ticks):
             state = self.newest()
-            self.command(law(state))
+            command = law(state)
+            self._tau_Nm = self._tau_Nm + np.clip(
+                command.tau_J_d - self._tau_Nm, -TORQUE_STEP_Nm, TORQUE_STEP_Nm
+            )
+            self.command(replace(command, tau_J_d=self._tau_Nm))
         return state
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import select
 import socket
 import time
@@ -14,14 +13,13 @@ import numpy as np
 
 from uniforce_standins.fci.arm import TICK_s, Wall
 from uniforce_standins.fci.arm_service import ArmOptions, ArmService
+from uniforce_standins.fci.faults import Faults
 from uniforce_standins.fci.hand_service import HandOptions, HandService
 from uniforce_standins.fci.journal import Journal
 from uniforce_standins.fci.link import Link
-from uniforce_standins.fci.protocol import ErrorBit
 
 CONTROL_PORT = 1339  # ours, beside the robot's two
 CATCH_UP_s = 0.05  # a loop that lags more forgets the lag instead of racing through it
-DIED = 9  # exit code of the death a test asked for
 CONTROL_LINE_BYTES = 65536
 
 
@@ -33,6 +31,7 @@ class ServerOptions:
         address: loopback unless the command line says otherwise.
         mute: accept connections and never answer.
         log: file of JSON lines, one for each message.
+        fault: one of ``hostile.FAULTS`` from the first millisecond on.
     """
 
     address: str
@@ -40,6 +39,7 @@ class ServerOptions:
     hand: HandOptions = field(default_factory=HandOptions)
     mute: bool = False
     log: Path | None = None
+    fault: str = "none"
 
 
 class Server:
@@ -51,6 +51,8 @@ class Server:
         self.hand = HandService(options.address, options.hand, self.journal)
         self.mute = options.mute
         self.stopped = False
+        self.faults = Faults(self.arm, self.hand, self.journal)
+        self.faults.order(options.fault)
         self._control = socket.create_server((options.address, CONTROL_PORT))
         self._controllers: dict[socket.socket, bytes] = {}
 
@@ -78,6 +80,7 @@ class Server:
         if not self.mute:
             self.arm.tick()
             self.hand.tick(time.monotonic())
+            self.faults.tick()
 
     def _serve(self, timeout_s: float) -> None:
         """Answer what has arrived, or wait for it. ``select`` waits in microseconds, ``epoll`` in milliseconds."""
@@ -113,7 +116,10 @@ class Server:
     # --- control -----------------------------------------------------------------------------------------------------
 
     def _read_control(self, controller: socket.socket) -> None:
-        data = controller.recv(CONTROL_LINE_BYTES)
+        try:
+            data = controller.recv(CONTROL_LINE_BYTES)
+        except ConnectionError:
+            data = b""
         if not data:
             del self._controllers[controller]
             controller.close()
@@ -128,13 +134,15 @@ class Server:
             answer = self._do(order.pop("do"), **order)
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             return {"error": f"{type(error).__name__}: {error}"}
-        return {"arm": self.arm.describe(), "hand": self.hand.describe(), "answer": answer}
+        shown = {"arm": self.arm.describe(), "hand": self.hand.describe(), "fault": self.faults.describe()}
+        return {**shown, "answer": answer}
 
     def _do(self, what: str, **details: object) -> object:
         orders = {
             "look": lambda: None,
-            "reflex": lambda: self.arm.reflex(frozenset({ErrorBit.CARTESIAN_REFLEX})),
-            "user_stop": self.arm.user_stop,
+            "fault": self.faults.order,
+            "reflex": lambda: self.faults.order("reflex"),
+            "user_stop": lambda: self.faults.order("user_stop"),
             "release": self.arm.release,
             "guide": self.arm.guide,
             "mute": self._set_mute,
@@ -142,10 +150,11 @@ class Server:
             "wall": self._set_wall,
             "object": self._set_object,
             "miss_rule": self._set_miss_rule,
+            "rules": self._set_rules,
             "hand_hz": self._set_hand_rate,
             "flush": self.journal.flush,
             "stop": self._stop,
-            "die": lambda: os._exit(DIED),
+            "die": lambda: self.faults.order("server_death"),
         }
         if what not in orders:
             raise ValueError(f"do: expected one of {sorted(orders)}, got {what!r}")
@@ -170,6 +179,9 @@ class Server:
 
     def _set_miss_rule(self, on: bool = True) -> None:
         self.arm.miss_rule = bool(on)
+
+    def _set_rules(self, on: bool = True) -> None:
+        self.arm.rules = bool(on)
 
     def _set_hand_rate(self, hz: float) -> None:
         if not hz > 0:
