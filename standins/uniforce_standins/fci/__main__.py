@@ -7,7 +7,7 @@ import ipaddress
 import sys
 from pathlib import Path
 
-from uniforce_standins.fci.arm_service import ArmOptions
+from uniforce_standins.fci.control_loop import ArmOptions
 from uniforce_standins.fci.hand_service import HandOptions
 from uniforce_standins.fci.hostile import FAULTS, NONE
 from uniforce_standins.fci.protocol import ARM_VERSION

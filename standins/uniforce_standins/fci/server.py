@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from uniforce_standins.fci.arm import TICK_s, Wall
-from uniforce_standins.fci.arm_service import ArmOptions, ArmService
+from uniforce_standins.fci.arm_service import ArmService
+from uniforce_standins.fci.control_loop import ArmOptions
 from uniforce_standins.fci.faults import Faults
 from uniforce_standins.fci.hand_service import HandOptions, HandService
 from uniforce_standins.fci.journal import Journal
