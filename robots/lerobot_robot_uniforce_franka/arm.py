@@ -11,10 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
-from uniforce_vtla.errors import ContractError, expected
+from lerobot_robot_uniforce_franka.limits import FORCE_N, TORQUE_Nm, require_in_limits, require_one_of
+from uniforce_vtla.errors import ContractError, RobotError, expected
 
 # A mode in which nothing may move, and the RobotError.fault it means.
 STOPPED_MODES = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
+# Every fault of an arm that has stopped by itself and can still be read.
+ROBOT_STOPS = (*STOPPED_MODES.values(), "communication", "discontinuity", "limit")
 
 
 @dataclass(frozen=True)
@@ -31,6 +34,7 @@ class ArmState:
             from motor currents, poor near singularities: never the only guard.
         mode: ``idle``, ``move``, ``guiding``, ``reflex``, ``user_stopped``, ``recovery`` or ``other``.
         success_rate: share of the last 100 control commands that reached the robot in time; 0 without control.
+        errors: the robot's own names of what stopped it, as libfranka spells them.
     """
 
     time_s: float
@@ -41,6 +45,29 @@ class ArmState:
     wrench_N: np.ndarray
     mode: str
     success_rate: float
+    errors: tuple[str, ...] = ()
+
+
+def refuse_stopped(state: ArmState) -> None:
+    """Refuse an arm that may not move.
+
+    Raises:
+        RobotError: named after what stopped it: ``communication`` (commands came too late), ``discontinuity`` (a
+            command jumped), ``limit`` (of a joint, a speed or power), ``reflex``, ``user_stop`` or ``guiding``.
+    """
+    if state.mode in STOPPED_MODES:
+        fault = fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
+        came = f"{state.mode} {', '.join(state.errors)}".strip()
+        raise RobotError(
+            expected("arm mode", "idle or move", came, "See to the robot, then call recover()."), fault
+        )
+
+
+def fault_of_errors(errors: tuple[str, ...]) -> str:
+    """Return the ``RobotError.fault`` of the robot's own error names."""
+    kinds = {"communication": "communication", "discontinuity": "discontinuity", "violation": "limit"}
+    text = " ".join(errors)
+    return next((fault for word, fault in kinds.items() if word in text), "reflex")
 
 
 @dataclass(frozen=True)
@@ -62,9 +89,13 @@ class Gains:
     clip_rad: float = 0.2
 
     def __post_init__(self) -> None:
-        values = np.array([*self.stiffness_N_m, *self.rotation_Nm_rad, *self.clip_m, self.clip_rad])
-        if not (np.isfinite(values).all() and (values >= 0).all()):
-            raise ContractError(expected("gains", "finite numbers ≥ 0", values.tolist(), "Check the config."))
+        require_in_limits(self)
+        force_N = np.multiply(self.stiffness_N_m, self.clip_m).max()
+        torque_Nm = max(self.rotation_Nm_rad) * self.clip_rad
+        if force_N > FORCE_N or torque_Nm > TORQUE_Nm:
+            wanted = f"stiffness × clip of at most {FORCE_N:g} N and {TORQUE_Nm:g} Nm"
+            came = f"{force_N:.1f} N, {torque_Nm:.1f} Nm"
+            raise ContractError(expected("gains", wanted, came, "Soften the arm or clip more."))
 
     def matrix_in_base(self, rotation: np.ndarray) -> np.ndarray:
         """Return the (6, 6) stiffness in the base frame, K = R K_ee Rᵀ for each block.
@@ -113,9 +144,8 @@ class ArmSettings:
     realtime: str = "ignore"
 
     def __post_init__(self) -> None:
-        if self.realtime not in ("ignore", "enforce"):
-            do = "Set realtime."
-            raise ContractError(expected("realtime", "ignore or enforce", repr(self.realtime), do))
+        require_in_limits(self)
+        require_one_of("realtime", self.realtime, ("ignore", "enforce"))
 
 
 class Arm(Protocol):

@@ -12,13 +12,14 @@ from lerobot_camera_uniforce.config_uniforce import TactileFingerConfig
 from lerobot_robot_uniforce_franka.arm import ROLLOUT, ArmSettings, Gains
 from lerobot_robot_uniforce_franka.guards import GuardLimits
 from lerobot_robot_uniforce_franka.hand import HandSettings
+from lerobot_robot_uniforce_franka.limits import require_in_limits, require_one_of
 from lerobot_robot_uniforce_franka.stream import StreamSettings
 
 
 @RobotConfig.register_subclass("uniforce_franka")
 @dataclass(kw_only=True)
 class UniforceFrankaConfig(RobotConfig):
-    """A Franka Research 3 with its hand.
+    """A Franka Research 3 with its hand; hard limits of every number in ``limits.HARD_LIMITS``.
 
     Attributes:
         address: of the robot's controller; 127.0.0.N for the stand-in.
@@ -49,6 +50,12 @@ class UniforceFrankaConfig(RobotConfig):
     realtime: Literal["ignore", "enforce"] = "ignore"
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     open_width_m: float = 0.06  # the hand opens to 0.08
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_in_limits(self)
+        require_one_of("backend", self.backend, ("franky", "pylibfranka"))
+        require_one_of("realtime", self.realtime, ("ignore", "enforce"))
 
     @property
     def fingers(self) -> dict[str, TactileFingerConfig]:

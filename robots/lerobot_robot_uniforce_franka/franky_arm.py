@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_robot_uniforce_franka.arm import STOPPED_MODES, ArmSettings, ArmState, Gains
+from lerobot_robot_uniforce_franka.arm import ArmSettings, ArmState, Gains, refuse_stopped
 from lerobot_robot_uniforce_franka.backends import fault_of, load_client
 from lerobot_robot_uniforce_franka.child import Child
 from uniforce_vtla.errors import RobotError, expected
@@ -94,6 +94,7 @@ class FrankyArm:
             wrench_N=np.array(s.O_F_ext_hat_K),
             mode=MODES[s.robot_mode.name],
             success_rate=float(s.control_command_success_rate),
+            errors=error_names(s) if s.robot_mode.name == "Reflex" else (),
         )
 
     def set_target(self, ee_to_base: np.ndarray) -> None:
@@ -154,10 +155,7 @@ class FrankyArm:
         return self._robot
 
     def _take_control(self, rotation: np.ndarray) -> None:
-        mode = self.state().mode
-        if mode in STOPPED_MODES:
-            do = "See to the robot, then recover."
-            raise RobotError(expected("arm mode", "idle", mode, do), STOPPED_MODES[mode])
+        refuse_stopped(self.state())
         self._gains_rotation = rotation.copy()
         self._tracker = self._franky.CartesianImpedanceTracker(
             self._robot,
@@ -192,3 +190,14 @@ class FrankyArm:
         if isinstance(error, self._franky.IncompatibleVersionException):
             return RobotError(f"robot at {self.settings.address}: {text}", "version")
         return RobotError(f"robot at {self.settings.address}: {text}", fault_of(text))
+
+
+def error_names(state: Any) -> tuple[str, ...]:
+    """Return the names of the errors in a client's state, those of now or else of the last motion."""
+    for errors in (state.current_errors, state.last_motion_errors):
+        names = tuple(
+            name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True
+        )
+        if names:
+            return names
+    return ()

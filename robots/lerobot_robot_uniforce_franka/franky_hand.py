@@ -16,6 +16,8 @@ log = logging.getLogger(__name__)
 class FrankyHand:
     """``HandDriver`` on franky 2.x. The arm's probe has connected to the hand before, within its deadline."""
 
+    reads_while_busy = True
+
     def __init__(self, address: str) -> None:
         self._address = address
         self._franky: Any = None
@@ -28,7 +30,7 @@ class FrankyHand:
         try:
             self._gripper = self._franky.Gripper(self._address)
         except self._errors() as error:
-            raise RobotError(f"hand at {self._address}: {error}", "connection") from error
+            raise RobotError(f"hand at {self._address}: {error}", "hand_connection") from error
 
     def begin(self, command: HandCommand) -> None:
         """See ``HandDriver``."""
@@ -52,14 +54,14 @@ class FrankyHand:
             log.warning("hand: %s", error)
             return False
         except self._errors() as error:
-            raise RobotError(f"hand at {self._address}: {error}", "connection") from error
+            raise RobotError(f"hand at {self._address}: {error}", "hand_connection") from error
 
     def read(self) -> HandReading | None:
         """See ``HandDriver``."""
         try:
             s = self._gripper.state
         except self._errors() as error:
-            raise RobotError(f"hand at {self._address}: {error}", "connection") from error
+            raise RobotError(f"hand at {self._address}: {error}", "hand_connection") from error
         return HandReading(time.monotonic(), s.width, s.max_width, bool(s.is_grasped))
 
     def stop(self) -> None:
@@ -69,7 +71,7 @@ class FrankyHand:
             if self._future is not None:
                 self._future.wait(2.0)
         except self._errors() as error:
-            raise RobotError(f"hand at {self._address}: {error}", "connection") from error
+            raise RobotError(f"hand at {self._address}: {error}", "hand_connection") from error
 
     def close(self) -> None:
         """See ``HandDriver``."""

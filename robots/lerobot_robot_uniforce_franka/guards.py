@@ -1,6 +1,7 @@
 """What an action passes before it becomes a target: finite → workspace box → step → rate. NaN stops, the rest clamps.
 
-Behind it stand the tracker's clip (stiffness × clip bounds the force) and the robot's own reflex.
+Behind it stand the check of what is sent (``send_check``), the tracker's clip (stiffness × clip bounds the force) and
+the robot's own reflex.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lerobot_robot_uniforce_franka.limits import require_in_limits
 from lerobot_robot_uniforce_franka.poses import shortest_turn
 from uniforce_vtla.errors import ContractError, RobotError, expected
 from uniforce_vtla.keys import AXES
@@ -27,6 +29,8 @@ GUARDS = (
 @dataclass(frozen=True)
 class GuardLimits:
     """Limits in the robot's base frame, axes as in ``keys.AXES``: x, y, z m, yaw rad, width m.
+
+    Each has a hard limit in ``limits.HARD_LIMITS``.
 
     Attributes:
         low, high: the workspace box; measure your own before the first run.
@@ -46,8 +50,8 @@ class GuardLimits:
     longest_gap_s: float = 0.1
 
     def __post_init__(self) -> None:
-        ordered = len(self.low) == len(self.high) == len(AXES) and np.all(np.less(self.low, self.high))
-        if not ordered:
+        require_in_limits(self)
+        if not np.all(np.less(self.low, self.high)):
             came = f"{self.low}, {self.high}"
             raise ContractError(
                 expected("workspace box", f"low < high for {AXES}", came, "Check the config.")
@@ -84,16 +88,23 @@ class GuardChain:
         Raises:
             RobotError: a number that is not finite: nothing sensible can be made of it.
         """
-        self._finite(action)
-        last = measured if self._last is None else self._last
-        boxed = self._note("box", action, np.clip(action, self.limits.low, self.limits.high))
+        self._finite(action, measured)
+        limits, gap_s = self.limits, self.limits.longest_gap_s
+        last, elapsed_s = measured, gap_s
+        if self._last is not None:
+            last, elapsed_s = self._last, min(max(now_s - self._last_s, 0.0), gap_s)
+        boxed = self._note("box", action, np.clip(action, limits.low, limits.high))
         stepped = self._note("step", boxed, self._step(boxed, measured))
-        elapsed = min(now_s - self._last_s, self.limits.longest_gap_s) if self._last is not None else 0.0
-        sent = self._note("rate", stepped, self._rate(stepped, last, elapsed or self.limits.longest_gap_s))
+        slowed = self._note("rate", stepped, self._rate(stepped, last, elapsed_s))
+        # A start outside the box comes back a step at a time, and never goes further out.
+        sent = np.clip(slowed, np.minimum(limits.low, last), np.maximum(limits.high, last))
         self._last, self._last_s = sent, now_s
         return sent
 
-    def _finite(self, action: np.ndarray) -> None:
+    def _finite(self, action: np.ndarray, measured: np.ndarray) -> None:
+        if not np.isfinite(measured).all():
+            do = "Nothing can be sent; the robot stops."
+            raise RobotError(expected("measured pose", "finite numbers", measured.tolist(), do), "bad_state")
         if action.shape == (len(AXES),) and np.isfinite(action).all():
             return
         self.counts["finite"] += 1
@@ -102,14 +113,14 @@ class GuardChain:
 
     def _step(self, action: np.ndarray, measured: np.ndarray) -> np.ndarray:
         near = action.copy()
-        near[:3] = _towards(measured[:3], action[:3], self.limits.step_m)
-        near[3] = _turn_towards(measured[3], action[3], self.limits.step_rad)
+        near[:3] = towards(measured[:3], action[:3], self.limits.step_m)
+        near[3] = turn_towards(measured[3], action[3], self.limits.step_rad)
         return near
 
     def _rate(self, action: np.ndarray, last: np.ndarray, elapsed_s: float) -> np.ndarray:
         limits, slow = self.limits, action.copy()
-        slow[:3] = _towards(last[:3], action[:3], limits.speed_m_s * elapsed_s)
-        slow[3] = _turn_towards(last[3], action[3], limits.speed_rad_s * elapsed_s)
+        slow[:3] = towards(last[:3], action[:3], limits.speed_m_s * elapsed_s)
+        slow[3] = turn_towards(last[3], action[3], limits.speed_rad_s * elapsed_s)
         reach = limits.speed_width_m_s * elapsed_s
         slow[4] = np.clip(action[4], last[4] - reach, last[4] + reach)
         return slow
@@ -127,12 +138,13 @@ class GuardChain:
         return after
 
 
-def _towards(start: np.ndarray, goal: np.ndarray, reach: float) -> np.ndarray:
+def towards(start: np.ndarray, goal: np.ndarray, reach: float) -> np.ndarray:
     """Return the goal, or the point at ``reach`` on the straight way to it."""
     distance = float(np.linalg.norm(goal - start))
     return goal if distance <= reach else start + (goal - start) * reach / distance
 
 
-def _turn_towards(start_rad: float, goal_rad: float, reach_rad: float) -> float:
+def turn_towards(start_rad: float, goal_rad: float, reach_rad: float) -> float:
+    """Return the goal, or ``reach_rad`` of the shorter turn to it."""
     turn = shortest_turn(start_rad, goal_rad)
     return goal_rad if abs(turn) <= reach_rad else start_rad + float(np.clip(turn, -reach_rad, reach_rad))

@@ -7,10 +7,13 @@ interruption badly; a control loop at 30 Hz can wait for none of that.
 from __future__ import annotations
 
 import logging
+import math
 import threading
+import time
 from dataclasses import dataclass
 from typing import Protocol
 
+from lerobot_robot_uniforce_franka.limits import require_in_limits
 from uniforce_vtla.errors import RobotError, SensorError, expected
 
 log = logging.getLogger(__name__)
@@ -18,6 +21,11 @@ POLL_s = 0.01
 THINNEST_m = 0.002  # of what may be grasped; fingers closer than this hold nothing
 OUTER_m = 0.08  # outer tolerance of a grasp: the tool may be thicker than the target, on purpose
 JOIN_s = 8.0  # the longest grasp, and the reading after it
+GRACE_s = 0.5  # a command may take its travel at the set speed and this much more: the hand begins slowly
+LOST_s = (
+    0.3  # without hold, by the hand's own word, after which what was grasped counts as lost: three readings
+)
+WIDEST_m = 0.12  # no hand opens so far
 
 
 @dataclass(frozen=True)
@@ -50,7 +58,13 @@ class HandReading:
 
 
 class HandDriver(Protocol):
-    """A gripper's client, called by one thread. Every method may raise RobotError."""
+    """A gripper's client, called by one thread. Every method may raise RobotError.
+
+    Attributes:
+        reads_while_busy: whether ``read`` gives new readings while a command is in flight.
+    """
+
+    reads_while_busy: bool
 
     def connect(self) -> None:
         """Open the connection."""
@@ -73,19 +87,24 @@ class HandDriver(Protocol):
 
 @dataclass(frozen=True)
 class HandSettings:
-    """How widths become commands.
+    """How widths become commands; hard limits in ``limits.HARD_LIMITS``.
 
     Attributes:
         speed_m_s: of the fingers.
         grip_force_N: of a grasp. Gels and domes are rated for about 11 N; the real hand's smallest force is unverified.
         grasp_below_m: a closing target below this is a grasp (force-bound), above it a move (position).
         hysteresis_m: a smaller change of the target is no new command.
+        reading_age_s: an older reading stops the arm; the hand gives about ten a second.
     """
 
     speed_m_s: float = 0.05
     grip_force_N: float = 10.0
     grasp_below_m: float = 0.04
     hysteresis_m: float = 0.003
+    reading_age_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        require_in_limits(self)
 
 
 def next_command(target_m: float, last: HandCommand | None, settings: HandSettings) -> HandCommand | None:
@@ -113,7 +132,7 @@ def require_open(reading: HandReading, open_width_m: float) -> None:
 
 
 class HandThread:
-    """Own a hand: ``start``, ``submit`` widths, read ``reading``, ``stop``."""
+    """Own a hand: ``start``, ``submit`` widths, read ``reading``, ``check`` that all is well, ``stop``."""
 
     def __init__(self, driver: HandDriver, settings: HandSettings | None = None) -> None:
         self.settings = settings or HandSettings()
@@ -124,6 +143,10 @@ class HandThread:
         self._target_m: float | None = None
         self._last: HandCommand | None = None
         self._in_flight = False
+        self._deadline_s = self._ended_s = 0.0  # of the command in flight; when the last one ended
+        self._held_s: float | None = (
+            None  # when the hand last said that it holds something; None: nothing to lose
+        )
         self._fault: RobotError | None = None
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="hand")
@@ -135,10 +158,10 @@ class HandThread:
             RobotError: no connection, or no first reading.
         """
         self._driver.connect()
-        self._reading = self._driver.read()
+        self._take_reading()
         if self._reading is None:
             raise RobotError(
-                "hand: expected a first reading, got none. Is the hand initialised?", "connection"
+                "hand: expected a first reading, got none. Is the hand initialised?", "hand_connection"
             )
         self._thread.start()
 
@@ -149,7 +172,9 @@ class HandThread:
             self._thread.join(JOIN_s)
         if self._thread.is_alive():
             do = "The client hangs; end the process."
-            raise RobotError(expected("hand thread", f"an end within {JOIN_s} s", "none", do), "connection")
+            raise RobotError(
+                expected("hand thread", f"an end within {JOIN_s} s", "none", do), "hand_connection"
+            )
         self._driver.close()
 
     @property
@@ -171,6 +196,45 @@ class HandThread:
         if reading is None:
             raise RobotError("hand: expected start() first, got no reading. Connect the robot.", "ended")
         return reading
+
+    def check(self) -> None:
+        """Raise what is wrong with the hand now. Never blocks; the arm's thread calls it each tick.
+
+        Raises:
+            RobotError: the hand's fault; ``hand_deadline``: a command takes too long; ``hand_stale``: no new reading;
+                ``grasp_lost``: it let go of what it held without being asked to.
+        """
+        if self._fault is not None:
+            raise self._fault
+        now_s = time.monotonic()
+        if self._in_flight and now_s > self._deadline_s:
+            do = "Is something in its way? Free it, then connect again."
+            raise RobotError(
+                expected("hand", f"an answer to {self._last}", "none in time", do), "hand_deadline"
+            )
+        self._refuse_old(now_s)
+        held_s, reading = self._held_s, self._reading
+        if held_s is not None and reading is not None and reading.time_s - held_s > LOST_s:
+            do = "Put it back into the fingers, then call recover()."
+            raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
+
+    def _refuse_old(self, now_s: float) -> None:
+        if self._reading is None or (self._in_flight and not self._driver.reads_while_busy):
+            return  # the deadline of the command bounds the time without readings
+        age_s = now_s - max(self._reading.time_s, self._ended_s)
+        if age_s > self.settings.reading_age_s:
+            wanted = f"a reading younger than {self.settings.reading_age_s} s"
+            do = "Check the cable and the robot's controller."
+            raise RobotError(expected("hand", wanted, f"{age_s:.2f} s", do), "hand_stale")
+
+    def recover(self) -> None:
+        """Forget a lost grasp on an operator's word.
+
+        Raises:
+            RobotError: anything else is wrong still.
+        """
+        self._held_s = None
+        self.check()
 
     @property
     def is_busy(self) -> bool:
@@ -199,33 +263,51 @@ class HandThread:
             if self._in_flight:
                 self._driver.stop()
         except RobotError as fault:
-            self._fault = fault
-            log.error("hand stopped (%s): %s", fault.fault, fault)
+            self._end_with(fault)
+        except Exception as error:  # the thread's outermost frame: the caller must learn why it ended
+            self._end_with(RobotError(f"hand: {type(error).__name__}: {error}. Please report it.", "other"))
         finally:
             self._ending.set()
 
+    def _end_with(self, fault: RobotError) -> None:
+        self._fault = self._fault or fault
+        log.error("hand stopped (%s): %s", self._fault.fault, self._fault)
+
     def _tick(self) -> None:
-        reading = self._driver.read()
-        if reading is not None:
-            with self._lock:
-                self._reading = reading
+        self._take_reading()
         if self._in_flight:
             self._finish(self._driver.poll())
         else:
             self._begin()
 
+    def _take_reading(self) -> None:
+        reading = self._driver.read()
+        if reading is None:
+            return
+        if not (math.isfinite(reading.width_m) and -THINNEST_m <= reading.width_m <= WIDEST_m):
+            came, do = f"{reading.width_m} m", "Home the hand, then connect again."
+            raise RobotError(expected("hand", f"a width of 0 to {WIDEST_m} m", came, do), "hand_state")
+        grasps = self._last is not None and self._last.force_N > 0 and not self._in_flight
+        if grasps and reading.is_grasped:
+            self._held_s = reading.time_s
+        with self._lock:
+            self._reading = reading
+
     def _finish(self, outcome: bool | None) -> None:
         if outcome is None:
             return
-        self._in_flight = False
+        self._in_flight, self._ended_s = False, time.monotonic()
         if not outcome:
             self.failed_grasps += 1
             log.warning("hand: %s did not succeed", self._last)
 
     def _begin(self) -> None:
         with self._lock:
-            target = self._target_m
+            target, reading = self._target_m, self._reading
         command = None if target is None else next_command(target, self._last, self.settings)
-        if command is not None:
-            self._driver.begin(command)
-            self._last, self._in_flight = command, True
+        if command is None or reading is None:
+            return
+        travel_s = abs(reading.width_m - command.width_m) / command.speed_m_s
+        self._driver.begin(command)
+        self._deadline_s = time.monotonic() + travel_s + GRACE_s
+        self._held_s, self._last, self._in_flight = None, command, True

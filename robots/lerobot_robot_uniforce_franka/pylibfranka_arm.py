@@ -10,7 +10,14 @@ import time
 
 import numpy as np
 
-from lerobot_robot_uniforce_franka.arm import STOPPED_MODES, ArmSettings, ArmState, Gains
+from lerobot_robot_uniforce_franka.arm import (
+    ROBOT_STOPS,
+    ArmSettings,
+    ArmState,
+    Gains,
+    fault_of_errors,
+    refuse_stopped,
+)
 from lerobot_robot_uniforce_franka.child import Child
 from uniforce_vtla.errors import RobotError, expected
 
@@ -64,6 +71,7 @@ class PylibfrankaArm:
             wrench_N=np.array(said["wrench"]),
             mode=said["mode"],
             success_rate=said["success_rate"],
+            errors=tuple(said["errors"]),
         )
         with self._lock:
             self._state = state
@@ -71,7 +79,7 @@ class PylibfrankaArm:
     def state(self) -> ArmState:
         """See ``Arm``. Never blocks; the child tells its state a hundred times a second."""
         self._listen_to_faults()
-        if self._fault is not None and self._fault.fault not in STOPPED_MODES.values():
+        if self._fault is not None and self._fault.fault not in ROBOT_STOPS:
             raise self._fault  # a reflex or a stop leaves an arm that can be read
         with self._lock:
             state = self._state
@@ -87,10 +95,7 @@ class PylibfrankaArm:
         """See ``Arm``."""
         child = self._check()
         if not self._controls:
-            mode = self.state().mode
-            if mode in STOPPED_MODES:
-                do = "See to the robot, then recover."
-                raise RobotError(expected("arm mode", "idle", mode, do), STOPPED_MODES[mode])
+            refuse_stopped(self.state())
             self._controls, self._gains_rotation = True, None
         self._turn_gains(child, ee_to_base[:3, :3])
         child.send("target", pose=ee_to_base.T.ravel().tolist())
@@ -152,5 +157,6 @@ class PylibfrankaArm:
         said = self._child.poll()
         if said is not None and self._fault is None and said["say"] in ("error", "gone"):
             text, fault = said.get("text", "the client process ended"), said.get("fault", "connection")
+            fault = fault_of_errors(tuple(said.get("errors", ()))) if fault == "reflex" else fault
             self._fault = RobotError(f"robot at {self.settings.address}: {text}", fault)
         return self._child

@@ -15,6 +15,8 @@ FIRST_READING_s = 3.0
 class PylibfrankaHand:
     """``HandDriver`` on pylibfranka 0.21. Gives no readings while a command runs: the client can't."""
 
+    reads_while_busy = False
+
     def __init__(self, address: str, connect_deadline_s: float) -> None:
         self._address, self._deadline_s = address, connect_deadline_s
         self._child: Child | None = None
@@ -56,13 +58,14 @@ class PylibfrankaHand:
         if said["say"] == "outcome":
             return bool(said["ok"])
         text, fault = said.get("text", "the client process ended"), said.get("fault", "connection")
+        fault = "hand_connection" if fault == "connection" else fault
         raise RobotError(f"hand at {self._address}: {text}", fault)
 
     def read(self) -> HandReading | None:
         """See ``HandDriver``."""
         if not self._running().is_alive:
             raise RobotError(
-                f"hand at {self._address}: the client process ended. Connect again.", "connection"
+                f"hand at {self._address}: the client process ended. Connect again.", "hand_connection"
             )
         with self._lock:
             return self._reading

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
+import reprlib
 import time
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -31,15 +34,16 @@ class UniforceFranka(Robot):
 
     Actions are absolute targets in the robot's base frame, axes as in ``keys.AXES``: x, y, z m, yaw rad, width m. Each
     passes the guards, becomes a ramp at 100 Hz, and pulls through a clipped spring. Any fault ends motion; only
-    ``recover`` allows it again.
+    ``recover`` allows it again. No call but ``connect``, ``recover`` and ``disconnect`` waits for anything.
     """
 
     config_class = UniforceFrankaConfig
     name = "uniforce_franka"
 
-    def __init__(self, config: UniforceFrankaConfig) -> None:
+    def __init__(self, config: UniforceFrankaConfig, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(config)
         self.config = config
+        self._clock = clock
         self.cameras = make_cameras_from_configs(config.cameras)
         self.guards = GuardChain(config.guards)
         self._arm, self._hand_driver = make_backend(config)
@@ -119,7 +123,10 @@ class UniforceFranka(Robot):
         require_open(self._parts()[1].reading, self.config.open_width_m)
 
     def _start_stream(self) -> None:
-        stream = ArmStream(self._arm, replace(self.config.stream, action_period_s=1 / self.config.fps))
+        if self._hand is None:
+            raise RobotError("robot: expected a hand, got none. Call connect().", "ended")
+        settings = replace(self.config.stream, action_period_s=1 / self.config.fps)
+        stream = ArmStream(self._arm, settings, self.config.guards, self._hand.check, self._clock)
         stream.start()
         self._stream = stream
         self._fault = None
@@ -132,8 +139,7 @@ class UniforceFranka(Robot):
             RobotError: the cause is still there (a pressed stop, a hand that is gone), or the robot is not connected.
         """
         stream, hand = self._parts()
-        if hand.fault is not None:
-            raise hand.fault
+        hand.recover()
         stream.stop()
         self._arm.recover()
         self._start_stream()
@@ -192,7 +198,8 @@ class UniforceFranka(Robot):
             RobotError: a fault of arm or hand.
             SensorError, RuntimeError, OSError: a camera or finger that is lost, stale or frozen; the arm has stopped.
         """
-        axes = dict(zip(AXES, self._halting(self.measured).tolist(), strict=True))
+        with self._halting():
+            axes = dict(zip(AXES, self.measured().tolist(), strict=True))
         images = {name: self._image(name, camera) for name, camera in self.cameras.items()}
         return {**axes, **images, **{f"{name}_ref": self._reference(name) for name in self.config.fingers}}
 
@@ -219,42 +226,64 @@ class UniforceFranka(Robot):
         """Guard an action and make it the target; return what was sent. Never blocks.
 
         Raises:
-            RobotError: a key is missing, a number is not finite, or the robot has a fault; the robot has stopped then.
+            RobotError: an axis is missing or no finite number, or the robot has a fault. The arm rests then, and every
+                action is refused until ``recover``.
         """
-        sent = self._halting(lambda: self._send(action))
+        with self._halting():
+            sent = self._send(action)
         return dict(zip(AXES, sent.tolist(), strict=True))
 
     def _send(self, action: dict[str, Any]) -> np.ndarray:
         if self._fault is not None:
             raise self._fault
         stream, hand = self._parts()
+        hand.check()
         missing = [axis for axis in AXES if axis not in action]
         if missing:
             raise RobotError(expected("action", AXES, f"{missing} missing", "Send all five."), "action")
-        wanted = np.array([float(action[axis]) for axis in AXES])
-        sent = self.guards(wanted, self.measured(), time.monotonic())
+        wanted = np.array([_number(axis, action[axis]) for axis in AXES])
+        sent = self.guards(wanted, self.measured(), self._clock())
         stream.submit(ToolPose(sent[:3], float(sent[3])))
         hand.submit(float(sent[4]))
         return sent
 
-    def _halting(self, do: Any) -> np.ndarray:
-        """Do something; a fault on the way stops the arm before it is told."""
+    @contextmanager
+    def _halting(self) -> Iterator[None]:
+        """Let nothing that is raised leave the arm pulling at its last target."""
         try:
-            result: np.ndarray = do()
+            yield
         except RobotError as fault:
             self._halt(fault)
             raise
-        return result
+        except Exception as error:  # whatever a policy hands over: the arm must not go on
+            do = "The policy or the teleoperator is broken; the robot stops."
+            broken = RobotError(expected("action", "five numbers by name", repr(error), do), "action")
+            self._halt(broken)
+            raise broken from error
+        except BaseException:  # Ctrl-C
+            self.hold()
+            raise
 
     def _halt(self, fault: RobotError) -> None:
+        """Latch a fault; the stream's thread lets go of the arm, and no caller waits for it."""
         if self._stream is not None and self._fault is None:
             self._fault = fault
-            self._stream.stop()
+            self._stream.halt(fault)
 
     def _parts(self) -> tuple[ArmStream, HandThread]:
         if self._stream is None or self._hand is None:
             raise RobotError("robot: expected a connected one, got none. Call connect().", "ended")
         return self._stream, self._hand
+
+
+def _number(axis: str, value: Any) -> float:
+    """Return a number, also of a tensor of one; a text that reads like one is none."""
+    if isinstance(value, bool | str | bytes):
+        raise RobotError(expected(axis, "a number", reprlib.repr(value), "The robot stops."), "action")
+    number = float(value.item() if hasattr(value, "item") else value)
+    if not math.isfinite(number):
+        raise RobotError(expected(axis, "a finite number", number, "The robot stops."), "action")
+    return number
 
 
 def _disconnect_camera(camera: Camera) -> None:

@@ -104,7 +104,7 @@ class FakeRig:
             "tactile_left": FakeCapture(gel_frames("gelsight")),
             "tactile_right": FakeCapture(gel_frames("tactip")),
         }
-        patient = StreamSettings(state_age_s=5.0)  # a busy machine
+        patient = StreamSettings(state_age_s=1.0)  # a busy machine
         config = UniforceFrankaConfig(id="test", calibration_dir=folder, cameras=configs, stream=patient)
         self.robot = UniforceFranka(config)
         self.robot.cameras = {

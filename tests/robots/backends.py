@@ -18,6 +18,7 @@ from lerobot_robot_uniforce_franka.arm import Arm, ArmSettings, Gains
 from lerobot_robot_uniforce_franka.franky_arm import FrankyArm
 from lerobot_robot_uniforce_franka.franky_hand import FrankyHand
 from lerobot_robot_uniforce_franka.hand import HandDriver, HandThread
+from lerobot_robot_uniforce_franka.limits import HARD_LIMITS, Range
 from lerobot_robot_uniforce_franka.poses import ToolPose
 from lerobot_robot_uniforce_franka.pylibfranka_arm import PylibfrankaArm
 from lerobot_robot_uniforce_franka.pylibfranka_hand import PylibfrankaHand
@@ -26,6 +27,9 @@ from uniforce_standins.fci.process import StandIn, wait_until
 from uniforce_vtla.errors import RobotError
 
 PATIENCE_s = 60.0  # a busy machine; the robot's own clock is what is asserted on
+for _ages in ("stale_s", "state_age_s"):
+    HARD_LIMITS["StreamSettings"][_ages] = Range(0, 100)
+HARD_LIMITS["HandSettings"]["reading_age_s"] = Range(0, 100)
 PATIENT = StreamSettings(stale_s=PATIENCE_s, state_age_s=PATIENCE_s)
 
 

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from lerobot_robot_uniforce_franka.limits import HARD_LIMITS, Range
+from lerobot_robot_uniforce_franka.stream import StreamSettings
+
 sys.path.insert(0, str(Path(__file__).parent))  # robot_fakes.py: importlib mode gives test folders no package
 
 _numbers = itertools.count(2)
@@ -25,3 +28,12 @@ def eventually() -> Callable[[Callable[[], bool]], None]:
     from uniforce_standins.fci.process import wait_until
 
     return lambda condition: wait_until(condition, 30.0) and None
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> StreamSettings:
+    """Ages no robot may have, for a test machine that stalls longer than a robot's computer may."""
+    for name in ("stale_s", "state_age_s"):
+        monkeypatch.setitem(HARD_LIMITS["StreamSettings"], name, Range(0, 100))
+    monkeypatch.setitem(HARD_LIMITS["HandSettings"], "reading_age_s", Range(0, 100))
+    return StreamSettings(stale_s=30.0, state_age_s=30.0)

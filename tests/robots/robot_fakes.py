@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from lerobot_robot_uniforce_franka.arm import ArmState, Gains
+from lerobot_robot_uniforce_franka.guards import towards
 from lerobot_robot_uniforce_franka.hand import HandCommand, HandReading
 from lerobot_robot_uniforce_franka.poses import ToolPose
 from uniforce_vtla.errors import RobotError
@@ -14,11 +15,15 @@ from uniforce_vtla.errors import RobotError
 START = ToolPose(np.array([0.45, 0.0, 0.3]), 0.0)
 
 
+SPEED_m_s = 1.5  # of the fake: at once for a test, possible for an arm
+
+
 class FakeArm:
-    """Goes to each target at once; keeps what it was asked."""
+    """Goes to each target fast; keeps what it was asked."""
 
     def __init__(self) -> None:
         self.pose = START.ee_to_base()
+        self._moved_s = time.monotonic()
         self.mode = "idle"
         self.targets: list[tuple[float, np.ndarray]] = []
         self.fault: RobotError | None = None
@@ -26,7 +31,10 @@ class FakeArm:
         self.connected = self.closed = False
         self.follows = True
         self.silent_since_s: float | None = None  # its own clock stands still from then on
+        self.blocks_s = 0.0  # how long its client takes for a reading
         self.success_rate = 1.0
+        self.wrench_N = np.zeros(6)
+        self.readings = 0
 
     def connect(self) -> None:
         self.connected = True
@@ -34,15 +42,18 @@ class FakeArm:
     def state(self) -> ArmState:
         if self.fault is not None:
             raise self.fault
+        time.sleep(self.blocks_s)
+        self.readings += 1
         now = time.monotonic()
+        self._move(now)
         robot_s = now if self.silent_since_s is None else self.silent_since_s
         return ArmState(
             now,
             robot_s,
-            np.zeros(7),
+            np.full(7, 1e-9 * self.readings),  # encoders never read the same twice
             np.zeros(7),
             self.pose.copy(),
-            np.zeros(6),
+            self.wrench_N,
             self.mode,
             self.success_rate,
         )
@@ -51,8 +62,13 @@ class FakeArm:
         if self.fault is not None:
             raise self.fault
         self.targets.append((time.monotonic(), ee_to_base.copy()))
-        if self.follows:
-            self.pose = ee_to_base.copy()
+
+    def _move(self, now_s: float) -> None:
+        reach_m, self._moved_s = SPEED_m_s * min(now_s - self._moved_s, 0.015), now_s
+        if self.follows and self.targets:
+            pose = self.targets[-1][1].copy()
+            pose[:3, 3] = towards(self.pose[:3, 3], pose[:3, 3], reach_m)
+            self.pose = pose
 
     def set_gains(self, gains: Gains) -> None:
         self.gains = gains
@@ -70,6 +86,8 @@ class FakeArm:
 class FakeHand:
     """Takes a while for each command; keeps what it was asked, and whether it was ever interrupted."""
 
+    reads_while_busy = True
+
     def __init__(self, takes_s: float = 0.1, read_s: float = 0.0, succeeds: bool = True) -> None:
         self.takes_s, self.read_s, self.succeeds = takes_s, read_s, succeeds
         self.width_m = 0.08
@@ -78,6 +96,8 @@ class FakeHand:
         self.stops = 0
         self.fault: RobotError | None = None
         self.closed = False
+        self.is_grasped = False
+        self.silent_since_s: float | None = None  # readings repeat from then on
         self._ends_s: float | None = None
 
     def connect(self) -> None:
@@ -100,7 +120,8 @@ class FakeHand:
         if self.fault is not None:
             raise self.fault
         time.sleep(self.read_s)
-        return HandReading(time.monotonic(), self.width_m, 0.08, False)
+        now_s = time.monotonic() if self.silent_since_s is None else self.silent_since_s
+        return HandReading(now_s, self.width_m, 0.08, self.is_grasped)
 
     def stop(self) -> None:
         self.stops += 1

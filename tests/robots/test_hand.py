@@ -117,3 +117,100 @@ def test_a_command_in_flight_is_stopped_at_the_end(eventually: Callable) -> None
     eventually(lambda: hand.is_busy)
     hand.stop()
     assert driver.stops == 1 and driver.closed
+
+
+# --- what stops the arm ----------------------------------------------------------------------------------------------
+
+
+def checked(hand: HandThread) -> str:
+    """Return the fault the arm's thread would see, empty while all is well."""
+    try:
+        hand.check()
+    except RobotError as error:
+        return error.fault
+    return ""
+
+
+def test_a_command_without_an_answer_is_a_fault_after_its_travel_and_half_a_second(
+    eventually: Callable,
+) -> None:
+    driver = FakeHand(takes_s=60.0)
+    hand = HandThread(driver)
+    hand.start()
+    hand.submit(0.06)  # 20 mm at 50 mm/s
+    eventually(lambda: hand.is_busy)
+    begun = time.monotonic()
+    assert checked(hand) == ""
+    eventually(lambda: checked(hand) == "hand_deadline")
+    assert time.monotonic() - begun > 0.8, "0.4 s of travel and 0.5 s"
+    with pytest.raises(RobotError, match="in time"):
+        hand.recover()
+    hand.stop()
+
+
+def test_old_readings_are_a_fault(hand: HandThread, driver: FakeHand, eventually: Callable) -> None:
+    assert checked(hand) == ""
+    driver.silent_since_s = time.monotonic()
+    eventually(lambda: checked(hand) == "hand_stale")
+    driver.silent_since_s = None
+    eventually(lambda: checked(hand) == "")
+    hand.recover()
+
+
+def test_a_client_without_readings_during_a_command_is_bounded_by_the_deadline(eventually: Callable) -> None:
+    driver = FakeHand(takes_s=0.7)
+    driver.reads_while_busy = False
+    hand = HandThread(driver)
+    hand.start()
+    hand.submit(0.05)
+    eventually(lambda: hand.is_busy)
+    driver.silent_since_s = time.monotonic()
+    while hand.is_busy:
+        assert checked(hand) == ""
+        time.sleep(0.01)
+    driver.silent_since_s = None
+    eventually(lambda: checked(hand) == "")
+    hand.stop()
+
+
+def test_what_slips_out_is_a_fault_until_the_operators_word(
+    hand: HandThread, driver: FakeHand, eventually: Callable
+) -> None:
+    driver.is_grasped = True
+    hand.submit(0.02)
+    eventually(lambda: not hand.is_busy and bool(driver.commands))
+    time.sleep(0.1)
+    assert checked(hand) == ""
+    driver.is_grasped = False
+    eventually(lambda: checked(hand) == "grasp_lost")
+    hand.recover()
+    assert checked(hand) == ""
+
+
+def test_opening_on_purpose_loses_nothing(hand: HandThread, driver: FakeHand, eventually: Callable) -> None:
+    driver.is_grasped = True
+    hand.submit(0.02)
+    eventually(lambda: not hand.is_busy and len(driver.commands) == 1)
+    time.sleep(0.1)
+    driver.is_grasped = False
+    hand.submit(0.07)
+    eventually(lambda: not hand.is_busy and len(driver.commands) == 2)
+    time.sleep(0.5)
+    assert checked(hand) == ""
+
+
+@pytest.mark.parametrize("width", [float("nan"), float("inf"), -0.1, 0.5])
+def test_a_width_that_cannot_be_is_a_fault(
+    hand: HandThread, driver: FakeHand, eventually: Callable, width: float
+) -> None:
+    driver.width_m = width
+    eventually(lambda: checked(hand) == "hand_state")
+    with pytest.raises(RobotError):
+        hand.submit(0.05)
+
+
+def test_a_mistake_in_a_driver_is_a_fault_too(
+    hand: HandThread, driver: FakeHand, eventually: Callable
+) -> None:
+    driver.read = lambda: 1 / 0  # type: ignore[method-assign, assignment, return-value]
+    eventually(lambda: checked(hand) == "other")

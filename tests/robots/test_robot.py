@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import draccus
 import numpy as np
 import pytest
+import torch
 from lerobot.robots import RobotConfig, make_robot_from_config
 from robot_fakes import START, FakeArm, FakeHand
 
@@ -35,10 +37,13 @@ def hand() -> FakeHand:
 
 @pytest.fixture
 def robot(
-    arm: FakeArm, hand: FakeHand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arm: FakeArm,
+    hand: FakeHand,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    patient: StreamSettings,
 ) -> Iterator[UniforceFranka]:
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
-    patient = StreamSettings(stale_s=30.0, state_age_s=30.0)
     robot = UniforceFranka(UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient))
     yield robot
     robot.disconnect()
@@ -73,24 +78,102 @@ def test_what_is_returned_is_what_was_sent(robot: UniforceFranka) -> None:
     assert robot.guards.counts["box"] == robot.guards.counts["step"] == 1
 
 
-@pytest.mark.parametrize("bad", [{"x.pos": float("nan")}, {"width.pos": float("inf")}])
-def test_nan_stops_the_robot(robot: UniforceFranka, arm: FakeArm, bad: dict) -> None:
+BAD = [
+    {"x.pos": float("nan")},
+    {"width.pos": float("inf")},
+    {"x.pos": "0.45"},
+    {"y.pos": None},
+    {"z.pos": [0.3]},
+    {"z.pos": np.zeros(2)},
+    {"yaw.pos": True},
+    {"yaw.pos": torch.zeros(5)},
+    {"width.pos": object()},
+]
+
+
+@pytest.mark.parametrize("bad", BAD, ids=str)
+def test_whatever_is_no_action_stops_the_robot_until_it_recovers(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable, bad: dict
+) -> None:
     robot.connect()
     robot.send_action(action())
     with pytest.raises(RobotError) as caught:
         robot.send_action({**action(), **bad})
-    assert caught.value.fault == "action" and arm.stopped_at
+    assert caught.value.fault == "action"
+    eventually(lambda: bool(arm.stopped_at))
     count = len(arm.targets)
-    with pytest.raises(RobotError, match="finite"):
+    with pytest.raises(RobotError) as latched:
         robot.send_action(action())
+    assert latched.value is caught.value
     assert len(arm.targets) == count and robot.is_connected, "its data can still be kept"
+    robot.recover()
+    robot.send_action(action())
 
 
-def test_a_missing_axis_stops_the_robot(robot: UniforceFranka, arm: FakeArm) -> None:
+@pytest.mark.parametrize("bad", [None, [0.45, 0, 0.3, 0, 0.08], "home", 3])
+def test_an_action_that_is_no_dict_stops_the_robot(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable, bad: object
+) -> None:
+    robot.connect()
+    with pytest.raises(RobotError) as caught:
+        robot.send_action(bad)  # type: ignore[arg-type]
+    assert caught.value.fault == "action"
+    eventually(lambda: bool(arm.stopped_at))
+
+
+def test_numbers_of_any_kind_are_taken(robot: UniforceFranka) -> None:
+    robot.connect()
+    kinds = {"x.pos": torch.tensor(0.455), "y.pos": np.float32(0), "z.pos": np.array(0.3), "yaw.pos": 0}
+    assert robot.send_action({**action(), **kinds})["x.pos"] == pytest.approx(0.455)
+
+
+def test_a_missing_axis_stops_the_robot(robot: UniforceFranka, arm: FakeArm, eventually: Callable) -> None:
     robot.connect()
     with pytest.raises(RobotError, match=r"yaw\.pos"):
         robot.send_action({k: v for k, v in action().items() if k != "yaw.pos"})
-    assert arm.stopped_at
+    eventually(lambda: bool(arm.stopped_at))
+
+
+def test_ctrl_c_in_an_action_lets_the_arm_rest(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot.connect()
+    arm.follows = False
+    robot.send_action(action(0.01))
+    eventually(lambda: bool(arm.targets) and abs(arm.targets[-1][1][0, 3] - 0.46) < 1e-9)
+    with monkeypatch.context() as patch:
+        patch.setattr(robot.guards, "_finite", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            robot.send_action(action())
+    eventually(lambda: abs(arm.targets[-1][1][0, 3] - 0.45) < 1e-9)
+
+
+def test_after_recovery_the_first_target_starts_where_the_arm_is(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable
+) -> None:
+    robot.connect()
+    robot.send_action(action())
+    arm.mode = "reflex"
+    eventually(lambda: bool(arm.stopped_at))
+    arm.pose[0, 3] += 0.2  # a person pulled it away
+    robot.recover()
+    count = len(arm.targets)
+    sent = robot.send_action(action())
+    assert abs(sent["x.pos"] - (START.position_m[0] + 0.2)) <= robot.config.guards.step_m
+    eventually(lambda: len(arm.targets) > count)
+    assert abs(arm.targets[count][1][0, 3] - (START.position_m[0] + 0.2)) < 1e-3
+
+
+def test_no_call_of_a_loop_waits_for_a_client_that_blocks(robot: UniforceFranka, arm: FakeArm) -> None:
+    robot.connect()
+    robot.send_action(action())
+    arm.blocks_s = 2.0
+    time.sleep(0.1)
+    begun = time.monotonic()
+    with pytest.raises(RobotError):
+        robot.send_action({**action(), "x.pos": None})
+    assert time.monotonic() - begun < 0.5
+    arm.blocks_s = 0.0
 
 
 def test_a_reflex_is_told_and_recovery_moves_nothing(
@@ -127,7 +210,7 @@ def test_a_lost_hand_stops_the_arm(
         return False
 
     eventually(told)
-    assert arm.stopped_at
+    eventually(lambda: bool(arm.stopped_at))
     with pytest.raises(RobotError, match="hand gone"):
         robot.send_action(action())
     with pytest.raises(RobotError, match="hand gone"):
@@ -248,7 +331,8 @@ def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
     camera.error = error
     with pytest.raises(type(error)):
         robot.get_observation()
-    assert arm.stopped_at and robot.guard_counts["sensor"] == 1
+    eventually(lambda: bool(arm.stopped_at))
+    assert robot.guard_counts["sensor"] == 1
     with pytest.raises(RobotError) as caught:
         robot.send_action(action())
     assert caught.value.fault == "sensor"

@@ -159,7 +159,7 @@ class Loop:
         self.robot.read_once()
         state = self.robot.read_once()
         self.report(state)
-        say("error", fault=STOPPED.get(mode_of(state), "other"), text=text)
+        say("error", fault=STOPPED.get(mode_of(state), "other"), text=text, errors=error_names(state))
 
     def control(self, control: Any) -> bool:
         """Run the controller; return whether the parent asked for the end."""
@@ -171,12 +171,24 @@ class Loop:
                 heard = time.monotonic()
                 stop = stop or order["do"] == "stop"
                 self.remember(order)
+            if not is_whole(state):
+                self.give_up(control, law, state)
+                return stop
             self.update(law, state, time.monotonic() - heard)
             control.writeOnce(self.client.Torques(self.torques(law, state).tolist()))
             state, _ = control.readOnce()
             self.report_in_time(state)
         self.brake(control, law, state)
         return stop
+
+    def give_up(self, control: Any, law: Impedance, state: Any) -> None:
+        """End the motion on a state without numbers: no torque can be computed from it, so the last one is repeated."""
+        self.lost_control = True
+        command = self.client.Torques(law.tau_Nm.tolist())
+        command.motion_finished = True
+        control.writeOnce(command)
+        self.report(state)
+        say("error", fault="bad_state", text="arm state: expected finite numbers, got NaN or infinity.")
 
     def update(self, law: Impedance, state: Any, silence_s: float) -> None:
         """Give the law the newest target and gains."""
@@ -225,12 +237,29 @@ class Loop:
             wrench=list(state.O_F_ext_hat_K),
             mode=mode_of(state),
             success_rate=state.control_command_success_rate,
+            errors=error_names(state),
         )
 
 
 def mode_of(state: Any) -> str:
     """Return a state's mode in the project's words."""
     return MODES[int(state.robot_mode.value)]
+
+
+def error_names(state: Any) -> list[str]:
+    """Return the robot's own names of what stopped it, those of now or else of the last motion."""
+    if mode_of(state) != "reflex":
+        return []
+    for errors in (state.current_errors, state.last_motion_errors):
+        names = [name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True]
+        if names:
+            return names
+    return []
+
+
+def is_whole(state: Any) -> bool:
+    """Return whether all that the law uses are finite numbers."""
+    return bool(np.isfinite([*state.q, *state.dq, *state.O_T_EE]).all())
 
 
 def matrix(column_major: list[float]) -> np.ndarray:

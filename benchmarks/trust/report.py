@@ -1,0 +1,19 @@
+"""One result file that several attacks fill, each its own key."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from uniforce_vtla.results_file import provenance, write_json
+
+
+def update(path: Path, key: str, content: dict[str, Any]) -> Path:
+    """Replace one key of a result file, with the command that made it; the others stay.
+
+    Raises:
+        ValueError: the file is no JSON object.
+    """
+    whole = json.loads(path.read_text()) if path.is_file() else {}
+    return write_json(path, whole | {key: content | {"made_by": provenance()}})

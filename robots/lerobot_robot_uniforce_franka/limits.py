@@ -1,0 +1,128 @@
+"""Hard limits of every setting of the robot, on one page. No config lifts them; who needs more changes this file.
+
+A setting says what its owner wants, within these. They are chosen so that a Franka Research 3 beside a person stays
+slow and soft, whatever a file or a command line says. Nothing here has been tried on hardware.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from numbers import Real
+
+from uniforce_vtla.errors import ContractError, expected
+
+
+@dataclass(frozen=True)
+class Range:
+    """Allowed values: ``low`` ≤ value ≤ ``high``; ``above`` excludes ``low`` itself."""
+
+    low: float
+    high: float
+    above: bool = False
+
+    def holds(self, value: object) -> bool:
+        """Return whether a value is a finite number inside."""
+        if not isinstance(value, Real) or isinstance(value, bool):
+            return False
+        number = float(value)
+        return (
+            math.isfinite(number)
+            and self.low <= number <= self.high
+            and not (self.above and number == self.low)
+        )
+
+    def __str__(self) -> str:
+        return f"{'above' if self.above else 'from'} {self.low:g} to {self.high:g}"
+
+
+BOX = (  # x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), width m (the hand opens to 0.08)
+    Range(-0.9, 0.9),
+    Range(-0.9, 0.9),
+    Range(-0.5, 1.2),
+    Range(-3.2, 3.2),
+    Range(0.0, 0.1),
+)
+FORCE_N = 60.0  # of the spring: stiffness × clip along an axis of the hand
+TORQUE_Nm = 20.0  # likewise about it
+
+HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
+    "GuardLimits": {
+        "low": BOX,
+        "high": BOX,
+        "step_m": Range(0, 0.1, above=True),
+        "step_rad": Range(0, 0.8, above=True),
+        "speed_m_s": Range(0, 0.5, above=True),  # a collaborative arm beside a person: 0.25 by default
+        "speed_rad_s": Range(0, 2.5, above=True),
+        "speed_width_m_s": Range(0, 0.2, above=True),
+        "longest_gap_s": Range(0, 0.2, above=True),
+    },
+    "StreamSettings": {
+        "rate_hz": Range(50, 1000),
+        "action_period_s": Range(0.005, 0.2),
+        "stale_s": Range(0.02, 1.0),
+        "state_age_s": Range(0.02, 1.0),
+    },
+    "HandSettings": {
+        "speed_m_s": Range(0, 0.1, above=True),
+        "grip_force_N": Range(0, 40, above=True),  # the hand's own limit is 70
+        "grasp_below_m": Range(0, 0.08),
+        "hysteresis_m": Range(0, 0.02),
+        "reading_age_s": Range(0.05, 1.0),
+    },
+    "Gains": {
+        "stiffness_N_m": (Range(0, 3000),) * 3,
+        "rotation_Nm_rad": (Range(0, 300),) * 3,
+        "clip_m": (Range(0, 0.05),) * 3,
+        "clip_rad": Range(0, 0.5),
+    },
+    "ArmSettings": {
+        "connect_deadline_s": Range(0, 60, above=True),
+        "reflex_torque_Nm": Range(0, 100, above=True),
+        "reflex_force_N": Range(0, 100, above=True),
+    },
+    "UniforceFrankaConfig": {
+        "fps": Range(5, 100),
+        "connect_deadline_s": Range(0, 60, above=True),
+        "reflex_torque_Nm": Range(0, 100, above=True),
+        "reflex_force_N": Range(0, 100, above=True),
+        "open_width_m": Range(0.01, 0.08),
+    },
+}
+
+
+def require_in_limits(settings: object) -> None:
+    """Check each number of a settings object, tuples number by number, against ``HARD_LIMITS``.
+
+    Raises:
+        ContractError: a value that is no finite number, or outside; names the field, the value and the range.
+    """
+    name = type(settings).__name__
+    for field, allowed in HARD_LIMITS[name].items():
+        value = getattr(settings, field)
+        if isinstance(allowed, tuple):
+            _require_each(f"{name}.{field}", value, allowed)
+        else:
+            _require(f"{name}.{field}", value, allowed)
+
+
+def require_one_of(what: str, value: object, choices: tuple[str, ...]) -> None:
+    """Check a choice.
+
+    Raises:
+        ContractError: none of them.
+    """
+    if value not in choices:
+        raise ContractError(expected(what, " or ".join(choices), repr(value), "Choose one."))
+
+
+def _require_each(what: str, value: object, allowed: tuple[Range, ...]) -> None:
+    if not isinstance(value, tuple | list) or len(value) != len(allowed):
+        raise ContractError(expected(what, f"{len(allowed)} numbers", repr(value), "Mend the setting."))
+    for index, (one, row) in enumerate(zip(value, allowed, strict=True)):
+        _require(f"{what}[{index}]", one, row)
+
+
+def _require(what: str, value: object, allowed: Range) -> None:
+    if not allowed.holds(value):
+        raise ContractError(expected(what, f"a number {allowed}", repr(value), "Mend the setting."))
