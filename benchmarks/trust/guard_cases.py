@@ -83,7 +83,7 @@ class ScriptedArm:
     def set_gains(self, gains: Gains) -> None:
         """Do nothing."""
 
-    def stop(self) -> None:
+    def stop(self, at_once: bool = False) -> None:
         """Do nothing."""
 
     def recover(self) -> None:

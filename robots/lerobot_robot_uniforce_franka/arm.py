@@ -17,6 +17,7 @@ from uniforce_vtla.errors import ContractError, RobotError, expected
 # A mode in which nothing may move, and the RobotError.fault it means.
 STOPPED_MODES = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
 # Every fault of an arm that has stopped by itself and can still be read.
+UNBELIEVED = ("bad_state", "jump", "speed", "frozen", "connection", "stale")  # faults of readings themselves
 ROBOT_STOPS = (*STOPPED_MODES.values(), "communication", "discontinuity", "limit")
 
 
@@ -169,8 +170,12 @@ class Arm(Protocol):
     def set_gains(self, gains: Gains) -> None:
         """Change the stiffness; before the first target it becomes the one to start with."""
 
-    def stop(self) -> None:
-        """Give up control; the arm comes to rest and holds. Does nothing without control."""
+    def stop(self, at_once: bool = False) -> None:
+        """Give up control; the arm comes to rest and holds. Does nothing without control.
+
+        Args:
+            at_once: leave the braking to the robot: for readings that can't be believed, by which nothing can brake.
+        """
 
     def recover(self) -> None:
         """Clear a reflex. Nothing moves; the next target takes control again."""

@@ -36,6 +36,7 @@ def fault_of(text: str) -> str:
     lowered = text.lower()
     words = {
         "incompatible": "version",
+        "infinite or nan": "bad_state",
         "user stop": "user_stop",
         "reflex": "reflex",
         "timeout": "connection",

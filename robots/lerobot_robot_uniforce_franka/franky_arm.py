@@ -25,6 +25,8 @@ MODES = {
     "AutomaticErrorRecovery": "recovery",
 }
 RETRY_s = 0.1
+END_s = 1.5  # the client itself gives up a silent robot after 1 s
+ABANDONED: list[Any] = []  # clients that hang; they are never let go
 TURN_rad = 0.01  # the hand's turn after which the gains are expressed in the base frame anew
 
 
@@ -59,7 +61,7 @@ class FrankyArm:
             # By root, the constructor puts this thread on SCHED_FIFO 99: one busy Python thread starves the machine.
             os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             self._robot.set_collision_behavior(self.settings.reflex_torque_Nm, self.settings.reflex_force_N)
-        except franky.Exception as error:
+        except client_errors(franky) as error:
             raise self._error(error) from error
         self.state()  # the first one after a setter may be a stale one from the queue
 
@@ -83,7 +85,7 @@ class FrankyArm:
         robot = self._connected()
         try:
             s = robot.state
-        except self._franky.Exception as error:
+        except client_errors(self._franky) as error:
             raise self._error(error) from error
         return ArmState(
             time_s=time.monotonic(),
@@ -107,7 +109,7 @@ class FrankyArm:
                 raise self._lost()
             self._turn_gains(ee_to_base[:3, :3])
             self._tracker.set_target(self._franky.Affine(ee_to_base))
-        except self._franky.Exception as error:
+        except client_errors(self._franky) as error:
             raise self._error(error) from error
 
     def set_gains(self, gains: Gains) -> None:
@@ -121,14 +123,14 @@ class FrankyArm:
         else:
             self._tracker.set_gains(gains=self._native(self._gains_rotation))
 
-    def stop(self) -> None:
-        """See ``Arm``."""
+    def stop(self, at_once: bool = False) -> None:
+        """See ``Arm``. The tracker brakes by the readings, and waits until they say that the arm rests."""
         tracker, self._tracker = self._tracker, None
         if tracker is None:
             return
         try:
-            tracker.stop()
-        except self._franky.Exception as error:  # it had lost control before, which set_target tells
+            (self._robot if at_once else tracker).stop()
+        except client_errors(self._franky) as error:  # it had lost control before, which set_target tells
             log.info("tracker stopped after: %s", error)
 
     def recover(self) -> None:
@@ -137,7 +139,7 @@ class FrankyArm:
         robot = self._connected()
         try:
             recovered = robot.recover_from_errors()
-        except self._franky.Exception as error:
+        except client_errors(self._franky) as error:
             raise self._error(error) from error
         if not recovered:
             do = "Release the user stop or the joints by hand."
@@ -145,9 +147,21 @@ class FrankyArm:
 
     def close(self) -> None:
         """See ``Arm``."""
-        if self._robot is not None:
-            self.stop()
-        self._robot = None
+        if self._robot is None:
+            return
+        self.stop()
+        robot, self._robot = self._robot, None
+        if not self._has_ended(robot):
+            # Its destructor would wait for the client's own thread with Python's lock held, for ever.
+            ABANDONED.append(robot)
+            log.error("the Franka client hangs: end this process before you connect again")
+
+    def _has_ended(self, robot: Any) -> bool:
+        """Return whether the client's thread is out of its last motion; it waits for states that may never come."""
+        try:
+            return bool(robot.join_motion(END_s))
+        except client_errors(self._franky):  # how the motion ended, which is known
+            return True
 
     def _connected(self) -> Any:
         if self._robot is None:
@@ -179,7 +193,7 @@ class FrankyArm:
         """Say why the tracker runs no longer."""
         try:
             self._robot.join_motion(0.0)
-        except self._franky.Exception as error:
+        except client_errors(self._franky) as error:
             return self._error(error)
         return RobotError("arm: expected control, got none and no reason. Connect again.", "other")
 
@@ -201,3 +215,8 @@ def error_names(state: Any) -> tuple[str, ...]:
         if names:
             return names
     return ()
+
+
+def client_errors(franky: Any) -> tuple[type[Exception], ...]:
+    """Return all that franky raises: its own, and what becomes of the standard library's errors in its C++."""
+    return (franky.Exception, ValueError, RuntimeError)

@@ -113,14 +113,14 @@ class PylibfrankaArm:
         """See ``Arm``. The child moves to them within about 0.1 s."""
         self._gains, self._gains_rotation = gains, None
 
-    def stop(self) -> None:
+    def stop(self, at_once: bool = False) -> None:
         """See ``Arm``."""
         if self._child is None or not self._controls:
             return
         self._controls = False
         if self._fault is not None or not self._child.is_alive:
             return  # it lost control before, which set_target tells
-        self._child.send("stop")
+        self._child.send("stop", at_once=at_once)
         try:
             self._child.wait("stopped", STOP_s, "arm at rest")
         except RobotError as error:
@@ -157,6 +157,7 @@ class PylibfrankaArm:
         said = self._child.poll()
         if said is not None and self._fault is None and said["say"] in ("error", "gone"):
             text, fault = said.get("text", "the client process ended"), said.get("fault", "connection")
-            fault = fault_of_errors(tuple(said.get("errors", ()))) if fault == "reflex" else fault
+            if fault in ("reflex", "other"):  # the robot's own names say more
+                fault = fault_of_errors((*said.get("errors", ()), text)) if "reflex" in text else fault
             self._fault = RobotError(f"robot at {self.settings.address}: {text}", fault)
         return self._child

@@ -7,9 +7,10 @@ import time
 
 from lerobot_robot_uniforce_franka.child import Child
 from lerobot_robot_uniforce_franka.hand import HandCommand, HandReading, OUTER_m
-from uniforce_vtla.errors import RobotError
+from uniforce_vtla.errors import RobotError, expected
 
 FIRST_READING_s = 3.0
+LOOK_s = 0.1  # between looks at the connection while a command is in flight
 
 
 class PylibfrankaHand:
@@ -22,6 +23,7 @@ class PylibfrankaHand:
         self._child: Child | None = None
         self._lock = threading.Lock()
         self._reading: HandReading | None = None
+        self._looked_s = 0.0
 
     def connect(self) -> None:
         """See ``HandDriver``."""
@@ -52,14 +54,29 @@ class PylibfrankaHand:
 
     def poll(self) -> bool | None:
         """See ``HandDriver``."""
-        said = self._running().poll()
+        child = self._running()
+        said = child.poll()
         if said is None:
+            self._refuse_dropped(child)
             return None
         if said["say"] == "outcome":
             return bool(said["ok"])
         text, fault = said.get("text", "the client process ended"), said.get("fault", "connection")
         fault = "hand_connection" if fault == "connection" else fault
         raise RobotError(f"hand at {self._address}: {text}", fault)
+
+    def _refuse_dropped(self, child: Child) -> None:
+        """Notice a connection that the hand has closed: the client waits on for the answer to its command."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s < LOOK_s:
+            return
+        self._looked_s = now_s
+        if child.has_lost_peer:
+            do = "Check the cable and the robot's controller, then connect again."
+            raise RobotError(
+                expected(f"hand at {self._address}", "a connection", "one it has closed", do),
+                "hand_connection",
+            )
 
     def read(self) -> HandReading | None:
         """See ``HandDriver``."""

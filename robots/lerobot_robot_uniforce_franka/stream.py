@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lerobot_robot_uniforce_franka.arm import Arm, ArmState, refuse_stopped
+from lerobot_robot_uniforce_franka.arm import UNBELIEVED, Arm, ArmState, refuse_stopped
 from lerobot_robot_uniforce_franka.guards import GuardLimits, towards, turn_towards
 from lerobot_robot_uniforce_franka.limits import require_in_limits
 from lerobot_robot_uniforce_franka.poses import ToolPose, between
@@ -92,6 +92,7 @@ class ArmStream:
         self._sent_s = self._submitted_s = 0.0
         self._robot_time_s = self._advanced_s = 0.0
         self._asked_s: float | None = None  # since when the client owes us a reading
+        self._read_s = 0.0  # when it gave the last one
         self._rest_wanted = self._holding = self._late = False
         self._fault: RobotError | None = None
         self._ending = threading.Event()
@@ -155,12 +156,13 @@ class ArmStream:
         return state
 
     def _refuse_old(self, state: ArmState) -> None:
-        age_s, limit_s, asked_s = self._clock() - state.time_s, self.settings.state_age_s, self._asked_s
+        now_s, limit_s = self._clock(), self.settings.state_age_s
+        age_s = now_s - state.time_s
         if age_s <= limit_s:
             return
-        if (
-            asked_s is not None and self._clock() - asked_s > age_s / 2
-        ):  # the client was asked and does not answer
+        owes = self._asked_s is not None and now_s - self._asked_s > age_s / 2  # the client does not answer
+        repeats = now_s - self._read_s < age_s / 2  # it answers with what it said before
+        if owes or repeats:
             raise _silent(age_s)
         wanted = f"a reading younger than {limit_s} s"
         raise RobotError(
@@ -240,7 +242,7 @@ class ArmStream:
         """Return a reading that can be believed, of an arm that may move."""
         self._asked_s = self._clock()
         state = self._arm.state()
-        self._asked_s = None
+        self._asked_s, self._read_s = None, self._clock()
         self._check_state(state)
         self._refuse_silent(state)
         refuse_stopped(state)
@@ -302,8 +304,9 @@ class ArmStream:
         self._rest_wanted, self._holding = False, True
 
     def _let_go(self) -> None:
+        unbelieved = self._fault is not None and self._fault.fault in UNBELIEVED
         try:
-            self._arm.stop()
+            self._arm.stop(at_once=unbelieved)
         except RobotError as error:
             log.error("arm did not stop in order: %s", error)
             self._fault = self._fault or error

@@ -73,8 +73,9 @@ class FakeArm:
     def set_gains(self, gains: Gains) -> None:
         self.gains = gains
 
-    def stop(self) -> None:
+    def stop(self, at_once: bool = False) -> None:
         self.stopped_at.append(time.monotonic())
+        self.stopped_at_once = at_once
 
     def recover(self) -> None:
         self.fault, self.mode = None, "idle"

@@ -165,16 +165,17 @@ class Loop:
         """Run the controller; return whether the parent asked for the end."""
         state, _ = control.readOnce()
         law = Impedance(np.array(state.q), matrix(state.O_T_EE))
-        heard, stop = time.monotonic(), False
+        ordered_s, stop, at_once = time.monotonic(), False, False
         while not (stop or self.ended):
             for order in self.take():
-                heard = time.monotonic()
+                ordered_s = time.monotonic()
                 stop = stop or order["do"] == "stop"
+                at_once = at_once or bool(order.get("at_once"))
                 self.remember(order)
-            if not is_whole(state):
+            if at_once or not is_whole(state):
                 self.give_up(control, law, state)
                 return stop
-            self.update(law, state, time.monotonic() - heard)
+            self.update(law, state, time.monotonic() - ordered_s)
             control.writeOnce(self.client.Torques(self.torques(law, state).tolist()))
             state, _ = control.readOnce()
             self.report_in_time(state)
@@ -182,13 +183,14 @@ class Loop:
         return stop
 
     def give_up(self, control: Any, law: Impedance, state: Any) -> None:
-        """End the motion on a state without numbers: no torque can be computed from it, so the last one is repeated."""
+        """End the motion on states that can't be believed: no torque follows from them, so the last one is repeated."""
         self.lost_control = True
         command = self.client.Torques(law.tau_Nm.tolist())
         command.motion_finished = True
         control.writeOnce(command)
         self.report(state)
-        say("error", fault="bad_state", text="arm state: expected finite numbers, got NaN or infinity.")
+        if not is_whole(state):
+            say("error", fault="bad_state", text="arm state: expected finite numbers, got NaN or infinity.")
 
     def update(self, law: Impedance, state: Any, silence_s: float) -> None:
         """Give the law the newest target and gains."""

@@ -53,6 +53,7 @@ class HandService:
         self._pending: Message | None = None
         self._states = 0
         self._begun_s = 0.0
+        self.struck_s: float | None = None  # CLOCK_MONOTONIC, when a fault that waits for its moment came
         self.mend()
         self._next_state_s = self._last_tick_s = time.monotonic()
 
@@ -159,4 +160,5 @@ class HandService:
     def describe(self) -> dict[str, object]:
         """Return what a test wants to know without a client."""
         hand = self.hand
-        return {"width_m": hand.width_m, "is_grasped": hand.is_grasped, "force_N": hand.force_N}
+        shown = {"width_m": hand.width_m, "is_grasped": hand.is_grasped, "force_N": hand.force_N}
+        return {**shown, "struck_s": self.struck_s}

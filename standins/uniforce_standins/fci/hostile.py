@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import os
 import random
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -124,17 +125,20 @@ def drop_hand(arm: ArmService, hand: HandService) -> None:
 def drop_hand_midway(arm: ArmService, hand: HandService) -> None:
     """Close the hand's connection once a command is under way."""
     if hand.is_midway:
+        hand.struck_s = time.monotonic()
         drop_hand(arm, hand)
 
 
 def hang_hand(arm: ArmService, hand: HandService) -> None:
     """Stop the fingers once a command is under way."""
-    hand.hung = hand.hung or hand.is_midway
+    if hand.is_midway and not hand.hung:
+        hand.hung, hand.struck_s = True, time.monotonic()
 
 
 def slip(arm: ArmService, hand: HandService) -> None:
     """Lose what is held."""
     if hand.hand.is_grasped:
+        hand.struck_s = time.monotonic()
         hand.hand.slip()
 
 

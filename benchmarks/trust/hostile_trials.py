@@ -1,0 +1,244 @@
+"""One client against faults of the stand-in: ``hostile_trials.py franky|pylibfranka FAULT,… TIMES ADDRESS OUT``.
+
+A program of its own: both clients in one process fail to import. Appends one JSON line a trial to OUT, and skips what
+is there, so it can be begun again. Nothing here was ever run on hardware.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
+from lerobot_robot_uniforce_franka.guards import GuardLimits
+from lerobot_robot_uniforce_franka.hand import LOST_s
+from uniforce_standins.fci.process import StandIn
+from uniforce_vtla.errors import RobotError
+from uniforce_vtla.keys import AXES
+
+PERIOD_s = 1 / 30
+UNDER_WAY_s, NOTICE_s, AFTER_s = 0.6, 15.0, 0.7
+SWAY_m, SWAY_s = 0.015, 1.0  # up to 0.09 m/s
+BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
+HELD_m = 0.03  # the object
+
+CONNECTION, BROKEN = ("connection",), ("bad_state", "jump", "speed", "connection", "force")
+RIGHT_NAMES: dict[str, tuple[str, ...]] = {
+    "nan_state": ("bad_state",),
+    "inf_state": ("bad_state",),
+    "nan_force": ("force",),
+    "pose_jump": ("jump",),
+    "velocity_beyond_physics": ("speed",),
+    "frozen_state": ("frozen",),
+    "stopped_clock": CONNECTION,
+    "state_flood_old": CONNECTION,
+    "silent_arm": CONNECTION,
+    "garbage_state": BROKEN,  # random numbers: whichever is impossible first
+    "wrong_length_state": (*BROKEN, "limit", "reflex"),  # the longer ones may be read as a state
+    "lost_commands": ("communication",),
+    "arm_garbage_reply": CONNECTION,
+    "arm_dropped": CONNECTION,
+    "server_death": CONNECTION,
+    "user_stop": ("user_stop",),
+    "reflex": ("reflex",),
+    "joint_reflex": ("reflex",),
+    "torque_discontinuity": ("discontinuity",),
+    "joint_velocity": ("limit",),
+    "cartesian_velocity": ("limit",),
+    "joint_limit": ("limit",),
+    "power_limit": ("limit",),
+    "hung_hand": ("hand_deadline",),
+    "hand_silent": ("hand_stale", "hand_connection"),
+    "hand_dropped": ("hand_connection", "hand_stale"),
+    "hand_dropped_midway": ("hand_connection", "hand_deadline"),
+    "hand_garbage_state": ("hand_state", "hand_stale", "hand_connection"),
+    "nan_width": ("hand_state",),
+    "hand_garbage_reply": ("hand_connection", "hand_deadline"),
+    "slip_out": ("grasp_lost",),
+}
+GRASPING = ("slip_out",)
+MIDWAY = ("hung_hand", "hand_dropped_midway", "hand_garbage_reply")  # need a command of the hand
+# No state arrives that a client could answer: a real arm ends the motion after 20 lost packets, and so does this one.
+STARVING = ("stopped_clock", "state_flood_old", "silent_arm", "garbage_state", "wrong_length_state")
+# What the client reads only when it expects an answer: the trial stops the arm, then asks for recovery.
+AT_NEXT_ANSWER = ("arm_garbage_reply",)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What came of one fault.
+
+    Attributes:
+        named: the fault the caller was given, "" for none.
+        hold_s: robot's own clock, from the first moment at which the fault could be known until the arm was at rest.
+        learnt_s: wall clock, from then until the caller knew.
+        sent_after: actions that were taken after the caller had learnt.
+    """
+
+    client: str
+    fault: str
+    named: str
+    message: str
+    hold_s: float
+    learnt_s: float
+    sent_after: int
+    ended_s: float
+
+
+def connect(client: str, fci: StandIn, folder: Path) -> UniforceFranka:
+    """Return a robot whose arm moves and whose hand is still."""
+    config = UniforceFrankaConfig(
+        id="hostile",
+        calibration_dir=folder,
+        address=fci.address,
+        backend=client,
+        guards=BOX,  # type: ignore[arg-type]
+    )
+    robot = UniforceFranka(config)
+    robot.connect()
+    return robot
+
+
+def sway(start: dict[str, float], begun_s: float, width_m: float) -> dict[str, float]:
+    """Return the target of now: to and fro along x."""
+    phase = 2 * np.pi * (time.monotonic() - begun_s) / SWAY_s
+    return {**start, AXES[0]: start[AXES[0]] + SWAY_m * np.sin(phase), AXES[4]: width_m}
+
+
+def drive(
+    robot: UniforceFranka, start: dict[str, float], begun_s: float, width_m: float, for_s: float
+) -> None:
+    """Act and observe at 30 Hz for so long; raises what the robot raises."""
+    end_s = time.monotonic() + for_s
+    while time.monotonic() < end_s:
+        robot.send_action(sway(start, begun_s, width_m))
+        robot.get_observation()
+        time.sleep(PERIOD_s)
+
+
+def trial(client: str, fault: str, address: str, folder: Path) -> Trial:
+    """Begin a fault while the arm moves, go on until the caller learns, then look at what the arm did."""
+    with StandIn(address) as fci:
+        robot = connect(client, fci, folder)
+        begun_s, start = time.monotonic(), robot.get_observation()
+        width_m = HELD_m - 0.01 if fault in GRASPING else start[AXES[4]]
+        fci.do("object", width_m=HELD_m)
+        drive(robot, start, begun_s, width_m, UNDER_WAY_s + 2.0 * (fault in GRASPING))
+        try:
+            if fault in AT_NEXT_ANSWER:
+                return _stop_and_recover(robot, fci, client, fault, start)
+            return _break(robot, fci, client, fault, start, begun_s, width_m)
+        finally:
+            robot.disconnect()
+
+
+def _break(
+    robot: UniforceFranka, fci: StandIn, client: str, fault: str, start: dict, begun_s: float, width_m: float
+) -> Trial:
+    ordered_s = time.monotonic()
+    _order(fci, fault)
+    named = message = ""
+    try:
+        drive(robot, start, begun_s, 0.05 if fault in MIDWAY else width_m, NOTICE_s)
+    except RobotError as error:
+        named, message = error.fault, str(error)
+    learnt_s = time.monotonic()
+    sent_after = _sends(robot, start)
+    known_s = ordered_s if fault == "server_death" else knowable_s(robot, fci, fault, ordered_s)
+    hold_s = max(learnt_s - known_s, 0.0) if fault == "server_death" else _hold_s(fci, known_s)
+    took_s = max(learnt_s - known_s, 0.0)
+    return Trial(client, fault, named, message, round(hold_s, 4), round(took_s, 4), sent_after, time.time())
+
+
+def _stop_and_recover(robot: UniforceFranka, fci: StandIn, client: str, fault: str, start: dict) -> Trial:
+    """Break what is read only with the next answer, stop the arm, and ask for recovery."""
+    fci.do("fault", name=fault)
+    stopped_s = time.monotonic()
+    with contextlib.suppress(RobotError):
+        robot.send_action({})  # an action that is none stops the arm
+    hold_s = _hold_s(fci, stopped_s)
+    named, message, begun_s = "", "", time.monotonic()
+    try:
+        robot.recover()
+    except RobotError as error:
+        named, message = error.fault, str(error)
+    learnt_s = time.monotonic() - begun_s
+    return Trial(
+        client, fault, named, message, round(hold_s, 4), round(learnt_s, 4), _sends(robot, start), time.time()
+    )
+
+
+def _order(fci: StandIn, fault: str) -> None:
+    if fault == "server_death":
+        fci.die()
+        return
+    if fault in STARVING:
+        fci.do("miss_rule", on=True)
+    fci.do("fault", name=fault)
+
+
+def knowable_s(robot: UniforceFranka, fci: StandIn, fault: str, ordered_s: float) -> float:
+    """Return the first moment at which the fault could be known: at once, at a deadline, when a reading is too old."""
+    hand, struck_s = robot._hand, fci.do("look")["hand"]["struck_s"]
+    assert hand is not None
+    if fault in ("hung_hand", "hand_garbage_reply"):  # the client waits for the rest of an answer
+        return hand._deadline_s
+    if fault in ("hand_silent", "hand_garbage_state", "hand_dropped") and hand._reading is not None:
+        return max(ordered_s, hand._reading.time_s + hand.settings.reading_age_s)
+    if fault == "slip_out":
+        return float(struck_s) + LOST_s
+    return ordered_s if struck_s is None else float(struck_s)
+
+
+def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
+    """Return how many of five good actions were taken though the robot has a fault."""
+    taken = 0
+    for _ in range(5):
+        try:
+            robot.send_action({axis: start[axis] for axis in AXES})
+        except RobotError:
+            continue
+        taken += 1
+    return taken
+
+
+def _hold_s(fci: StandIn, known_s: float) -> float:
+    """Return how long the arm moved after ``known_s``, in its own time; infinity while it still moves."""
+    time.sleep(AFTER_s)
+    look = fci.do("look")
+    arm, fault = look["arm"], look["fault"]
+    if arm["held_since_ms"] is None:
+        return float("inf")
+    rate = (arm["milliseconds"] - fault["at_ms"]) / max(1e3 * (time.monotonic() - fault["at_s"]), 1.0)
+    known_ms = fault["at_ms"] + 1e3 * rate * max(known_s - fault["at_s"], 0.0)
+    return float(max((arm["last_moving_ms"] or 0) - known_ms, 0.0) / 1e3)
+
+
+def main() -> None:
+    """Run what OUT lacks."""
+    client, faults, times, address, out = sys.argv[1:6]
+    logging.disable(logging.WARNING)
+    path = Path(out)
+    done = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+    with tempfile.TemporaryDirectory() as folder:
+        for fault in faults.split(","):
+            there = sum(row["client"] == client and row["fault"] == fault for row in done)
+            for _ in range(there, int(times)):
+                row = trial(client, fault, address, Path(folder))
+                with path.open("a") as file:
+                    file.write(json.dumps(asdict(row)) + "\n")
+
+
+if __name__ == "__main__":
+    main()
+    sys.stdout.flush()
+    os._exit(0)  # a client that hangs would keep the process for ever
