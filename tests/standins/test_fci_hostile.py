@@ -11,7 +11,7 @@ import pytest
 
 from uniforce_standins.fci import protocol as p
 from uniforce_standins.fci.hostile import DIED, FAULTS, NONE
-from uniforce_standins.fci.kinematics import HAND_TO_FLANGE, DQ_MAX_rad_s, posture
+from uniforce_standins.fci.kinematics import DQ_MAX_rad_s, hand_jacobian
 from uniforce_standins.fci.process import StandIn, wait_until
 from uniforce_standins.fci.raw_client import RawArm, RawHand, pull_to
 
@@ -53,11 +53,6 @@ class Bench:
         """Pull the hand down."""
         goal = self.truth_m() - [0, 0, 0.03]
         return self.arm.loop(pull_to(goal, hand_jacobian), ticks)
-
-
-def hand_jacobian(q: np.ndarray) -> np.ndarray:
-    here = posture(q)
-    return here.jacobian((here.flange_to_base @ HAND_TO_FLANGE)[:3, 3])
 
 
 @pytest.fixture

@@ -13,17 +13,13 @@ import pytest
 
 from uniforce_standins.fci import protocol as p
 from uniforce_standins.fci.__main__ import parse
-from uniforce_standins.fci.kinematics import HAND_TO_FLANGE, posture
+from uniforce_standins.fci.kinematics import hand_jacobian
 from uniforce_standins.fci.process import StandIn, wait_until
 from uniforce_standins.fci.raw_client import RawArm, RawHand, pull_to
+from uniforce_standins.fci.server import CONTROL_PORT
 
 pytestmark = pytest.mark.slow
 STARTED, PREEMPTED = bytes([p.MoveStatus.MOTION_STARTED]), bytes([p.MoveStatus.PREEMPTED])
-
-
-def hand_jacobian(q: np.ndarray) -> np.ndarray:
-    here = posture(q)
-    return here.jacobian((here.flange_to_base @ HAND_TO_FLANGE)[:3, 3])
 
 
 def rest(state: p.RobotState) -> p.RobotCommand:
@@ -253,8 +249,60 @@ def test_garbage_neither_hangs_nor_ends_the_server(fci: StandIn) -> None:
             arm.tcp.sendall(source.randbytes(source.randrange(1, 500)))
         with RawHand(fci.address) as hand:
             hand.tcp.sendall(source.randbytes(source.randrange(1, 500)))
-    with RawArm(fci.address) as arm:
+        with socket.create_connection((fci.address, CONTROL_PORT), 5.0) as control:
+            control.sendall(
+                source.choice([source.randbytes(200), b"[" * 60_000, b"[1]", b'{"do": 1}']) + b"\n"
+            )
+    lives(fci)
+
+
+SIZES = {  # of the payloads that are read as numbers, so that random ones are read too
+    p.ArmCommand.MOVE: [113],
+    p.ArmCommand.SET_COLLISION_BEHAVIOR: [416],
+    p.ArmCommand.SET_EE_TO_K: [128],
+    p.ArmCommand.SET_NE_TO_EE: [128],
+    p.ArmCommand.SET_LOAD: [104],
+}
+
+
+def test_framed_garbage_neither_hangs_nor_ends_the_server(fci: StandIn) -> None:
+    """Whole messages with random payloads, and wild numbers that are finite, with and without the rules."""
+    source, wild = random.Random(1), np.random.default_rng(1)
+    for i in range(60):
+        fci.do("rules", on=i % 2 == 0)
+        with RawArm(fci.address) as arm:
+            arm.state()
+            for _ in range(3):
+                arm.send(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY)
+                arm.move(source.choice(list(p.Generator)))
+                for _ in range(5):  # the first ones were sent before the motion
+                    arm.command(wild_command(arm.newest().message_id + 1, wild))
+            arm.send(*payload_for(source, wild, list(p.ArmCommand)))
+        with RawHand(fci.address) as hand:
+            hand.send(*payload_for(source, wild, list(p.HandCommand)))
+    lives(fci)
+
+
+def wild_command(message_id: int, wild: np.random.Generator) -> p.RobotCommand:
+    numbers = wild.choice([1e-300, 1.0, 1e3, 1e300], 45) * wild.normal(size=45)
+    q, dq, pose, twist, elbow, tau = np.split(numbers, [7, 14, 30, 36, 38])
+    return p.RobotCommand(message_id, q, dq, pose, twist, elbow, tau_J_d=tau)
+
+
+def payload_for(source: random.Random, wild: np.random.Generator, commands: list) -> tuple[int, bytes]:
+    command = source.choice(commands)
+    size = source.choice([0, 16, 40, *SIZES.get(command, [])])
+    numbers = 10.0 ** wild.uniform(-300, 300, size // 8)
+    return command, source.choice([source.randbytes(size), numbers.tobytes()])
+
+
+def lives(fci: StandIn) -> None:
+    """Assert that the arm and the hand answer, and that the arm is where an arm can be."""
+    with RawArm(fci.address) as arm, RawHand(fci.address) as hand:
         assert arm.state().mode in (p.RobotMode.IDLE, p.RobotMode.REFLEX)
+        assert hand.status_of(p.HandCommand.STOP) == p.HandStatus.SUCCESS
+    shown = fci.do("look")["arm"]
+    assert np.isfinite(shown["q_rad"]).all() and np.abs(shown["position_m"]).max() < 3
 
 
 def test_orders_that_make_no_sense_are_refused(fci: StandIn) -> None:

@@ -141,7 +141,7 @@ class Arm:
             found.add(ErrorBit.JOINT_REFLEX)
         if np.any(np.abs(self.dq_rad_s) > DQ_MAX_rad_s * 1.001):  # drive() clips to the limit itself
             found.add(ErrorBit.JOINT_VELOCITY_VIOLATION)
-        if np.linalg.norm(self.twist[:3]) > SPEED_MAX_m_s:
+        if self.twist[:3] @ self.twist[:3] > SPEED_MAX_m_s**2:
             found.add(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)
         if np.any((self.q_rad < Q_MIN_rad) | (self.q_rad > Q_MAX_rad)):
             found.add(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)

@@ -90,6 +90,12 @@ def posture(q_rad: np.ndarray) -> Posture:
     return Posture(T @ _FLANGE, frames[:, :3, 2], frames[:, :3, 3])
 
 
+def hand_jacobian(q_rad: np.ndarray) -> np.ndarray:
+    """Return (6, 7): joint speeds to the velocity of the hand's tool point, base frame."""
+    here = posture(q_rad)
+    return here.jacobian((here.flange_to_base @ HAND_TO_FLANGE)[:3, 3])
+
+
 def rotation_error(target: np.ndarray, current: np.ndarray) -> np.ndarray:
     """(3,) rotation vector, to first order, that turns ``current`` into ``target`` (3, 3), in the frame of both."""
     turn = target @ current.T

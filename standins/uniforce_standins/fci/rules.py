@@ -99,7 +99,7 @@ def _elapsed_s(command: RobotCommand, before: RobotCommand | None) -> float:
 
 
 def _beyond(values: np.ndarray, limit: np.ndarray | float) -> bool:
-    return bool(np.any(np.abs(values) > TOLERANCE * np.asarray(limit)))
+    return bool((np.abs(values) > TOLERANCE * limit).any())
 
 
 def _length_beyond(vector: np.ndarray, limit: float) -> bool:

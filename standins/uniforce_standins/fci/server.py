@@ -117,23 +117,24 @@ class Server:
     # --- control -----------------------------------------------------------------------------------------------------
 
     def _read_control(self, controller: socket.socket) -> None:
+        """Obey whole lines; a controller that hangs up, or never ends its line, is dropped."""
         try:
             data = controller.recv(CONTROL_LINE_BYTES)
+            *lines, rest = (self._controllers[controller] + data).split(b"\n")
+            for line in lines:
+                controller.sendall(json.dumps(self._obey(line)).encode() + b"\n")
         except ConnectionError:
-            data = b""
-        if not data:
+            data = rest = b""
+        self._controllers[controller] = rest
+        if not data or len(rest) > CONTROL_LINE_BYTES:
             del self._controllers[controller]
             controller.close()
-            return
-        *lines, self._controllers[controller] = (self._controllers[controller] + data).split(b"\n")
-        for line in lines:
-            controller.sendall(json.dumps(self._obey(line)).encode() + b"\n")
 
     def _obey(self, line: bytes) -> dict[str, object]:
         try:
             order = json.loads(line)
             answer = self._do(order.pop("do"), **order)
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             return {"error": f"{type(error).__name__}: {error}"}
         shown = {"arm": self.arm.describe(), "hand": self.hand.describe(), "fault": self.faults.describe()}
         return {**shown, "answer": answer}
