@@ -39,9 +39,11 @@ class RobotError(UniForceError):
     """The robot can't be moved: no answer, wrong version, reflex, user stop, a refused action.
 
     Attributes:
-        fault: one word for what happened: ``connection``, ``version``, ``reflex``, ``user_stop``, ``guiding``,
-            ``action``, ``stale``, ``sensor``, ``ended``, ``backend`` or ``other``. Programs branch on it,
-            people read the message.
+        fault: one word for what happened. The robot's own: ``connection``, ``version``, ``reflex``, ``user_stop``,
+            ``guiding``, ``communication``, ``discontinuity``, ``limit``. What it says can't be: ``bad_state``,
+            ``jump``, ``speed``, ``force``, ``frozen``, ``stale``. Ours: ``action``, ``guard``, ``sensor``, ``ended``,
+            ``backend``. The hand's: ``hand_connection``, ``hand_stale``, ``hand_deadline``, ``hand_state``,
+            ``grasp_lost``. And ``other``. Programs branch on it, people read the message.
     """
 
     def __init__(self, message: str, fault: str = "other") -> None:

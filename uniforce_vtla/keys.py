@@ -143,4 +143,8 @@ ABORT_CAUSES = (
     ),
     *("robot_ended", "robot_backend", "robot_other", "teleop", "disk_full", "storage", "dropped_frame"),
     *("interrupt", "other"),
+    *(f"robot_{fault}" for fault in ("bad_state", "jump", "speed", "force", "frozen", "guard", "sensor")),
+    *(f"robot_{fault}" for fault in ("communication", "discontinuity", "limit")),
+    *(f"robot_hand_{fault}" for fault in ("connection", "stale", "deadline", "state")),
+    *("robot_grasp_lost", "late"),
 )

@@ -47,7 +47,7 @@ RIGHT_NAMES: dict[str, tuple[str, ...]] = {
     "lost_commands": ("communication",),
     "arm_garbage_reply": CONNECTION,
     "arm_dropped": CONNECTION,
-    "server_death": CONNECTION,
+    "server_death": ("connection", "hand_connection"),  # of both; whichever is noticed first
     "user_stop": ("user_stop",),
     "reflex": ("reflex",),
     "joint_reflex": ("reflex",),
@@ -193,7 +193,7 @@ def knowable_s(robot: UniforceFranka, fci: StandIn, fault: str, ordered_s: float
     assert hand is not None
     if fault in ("hung_hand", "hand_garbage_reply"):  # the client waits for the rest of an answer
         return hand._deadline_s
-    if fault in ("hand_silent", "hand_garbage_state", "hand_dropped") and hand._reading is not None:
+    if fault in ("hand_silent", "hand_garbage_state") and hand._reading is not None:
         return max(ordered_s, hand._reading.time_s + hand.settings.reading_age_s)
     if fault == "slip_out":
         return float(struck_s) + LOST_s

@@ -25,7 +25,12 @@ from uniforce_recorder_trials.small_disk import SmallDisk
 from uniforce_vtla.keys import STAMPS
 
 COULD_NOT_START, FAULT, DISK_FULL, INTERRUPTED = 2, 3, 4, 130
-GONE = ("aborted:robot_connection", "aborted:robot_stale", "aborted:robot_ended")
+GONE = (
+    "aborted:robot_connection",
+    "aborted:robot_hand_connection",
+    "aborted:robot_stale",
+    "aborted:robot_ended",
+)
 TWICE_s = (0.02, 0.6)  # between the two Ctrl-C
 DISK_MB, RESERVE_MB, LEFT_MB = 250, 50, 30  # of the small disk; kept free; left free by what fills it up
 SHORT_s = 1.5  # time limit of an episode that ends by itself

@@ -170,7 +170,9 @@ class Rig:
             "fps": float(self.options.fps),
             "connect_deadline_s": 2.5 * patience,
             "guards": {"low": [0.1, -0.3, 0.1, -3.1416, 0.0], "high": [0.7, 0.3, 0.6, 3.1416, 0.08]},
-            "stream": dict.fromkeys(("state_age_s", "stale_s"), min(0.2 * patience, 1.0)),  # its hard limit
+            # 1 s is the hard limit of each; the hand's is never the first to be met when the controller dies.
+            "stream": dict.fromkeys(("state_age_s", "stale_s"), min(0.2 * patience, 0.9)),
+            "hand": {"reading_age_s": min(0.5 * patience, 1.0)},
             "cameras": cameras,
         }
         teleop = {"type": "trial_circle", "tick_s": 1 / self.options.fps}

@@ -12,8 +12,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import psutil
-
 from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
@@ -36,7 +34,6 @@ class Child:
         self._answers: queue.Queue[dict] = queue.Queue()
         command = [sys.executable, str(SCRIPTS / script), *arguments]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self._peers = psutil.Process(self._process.pid)
         # A daemon, so that a program that forgets close() can end; it never is inside a C++ client.
         self._reader = threading.Thread(target=self._read, name=f"child {script}", daemon=True)
         self._reader.start()
@@ -56,12 +53,9 @@ class Child:
         return self._process.poll() is None
 
     @property
-    def has_lost_peer(self) -> bool:
-        """Whether the other end of a TCP connection of the process has closed it, which the client may not notice."""
-        try:
-            return any(c.status == psutil.CONN_CLOSE_WAIT for c in self._peers.net_connections("tcp"))
-        except psutil.Error:  # the process is gone, or may not be looked at
-            return False
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
 
     def send(self, do: str, **details: object) -> None:
         """Send an order.

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from typing import Any
 
 from lerobot_robot_uniforce_franka.backends import load_client
 from lerobot_robot_uniforce_franka.hand import HandCommand, HandReading, OUTER_m
+from lerobot_robot_uniforce_franka.peer_watch import PeerWatch
 from uniforce_vtla.errors import RobotError
 
 log = logging.getLogger(__name__)
@@ -20,6 +22,7 @@ class FrankyHand:
 
     def __init__(self, address: str) -> None:
         self._address = address
+        self._peers: PeerWatch | None = None
         self._franky: Any = None
         self._gripper: Any = None
         self._future: Any = None
@@ -29,6 +32,7 @@ class FrankyHand:
         self._franky = load_client("franky")
         try:
             self._gripper = self._franky.Gripper(self._address)
+            self._peers = PeerWatch(os.getpid(), f"hand at {self._address}")
         except self._errors() as error:
             raise RobotError(f"hand at {self._address}: {error}", "hand_connection") from error
 
@@ -63,6 +67,11 @@ class FrankyHand:
         except self._errors() as error:
             raise RobotError(f"hand at {self._address}: {error}", "hand_connection") from error
         return HandReading(time.monotonic(), s.width, s.max_width, bool(s.is_grasped))
+
+    def refuse_closed(self) -> None:
+        """See ``HandDriver``."""
+        if self._peers is not None:
+            self._peers.check()
 
     def stop(self) -> None:
         """See ``HandDriver``. Waits for the command it ends: a future left behind outlives the interpreter."""

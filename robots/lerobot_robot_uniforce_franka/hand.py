@@ -58,7 +58,7 @@ class HandReading:
 
 
 class HandDriver(Protocol):
-    """A gripper's client, called by one thread. Every method may raise RobotError.
+    """A gripper's client, called by one thread but for ``refuse_closed``. Every method may raise RobotError.
 
     Attributes:
         reads_while_busy: whether ``read`` gives new readings while a command is in flight.
@@ -77,6 +77,9 @@ class HandDriver(Protocol):
 
     def read(self) -> HandReading | None:
         """Return a new reading, which may take a tenth of a second, or None when there is none now."""
+
+    def refuse_closed(self) -> None:
+        """Raise when the other end has closed the connection. Never blocks; called by any thread."""
 
     def stop(self) -> None:
         """Stop the fingers where they are."""
@@ -201,11 +204,12 @@ class HandThread:
         """Raise what is wrong with the hand now. Never blocks; the arm's thread calls it each tick.
 
         Raises:
-            RobotError: the hand's fault; ``hand_deadline``: a command takes too long; ``hand_stale``: no new reading;
-                ``grasp_lost``: it let go of what it held without being asked to.
+            RobotError: the hand's fault; ``hand_connection``: it has hung up; ``hand_deadline``: a command takes too
+                long; ``hand_stale``: no new reading; ``grasp_lost``: it let go of what it held without being asked to.
         """
         if self._fault is not None:
             raise self._fault
+        self._driver.refuse_closed()
         now_s = time.monotonic()
         if self._in_flight and now_s > self._deadline_s:
             do = "Is something in its way? Free it, then connect again."

@@ -7,10 +7,10 @@ import time
 
 from lerobot_robot_uniforce_franka.child import Child
 from lerobot_robot_uniforce_franka.hand import HandCommand, HandReading, OUTER_m
-from uniforce_vtla.errors import RobotError, expected
+from lerobot_robot_uniforce_franka.peer_watch import PeerWatch
+from uniforce_vtla.errors import RobotError
 
 FIRST_READING_s = 3.0
-LOOK_s = 0.1  # between looks at the connection while a command is in flight
 
 
 class PylibfrankaHand:
@@ -23,7 +23,7 @@ class PylibfrankaHand:
         self._child: Child | None = None
         self._lock = threading.Lock()
         self._reading: HandReading | None = None
-        self._looked_s = 0.0
+        self._peers: PeerWatch | None = None
 
     def connect(self) -> None:
         """See ``HandDriver``."""
@@ -33,7 +33,7 @@ class PylibfrankaHand:
         except RobotError:
             child.close()
             raise
-        self._child = child
+        self._child, self._peers = child, PeerWatch(child.pid, f"hand at {self._address}")
         end = time.monotonic() + FIRST_READING_s
         while self._reading is None and time.monotonic() < end:
             time.sleep(0.005)
@@ -57,26 +57,12 @@ class PylibfrankaHand:
         child = self._running()
         said = child.poll()
         if said is None:
-            self._refuse_dropped(child)
             return None
         if said["say"] == "outcome":
             return bool(said["ok"])
         text, fault = said.get("text", "the client process ended"), said.get("fault", "connection")
         fault = "hand_connection" if fault == "connection" else fault
         raise RobotError(f"hand at {self._address}: {text}", fault)
-
-    def _refuse_dropped(self, child: Child) -> None:
-        """Notice a connection that the hand has closed: the client waits on for the answer to its command."""
-        now_s = time.monotonic()
-        if now_s - self._looked_s < LOOK_s:
-            return
-        self._looked_s = now_s
-        if child.has_lost_peer:
-            do = "Check the cable and the robot's controller, then connect again."
-            raise RobotError(
-                expected(f"hand at {self._address}", "a connection", "one it has closed", do),
-                "hand_connection",
-            )
 
     def read(self) -> HandReading | None:
         """See ``HandDriver``."""
@@ -86,6 +72,11 @@ class PylibfrankaHand:
             )
         with self._lock:
             return self._reading
+
+    def refuse_closed(self) -> None:
+        """See ``HandDriver``."""
+        if self._peers is not None:
+            self._peers.check()
 
     def stop(self) -> None:
         """See ``HandDriver``. The client takes no stop while it moves: its process ends, and the hand with it stops."""

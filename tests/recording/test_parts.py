@@ -62,7 +62,7 @@ def test_every_fault_has_a_name_that_datasets_know() -> None:
         "frozen_touch": device_fault("touch", "tactile_left", FrozenSensorError("x")),
         "bad_touch": device_fault("touch", "tactile_left", SensorError("x")),
         "robot_reflex": RobotError("x", "reflex"),
-        "robot_other": RobotError("x", "sensor"),
+        "robot_other": RobotError("x", "none of ours"),
         "teleop": TeleoperatorError("x"),
         "disk_full": DiskFullError("x"),
         "dropped_frame": DroppedFrameError("x"),

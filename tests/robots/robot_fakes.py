@@ -97,7 +97,7 @@ class FakeHand:
         self.stops = 0
         self.fault: RobotError | None = None
         self.closed = False
-        self.is_grasped = False
+        self.is_grasped = self.closed_by_peer = False
         self.silent_since_s: float | None = None  # readings repeat from then on
         self._ends_s: float | None = None
 
@@ -116,6 +116,10 @@ class FakeHand:
         self._ends_s = None
         self.width_m = self.commands[-1].width_m
         return self.succeeds
+
+    def refuse_closed(self) -> None:
+        if self.closed_by_peer:
+            raise RobotError("closed", "hand_connection")
 
     def read(self) -> HandReading | None:
         if self.fault is not None:

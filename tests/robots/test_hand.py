@@ -157,6 +157,14 @@ def test_old_readings_are_a_fault(hand: HandThread, driver: FakeHand, eventually
     hand.recover()
 
 
+def test_a_hand_that_hangs_up_is_noticed_though_its_client_waits_on(
+    hand: HandThread, driver: FakeHand
+) -> None:
+    driver.read_s = 0.4
+    driver.closed_by_peer = True
+    assert checked(hand) == "hand_connection"
+
+
 def test_a_client_without_readings_during_a_command_is_bounded_by_the_deadline(eventually: Callable) -> None:
     driver = FakeHand(takes_s=0.7)
     driver.reads_while_busy = False

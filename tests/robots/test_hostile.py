@@ -1,0 +1,35 @@
+"""Every named fault of the stand-in against both real clients, once; ``make faults`` runs each ten times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from benchmarks.trust.hostile import CLIENTS, attack, is_right, summarise
+from benchmarks.trust.hostile_trials import RIGHT_NAMES
+
+
+def test_every_fault_holds_the_arm_and_is_named(tmp_path: Path) -> None:
+    rows = attack(list(RIGHT_NAMES), 1, tmp_path)
+    assert len(rows) == len(CLIENTS) * len(RIGHT_NAMES)
+    assert [row for row in rows if not is_right(row)] == []
+
+
+def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
+    right = {
+        "client": "franky",
+        "fault": "reflex",
+        "named": "reflex",
+        "hold_s": 0.1,
+        "learnt_s": 0.1,
+        "sent_after": 0,
+    }
+    assert is_right(right)
+    wrong = [
+        right | {"named": ""},
+        right | {"hold_s": 0.6},
+        right | {"sent_after": 1},
+        right | {"named": "hang"},
+    ]
+    assert not any(is_right(row) for row in wrong)
+    line = summarise([right, *wrong])["reflex franky"]
+    assert (line["trials"], line["named_right"], line["held"], line["sent_after"]) == (5, 3, 4, 1)
