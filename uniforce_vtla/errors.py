@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 
 class UniForceError(Exception):
     """Base of all errors raised on purpose by this project."""
@@ -65,6 +67,15 @@ class TeleoperatorError(UniForceError):
         self.fault = fault
 
 
+LOGIN = re.compile(r"(?<=://)[^/\s'\"]*@")  # user:password@ of an address
+SECRET = re.compile(r"(?i)([?&][\w-]*(?:auth|key|pass|pwd|secret|sig|token)[\w-]*=)[^&\s'\"]+")
+
+
+def without_credentials(text: str) -> str:
+    """Return a text with logins and secrets of the addresses in it replaced by stars."""
+    return SECRET.sub(r"\1***", LOGIN.sub("***@", text))
+
+
 def expected(what: str, wanted: object, came: object, do: str) -> str:
-    """Compose a message in the one form all our errors share."""
-    return f"{what}: expected {wanted}, got {came}. {do}"
+    """Compose a message in the one form all our errors share; credentials of an address never get into one."""
+    return without_credentials(f"{what}: expected {wanted}, got {came}. {do}")

@@ -12,13 +12,15 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from uniforce_vtla.errors import without_credentials
+
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 
 
 def provenance() -> dict[str, Any]:
     """Return command line, package version, machine and date of this process."""
     return {
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": without_credentials(" ".join([Path(sys.argv[0]).name, *sys.argv[1:]])),
         "version": importlib.metadata.version(DISTRIBUTION),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, no accelerator used",
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),

@@ -23,7 +23,7 @@ from uniforce_vtla.arguments import choose, parse
 
 CLIENTS = ("pylibfranka", "franky")
 HOLD_s = 0.5  # the bar
-HANG_s = 90.0  # without a new row; a trial takes 4 to 15 s
+HANG_s = 60.0  # without a new row; a trial takes 4 to 15 s
 POLL_s = 0.5
 
 

@@ -7,6 +7,7 @@ is there, so it can be begun again. Nothing here was ever run on hardware.
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import json
 import logging
 import os
@@ -27,6 +28,7 @@ from uniforce_vtla.keys import AXES
 
 PERIOD_s = 1 / 30
 UNDER_WAY_s, NOTICE_s, AFTER_s = 0.6, 15.0, 0.7
+STUCK_s = 45.0  # no trial takes so long
 SWAY_m, SWAY_s = 0.015, 1.0  # up to 0.09 m/s
 BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
 HELD_m = 0.03  # the object
@@ -225,7 +227,7 @@ def _hold_s(fci: StandIn, known_s: float) -> float:
 
 
 def main() -> None:
-    """Run what OUT lacks."""
+    """Run what OUT lacks; ends early after a fault that leaves a client hanging."""
     client, faults, times, address, out = sys.argv[1:6]
     logging.disable(logging.WARNING)
     path = Path(out)
@@ -234,9 +236,13 @@ def main() -> None:
         for fault in faults.split(","):
             there = sum(row["client"] == client and row["fault"] == fault for row in done)
             for _ in range(there, int(times)):
+                faulthandler.dump_traceback_later(STUCK_s)  # into the log; works also where a client keeps the GIL
                 row = trial(client, fault, address, Path(folder))
+                faulthandler.cancel_dump_traceback_later()
                 with path.open("a") as file:
                     file.write(json.dumps(asdict(row)) + "\n")
+                if fault in AT_NEXT_ANSWER:
+                    return  # the client hangs, and takes memory without end: the next trial gets a new process
 
 
 if __name__ == "__main__":

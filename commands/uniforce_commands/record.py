@@ -53,6 +53,7 @@ class RecordConfig:
     quick_notes: list[str] = field(default_factory=list)  # notes that the digits 1, 2, … add
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
     keep_aborted: bool = True  # whether what came before a fault is stored, labelled
+    late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is aborted:late
     keep_raw: bool = True  # robot: raw tactile frames beside the dataset
     window: int = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
     reserve_MB: float = 500.0  # MB that have to stay free on the disk
@@ -73,6 +74,7 @@ def record(config: RecordConfig, device_flags: Sequence[str] = ()) -> SessionEnd
         RobotError, SensorError, TeleoperatorError: it can't be connected.
     """
     _check(config)
+    _refuse_ignored(config, device_flags)
     if config.robot == "sim" and config.teleop == "expert":
         return _record_expert(config)
     from uniforce_recording.assemble import make_operator, run_session
@@ -94,6 +96,7 @@ def record(config: RecordConfig, device_flags: Sequence[str] = ()) -> SessionEnd
             config.drive_between,
             config.unwell_s,
             config.keep_aborted,
+            config.late_share,
             {**asdict(config), "devices": list(device_flags)},
         ),
         config.seed,
@@ -153,6 +156,35 @@ def _check(config: RecordConfig) -> None:
         raise ContractError(expected("episode_s", "above 0", config.episode_s, "Give seconds."))
     if config.resume:
         _resume(config)
+
+
+ROBOT = ("rig", "keep_raw", "window")
+SCENE = ("level", "left_sensor", "right_sensor")
+BY_HAND = ("prompts", "episode_s", "operator", "verdict", "quick_notes", "drive_between", "keep_aborted")
+EXPERT = ("nudge", "keep_failures")
+IGNORED = {  # by how it records: settings that would change nothing
+    "robot=franka": (*SCENE, *EXPERT, "real_time"),
+    "robot=sim teleop=expert": (*ROBOT, *BY_HAND, "late_share", "reserve_MB", "unwell_s", "real_time"),
+    "robot=sim, steered by hand": (*ROBOT, *EXPERT),
+}
+
+
+def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str]) -> None:
+    """Refuse what was set and would change nothing."""
+    mode = "robot=franka" if config.robot == "franka" else "robot=sim, steered by hand"
+    if (config.robot, config.teleop) == ("sim", "expert"):
+        mode = "robot=sim teleop=expert"
+    plain = RecordConfig()
+    given = [name for name in IGNORED[mode] if getattr(config, name) != getattr(plain, name)]
+    parts = (
+        () if config.robot == "franka" else ("robot",) if config.teleop != "expert" else ("robot", "teleop")
+    )
+    flags = [
+        flag for flag in device_flags if flag.removeprefix("--").startswith(tuple(f"{p}." for p in parts))
+    ]
+    if given or (parts and flags):
+        came = ", ".join([*given, *flags])
+        raise ContractError(expected(f"settings with {mode}", "those it uses", came, "Leave them out."))
 
 
 def _resume(config: RecordConfig) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected, without_credentials
 
 
 def card_path(root: Path, episode: int) -> Path:
@@ -16,12 +16,13 @@ def card_path(root: Path, episode: int) -> Path:
 
 
 def write_card(staged: Path, episode: int, card: Mapping[str, Any] | None) -> None:
-    """Write a card into the staging folder; nothing where there is none."""
+    """Write a card into the staging folder, without credentials; nothing where there is none."""
     if card is None:
         return
     path = card_path(staged, episode)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({"episode": episode, **card}, indent=1, ensure_ascii=False) + "\n")
+    text = json.dumps({"episode": episode, **card}, indent=1, ensure_ascii=False)
+    path.write_text(without_credentials(text) + "\n")
 
 
 def read_card(root: str | Path, episode: int) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from uniforce_datasets.columns import ColumnMaker, check_row, sensor_index
 from uniforce_datasets.features import CAMERA_SHAPE, Shape, dataset_features, refuse_other_features
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.raw_video import RawVideo
-from uniforce_datasets.recorder_lock import lock
+from uniforce_datasets.recorder_lock import claim, lock
 from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, commit, recover
 from uniforce_datasets.stored_check import check_stored
@@ -64,8 +64,8 @@ class EpisodeRecorder:
             ``camera_shape`` then say nothing); marker images are stored exactly there too.
 
     Raises:
-        DatasetError: another recorder writes here, the folder holds something else or other features, the disk
-            is full, a video frame was lost.
+        DatasetError: another recorder writes here, the folder can't be written, holds something else or other
+            features, the disk is full, a video frame was lost.
         ContractError: a frame with a missing key, a wrong shape, or a marker image that isn't {0, 255}.
     """
 
@@ -95,8 +95,7 @@ class EpisodeRecorder:
         self._features = dataset_features(cameras, truth, further) if features is None else features
         self._columns = ColumnMaker()
         self._raw_shapes = dict(raw_shapes or {})
-        self.root.mkdir(parents=True, exist_ok=True)
-        self._lock = lock(self.root, lock_wait_s)
+        self._lock = lock(claim(root), lock_wait_s)
         recover(self.root)
         self._writer = self._open()
 

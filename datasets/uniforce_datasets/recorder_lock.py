@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import tempfile
 import time
 from pathlib import Path
 from typing import IO
@@ -10,6 +11,24 @@ from typing import IO
 from uniforce_vtla.errors import DatasetError, expected
 
 POLL_s = 0.05
+
+
+def claim(root: str | Path) -> Path:
+    """Return the folder of a dataset, made where there is none.
+
+    Raises:
+        DatasetError: no name, or nothing can be written there.
+    """
+    do = "Give root=… a folder you may write to."
+    if not str(root).strip():
+        raise DatasetError(expected("root", "a folder", repr(str(root)), do))
+    folder = Path(root)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise DatasetError(expected(f"root={root}", "a folder to write to", error, do)) from error
 
 
 def lock(root: Path, wait_s: float) -> IO[str]:

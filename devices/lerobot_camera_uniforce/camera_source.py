@@ -19,7 +19,7 @@ from lerobot_camera_uniforce.faults import LostSensorError, ProtocolError, Wrong
 from lerobot_camera_uniforce.http_capture import HttpCapture
 from lerobot_camera_uniforce.samples import NS_PER_MS, NS_PER_S, now_ns
 from lerobot_camera_uniforce.sources import SourceCounts, Stamped
-from uniforce_vtla.errors import expected
+from uniforce_vtla.errors import expected, without_credentials
 
 Clock = Literal["host", "driver"]
 FAILED_READS = 10  # in a row: the device is gone; an http source waits 0.1 s in each
@@ -49,7 +49,7 @@ class CameraSource:
         clock: Clock = "host",
         factory: CaptureFactory = open_capture,
     ) -> None:
-        self.name = f"{name} ({source})"
+        self.name = without_credentials(f"{name} ({source})")
         self.settings_read_back: dict[str, float] = {}
         self._source, self._settings, self._clock, self._factory = source, settings, clock, factory
         self._capture: Capture | None = None

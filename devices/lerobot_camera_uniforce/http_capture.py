@@ -5,9 +5,10 @@ OpenCV's own reader takes a second to open, hides when a frame was sent, and wai
 
 from __future__ import annotations
 
+import base64
 import socket
 import time
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, unquote, urlsplit
 
 import cv2
 import numpy as np
@@ -26,7 +27,7 @@ class HttpCapture:
     """One connection to an MJPEG stream.
 
     Args:
-        url: ``http://host:port/path``.
+        url: ``http://host:port/path``, or ``http://user:password@host:port/path``.
 
     Attributes:
         bad: images that couldn't be decoded.
@@ -119,6 +120,14 @@ def decode_bgr(jpeg: bytes) -> np.ndarray | None:
         return None  # the caller counts it as bad
 
 
+def _login(parts: SplitResult) -> str:
+    """Return the header line of a basic login, nothing where the address has none."""
+    if parts.username is None:
+        return ""
+    pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+    return f"Authorization: Basic {base64.b64encode(pair.encode()).decode()}\r\n"
+
+
 def _request(url: str) -> socket.socket:
     do = "Give http://host:port/path of an MJPEG stream, and start its server."
     parts = urlsplit(url)
@@ -132,7 +141,8 @@ def _request(url: str) -> socket.socket:
     try:
         connection = socket.create_connection((host, port), CONNECT_S)
         # HTTP/1.0: the answer is never chunked
-        connection.sendall(f"GET {target} HTTP/1.0\r\nHost: {host}:{port}\r\n\r\n".encode())
+        request = f"GET {target} HTTP/1.0\r\nHost: {host}:{port}\r\n{_login(parts)}\r\n"
+        connection.sendall(request.encode())
     except OSError as error:
         raise LostSensorError(expected(url, "an MJPEG server", error, do)) from error
     return connection

@@ -63,5 +63,6 @@ class Plan:
             "drive_between": False,
             "reserve_MB": 50.0,
             "unwell_s": 10.0 * self.patience,
+            "late_share": 0.1 if self.patience <= 1 else 0.9,
         }
         return [f"{name}={value}" for name, value in (plain | settings).items()]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -41,6 +41,7 @@ class SessionSettings:
         drive_between: whether the teleoperator moves the robot between episodes.
         unwell_s: how long an unattended session waits for sensors to become well before it gives up.
         keep_aborted: whether what was recorded until a fault is stored, labelled.
+        late_share: of its ticks that an episode may miss; one that missed more is ``aborted:late``.
         settings: of the whole command, for the cards.
     """
 
@@ -50,6 +51,7 @@ class SessionSettings:
     drive_between: bool = True
     unwell_s: float = 10.0
     keep_aborted: bool = True
+    late_share: float = 0.1
     settings: dict[str, Any] = field(default_factory=dict)
 
 
@@ -115,12 +117,22 @@ class RecordingSession:
             return False
         prompt, begun = self._prompt(), datetime.now(UTC).isoformat(timespec="milliseconds")
         self._parts.view.begin(f"episode {self._judged + 1}/{self._settings.episodes}: {prompt}")
-        ending = judge(self._parts, EpisodeLoop(self._parts, prompt, frames).run())
+        ending = judge(self._parts, self._not_late(EpisodeLoop(self._parts, prompt, frames).run()))
         self._endings.append(ending)
         self._store(ending, {"begun": begun, "prompt": prompt})
         self._seed += 1
         self._after(ending)
         return ending.how == "rerecord"
+
+    def _not_late(self, ending: Ending) -> Ending:
+        """Return the ending, ``aborted:late`` where it would count but too many ticks are missing."""
+        ticks, allowed = ending.ticks, self._settings.late_share
+        if ending.how not in ("judged", "open") or ticks.late_share <= allowed:
+            return ending
+        do = "Free the computer, record fewer pixels, or set late_share."
+        came = f"{ticks.missed} of {ticks.ticks + ticks.missed} missed"
+        message = expected("episode", f"at most {allowed:.0%} of its ticks missed", came, do)
+        return replace(ending, how="aborted", cause="late", message=message)
 
     def _prompt(self) -> str:
         prompts = self._settings.prompts

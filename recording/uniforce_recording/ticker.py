@@ -27,6 +27,11 @@ class TickStats:
     jitter_max_ms: float
     missed: int
 
+    @property
+    def late_share(self) -> float:
+        """Share of all deadlines that passed without a tick."""
+        return self.missed / max(self.ticks + self.missed, 1)
+
     def as_dict(self) -> dict[str, float]:
         """Return the numbers by name, rounded for people."""
         return {name: round(value, 3) for name, value in asdict(self).items()}

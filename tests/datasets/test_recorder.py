@@ -55,6 +55,13 @@ def save_one(recorder: EpisodeRecorder) -> None:
     recorder.save(success=True, outcome="success", seed=7)
 
 
+@pytest.mark.parametrize("root", ["", " ", "/proc/nothing", "a\0b", "{file}"])
+def test_a_root_that_cannot_be_written_is_refused(root: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(DatasetError, match="a folder"):
+        EpisodeRecorder(root.format(file=tmp_path / "file"), "local/x", "gelsight", "tactip")
+
+
 def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
     root = tmp_path / "data"
     recorded = []

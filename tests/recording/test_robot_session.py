@@ -54,7 +54,7 @@ def go(
     own_process: bool = False,
     **settings: object,
 ) -> SessionEnd:
-    plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0}
+    plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
     teleop = teleop or sway(root.parent)
     store = StoreSettings(root, "local/test", reserve_MB=1.0, own_process=own_process)
     end = run_session(fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)))  # type: ignore[arg-type]
@@ -93,6 +93,23 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
         assert (np.diff(columns[index_key(source)]) >= 0).all() and columns[index_key(source)][-1] > 3
     assert np.ptp(columns[ACTION][:, 0]) > 0.001, "the sway was stored"
     np.testing.assert_allclose(columns[measured_key("hand")][:, 0], 0.08, atol=1e-6)
+
+
+def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
+    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teleop = sway(tmp_path)
+    quick = teleop.get_action
+
+    def slow() -> dict[str, float]:
+        time.sleep(2.5 / 30)
+        return quick()
+
+    monkeypatch.setattr(teleop, "get_action", slow)
+    end = go(fake, tmp_path / "data", Nobody("success"), teleop, late_share=0.1)
+    assert end.exit_code == 3 and "missed" in end.message
+    assert labels(tmp_path / "data") == ["aborted:late"] * 3
+    assert read_card(tmp_path / "data", 0)["label"] == "aborted:late"
 
 
 def labels(root: Path) -> list[str]:

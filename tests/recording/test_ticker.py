@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from uniforce_recording.ticker import Ticker
+from uniforce_recording.ticker import Ticker, TickStats
 
 
 class Clock:
@@ -50,6 +50,11 @@ def test_what_is_late_and_what_is_missed(clock: Clock) -> None:
     stats = beat.stats
     assert (stats.ticks, stats.missed) == (3, 2) and stats.jitter_max_ms == pytest.approx(220)
     assert beat.wait() == 0 and clock.now_s == pytest.approx(100.5), "back on the grid"
+
+
+def test_the_share_of_late_ticks_counts_the_missing_ones() -> None:
+    assert TickStats(9, 30.0, 0.0, 0.0, 0.0, 1).late_share == 0.1
+    assert TickStats(0, 0.0, 0.0, 0.0, 0.0, 0).late_share == 0.0
 
 
 def test_a_pause_does_not_count(clock: Clock) -> None:
