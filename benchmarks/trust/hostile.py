@@ -104,6 +104,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
                 "worst_hold_s": 0.0,
                 "worst_learnt_s": 0.0,
                 "sent_after": 0,
+                "starved": 0,
             },
         )
         line["trials"] += 1
@@ -112,6 +113,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
         line["worst_hold_s"] = max(line["worst_hold_s"], row["hold_s"])
         line["worst_learnt_s"] = max(line["worst_learnt_s"], row["learnt_s"])
         line["sent_after"] += row["sent_after"]
+        line["starved"] += row.get("starved", 0)
     return dict(sorted(table.items()))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import time
@@ -26,7 +27,6 @@ MODES = {
 }
 RETRY_s = 0.1
 END_s = 1.5  # the client itself gives up a silent robot after 1 s
-ABANDONED: list[Any] = []  # clients that hang; they are never let go
 TURN_rad = 0.01  # the hand's turn after which the gains are expressed in the base frame anew
 
 
@@ -152,8 +152,9 @@ class FrankyArm:
         self.stop()
         robot, self._robot = self._robot, None
         if not self._has_ended(robot):
-            # Its destructor would wait for the client's own thread with Python's lock held, for ever.
-            ABANDONED.append(robot)
+            # Its destructor would wait for the client's own thread with Python's lock held, for ever: it never runs,
+            # not even when the program ends.
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(robot))
             log.error("the Franka client hangs: end this process before you connect again")
 
     def _has_ended(self, robot: Any) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 from benchmarks.trust.hostile import CLIENTS, attack, is_right, summarise
@@ -33,3 +35,17 @@ def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
     assert not any(is_right(row) for row in wrong)
     line = summarise([right, *wrong])["reflex franky"]
     assert (line["trials"], line["named_right"], line["held"], line["sent_after"]) == (5, 3, 4, 1)
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+from benchmarks.trust.hostile_trials import begun_trial
+print(begun_trial("franky", "garbage_state", sys.argv[1], Path(sys.argv[2])).named)
+"""
+
+
+def test_a_program_whose_client_hangs_ends_by_itself(address: str, tmp_path: Path) -> None:
+    words = [sys.executable, "-c", PROGRAM, address, str(tmp_path)]
+    said = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
+    assert said.stdout.strip() in RIGHT_NAMES["garbage_state"] and "hangs" in said.stderr
