@@ -172,7 +172,7 @@ class Rig:
             "guards": {"low": [0.1, -0.3, 0.1, -3.1416, 0.0], "high": [0.7, 0.3, 0.6, 3.1416, 0.08]},
             # 1 s is the hard limit of each; the hand's is never the first to be met when the controller dies.
             "stream": dict.fromkeys(("state_age_s", "stale_s"), min(0.2 * patience, 0.9)),
-            "hand": {"reading_age_s": min(0.5 * patience, 1.0)},
+            "gripper": {"reading_age_s": min(0.5 * patience, 1.0)},
             "cameras": cameras,
         }
         teleop = {"type": "trial_circle", "tick_s": 1 / self.options.fps}
