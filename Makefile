@@ -4,12 +4,13 @@ STAMP := .venv/.ready
 export HF_HUB_OFFLINE ?= 1
 export TOKENIZERS_PARALLELISM ?= false
 
-.PHONY: help setup demo test lint faults fuzz ci clean lock
+.PHONY: help setup demo test lint properties faults fuzz ci clean lock
 
 help:
 	@echo "make setup   fill .venv (Python 3.12, locked dependencies)"
 	@echo "make demo    record, train, roll out, score: one page and one video, 5 to 10 minutes on a laptop"
 	@echo "make test    lint, types and the whole test suite, 12 minutes on 2 cores, 20 on slow ones"
+	@echo "make properties  property tests with ten times as many examples, random ones"
 	@echo "make fuzz    100,000 injured inputs into each parser of bytes, 2,000 into each reader of files (half an hour)"
 	@echo "make faults  31 faults of the stand-in arm against both Franka clients, ten times each (20 minutes)"
 	@echo "make ci      make test, then the wheel in a fresh environment"
@@ -29,8 +30,14 @@ lint: setup
 	.venv/bin/mypy
 
 test: setup lint
-	$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"
-	$(PY) -m pytest -m realtime
+	@$(PY) -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not realtime"; first=$$?; \
+	$(PY) -m pytest -m realtime; second=$$?; \
+	echo "first half, beside each other: $$([ $$first -eq 0 ] && echo passed || echo FAILED)"; \
+	echo "second half, against the clock: $$([ $$second -eq 0 ] && echo passed || echo FAILED)"; \
+	[ $$first -eq 0 ] && [ $$second -eq 0 ]
+
+properties: setup
+	$(PY) -m pytest -m hypothesis --hypothesis-profile random
 
 faults: setup
 	$(PY) -m benchmarks.trust.hostile times=10 out=docs/results/trust.json

@@ -9,7 +9,10 @@ import torch
 
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 
-sys.path.insert(0, str(Path(__file__).parent))  # fair_clock.py: importlib mode gives test folders no package
+sys.path.insert(
+    0, str(Path(__file__).parent)
+)  # fair_clock, properties: importlib mode gives test folders no package
+import properties  # noqa: F401  (registers the profiles)
 from fair_clock import FairClock
 
 torch.set_num_threads(1)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_vtla.contact import PRETRAIN, SEEN, UNSEEN, flat_face_gap, gap_map, gap_maps
 from uniforce_vtla.contact.indenters import HEIGHTS
@@ -65,7 +66,7 @@ def test_unknown_indenter_is_refused() -> None:
         gap_map("banana", (0, 0), 0.0)
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.floats(-60, 700), st.floats(-60, 540), st.floats(1, 110), st.sampled_from(["disc", "square"]))
 def test_filled_area_is_right_and_clipped(x: float, y: float, size: float, shape: str) -> None:
     fill = fill_discs if shape == "disc" else fill_squares

@@ -5,8 +5,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_datasets.pooled_quantiles import POOLED_KEYS, pooled_stats
 from uniforce_datasets.source import read_source
@@ -24,7 +25,7 @@ def test_recorded_statistics_are_pooled(demos: Path) -> None:
         assert stats[key]["min"] == values.min(0).tolist() and stats[key]["count"] == [60]
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(st.integers(1, 50), st.integers(0, 2**16))
 def test_statistics_do_not_depend_on_the_order_of_episodes(frames: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

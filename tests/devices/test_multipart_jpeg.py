@@ -6,8 +6,9 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from lerobot_camera_uniforce.faults import ProtocolError
 from lerobot_camera_uniforce.http_capture import decode_bgr
@@ -23,7 +24,7 @@ def stream(with_length: bool) -> bytes:
     return HEADER + b"".join(parts) + b"--uniforceframe\r\n"
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(cuts=st.lists(st.integers(0, 700), max_size=20), with_length=st.booleans())
 def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int], with_length: bool):
     data, reader = stream(with_length), MultipartJpeg("cam")

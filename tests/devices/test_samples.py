@@ -6,8 +6,9 @@ import threading
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from lerobot_camera_uniforce.samples import NS_PER_MS, SampleRing, now_ns
 from uniforce_vtla.errors import ContractError
@@ -20,7 +21,7 @@ def filled(count: int, capacity: int = 8) -> SampleRing:
     return ring
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     count=st.integers(0, 40), capacity=st.integers(2, 9), size=st.integers(1, 9), since=st.integers(-1, 45)
 )

@@ -6,8 +6,9 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from lerobot_camera_uniforce.slcan_lines import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
 from uniforce_standins.slcan import scan_lines
@@ -30,7 +31,7 @@ def test_a_line_of_a_real_patch():
     assert scan[1:].tolist() == CYCLE[0][1:].tolist()
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.lists(st.integers(0, len(STREAM)), max_size=30))
 def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
     scans, edges = reader(), [0, *sorted(cuts), len(STREAM)]
@@ -39,7 +40,7 @@ def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
     assert (scans.counts.samples, scans.counts.lost, scans.counts.bad) == (6, 0, 0)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(st.lists(st.tuples(st.integers(0, 95), st.sampled_from(["drop", "twice", "noise"])), max_size=6))
 def test_whatever_breaks_taxels_of_two_scans_never_mix(faults: list[tuple[int, str]]):
     lines = [line for scan in LINES for line in scan]

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from lerobot.cameras.utils import make_cameras_from_configs
+from properties import examples
 
 from lerobot_camera_uniforce import UniforceUskin, UniforceUskinConfig
 from lerobot_camera_uniforce.faults import LostSensorError
@@ -115,7 +116,7 @@ COUNTS = st.integers(0, 2**32 - 1).map(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(COUNTS, st.sampled_from([0, 90, 180, 270]), st.booleans())
 def test_orientations_undo_each_other(counts: np.ndarray, turn: int, flip: bool):
     turned = Orientation(turn, flip).of_counts(counts)
@@ -123,7 +124,7 @@ def test_orientations_undo_each_other(counts: np.ndarray, turn: int, flip: bool)
     assert np.array_equal(back, counts)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(COUNTS, st.sampled_from([90, 180, 270]), st.booleans())
 def test_turning_counts_turns_the_picture(counts: np.ndarray, turn: int, flip: bool):
     """On a square canvas: where each disc is, in pitches about the middle, must turn as a picture does."""

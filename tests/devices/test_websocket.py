@@ -8,8 +8,9 @@ import threading
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from lerobot_camera_uniforce.backlog import Backlog
 from lerobot_camera_uniforce.faults import LostSensorError, ProtocolError, StaleSensorError
@@ -25,7 +26,7 @@ from uniforce_standins.xela import frame
 TEXTS = [b"", b"short", b"x" * 126, b"y" * 70_000]
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(cuts=st.lists(st.integers(0, 70_300), max_size=12), pieces=st.integers(1, 4))
 def test_how_frames_are_cut_makes_no_difference(cuts: list[int], pieces: int):
     data = b"".join(_fragmented(text, pieces) for text in TEXTS)

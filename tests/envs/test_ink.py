@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from lerobot_env_uniforce_wiping import LEVELS, draw_scene
 from lerobot_env_uniforce_wiping.ink import InkField
@@ -22,14 +23,14 @@ def left_after(press_N: float, slide_m: float = 0.06, off_center_m: float = 0.0)
     return ink.ink
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(st.floats(0, FROM_N), st.floats(-0.05, 0.05))
 def test_felt_that_presses_too_lightly_glides_over_the_ink(press_N: float, off_center_m: float) -> None:
     first = InkField(draw_scene(3, "paper")).ink
     assert np.array_equal(left_after(press_N, off_center_m=off_center_m), first)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(st.floats(FROM_N + 0.1, 12), st.floats(1.05, 2))
 def test_who_presses_harder_or_slides_farther_leaves_less(press_N: float, more: float) -> None:
     inked = InkField(draw_scene(3, "paper")).ink > 0

@@ -4,8 +4,9 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, draw_scene, level_hash
 from lerobot_env_uniforce_wiping.ink import InkField
@@ -29,7 +30,7 @@ def test_unknown_level_names_the_known_ones() -> None:
         draw_scene(0, "impossible")
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(st.integers(0, 2**31 - 1), st.sampled_from(sorted(LEVELS)))
 def test_scene_is_a_function_of_seed_and_level(seed: int, level: str) -> None:
     scene = draw_scene(seed, level)
@@ -60,7 +61,7 @@ def test_stiffness_is_as_likely_twice_as_half_its_middle() -> None:
     assert (drawn < np.sqrt(low * high)).mean() == pytest.approx(0.5, abs=0.08)  # three standard errors
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(st.integers(0, 2**31 - 1), st.sampled_from(["easy", "paper", "hard"]))
 def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed: int, name: str) -> None:
     """Every cell of the word is under the swept band, whatever the board's place and turn."""

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.episode import (
@@ -111,7 +112,7 @@ def test_bad_traces_are_refused() -> None:
 columns = st.lists(st.floats(0, 30), min_size=8, max_size=40)
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(
     st.lists(st.tuples(columns, st.floats(0, 1), st.integers(0, 3), st.booleans()), min_size=1, max_size=8)
 )
@@ -135,7 +136,7 @@ def _random_result(values: list[float], residual: float, phase: int, aborted: bo
     return score_episode(_random_trace(values, residual, phase, aborted))
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(columns, st.floats(1.0, 4.0))
 def test_events_are_monotone_in_what_they_measure(values: list[float], factor: float) -> None:
     base = _random_trace(values, 0.0, 2, False)
@@ -144,7 +145,7 @@ def test_events_are_monotone_in_what_they_measure(values: list[float], factor: f
     assert before.excess_force <= after.excess_force and before.slippage <= after.slippage
 
 
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(columns, st.floats(0.0, 1.0))
 def test_stricter_limits_never_make_an_episode_cleaner(values: list[float], share: float) -> None:
     trace = _random_trace(values, 0.05, 2, False)

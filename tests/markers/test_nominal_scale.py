@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.virtual import as_virtual
@@ -43,7 +44,7 @@ def test_another_lens_over_the_same_gel_looks_nominal(name: str, px_per_mm: floa
     assert both > 1.5 * before
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(zoom=st.floats(0.6, 1.7), x=st.integers(250, 390), y=st.integers(180, 300), taxel=st.booleans())
 def test_a_marker_goes_where_its_point_goes(zoom: float, x: int, y: int, taxel: bool) -> None:
     base = get_sensor("uskin" if taxel else "gelsight")

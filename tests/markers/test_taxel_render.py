@@ -7,9 +7,10 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from properties import examples
 
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer, TaxelScales
@@ -82,7 +83,7 @@ def test_saturation_is_counted(canon):
     }
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(hnp.arrays(np.int64, (16, 3), elements=st.integers(-40_000, 40_000)))
 def test_any_counts_give_a_binary_image_inside_the_canvas(delta):
     discs = place_discs(delta, TaxelScales())
@@ -91,7 +92,7 @@ def test_any_counts_give_a_binary_image_inside_the_canvas(delta):
     assert np.all((discs.centres_px > 0) & (discs.centres_px < (640, 480)))
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(hnp.arrays(np.int64, (16, 3), elements=st.integers(0, 3_000)), st.integers(-10_000, 10_000))
 def test_only_the_difference_to_the_reference_matters(delta, shift):
     images = []

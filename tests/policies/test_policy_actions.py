@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, make_pi05_uniforce_pre_post_processors
 from lerobot_policy_pi05_uniforce.action_form import (
@@ -281,7 +282,7 @@ def test_evaluation_mode_reaches_a_module_that_was_set_apart(make_policy):
     assert policy.training and policy.model.training
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(length=st.integers(1, 30), steps=st.integers(1, 6), data=st.data())
 def test_a_rollout_is_told_the_same_move_as_the_sample_it_was_trained_on(length, steps, data):
     """Frame t of an episode: commands are clipped to the episode as training views do; a rollout issued 0 … t − 1."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_standins.fci import protocol as p
 
@@ -88,7 +89,7 @@ SIZES = [4, 10, 12, 16, 23, 40, 104, 113, 371, 416, 1377]
 
 
 @pytest.mark.parametrize("decode", DECODERS)
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(data=st.data())
 def test_garbage_is_decoded_or_refused_by_name(decode, data) -> None:
     size = data.draw(st.sampled_from(SIZES) | st.integers(0, 1500))

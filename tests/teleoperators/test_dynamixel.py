@@ -6,8 +6,9 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from lerobot_teleoperator_uniforce.dynamixel import Status, StatusReader, crc16, packet, sync_read
 from uniforce_standins.gello import checksum, status
@@ -35,7 +36,7 @@ def test_both_checksums_agree(data: bytes) -> None:
     assert crc16(data) == checksum(data)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(
     st.lists(st.tuples(st.integers(1, 252), st.integers(0, 255), st.binary(max_size=20)), max_size=6),
     st.lists(st.integers(1, 9), min_size=1, max_size=40),
@@ -50,7 +51,7 @@ def test_answers_survive_any_splitting_and_noise_between(answers: list, sizes: l
     assert got == [Status(motor, error, body) for motor, error, body in answers]
 
 
-@settings(max_examples=300, deadline=None)
+@examples(300)
 @given(st.lists(st.binary(max_size=80), max_size=10))
 def test_any_bytes_are_survived_in_bounded_memory(chunks: list) -> None:
     reader = StatusReader()

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from properties import examples
 
 from lerobot_teleoperator_uniforce.integrator import TargetIntegrator, TargetLimits
 from uniforce_vtla.errors import ContractError
@@ -18,7 +19,7 @@ moves = arrays(np.float64, 5, elements=st.floats(-1e3, 1e3))
 times = st.floats(-1, 1e4)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(poses, st.lists(st.tuples(moves, times, st.booleans()), max_size=20))
 def test_no_jump_whatever_is_asked(start: np.ndarray, orders: list) -> None:
     integrator = TargetIntegrator()
@@ -32,7 +33,7 @@ def test_no_jump_whatever_is_asked(start: np.ndarray, orders: list) -> None:
         assert np.all(after >= low - 1e-12) and np.all(after <= high + 1e-12)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(st.lists(arrays(np.float64, 5, elements=st.floats(-1, 1)), min_size=1, max_size=300))
 def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates: list) -> None:
     measured = np.array([0.5, 0.0, 0.2, 0.0, 0.05])
@@ -43,7 +44,7 @@ def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates: list)
     assert np.all(np.abs(integrator.target - measured) <= np.array(LIMITS.leash) + 1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(arrays(np.float64, 5, elements=st.floats(0, 1)), arrays(np.float64, 5, elements=st.floats(0, 1)))
 def test_a_goal_in_the_box_is_reached_in_time(from_share: np.ndarray, to_share: np.ndarray) -> None:
     low, high = np.array(LIMITS.low), np.array(LIMITS.high)

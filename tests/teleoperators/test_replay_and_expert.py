@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 import lerobot_teleoperator_uniforce as ours
 from lerobot_teleoperator_uniforce.action_files import read_actions
@@ -75,10 +76,12 @@ def test_what_is_no_recording_is_refused(
     assert error.value.fault == fault
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(100)
 @given(st.sampled_from([".npz", ".csv", ".parquet"]), st.binary(max_size=300))
-def test_any_bytes_end_in_a_typed_error_or_in_actions(tmp_path: Path, suffix: str, data: bytes) -> None:
-    path = tmp_path / f"any{suffix}"
+def test_any_bytes_end_in_a_typed_error_or_in_actions(
+    tmp_path_factory: pytest.TempPathFactory, suffix: str, data: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"any{suffix}"
     path.write_bytes(data)
     try:
         assert read_actions(path).shape[1] == len(AXES)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 import lerobot_teleoperator_uniforce as ours
 from lerobot_teleoperator_uniforce.spacemouse_reports import LARGEST_COUNT, SpaceMouseReports
@@ -29,7 +30,7 @@ def test_both_layouts_say_the_same(axes: tuple, buttons: int, layout: str) -> No
     assert reader.state.tolist() == [*axes, buttons & 1, buttons >> 1]
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(st.lists(st.binary(max_size=64), max_size=20))
 def test_any_bytes_leave_a_possible_state(chunks: list) -> None:
     reader = SpaceMouseReports()

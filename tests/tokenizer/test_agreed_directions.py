@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_vtla.tokenizer.agreed_directions import MOST, agreed_directions
 
@@ -28,7 +29,7 @@ def fingers(seed: int, loud: float) -> tuple[np.ndarray, list[np.ndarray], list[
     return force, told, [rest, rest], basis[:, 2:]
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seed=st.integers(0, 1000), loud=st.floats(0.1, 5.0))
 def test_two_directions_hold_the_shared_force_and_nothing_a_finger_adds(seed: int, loud: float) -> None:
     force, told, rests, own = fingers(seed, loud)

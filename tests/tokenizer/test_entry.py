@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.entry import letterbox, prepare, prepare_tensor
@@ -21,7 +22,7 @@ def test_keeps_the_aspect_and_centres_on_black() -> None:
 
 
 @given(seed=st.integers(0, 1000), factor=st.integers(2, 4))
-@settings(max_examples=15, deadline=None)
+@examples(15)
 def test_any_size_of_the_same_picture_gives_the_same_square(seed: int, factor: int) -> None:
     small = random_markers(seed)
     large = small.repeat(factor, axis=1).repeat(factor, axis=2)

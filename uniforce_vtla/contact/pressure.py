@@ -10,6 +10,7 @@ from uniforce_vtla.contact.grid import CELL_AREA_MM2
 from uniforce_vtla.contact.pads import Pad, has_object
 from uniforce_vtla.errors import ContractError, expected
 
+_LEAST_LOAD_MM = 1e-30  # less counts as none: float32 loses precision at 1e-38
 _MAX_STEPS = 40  # Newton on a convex piecewise-linear curve ends exactly; 40 is far beyond what occurs
 
 
@@ -84,30 +85,32 @@ def solve_pressure(foundation: Foundation, gap_mm: np.ndarray, fz_N: np.ndarray)
         )
     area = footprint_mm2(foundation.pad, gap, foundation.rated_depth_mm)
     stiffness = contact_stiffness(foundation, area)
-    first = gap.min(axis=1)
-    load = fz_N / (stiffness * CELL_AREA_MM2)  # (B,) sum of overlaps wanted, in mm
-    guess = first + load / np.maximum(area, CELL_AREA_MM2)
-    delta = _solve_depth(gap, foundation.pad.coverage, load.astype(np.float32), guess.astype(np.float32))
-    overlap = np.maximum(delta[:, None] - gap, 0) * foundation.pad.coverage
+    # Counted from first touch: float32 then resolves the depth of the smallest load as finely as that of a large one.
+    above = gap - gap.min(axis=1, keepdims=True)
+    load = (fz_N / (stiffness * CELL_AREA_MM2)).astype(np.float32)  # (B,) sum of overlaps wanted, in mm
+    load = np.where(load < _LEAST_LOAD_MM, np.float32(0), load)
+    depth = _solve_depth(above, foundation.pad.coverage, load, load / np.maximum(area, CELL_AREA_MM2))
+    overlap = np.maximum(depth[:, None] - above, 0) * foundation.pad.coverage
     p = _exact_sum(overlap * stiffness[:, None], fz_N / CELL_AREA_MM2)
-    return Pressure(p, stiffness, np.where(fz_N > 0, delta - first, 0).astype(np.float32))
+    return Pressure(p, stiffness, depth)
 
 
-def _solve_depth(gap: np.ndarray, coverage: np.ndarray, load: np.ndarray, guess: np.ndarray) -> np.ndarray:
-    """Return (B,) δ with Σ coverage·max(δ − gap, 0) = load.
+def _solve_depth(above: np.ndarray, coverage: np.ndarray, load: np.ndarray, guess: np.ndarray) -> np.ndarray:
+    """Return (B,) depth δ with Σ coverage·max(δ − above, 0) = load; 0 where the load is 0.
 
     Newton: the sum is convex and piecewise linear in δ, so after the first step it only falls, and ends exactly.
     """
-    delta = guess + np.float32(1e-4)
+    least = load / coverage.sum()  # the whole pad under a flat face; rounding must not end below it
+    depth = guess + np.float32(1e-4)
     for _ in range(_MAX_STEPS):
-        over = delta[:, None] - gap
+        over = depth[:, None] - above
         touching = (over > 0) * coverage  # (B, C)
         area = np.maximum(touching.sum(axis=1), np.float32(1e-6))
         step = (np.einsum("bc,bc->b", touching, over) - load) / area
-        delta = delta - step
-        if np.all(np.abs(step) <= 1e-5 * (1 + np.abs(delta))):
+        depth = np.maximum(depth - step, least)
+        if np.all(np.abs(step) <= 1e-5 * depth):
             break
-    return delta
+    return np.where(load > 0, depth, np.float32(0))
 
 
 def _exact_sum(p: np.ndarray, total: np.ndarray) -> np.ndarray:

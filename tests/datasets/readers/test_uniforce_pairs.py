@@ -8,8 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_datasets.readers import (
     PairConfig,
@@ -59,7 +60,7 @@ def test_what_is_written_is_read_back(recorded: Path, marker_trials: Any) -> Non
     ]
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(8)
 @given(seed=st.integers(0, 2**32 - 1), split=st.integers(1, 3), cell=st.sampled_from([1, 3, 8, 40]))
 def test_any_binary_image_survives(
     tmp_path_factory: pytest.TempPathFactory, seed: int, split: int, cell: int
