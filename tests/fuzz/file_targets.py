@@ -27,6 +27,7 @@ from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view
 from uniforce_vtla.array_file import read_array, read_arrays
 from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.file_hashes import HASHES, check_hashes, write_hashes
 from uniforce_vtla.keys import ACTION, STATE
 from uniforce_vtla.peers.checkpoint import read_tensors
 from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES
@@ -49,6 +50,10 @@ class FileTarget:
     folder: Path
     read: Callable[[], Any]
     typed: tuple[type[Exception], ...] = TYPED
+
+    def __post_init__(self) -> None:
+        for hashes in self.folder.rglob(HASHES):  # they would refuse every injury before a reader meets it
+            hashes.unlink()
 
     @property
     def files(self) -> list[Path]:
@@ -165,6 +170,14 @@ def foreign(folder: Path) -> FileTarget:
     return FileTarget(root, lambda: read_tensors(root / "peer.pth"))
 
 
+def hashes(folder: Path) -> FileTarget:
+    (folder / "data").mkdir()
+    (folder / "data" / "config.json").write_text("{}")
+    target = FileTarget(folder / "data", lambda: check_hashes(folder / "data", UniForceError))
+    write_hashes(folder / "data")
+    return target
+
+
 def arrays(folder: Path) -> FileTarget:
     root = folder / "data"
     root.mkdir()
@@ -180,6 +193,7 @@ def arrays(folder: Path) -> FileTarget:
 
 FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones first
     "arrays": arrays,
+    "hashes": hashes,
     "foreign": foreign,
     "training_state": training_state,
     "adapter": adapter,

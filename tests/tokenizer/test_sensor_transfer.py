@@ -17,6 +17,7 @@ from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.two_fingers import OtherFinger, _shared
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import CheckpointError, ContractError
+from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.pooling import pool_latent
@@ -69,6 +70,7 @@ def test_saved_equals_loaded_and_strange_files_are_refused(tmp_path: Path) -> No
         again.row("c")
     with pytest.raises(CheckpointError, match="checkpoint"):
         SensorTransfer.from_pretrained(tmp_path / "nowhere")
+    drop_hashes(folder)
     config = json.loads((folder / "config.json").read_text())
     for key, wrong in (
         ("kinds", ["a"] * 99),
