@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from uniforce_vtla.errors import CheckpointError
-from uniforce_vtla.file_hashes import HASHES, QUICK_BELOW, Verify, check_hashes, write_hashes
+from uniforce_vtla.file_hashes import HASHES, QUICK_BELOW, check_hashes, write_hashes
 
 HEADER = "---\nlicense: apache-2.0\n---\n"
 
@@ -63,7 +63,7 @@ def test_a_checkpoint_without_hashes_gets_one_line(folder: Path, caplog: pytest.
 
 
 @pytest.mark.parametrize(("verify", "refused"), [("full", True), ("quick", False), ("off", False)])
-def test_quick_trusts_large_files_of_the_right_size(folder: Path, verify: Verify, refused: bool) -> None:
+def test_quick_trusts_large_files_of_the_right_size(folder: Path, verify: str, refused: bool) -> None:
     weights = folder / "model.safetensors"
     weights.write_bytes(bytes(QUICK_BELOW))
     write_hashes(folder)

@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from uniforce_vtla.errors import UniForceError, expected
 from uniforce_vtla.json_file import read_object
@@ -22,7 +22,6 @@ CARD = "README.md"  # of a card only the header that programs read is hashed: pe
 HEADER = re.compile(rb"---\r?\n.*?\n---", re.DOTALL)
 QUICK_BELOW = 16 << 20  # bytes: verify=quick hashes smaller files, and compares sizes of all
 LOADED = ("model.safetensors", "config.json", "adapter_*", "policy_*")  # what loaders open
-Verify = Literal["full", "quick", "off"]
 
 
 def write_hashes(folder: str | Path, names: Iterable[str] = ()) -> Path:
@@ -50,7 +49,7 @@ def hashed_names(folder: Path, error: type[UniForceError]) -> list[str]:
     return list(_entries(folder, error)) if (folder / HASHES).is_file() else []
 
 
-def check_hashes(folder: Path, error: type[UniForceError], verify: Verify = "full") -> None:
+def check_hashes(folder: Path, error: type[UniForceError], verify: str = "full") -> None:
     """Compare a checkpoint's files with their hashes; a checkpoint without any only gets a warning.
 
     Args:
@@ -78,7 +77,7 @@ def _loaded(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.iterdir()) if any(fnmatch(path.name, name) for name in LOADED)]
 
 
-def _difference(path: Path, entry: dict[str, Any], verify: Verify) -> str:
+def _difference(path: Path, entry: dict[str, Any], verify: str) -> str:
     """Return what is wrong with a file; nothing if it is as it was."""
     if not path.is_file():
         return f"no {path.name}"

@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from uniforce_vtla.errors import CheckpointError, expected
-from uniforce_vtla.file_hashes import HASHES, Verify, check_hashes, hashed_names
+from uniforce_vtla.file_hashes import HASHES, check_hashes, hashed_names
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.tokenizer.weights import is_finite
 
@@ -53,7 +53,7 @@ def read_config(path: Path) -> dict[str, Any]:
     return read_object(path, CheckpointError)
 
 
-def check_files(source: str | Path, verify: Verify, revision: str | None, local_files_only: bool) -> None:
+def check_files(source: str | Path, verify: str, revision: str | None, local_files_only: bool) -> None:
     """Compare every file of a checkpoint folder or hub repository with its hash, fetching those of a repository.
 
     Raises:
