@@ -148,8 +148,8 @@ class PI05UniforceConfig(PI05Config):
     # simulation a poor policy should be scored, not end the run. NaN always stops.
     stop_outside_demos: bool = False
 
-    # loading: files are compared with hashes.json. "full": all, a second per GB | "quick": from 16 MB by size alone | "off".
-    # A checkpoint always stores "full": none may ask for its own files not to be compared
+    # loading: files are compared with hashes.json. "full": all, a second per GB | "quick": from 16 MB by size
+    # alone | "off". A checkpoint always stores "full": none may ask for its own files not to be compared
     verify: str = "full"
 
     # Training

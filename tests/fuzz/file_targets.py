@@ -32,7 +32,7 @@ from uniforce_vtla.keys import ACTION, STATE
 from uniforce_vtla.peers.checkpoint import read_tensors
 from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES
 from uniforce_vtla.probes.touch_gauge import TouchGauge
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.sensor_transfer import FOLDER, SensorTransfer
@@ -115,13 +115,13 @@ def gauge(folder: Path) -> FileTarget:
 
 def adapter(folder: Path) -> FileTarget:
     root = Calibration(LatentAdapter(6, 4).eval(), HASH, "new", "anchor", 1.0, 0.5).save(folder / "data")
-    return FileTarget(root, lambda: Calibration.load(root, HASH)(torch.zeros(1, 16, 6)))
+    return FileTarget(root, lambda: Calibration.load(root, HASH)(Latent.of(torch.zeros(1, 16, 6), HASH)))
 
 
 def transfer(folder: Path) -> FileTarget:
     root = folder / "data"
     SensorTransfer(["gelsight", "tactip"], 12, HASH).save(root / FOLDER, {})
-    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root).told(torch.zeros(2, 12), 0, 1))
+    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root, HASH).told(torch.zeros(2, 12), 0, 1))
 
 
 def policy(folder: Path) -> FileTarget:

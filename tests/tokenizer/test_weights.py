@@ -11,6 +11,7 @@ from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 
 
@@ -98,7 +99,7 @@ def test_hash_follows_weights_config_and_scales(tiny: TokenizerConfig) -> None:
 def test_force_head_round_trip_and_missing_source(tmp_path: Path) -> None:
     head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "abc")
     loaded = ForceHead.from_pretrained(path=head.save(tmp_path / "head"))
-    z = torch.randn(2, 64, 6)
+    z = Latent.of(torch.randn(2, 64, 6), "abc")
     assert loaded.source == "tactip" and loaded.tokenizer_hash == "abc"
     torch.testing.assert_close(loaded(z), head(z))
     with pytest.raises(CheckpointError):

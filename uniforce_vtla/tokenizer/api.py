@@ -13,6 +13,7 @@ from uniforce_vtla.contracts import Finger, MarkerPair, check_finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.markers.taxel_render import TaxelScales
 from uniforce_vtla.tokenizer.entry import prepare
+from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, TokenizerConfig, build_model
 from uniforce_vtla.tokenizer.weights import (
     checkpoint_folder,
@@ -79,10 +80,10 @@ class Tokenizer:
         return self.config.num_patches
 
     @overload
-    def encode(self, reference: MarkerPair) -> torch.Tensor: ...
+    def encode(self, reference: MarkerPair) -> Latent: ...
 
     @overload
-    def encode(self, reference: np.ndarray, current: np.ndarray, finger: Finger = "left") -> torch.Tensor: ...
+    def encode(self, reference: np.ndarray, current: np.ndarray, finger: Finger = "left") -> Latent: ...
 
     @torch.no_grad()
     def encode(
@@ -90,8 +91,8 @@ class Tokenizer:
         reference: MarkerPair | np.ndarray,
         current: np.ndarray | None = None,
         finger: Finger = "left",
-    ) -> torch.Tensor:
-        """Return latents (B, P, latent) float32: the posterior's mean.
+    ) -> Latent:
+        """Return latents (B, P, latent) float32: the posterior's mean, a tensor that carries this tokenizer's hash.
 
         Args:
             reference: a MarkerPair (then nothing else is given), or (B or 1, H, W) free-air images.
@@ -105,11 +106,18 @@ class Tokenizer:
             return self.encode(reference.reference[None], reference.current[None], reference.finger)
         side = self.config.side
         after = prepare(_given(current), check_finger(finger), side, "current")
-        return self.model.encoder.encode_current(self._reference(reference, finger, len(after)), after).mean
+        z = self.model.encoder.encode_current(self._reference(reference, finger, len(after)), after).mean
+        return Latent.of(z, self.hash)
 
     @torch.no_grad()
     def decode(self, reference: np.ndarray, z: torch.Tensor, finger: Finger = "left") -> torch.Tensor:
-        """Return the (B, side, side) canonical image that latents z would show on that reference's sensor."""
+        """Return the (B, side, side) canonical image that latents z would show on that reference's sensor.
+
+        Raises:
+            ContractError: a reference of the wrong form, or latents without an origin.
+            CheckpointError: latents of another tokenizer.
+        """
+        z = own_latent(z, self.hash, "decode")
         before = prepare(reference, check_finger(finger), self.config.side, "reference")
         return self.model.decoder(before.expand(len(z), -1, -1, -1), z)[:, 0].clamp(0, 1)
 

@@ -8,6 +8,7 @@ import torch
 from torch.nn import functional as F  # noqa: N812
 
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.tokenizer.latent import Latent
 
 
 def as_map(z: torch.Tensor) -> torch.Tensor:
@@ -21,5 +22,6 @@ def as_map(z: torch.Tensor) -> torch.Tensor:
 
 
 def pool_latent(z: torch.Tensor, grid: int = 4) -> torch.Tensor:
-    """Return (B, grid², L): means over neighbouring patches of (B, P, L)."""
-    return F.adaptive_avg_pool2d(as_map(z), grid).flatten(2).transpose(1, 2)
+    """Return (B, grid², L): means over neighbouring patches of (B, P, L), with their origin if they have one."""
+    pooled = F.adaptive_avg_pool2d(as_map(z), grid).flatten(2).transpose(1, 2)
+    return Latent.of(pooled, z.tokenizer_hash) if isinstance(z, Latent) else pooled
