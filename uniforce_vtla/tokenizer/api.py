@@ -9,7 +9,7 @@ from typing import Any, overload
 import numpy as np
 import torch
 
-from uniforce_vtla.contracts import Finger, MarkerPair, check_finger
+from uniforce_vtla.contracts import Finger, MarkerPair, check_count, check_finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.markers.taxel_render import TaxelScales
 from uniforce_vtla.tokenizer.entry import prepare
@@ -51,7 +51,7 @@ class Tokenizer:
     @classmethod
     def random(cls, config: TokenizerConfig | None = None, seed: int = 0) -> Tokenizer:
         """Return an untrained tokenizer: a baseline, and a stand-in for tests."""
-        return cls(build_model(config or TokenizerConfig(), seed))
+        return cls(build_model(config or TokenizerConfig(), check_count("seed", seed, 2**63 - 1, least=0)))
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> Tokenizer:
@@ -100,13 +100,15 @@ class Tokenizer:
             finger: who wore the sensor; the right finger's images are mirrored.
 
         Raises:
-            ContractError: images of the wrong form, an unknown finger, a reference without markers.
+            ContractError: images of the wrong form or of two sizes, an unknown finger, a reference without markers.
         """
         if isinstance(reference, MarkerPair):
+            _not_given(current)
             return self.encode(reference.reference[None], reference.current[None], reference.finger)
-        side = self.config.side
-        after = prepare(_given(current), check_finger(finger), side, "current")
-        z = self.model.encoder.encode_current(self._reference(reference, finger, len(after)), after).mean
+        after = prepare(_given(current), check_finger(finger), self.config.side, "current")
+        before = self._reference(reference, finger, len(after))
+        _same("current", reference.shape[-2:], _given(current).shape[-2:], "Use one camera setting for both.")
+        z = self.model.encoder.encode_current(before, after).mean
         return Latent.of(z, self.hash)
 
     @torch.no_grad()
@@ -114,11 +116,15 @@ class Tokenizer:
         """Return the (B, side, side) canonical image that latents z would show on that reference's sensor.
 
         Raises:
-            ContractError: a reference of the wrong form, or latents without an origin.
+            ContractError: a reference of the wrong form or count, or latents of another shape or without an origin.
             CheckpointError: latents of another tokenizer.
         """
         z = own_latent(z, self.hash, "decode")
-        before = prepare(reference, check_finger(finger), self.config.side, "reference")
+        wanted = (self.num_patches, self.config.latent)
+        _same("latents (…, P, L)", wanted, tuple(z.shape[1:]), "Decode what encode returned.")
+        before = self._free_air(reference, check_finger(finger))
+        if len(before) > 1:
+            _same("references", len(z), len(before), "Pass one reference per latent, or one.")
         return self.model.decoder(before.expand(len(z), -1, -1, -1), z)[:, 0].clamp(0, 1)
 
     def _reference(self, reference: np.ndarray, finger: Finger, batch: int) -> ReferenceCache:
@@ -126,7 +132,7 @@ class Tokenizer:
         images = reference[None] if getattr(reference, "ndim", 0) == 2 else reference
         before_count = len(images) if isinstance(images, np.ndarray) else 0
         if before_count > 1:
-            _same_length(before_count, batch)
+            _same("references", batch, before_count, "Pass one reference per image, or one.")
             return self.encode_reference(images, finger)
         key = _content_key(images, finger)
         if key not in self._references:
@@ -136,13 +142,16 @@ class Tokenizer:
         return self._references[key]
 
     def encode_reference(self, images: np.ndarray, finger: Finger) -> ReferenceCache:
-        """Return what frames need of free-air images (B, H, W), not cached; ContractError if one is all black."""
+        """Return what frames need of free-air images (B, H, W), not cached; ContractError if one shows no marker."""
+        return self.model.encoder.encode_reference(self._free_air(images, finger))
+
+    def _free_air(self, images: np.ndarray, finger: Finger) -> torch.Tensor:
         before = prepare(images, finger, self.config.side, "reference")
-        if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
-            raise ContractError(
-                expected("reference", "an image with markers", "all black", "Capture it again in free air.")
-            )
-        return self.model.encoder.encode_reference(before)
+        flat = images.reshape(len(before), -1)
+        if bool((flat.min(axis=1) == flat.max(axis=1)).any()):
+            do = "Capture it again in free air."
+            raise ContractError(expected("reference", "an image with markers", "all black or one grey", do))
+        return before
 
 
 def _given(current: np.ndarray | None) -> np.ndarray:
@@ -153,11 +162,15 @@ def _given(current: np.ndarray | None) -> np.ndarray:
     return current
 
 
-def _same_length(references: int, currents: int) -> None:
-    if references != currents:
-        raise ContractError(
-            expected("references", f"1 or {currents}", references, "Pass one reference per image, or one.")
-        )
+def _not_given(current: np.ndarray | None) -> None:
+    if current is not None:
+        do = "Pass the pair, or reference and current."
+        raise ContractError(expected("encode", "a MarkerPair alone", "a current beside it", do))
+
+
+def _same(what: str, wanted: object, came: object, do: str) -> None:
+    if wanted != came:
+        raise ContractError(expected(what, wanted, came, do))
 
 
 def _content_key(images: np.ndarray, finger: Finger) -> str:

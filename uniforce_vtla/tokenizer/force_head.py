@@ -176,12 +176,9 @@ class ForceHead:
         """Return ``z`` if it is (B, P, channels) and finite; raise ContractError otherwise."""
         channels = self.model.config.channels
         square = z.ndim == 3 and math.isqrt(z.shape[1]) ** 2 == z.shape[1]
-        if not square or z.shape[2] != channels:
-            raise ContractError(
-                expected(
-                    "latents", f"(B, P, {channels})", tuple(z.shape), "Use the tokenizer it was trained on."
-                )
-            )
+        if not square or z.shape[2] != channels or not len(z) or z.dtype != torch.float32:
+            came, do = f"{z.dtype} {tuple(z.shape)}", "Use the tokenizer it was trained on."
+            raise ContractError(expected("latents", f"float32 (B, P, {channels})", came, do))
         if not bool(z.isfinite().all()):
             raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the images."))
         return z
