@@ -10,19 +10,8 @@ import torch
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 
 # What only picks, joins, reshapes or moves numbers; everything else gives a plain tensor.
-PICKS = (
-    "__getitem__",
-    "unbind",
-    "cat",
-    "stack",
-    "unsqueeze",
-    "squeeze",
-    "reshape",
-    "view",
-    "flatten",
-    "unflatten",
-)
-MOVES = ("expand", "contiguous", "clone", "detach", "to", "cpu", "cuda")
+PICKS = ("__getitem__", "unbind", "cat", "stack", "unsqueeze", "squeeze", "flatten", "unflatten")
+MOVES = ("reshape", "view", "expand", "contiguous", "clone", "detach", "to", "cpu", "cuda")
 KEEPS_ORIGIN = frozenset((*PICKS, *MOVES))
 
 
@@ -67,15 +56,12 @@ def own_latent(z: torch.Tensor, tokenizer_hash: str, reader: str) -> torch.Tenso
         CheckpointError: latents of another tokenizer.
     """
     if not isinstance(z, Latent):
-        do = (
-            "Pass what Tokenizer.encode returned; stored latents become Latent.of(z, their tokenizer's hash)."
-        )
+        do = "Pass what Tokenizer.encode returned; stored latents become Latent.of(z, tokenizer's hash)."
         raise ContractError(expected(f"latents for {reader}", "a Latent", type(z).__name__, do))
     if z.tokenizer_hash != tokenizer_hash:
-        do = "Load both of one size or folder."
-        came = f"those of {z.tokenizer_hash[:12]}…"
+        wanted, came = (f"tokenizer {name[:12]}…" for name in (tokenizer_hash, z.tokenizer_hash))
         raise CheckpointError(
-            expected(f"latents for {reader}", f"tokenizer {tokenizer_hash[:12]}…", came, do)
+            expected(f"latents for {reader}", wanted, came, "Load both of one size or folder.")
         )
     return z.as_subclass(torch.Tensor)
 
