@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES, CheckpointDamage
-
 from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import HASHES, check_hashes
 
