@@ -36,7 +36,7 @@ def dots() -> np.ndarray:
 
 
 # These run whole programs, wait as long as it takes and hold no clock against them.
-PATIENT = ("test_recorder_trials.py", "test_command.py", "test_store_process.py")
+PATIENT = ("test_lossy_recording.py", "test_recorder_trials.py", "test_command.py", "test_store_process.py")
 REALTIME = ("devices", "recording", "robots", "standins", "teleoperators")
 
 

@@ -15,6 +15,7 @@ SHARED = {
     "results_file",
     "figure_file",
     "json_file",
+    "file_hashes",
     "array_file",
     "arguments",
 }

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from uniforce_vtla.markers import Canonicalizer, to_finger_frame
     from uniforce_vtla.sensors import list_sensors
-    from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+    from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer
 
-__all__ = ["Canonicalizer", "ForceHead", "Tokenizer", "list_sensors", "to_finger_frame"]
+__all__ = ["Canonicalizer", "ForceHead", "Latent", "Tokenizer", "list_sensors", "to_finger_frame"]
 
 _HOME = {
     "Canonicalizer": "markers",
     "to_finger_frame": "markers",
     "list_sensors": "sensors",
     "ForceHead": "tokenizer",
+    "Latent": "tokenizer",
     "Tokenizer": "tokenizer",
 }
 

@@ -22,6 +22,7 @@ from lerobot_policy_pi05_uniforce import (
 from lerobot_policy_pi05_uniforce.published import FRESH, own_names
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
+from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.keys import ACTION
 
 KNOWN_TYPES = ("pi05", "pi05_uniforce")
@@ -86,6 +87,7 @@ def convert(config: ConvertConfig) -> Path:
     from uniforce_datasets.training_view import TrainingView
 
     revision = config.revision or None
+    weights.check_files(config.source, "full", revision, local_files_only=False)
     source = weights.read_config(weights.find(config.source, weights.CONFIG, revision))
     slots = _slots(config.touch_slots)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
@@ -99,6 +101,7 @@ def convert(config: ConvertConfig) -> Path:
     before, after = make_pi05_uniforce_pre_post_processors(settings, view.meta.stats)
     for part in (policy, before, after):
         part.save_pretrained(config.out)
+    write_hashes(config.out)
     return Path(config.out)
 
 

@@ -13,11 +13,12 @@ from huggingface_hub import HfApi
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.factory import make_pre_post_processors
 
-from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, UniForceError, expected
 from uniforce_vtla.evaluation.checkpoint_scores import scores_of
+from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.results_file import write_json
 
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
@@ -64,6 +65,7 @@ def share(config: ShareConfig) -> Path:
     card.save(out / CARD)
     if scores is not None:
         write_json(out / SCORES, scores)
+    write_hashes(out)
     return out
 
 
@@ -92,6 +94,7 @@ def _merged(source: Path, base: str) -> PI05UniforcePolicy:
         )
     from peft import PeftModel  # an extra: only who trains adapters has it
 
+    weights.check_files(source, "full", None, local_files_only=True)
     policy = PeftModel.from_pretrained(PI05UniforcePolicy.from_pretrained(base), source).merge_and_unload()
     policy.config = PreTrainedConfig.from_pretrained(source)
     policy.config.use_peft = False

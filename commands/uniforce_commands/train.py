@@ -13,9 +13,11 @@ import torch
 from accelerate import PartialState, utils
 from lerobot.datasets import factory
 from lerobot.scripts import lerobot_train
+from lerobot.utils.constants import PRETRAINED_MODEL_DIR
 from lerobot.utils.import_utils import register_third_party_plugins
 
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.keys import VIEW_MARKER
 
 HELP = """\
@@ -124,6 +126,22 @@ def process_group_kept() -> Iterator[None]:
         PartialState.destroy_process_group = stock
 
 
+@contextmanager
+def checkpoints_hashed() -> Iterator[None]:
+    """Let LeRobot's trainer end every checkpoint with ``hashes.json``: it saves the processors after the policy."""
+    stock = lerobot_train.save_checkpoint
+
+    def save(checkpoint_dir: Path, **given: Any) -> None:
+        stock(checkpoint_dir=checkpoint_dir, **given)
+        write_hashes(checkpoint_dir / PRETRAINED_MODEL_DIR)
+
+    lerobot_train.save_checkpoint = save
+    try:
+        yield
+    finally:
+        lerobot_train.save_checkpoint = stock
+
+
 def trains_ours(flags: Sequence[str]) -> bool:
     """Return whether these flags name a pi05_uniforce, by type or by the folder it starts or goes on from."""
     given = dict(flag[2:].split("=", 1) for flag in flags if flag.startswith("--") and "=" in flag)
@@ -145,7 +163,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     flags = to_lerobot(arguments)
     before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
-        with training_views(), every_weight_used(flags), process_group_kept():
+        with training_views(), every_weight_used(flags), process_group_kept(), checkpoints_hashed():
             lerobot_train.main()
     finally:
         sys.argv = before

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from lerobot_camera_uniforce.config_uniforce import TactileFingerConfig
+from lerobot_camera_uniforce.lossy_recording import refuse_lossy_recording
 from lerobot_camera_uniforce.sampled_camera import READ_MS, SampledCamera, Touch
 from lerobot_camera_uniforce.samples import Sample, Window
 from lerobot_camera_uniforce.sources import SampleSource
@@ -37,6 +38,19 @@ class TactileFinger(SampledCamera):
         self._drawn: tuple[int, np.ndarray] | None = None
         self._reference_raw: np.ndarray | None = None
         self._reference_drawn: np.ndarray | None = None
+
+    def connect(self, warmup: bool = True) -> None:
+        """Open the device and wait for its first sample.
+
+        Raises:
+            SensorError: no device, no samples, another sensor than configured, or a reference taken in contact.
+            DatasetError: one of LeRobot's recorders connects it and would store its images with loss.
+        """
+        only_markers = (
+            getattr(self.config, "delivers", "markers") == "markers"
+        )  # cameras may deliver raw frames
+        refuse_lossy_recording(self.config.label, only_markers)
+        super().connect(warmup)
 
     @abstractmethod
     def _make_source(self) -> SampleSource: ...

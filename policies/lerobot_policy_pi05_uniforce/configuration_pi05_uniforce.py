@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from lerobot.configs import NormalizationMode, PreTrainedConfig
@@ -26,6 +27,7 @@ CHOICES = {
     "sampler": ("fast", "stock"),
     "token_site": ("prefix", "suffix"),
     "on_sensor_loss": ("error", "mask"),
+    "verify": ("full", "quick", "off"),
 }
 
 
@@ -146,6 +148,10 @@ class PI05UniforceConfig(PI05Config):
     # simulation a poor policy should be scored, not end the run. NaN always stops.
     stop_outside_demos: bool = False
 
+    # loading: files are compared with hashes.json. "full": all, a second per GB | "quick": from 16 MB by size
+    # alone | "off". A checkpoint always stores "full": none may ask for its own files not to be compared
+    verify: str = "full"
+
     # Training
     optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
     new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4
@@ -211,6 +217,14 @@ class PI05UniforceConfig(PI05Config):
             _check_slot(slot)
             check_finger(finger)
         self.finger_by_slot()
+
+    def _save_pretrained(self, save_directory: Path) -> None:
+        """Write ``config.json``."""
+        given, self.verify = self.verify, "full"
+        try:
+            super()._save_pretrained(save_directory)
+        finally:
+            self.verify = given
 
     @property
     def slots(self) -> tuple[str, ...]:

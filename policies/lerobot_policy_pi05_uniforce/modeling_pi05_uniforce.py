@@ -48,6 +48,7 @@ from lerobot_policy_pi05_uniforce.touch_input import TouchInput
 from lerobot_policy_pi05_uniforce.trainable import NEW_MODULES, lora_targets, parameter_groups
 from lerobot_policy_pi05_uniforce.transferred_touch import transferred_touch
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.keys import ACTION, STATE
 
 logger = logging.getLogger(__name__)
@@ -125,12 +126,19 @@ class PI05UniforcePolicy(ActionLoss):
         local_files_only: bool = False,
         **kwargs: Any,
     ) -> PI05UniforcePolicy:
-        """Load a checkpoint; every tensor must be there, fit, and nothing be left over.
+        """Load a checkpoint; every file must be as it was saved, every tensor fit, and nothing be left over.
+
+        ``config.verify`` says how files are compared with their hashes.
 
         Raises:
-            CheckpointError: missing or damaged files, tensors that don't fit, touch settings that differ.
+            CheckpointError: missing, changed or damaged files, tensors that don't fit, touch settings that differ.
         """
-        source = pretrained_name_or_path
+        source, verify = pretrained_name_or_path, "full" if config is None else config.verify
+        weights.check_files(source, verify, revision, local_files_only)
+        if (
+            config is not None and config.use_peft and config.pretrained_path
+        ):  # adapters lie in a folder of their own
+            weights.check_files(config.pretrained_path, verify, config.pretrained_revision, local_files_only)
         where = weights.find(source, weights.CONFIG, revision, local_files_only)
         saved = weights.read_config(where)
         check_settings(saved, str(where))
@@ -151,7 +159,11 @@ class PI05UniforcePolicy(ActionLoss):
         return policy.to(config.device).eval()
 
     def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
-        """Write config, weights (the frozen tactile tokenizer among them) and a model card."""
+        """Write config, weights (the frozen tactile tokenizer among them) and a model card.
+
+        LeRobot saves the processors later; who calls it calls ``write_hashes`` last.
+        """
+        drop_hashes(save_directory)
         super()._save_pretrained(save_directory, state_dict)
         model_card(self.config).save(save_directory / CARD)
 

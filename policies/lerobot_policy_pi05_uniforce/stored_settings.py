@@ -10,6 +10,7 @@ from typing import Any
 from draccus.utils import DraccusException
 from safetensors import SafetensorError
 
+from lerobot_policy_pi05_uniforce import weights
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.json_file import read_object
@@ -52,6 +53,9 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
     if feels and not isinstance(saved.get("tokenizer_config"), dict):
         do = "A checkpoint holds its tokenizer; a path to another one is never followed. Copy it again."
         raise CheckpointError(expected(f"tokenizer_config in {where}", "sizes", "none", do))
+    if saved.get("verify", "full") != "full":
+        do = "Only who loads a checkpoint chooses how it is verified. Copy it again."
+        raise CheckpointError(expected(f"verify in {where}", "full", repr(saved["verify"])[:80], do))
     try:
         for name, most in LIMITS.items():
             if saved.get(name) is not None:
@@ -78,7 +82,7 @@ def check_processors(folder: Path) -> None:
     that a checkpoint can't run a program of its choice.
 
     Raises:
-        CheckpointError: damaged, a step that names a class, or a state outside the folder.
+        CheckpointError: damaged, a step that names a class, or a state outside the folder, or with NaN or inf.
     """
     for name in PROCESSORS:
         if not (folder / name).is_file():
@@ -88,6 +92,7 @@ def check_processors(folder: Path) -> None:
             raise CheckpointError(expected(str(folder / name), "steps", repr(steps)[:80], "Copy it again."))
         for step in steps:
             _check_step(folder / name, step)
+            _check_state(folder / str(step.get("state_file")))
 
 
 def _check_step(file: Path, step: Any) -> None:
@@ -101,6 +106,14 @@ def _check_step(file: Path, step: Any) -> None:
         raise CheckpointError(
             expected(f"state of a step in {file}", "a file beside it", repr(state)[:80], do)
         )
+
+
+def _check_state(path: Path) -> None:
+    if not path.is_file():
+        return  # LeRobot says so, or fetches it
+    with weights.opened(path, "processors' state") as stored:
+        for name in stored.keys():  # noqa: SIM118 (not a dict)
+            weights.finite(stored.get_tensor(name), f"{name} of {path}")
 
 
 def _beside(name: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 
 if TYPE_CHECKING:
@@ -19,12 +19,7 @@ def tokenizer_maps(config: PI05UniforceConfig) -> SensorTransfer:
         CheckpointError: the tokenizer comes without, or they are another tokenizer's.
         ContractError: they are of another grid.
     """
-    transfer = SensorTransfer.from_pretrained(config.tokenizer_path)
-    if transfer.tokenizer_hash != config.tokenizer_hash:
-        do = "Run uniforce-sensor-transfer for this tokenizer."
-        raise CheckpointError(
-            expected("tokenizer of the maps", config.tokenizer_hash, transfer.tokenizer_hash, do)
-        )
+    transfer = SensorTransfer.from_pretrained(config.tokenizer_path, config.tokenizer_hash)
     numbers = config.tokens_per_slot * config.latent_size
     if transfer.rest.shape[-1] != numbers:
         do = "Run uniforce-sensor-transfer with fit.grid as policy.latent_grid."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,9 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.file_hashes import HASHES, check_hashes, hashed_names
 from uniforce_vtla.json_file import read_object
+from uniforce_vtla.tokenizer.weights import is_finite
 
 ALIGNED_BELOW = 2**20  # bytes: all of tiny's matrices, hardly anything of base
 WEIGHTS = "model.safetensors"
@@ -51,6 +53,21 @@ def read_config(path: Path) -> dict[str, Any]:
     return read_object(path, CheckpointError)
 
 
+def check_files(source: str | Path, verify: str, revision: str | None, local_files_only: bool) -> None:
+    """Compare every file of a checkpoint folder or hub repository with its hash, fetching those of a repository.
+
+    Raises:
+        CheckpointError: a file that is missing, changed or without a hash.
+    """
+    folder = find(source, CONFIG, revision, local_files_only).parent
+    with suppress(CheckpointError):  # a checkpoint without hashes: ``check_hashes`` says so
+        folder = find(source, HASHES, revision, local_files_only).parent
+    if not Path(source).is_dir():
+        for name in hashed_names(folder, CheckpointError):
+            find(source, name, revision, local_files_only)
+    check_hashes(folder, CheckpointError, verify)
+
+
 def fill(
     module: nn.Module,
     path: Path,
@@ -68,15 +85,22 @@ def fill(
         fresh: prefixes of names that may be missing: modules the file's author didn't have.
 
     Raises:
-        CheckpointError: a truncated or damaged file, or naming the tensors that don't fit.
+        CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or hold NaN or inf.
     """
-    with _opened(path) as stored:
+    with opened(path) as stored:
         renamed = ((rename(name), name) for name in stored.keys())  # noqa: SIM118 (not a dict)
         placed = {own: name for own, name in renamed if own is not None}
         shapes = {own: tuple(stored.get_slice(name).get_shape()) for own, name in placed.items()}
         _check(module, shapes, fresh)
         for own, name in placed.items():
-            _place(module, own, stored.get_tensor(name))
+            _place(module, own, finite(stored.get_tensor(name), f"{name} of {path}"))
+
+
+def finite(tensor: Tensor, what: str) -> Tensor:
+    """Return ``tensor``; raise CheckpointError if it holds NaN or inf."""
+    if not is_finite(tensor):
+        raise CheckpointError(expected(what, "finite numbers", "NaN or inf", "Copy the checkpoint again."))
+    return tensor
 
 
 def names(path: Path) -> list[str]:
@@ -85,18 +109,21 @@ def names(path: Path) -> list[str]:
     Raises:
         CheckpointError: the file is truncated or damaged.
     """
-    with _opened(path) as stored:
+    with opened(path) as stored:
         return list(stored.keys())
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def opened(path: Path, what: str = "weights") -> Iterator[Any]:
+    """Open a safetensors file; raise CheckpointError where it is truncated or damaged."""
     try:
         with safe_open(path, framework="pt") as stored:
             yield stored
     except (SafetensorError, OSError, ValueError) as error:
         raise CheckpointError(
-            expected(str(path), "a whole safetensors file", error, "It is cut or damaged; copy it again.")
+            expected(
+                f"{what} in {path}", "a whole safetensors file", error, "It is cut or damaged; copy it again."
+            )
         ) from error
 
 

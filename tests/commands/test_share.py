@@ -126,6 +126,7 @@ def test_what_is_pushed_is_the_whole_folder(
     assert share.main(given) == 0
     assert pushed[0]["repo_id"] == "somebody/pi05-wipe" and pushed[0]["folder_path"] == tmp_path / "shared"
     there = {path.name for path in (tmp_path / "shared").iterdir()}
+    assert json.loads((tmp_path / "shared" / "hashes.json").read_text()).keys() == there - {"hashes.json"}
     assert {"config.json", "model.safetensors", "README.md", "policy_preprocessor.json"} <= there
     assert "# pi05-wipe" in (tmp_path / "shared" / "README.md").read_text()
 

@@ -27,11 +27,12 @@ from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view
 from uniforce_vtla.array_file import read_array, read_arrays
 from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.file_hashes import HASHES, check_hashes, write_hashes
 from uniforce_vtla.keys import ACTION, STATE
 from uniforce_vtla.peers.checkpoint import read_tensors
 from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES
 from uniforce_vtla.probes.touch_gauge import TouchGauge
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
+from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.sensor_transfer import FOLDER, SensorTransfer
@@ -49,6 +50,10 @@ class FileTarget:
     folder: Path
     read: Callable[[], Any]
     typed: tuple[type[Exception], ...] = TYPED
+
+    def __post_init__(self) -> None:
+        for hashes in self.folder.rglob(HASHES):  # they would refuse every injury before a reader meets it
+            hashes.unlink()
 
     @property
     def files(self) -> list[Path]:
@@ -110,13 +115,13 @@ def gauge(folder: Path) -> FileTarget:
 
 def adapter(folder: Path) -> FileTarget:
     root = Calibration(LatentAdapter(6, 4).eval(), HASH, "new", "anchor", 1.0, 0.5).save(folder / "data")
-    return FileTarget(root, lambda: Calibration.load(root, HASH)(torch.zeros(1, 16, 6)))
+    return FileTarget(root, lambda: Calibration.load(root, HASH)(Latent.of(torch.zeros(1, 16, 6), HASH)))
 
 
 def transfer(folder: Path) -> FileTarget:
     root = folder / "data"
     SensorTransfer(["gelsight", "tactip"], 12, HASH).save(root / FOLDER, {})
-    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root).told(torch.zeros(2, 12), 0, 1))
+    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root, HASH).told(torch.zeros(2, 12), 0, 1))
 
 
 def policy(folder: Path) -> FileTarget:
@@ -165,6 +170,14 @@ def foreign(folder: Path) -> FileTarget:
     return FileTarget(root, lambda: read_tensors(root / "peer.pth"))
 
 
+def hashes(folder: Path) -> FileTarget:
+    (folder / "data").mkdir()
+    (folder / "data" / "config.json").write_text("{}")
+    target = FileTarget(folder / "data", lambda: check_hashes(folder / "data", UniForceError))
+    write_hashes(folder / "data")
+    return target
+
+
 def arrays(folder: Path) -> FileTarget:
     root = folder / "data"
     root.mkdir()
@@ -180,6 +193,7 @@ def arrays(folder: Path) -> FileTarget:
 
 FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones first
     "arrays": arrays,
+    "hashes": hashes,
     "foreign": foreign,
     "training_state": training_state,
     "adapter": adapter,

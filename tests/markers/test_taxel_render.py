@@ -153,6 +153,9 @@ def test_dead_sensor(canon):
         canon.pair(BASELINE, np.zeros((16, 3), np.int64), finger="left")
 
 
-def test_a_tared_stream_may_have_a_zero_reference(canon):
-    pair = canon.pair(np.zeros((16, 3), np.int64), loaded(5, 100, 100, 900) - BASELINE, finger="left")
+def test_a_tared_stream_has_noise_in_its_reference_a_dead_sensor_has_none(canon):
+    noise = np.eye(16, 3, dtype=np.int64)
+    pair = canon.pair(noise, loaded(5, 100, 100, 900) - BASELINE + noise, finger="left")
     assert np.array_equal(pair.current, canon.marker_image(loaded(5, 100, 100, 900)))
+    with pytest.raises(SensorError, match="reference: expected a live scan"):
+        canon.pair(np.zeros((16, 3), np.int64), BASELINE, finger="left")

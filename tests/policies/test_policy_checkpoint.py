@@ -15,9 +15,11 @@ from lerobot_policy_pi05_uniforce import (
     PI05UniforceConfig,
     PI05UniforcePolicy,
     make_pi05_uniforce_pre_post_processors,
+    weights,
 )
 from lerobot_policy_pi05_uniforce.compatibility import check_sensors
 from uniforce_vtla.errors import CheckpointError, DatasetError
+from uniforce_vtla.file_hashes import write_hashes
 
 
 @pytest.fixture
@@ -98,12 +100,56 @@ def test_a_tensor_that_does_not_fit_raises(checkpoint, damage, said):
         PI05UniforcePolicy.from_pretrained(checkpoint)
 
 
+def test_a_number_that_is_not_finite_is_named(checkpoint):
+    path = checkpoint / "model.safetensors"
+    tensors = load_file(path)
+    tensors["model.action_in_proj.bias"][0] = torch.nan
+    save_file(tensors, path)
+    with pytest.raises(CheckpointError, match=r"model.action_in_proj.bias of .*NaN or inf"):
+        PI05UniforcePolicy.from_pretrained(checkpoint)
+
+
+def test_only_who_loads_chooses_how_files_are_verified(make_policy, tmp_path):
+    policy = make_policy(verify="quick")
+    policy.save_pretrained(tmp_path)
+    assert policy.config.verify == "quick"
+    stored = json.loads((tmp_path / "config.json").read_text())
+    assert stored["verify"] == "full"
+    write_hashes(tmp_path)
+    (tmp_path / "config.json").write_text(json.dumps(stored | {"verify": "off"}))
+    with pytest.raises(CheckpointError, match=r"config\.json of"):
+        PI05UniforcePolicy.from_pretrained(tmp_path)
+    config = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--verify=off"])
+    with pytest.raises(CheckpointError, match="Only who loads"):
+        PI05UniforcePolicy.from_pretrained(tmp_path, config=config)
+    policy.save_pretrained(tmp_path)  # over it: hashes of the files before are gone
+    PI05UniforcePolicy.from_pretrained(tmp_path)
+
+
+def test_files_of_a_hub_repository_are_fetched_and_verified(checkpoint, monkeypatch):
+    write_hashes(checkpoint)
+    fetched = []
+
+    def download(source, name, **_):
+        fetched.append(name)
+        if not (checkpoint / name).is_file():
+            raise OSError(name)
+        return str(checkpoint / name)
+
+    monkeypatch.setattr(weights, "hf_hub_download", download)
+    weights.check_files("somebody/policy", "full", None, False)
+    assert {"hashes.json", "model.safetensors", "README.md"} <= set(fetched)
+    (checkpoint / "config.json").write_text("{}")
+    with pytest.raises(CheckpointError, match=r"config\.json of 2 bytes"):
+        weights.check_files("somebody/policy", "full", None, False)
+
+
 def test_truncated_or_missing_files_raise(checkpoint):
-    weights = checkpoint / "model.safetensors"
-    weights.write_bytes(weights.read_bytes()[:-100])
+    path = checkpoint / "model.safetensors"
+    path.write_bytes(path.read_bytes()[:-100])
     with pytest.raises(CheckpointError, match="cut or damaged"):
         PI05UniforcePolicy.from_pretrained(checkpoint)
-    weights.unlink()
+    path.unlink()
     with pytest.raises(CheckpointError, match=r"model\.safetensors"):
         PI05UniforcePolicy.from_pretrained(checkpoint)
     (checkpoint / "config.json").write_text("{")

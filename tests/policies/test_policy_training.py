@@ -66,6 +66,9 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
     moved = {k for k in early if not torch.equal(early[k], late[k])}
     assert any("force_tokens.proj" in k for k in moved) and any("vision_tower" in k for k in moved)
     assert not any("tactile_encoder" in k for k in moved)
+    hashed = json.loads((last / "hashes.json").read_text()).keys()
+    assert hashed == {path.name for path in last.iterdir()} - {"hashes.json"}
+    assert {"train_config.json", "policy_postprocessor.json"} < hashed
     policy = PI05UniforcePolicy.from_pretrained(last)
     tokens = policy.model.force_tokens
     felt = torch.from_numpy(felt_in(dataset)).reshape(20, 16, 6)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from uniforce_vtla.errors import CheckpointError, ContractError
+from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.probes.descriptor import NATURAL_UNITS
 from uniforce_vtla.probes.touch_gauge import TouchGauge
 from uniforce_vtla.sensors import list_sensors
@@ -32,6 +33,7 @@ def test_a_saved_gauge_reads_the_same(tmp_path) -> None:
 
 def test_a_gauge_of_another_descriptor_is_refused(tmp_path) -> None:
     folder = TouchGauge.fit("tactip", [wipe(0)], stretch=20, steps=1).save(tmp_path)
+    drop_hashes(folder)
     facts = json.loads((folder / "config.json").read_text())
     (folder / "config.json").write_text(json.dumps(facts | {"descriptor": ["dx"]}))
     with pytest.raises(CheckpointError, match="Make it again"):

@@ -21,6 +21,7 @@ from uniforce_standins.fci.protocol import HAND_HEADER, HandCommand, Message, Pr
 from uniforce_standins.fci.raw_client import RawHand
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.peers.checkpoint import read_tensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
@@ -31,6 +32,13 @@ from uniforce_vtla.tokenizer.training_state import is_there, load_state
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
     return record_synthetic(tmp_path / "data", 1, 3)
+
+
+def copy_of_shipped(folder: Path) -> Path:
+    """Return a copy of the shipped policy without hashes: they would refuse whatever a test does to it."""
+    shutil.copytree(shipped_checkpoint(), folder)
+    drop_hashes(folder)
+    return folder
 
 
 def set_in(file: Path, **changes: Any) -> None:
@@ -88,10 +96,10 @@ def test_a_foreign_file_of_unknown_endianness(tmp_path: Path) -> None:
 
 
 def test_a_processors_state_that_is_damaged(tmp_path: Path) -> None:
-    folder = Path(shutil.copytree(shipped_checkpoint(), tmp_path / "policy"))
+    folder = copy_of_shipped(tmp_path / "policy")
     state = next(folder.glob("policy_preprocessor_*.safetensors"))
     state.write_bytes(b"\xff" * 64)
-    with pytest.raises(CheckpointError, match="processors"):
+    with pytest.raises(CheckpointError, match="processors' state"):
         PolicyController(folder, {})
 
 
@@ -109,7 +117,7 @@ def test_a_processors_state_that_is_damaged(tmp_path: Path) -> None:
     ],
 )
 def test_a_policy_that_cannot_be(tmp_path: Path, changes: dict[str, Any]) -> None:
-    folder = Path(shutil.copytree(shipped_checkpoint(), tmp_path / "policy"))
+    folder = copy_of_shipped(tmp_path / "policy")
     set_in(folder / "config.json", **changes)
     with pytest.raises((CheckpointError, ContractError)):
         PolicyController(folder, {})
@@ -120,6 +128,8 @@ def test_sizes_beyond_any_machine_cost_nothing(tmp_path: Path) -> None:
     tokenizer = Tokenizer.random(small).save(tmp_path / "tokenizer")
     head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "a").save(tmp_path / "head")
     adapter = Calibration(LatentAdapter(6, 4), "a", "new", "anchor", 1.0, 0.5).save(tmp_path / "adapter")
+    for folder in (tokenizer, head, adapter):
+        drop_hashes(folder)
     facts = json.loads((tokenizer / "config.json").read_text())["model"]
     for changes in ({"width": 8192, "depth": 64}, {"depth": 10**9}, {"side": 2048, "patch": 1}, {"patch": 0}):
         set_in(tokenizer / "config.json", model=facts | changes)

@@ -16,6 +16,7 @@ from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_ch
 from uniforce_datasets.readers import read_genforce  # noqa: F401  (importing the readers runs none of them)
 from uniforce_vtla.array_file import read_array, read_arrays
 from uniforce_vtla.errors import CheckpointError, DatasetError
+from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.peers.checkpoint import read_tensors
 
 ROOT = Path(__file__).parents[2]
@@ -139,10 +140,11 @@ def test_a_poisoned_foreign_checkpoint_is_refused(tmp_path: Path, mark: Path) ->
 
 
 def copy_of_shipped(folder: Path) -> Path:
-    """Link the shipped policy's files into a folder, so that one of them may be replaced."""
+    """Link the shipped policy's files, but for the hashes, into a folder, so that one of them may be replaced."""
     folder.mkdir()
     for file in shipped_checkpoint().iterdir():
         (folder / file.name).symlink_to(file)
+    drop_hashes(folder)
     return folder
 
 

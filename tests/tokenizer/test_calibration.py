@@ -10,15 +10,16 @@ import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.tokenizer.calibration import Calibration, CalibrationConfig, LatentAdapter, calibrate
+from uniforce_vtla.tokenizer.latent import Latent
 
 QUICK = CalibrationConfig(steps=300)
 
 
-def grasps(n: int = 200) -> tuple[torch.Tensor, torch.Tensor]:
+def grasps(n: int = 200) -> tuple[Latent, Latent]:
     """A new sensor that answers with two thirds of the anchor's latent, bent, and an offset."""
     torch.manual_seed(0)
     anchor = torch.randn(n, 1, 6) * torch.linspace(0.2, 1, 16)[None, :, None]
-    return 0.66 * anchor + 0.1 * torch.tanh(anchor) + 0.05, anchor
+    return Latent.of(0.66 * anchor + 0.1 * torch.tanh(anchor) + 0.05, "abc"), Latent.of(anchor, "abc")
 
 
 def test_adapter_starts_as_the_identity() -> None:
@@ -46,6 +47,11 @@ def test_saved_equals_loaded_and_another_tokenizer_is_refused(tmp_path: Path) ->
     assert torch.equal(again(new), found(new)) and again.imbalance_after == found.imbalance_after
     with pytest.raises(CheckpointError, match="Calibrate again"):
         Calibration.load(tmp_path, "xyz")
+    assert again(new).tokenizer_hash == "abc"
+    with pytest.raises(CheckpointError, match="calibration of new"):
+        again(Latent.of(anchor, "xyz"))
+    with pytest.raises(CheckpointError, match="latents for calibration"):
+        calibrate(new, anchor, "xyz", "new", "old", QUICK)
 
 
 @pytest.mark.parametrize(
@@ -59,4 +65,4 @@ def test_saved_equals_loaded_and_another_tokenizer_is_refused(tmp_path: Path) ->
 )
 def test_bad_grasps_are_refused(new: torch.Tensor, anchor: torch.Tensor, says: str) -> None:
     with pytest.raises(ContractError, match=says):
-        calibrate(new, anchor, "abc", "new", "old", QUICK)
+        calibrate(Latent.of(new, "abc"), Latent.of(anchor, "abc"), "abc", "new", "old", QUICK)

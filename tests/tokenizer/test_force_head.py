@@ -4,19 +4,25 @@ import numpy as np
 import pytest
 import torch
 
-from uniforce_vtla.errors import ContractError
+from uniforce_vtla.errors import CheckpointError, ContractError
+from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.latent import Latent
+
+
+def latents(*shape: int) -> Latent:
+    return Latent.of(torch.randn(*shape), "own")
 
 
 @pytest.fixture
 def head() -> ForceHead:
     torch.manual_seed(0)
-    return ForceHead(ForceRegressor(HeadConfig()), "tactip", "none")
+    return ForceHead(ForceRegressor(HeadConfig()), "tactip", "own")
 
 
 def test_stream_equals_sequence_for_every_prefix(head: ForceHead) -> None:
-    z = torch.randn(2, 5, 64, 6)
+    z = latents(2, 5, 64, 6)
     stream = head.stream()
     one_by_one = torch.stack([stream(frame) for frame in z.unbind(1)], dim=1)
     torch.testing.assert_close(one_by_one, head.sequence(z), atol=1e-6, rtol=0)
@@ -25,7 +31,7 @@ def test_stream_equals_sequence_for_every_prefix(head: ForceHead) -> None:
 
 
 def test_call_treats_a_batch_as_frames_without_history(head: ForceHead) -> None:
-    z = torch.randn(4, 64, 6)
+    z = latents(4, 64, 6)
     torch.testing.assert_close(head(z), head.sequence(z[:, None])[:, 0], atol=1e-6, rtol=0)
     torch.testing.assert_close(head(z)[2:3], head(z[2:3]), atol=1e-6, rtol=0)
     stream = head.stream()
@@ -58,6 +64,32 @@ def test_training_is_seeded() -> None:
 )
 def test_bad_latents_raise(head: ForceHead, z: torch.Tensor) -> None:
     with pytest.raises(ContractError, match="expected"):
-        head(z)
+        head(Latent.of(z, "own"))
     with pytest.raises(ContractError):
-        head.sequence(z)
+        head.sequence(Latent.of(z, "own"))
+    with pytest.raises(ContractError):
+        head.sequence(Latent.of(torch.stack([torch.zeros_like(z), z], dim=1), "own"))
+
+
+@pytest.mark.parametrize(
+    ("z", "error"),
+    [
+        (torch.zeros(1, 64, 6), ContractError),
+        (2 * Latent.of(torch.zeros(1, 64, 6), "own"), ContractError),
+        (np.zeros((1, 64, 6), np.float32), ContractError),
+        (Latent.of(torch.zeros(1, 64, 6), "another"), CheckpointError),
+    ],
+)
+def test_latents_of_another_origin_raise(head: ForceHead, z: torch.Tensor, error: type[Exception]) -> None:
+    for call in (head, head.sequence, head.stream()):
+        with pytest.raises(error, match="latents for the force head of tactip"):
+            call(z)
+
+
+def test_a_head_refuses_the_other_shipped_tokenizer(dots: np.ndarray) -> None:
+    """They have the same shape: what was read from the other's was 96 N for 9."""
+    z = {size: Tokenizer.from_pretrained(size).encode(dots[:1], dots) for size in ("small", "nano")}
+    head = ForceHead.from_pretrained("tactip", "small")
+    assert z["small"].shape[2] == z["nano"].shape[2] and head(z["small"]).shape == (3, 3)
+    with pytest.raises(CheckpointError, match="one size"):
+        head(z["nano"])

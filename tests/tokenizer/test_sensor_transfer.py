@@ -17,6 +17,7 @@ from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.two_fingers import OtherFinger, _shared
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import CheckpointError, ContractError
+from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.pooling import pool_latent
@@ -61,14 +62,17 @@ def test_a_linear_difference_and_its_noise_are_found() -> None:
 def test_saved_equals_loaded_and_strange_files_are_refused(tmp_path: Path) -> None:
     transfer, facts = fit_transfer(two_sensors(400)[0], HASH, SensorTransferFit())
     folder = transfer.save(tmp_path / "transfer", facts)
-    again = SensorTransfer.from_pretrained(tmp_path)
+    again = SensorTransfer.from_pretrained(tmp_path, HASH)
+    with pytest.raises(CheckpointError, match="tokenizer of the maps"):
+        SensorTransfer.from_pretrained(tmp_path, "another")
     assert again.kinds == ("a", "b") and again.tokenizer_hash == HASH
     assert all(torch.equal(value, transfer.state_dict()[name]) for name, value in again.state_dict().items())
     assert again.row("b") == 1
     with pytest.raises(ContractError, match="sensor_transfer=0"):
         again.row("c")
     with pytest.raises(CheckpointError, match="checkpoint"):
-        SensorTransfer.from_pretrained(tmp_path / "nowhere")
+        SensorTransfer.from_pretrained(tmp_path / "nowhere", HASH)
+    drop_hashes(folder)
     config = json.loads((folder / "config.json").read_text())
     for key, wrong in (
         ("kinds", ["a"] * 99),
@@ -79,7 +83,7 @@ def test_saved_equals_loaded_and_strange_files_are_refused(tmp_path: Path) -> No
     ):
         (folder / "config.json").write_text(json.dumps(config | {key: wrong}))
         with pytest.raises(CheckpointError):
-            SensorTransfer.from_pretrained(tmp_path)
+            SensorTransfer.from_pretrained(tmp_path, HASH)
 
 
 def test_doubt_grows_with_what_is_felt_and_is_none_in_free_air() -> None:
@@ -126,15 +130,14 @@ def test_the_command_leaves_maps_a_policy_finds(tmp_path: Path, capsys: pytest.C
     given = [f"tokenizer={path}", "sensors=gelsight, tactip", "fit.grasps=128"]
     assert sensor_transfer.main(given) == 0
     assert "gelsight->tactip: differ by" in capsys.readouterr().out
-    transfer = SensorTransfer.from_pretrained(path)
-    assert transfer.tokenizer_hash == tokenizer.hash and transfer.kinds == ("gelsight", "tactip")
+    transfer = SensorTransfer.from_pretrained(path, tokenizer.hash)
+    assert transfer.kinds == ("gelsight", "tactip")
     assert sensor_transfer.main([f"tokenizer={path}", "sensors=gelsite"]) == 2
 
 
 @pytest.mark.parametrize("size", ["small"])
 def test_shipped_maps_belong_to_the_shipped_tokenizer_and_bring_fingers_closer(size: str) -> None:
-    transfer = SensorTransfer.from_pretrained(size)
-    assert transfer.tokenizer_hash == Tokenizer.from_pretrained(size).hash
+    SensorTransfer.from_pretrained(size, Tokenizer.from_pretrained(size).hash)
     folder = ASSETS / size / "transfer"
     told = json.loads((folder / "config.json").read_text())["differences"]
     assert all(0.3 < pair["rms_left"] < 0.9 * pair["rms"] < 0.9 for pair in told.values())
@@ -143,7 +146,8 @@ def test_shipped_maps_belong_to_the_shipped_tokenizer_and_bring_fingers_closer(s
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip", "uskin"])
 def test_four_shipped_directions_hear_pull_and_grip_and_are_deaf_to_side_force(sensor: str) -> None:
     """A turned eraser wedges its pads apart sideways: who hears that takes the other finger for another grasp."""
-    tokenizer, transfer = Tokenizer.from_pretrained("small"), SensorTransfer.from_pretrained("small")
+    tokenizer = Tokenizer.from_pretrained("small")
+    transfer = SensorTransfer.from_pretrained("small", tokenizer.hash)
     simulator = TactileSimulator(sensor, seed=1)
     force = np.array([[0, -3, 9], [2.5, -3, 9], [-2.5, -3, 9], [0, -0.5, 9], [0, -3, 6.5]], np.float32)
     size, square = np.tile([60.0, 44.0], (len(force), 1)), np.zeros((len(force), 2))

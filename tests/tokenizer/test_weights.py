@@ -8,14 +8,19 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from uniforce_vtla.errors import CheckpointError
+from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 
 
 @pytest.fixture
 def saved(tmp_path: Path, tiny: TokenizerConfig) -> Path:
-    return Tokenizer.random(tiny, seed=1).save(tmp_path / "checkpoint")
+    """A checkpoint without hashes: they would refuse whatever a test does to it."""
+    folder = Tokenizer.random(tiny, seed=1).save(tmp_path / "checkpoint")
+    drop_hashes(folder)
+    return folder
 
 
 def rewrite(folder: Path, change) -> None:
@@ -51,6 +56,16 @@ def test_every_wrong_tensor_is_listed(saved: Path) -> None:
         assert line in str(error.value)
 
 
+def test_a_number_that_is_not_finite_is_named(saved: Path) -> None:
+    def spoil(tensors: dict[str, torch.Tensor]) -> None:
+        tensors["decoder.inject.bias"][0] = torch.inf
+        tensors["decoder.inject.weight"][0, 0] = torch.nan
+
+    rewrite(saved, spoil)
+    with pytest.raises(CheckpointError, match=r"NaN or inf in decoder.inject.bias; .*decoder.inject.weight"):
+        Tokenizer.from_pretrained(saved)
+
+
 def test_missing_folder_and_broken_config_raise(saved: Path, tmp_path: Path) -> None:
     with pytest.raises(CheckpointError, match="none"):
         Tokenizer.from_pretrained(tmp_path / "nothing")
@@ -66,7 +81,7 @@ def test_another_canonicaliser_is_refused(saved: Path) -> None:
     config = json.loads((saved / "config.json").read_text())
     config["canonicaliser"]["taxel_scales"]["counts_per_pitch"] += 1
     (saved / "config.json").write_text(json.dumps(config))
-    with pytest.raises(CheckpointError, match="canonicaliser"):
+    with pytest.raises(CheckpointError, match="canonicaliser of"):
         Tokenizer.from_pretrained(saved)
 
 
@@ -84,7 +99,7 @@ def test_hash_follows_weights_config_and_scales(tiny: TokenizerConfig) -> None:
 def test_force_head_round_trip_and_missing_source(tmp_path: Path) -> None:
     head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "abc")
     loaded = ForceHead.from_pretrained(path=head.save(tmp_path / "head"))
-    z = torch.randn(2, 64, 6)
+    z = Latent.of(torch.randn(2, 64, 6), "abc")
     assert loaded.source == "tactip" and loaded.tokenizer_hash == "abc"
     torch.testing.assert_close(loaded(z), head(z))
     with pytest.raises(CheckpointError):

@@ -83,14 +83,12 @@ class Canonicalizer:
     def set_reference(self, raw: np.ndarray) -> None:
         """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.
 
-        Counts of zero are taken as a stream that was tared before; a dead sensor shows at its first scan.
-
         Raises:
             ContractError: wrong shape or dtype.
-            SensorError: a camera frame without markers.
+            SensorError: a camera frame without markers, or a dead sensor: a tared one still reads noise.
         """
         if self._is_taxel:
-            self._reference_counts = check_counts(raw, "uSkin reference")
+            self._reference_counts = _free_air(raw)
         else:
             self._plan = self._segment(raw, None).plan
 
@@ -180,7 +178,7 @@ class Canonicalizer:
     def _taxel_pair(
         self, reference_raw: np.ndarray, current_raw: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        reference = check_counts(reference_raw, "uSkin reference")
+        reference = _free_air(reference_raw)
         discs = self._discs(current_raw, reference)
         refuse_pressed_reference(current_raw.astype(np.int64) - reference, self._no_contact)
         self.saturation.add(discs)
@@ -196,3 +194,8 @@ class Canonicalizer:
             do = "Call set_reference(counts) with a free-air scan first."
             raise ContractError(expected("uSkin reference", "(16, 3) counts in free air", "none", do))
         return self._reference_counts
+
+
+def _free_air(raw: np.ndarray) -> np.ndarray:
+    """Return a reference's counts (16, 3) int64, if it came from a live sensor."""
+    return check_alive(check_counts(raw, "uSkin reference"), "uSkin reference")

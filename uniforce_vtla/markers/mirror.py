@@ -7,7 +7,7 @@ frame (the left finger's own).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,12 +42,22 @@ def to_finger_frame[Array: (np.ndarray, "torch.Tensor")](force_N: Array, finger:
     """Return force (..., 3) N from the canonical frame to the finger's own; its own inverse.
 
     Raises:
-        ContractError: unknown finger, or a last axis other than 3.
+        ContractError: unknown finger, a last axis other than 3, or anything but finite numbers.
     """
-    if force_N.ndim < 1 or force_N.shape[-1] != 3:
-        raise ContractError(expected("force", "(..., 3) N", tuple(force_N.shape), "Pass fx, fy, fz."))
+    _check_force(force_N)
     if check_finger(finger) == "left":
         return force_N
     if isinstance(force_N, np.ndarray):
         return (force_N * np.asarray(MIRROR_FORCE)).astype(np.result_type(force_N.dtype, np.float32))
     return force_N * force_N.new_tensor(MIRROR_FORCE)
+
+
+def _check_force(force_N: Any) -> None:
+    shape, kind = getattr(force_N, "shape", ()), str(getattr(force_N, "dtype", type(force_N).__name__))
+    numbers = ("float", "int") if isinstance(force_N, np.ndarray) else ("torch.float",)
+    if not shape or shape[-1] != 3 or not kind.startswith(numbers):
+        came = f"{kind} {tuple(shape)}"
+        raise ContractError(expected("force", "numbers (..., 3) N", came, "Pass an array of fx, fy, fz."))
+    finite = np.isfinite(force_N) if isinstance(force_N, np.ndarray) else force_N.isfinite()
+    if not bool(finite.all()):
+        raise ContractError(expected("force", "finite numbers", "NaN or inf", "Check what gave it."))

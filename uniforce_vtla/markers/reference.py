@@ -51,7 +51,7 @@ def capture_taxel_reference(
     _check_enough(len(scans), limits)
     counts = np.stack([check_counts(np.asarray(scan), "uSkin reference") for scan in scans])  # (N, 16, 3)
     for scan in counts:
-        check_alive(scan)
+        check_alive(scan, "uSkin reference")
     moved = float(1.4826 * median_abs_deviation(counts, axis=0).max())  # one garbled scan isn't a touch
     if moved > limits.max_taxel_std:
         _refuse(f"taxels steady within {limits.max_taxel_std:g} counts", f"a spread of {moved:.0f}")

@@ -6,6 +6,7 @@ column i mod 4, row i div 4 *from the bottom*. Shear counts move the disc, norma
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 
 import cv2
@@ -16,6 +17,7 @@ from uniforce_vtla.errors import ContractError, SensorError, expected
 
 SUBPIXEL_BITS = 4  # cv2 takes fixed-point centres; 1/16 px is far below a pixel
 
+MOST_COUNTS = 1 << 17  # either way: a uSkin's registers hold 16 bits, and taring makes some negative
 EDGE_PX = 0.45  # cv2 fills the pixels its outline touches: this much less gives the disc's true area
 
 
@@ -31,6 +33,12 @@ class TaxelScales:
     shift_max_pitch: float = 0.8  # shear beyond this is clipped, so that taxels don't change places
     edge_pitch: float = 0.6  # a disc's centre stays this far from the outermost taxels, still on the canvas
     px_per_pt: float = 100.0 / 72.0  # the rig draws at 100 dots per inch
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if name != "version" and not (type(value) in (int, float) and 0 < value < math.inf):
+                do = "Leave it as it is."
+                raise ContractError(expected(f"taxel scale {name}", "a number above 0", repr(value)[:80], do))
 
     def as_dict(self) -> dict[str, object]:
         """Return every scale by name, for storing and hashing."""
@@ -79,25 +87,23 @@ def check_counts(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
     """Return (16, 3) integer counts as int64.
 
     Raises:
-        ContractError: not an integer array of shape (16, 3).
+        ContractError: not an integer array of shape (16, 3), or more than any sensor counts.
     """
     shape, dtype = getattr(counts, "shape", None), getattr(counts, "dtype", type(counts).__name__)
-    if (
-        not isinstance(counts, np.ndarray)
-        or shape != TAXEL_SHAPE
-        or not np.issubdtype(counts.dtype, np.integer)
-    ):
+    if not isinstance(counts, np.ndarray) or shape != TAXEL_SHAPE or counts.dtype.kind not in "iu":
         do = "Pass raw integer counts, one row (x, y, z) per taxel; NaN and fractions aren't counts."
         raise ContractError(expected(name, f"integers {TAXEL_SHAPE}", f"{dtype} {shape}", do))
+    if max(int(counts.max()), -int(counts.min())) > MOST_COUNTS:
+        came = f"{counts.min()} to {counts.max()}"
+        raise ContractError(expected(name, f"within ±{MOST_COUNTS}", came, "Pass raw counts as they came."))
     return counts.astype(np.int64)  # uint16 would wrap round in the subtraction
 
 
-def check_alive(counts: np.ndarray) -> None:
-    """Raise SensorError if every count is zero: a live taxel never reads exactly zero on all axes."""
+def check_alive(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
+    """Return ``counts``; raise SensorError if all are zero: live taxels never read exactly zero on all axes."""
     if not counts.any():
-        raise SensorError(
-            expected("uSkin counts", "a live scan", "48 zeros", "Check power and cable of the sensor.")
-        )
+        raise SensorError(expected(name, "a live scan", "48 zeros", "Check power and cable of the sensor."))
+    return counts
 
 
 def place_discs(delta_counts: np.ndarray, scales: TaxelScales) -> TaxelDiscs:

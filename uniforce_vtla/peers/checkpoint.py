@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from uniforce_vtla.errors import CheckpointError, expected
-from uniforce_vtla.tokenizer.weights import mismatches
+from uniforce_vtla.tokenizer.weights import is_finite, mismatches
 
 DAMAGE = (
     *(UnpicklingError, RuntimeError, EOFError, OSError, ValueError, TypeError, KeyError, IndexError),
@@ -51,9 +51,10 @@ def load_strictly(module: nn.Module, tensors: Tensors, name: str) -> None:
     """Copy ``tensors`` into ``module``.
 
     Raises:
-        CheckpointError: any tensor missing, unexpected or of another shape; every one is named.
+        CheckpointError: any tensor missing, unexpected, of another shape or not finite; every one is named.
     """
     wrong = mismatches(module.state_dict(), tensors)
+    wrong += [f"NaN or inf in {key}" for key, tensor in sorted(tensors.items()) if not is_finite(tensor)]
     if wrong:
         raise CheckpointError(
             expected(

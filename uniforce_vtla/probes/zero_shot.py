@@ -151,7 +151,7 @@ def summary(row: Cells, pairs: list[tuple[str, str]] | None = None) -> dict[str,
 
 def shipped_cell(head: ForceHead, tokenizer: Tokenizer, labelled: LabelledSet) -> dict[str, list[float]]:
     """Return the score of a shipped head on another sensor's frozen set."""
-    return score(labelled.force_N, predict(head.model, encode_set(tokenizer, labelled)))
+    return score(labelled.force_N, head.sequence(encode_set(tokenizer, labelled)).numpy())
 
 
 def sized_head(config: HeadTrainingConfig, z: torch.Tensor, grid: int) -> HeadTrainingConfig:

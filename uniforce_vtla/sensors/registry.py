@@ -18,7 +18,7 @@ def list_sensors() -> tuple[str, ...]:
 
 def get_sensor(name: str) -> SensorSpec:
     """Return the facts of the sensor called ``name``; raise SensorError listing the known ones."""
-    if name not in _SENSORS:
+    if not isinstance(name, str) or name not in _SENSORS:
         raise SensorError(
             expected("sensor", " | ".join(_SENSORS), repr(name), "Check the spelling or register it.")
         )

@@ -9,10 +9,11 @@ from typing import Any, overload
 import numpy as np
 import torch
 
-from uniforce_vtla.contracts import Finger, MarkerPair, check_finger
+from uniforce_vtla.contracts import Finger, MarkerPair, check_count, check_finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.markers.taxel_render import TaxelScales
 from uniforce_vtla.tokenizer.entry import prepare
+from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, TokenizerConfig, build_model
 from uniforce_vtla.tokenizer.weights import (
     checkpoint_folder,
@@ -50,7 +51,7 @@ class Tokenizer:
     @classmethod
     def random(cls, config: TokenizerConfig | None = None, seed: int = 0) -> Tokenizer:
         """Return an untrained tokenizer: a baseline, and a stand-in for tests."""
-        return cls(build_model(config or TokenizerConfig(), seed))
+        return cls(build_model(config or TokenizerConfig(), check_count("seed", seed, 2**63 - 1, least=0)))
 
     @classmethod
     def from_pretrained(cls, path: str | Path | None = None) -> Tokenizer:
@@ -79,10 +80,10 @@ class Tokenizer:
         return self.config.num_patches
 
     @overload
-    def encode(self, reference: MarkerPair) -> torch.Tensor: ...
+    def encode(self, reference: MarkerPair) -> Latent: ...
 
     @overload
-    def encode(self, reference: np.ndarray, current: np.ndarray, finger: Finger = "left") -> torch.Tensor: ...
+    def encode(self, reference: np.ndarray, current: np.ndarray, finger: Finger = "left") -> Latent: ...
 
     @torch.no_grad()
     def encode(
@@ -90,8 +91,8 @@ class Tokenizer:
         reference: MarkerPair | np.ndarray,
         current: np.ndarray | None = None,
         finger: Finger = "left",
-    ) -> torch.Tensor:
-        """Return latents (B, P, latent) float32: the posterior's mean.
+    ) -> Latent:
+        """Return latents (B, P, latent) float32: the posterior's mean, a tensor that carries this tokenizer's hash.
 
         Args:
             reference: a MarkerPair (then nothing else is given), or (B or 1, H, W) free-air images.
@@ -99,18 +100,31 @@ class Tokenizer:
             finger: who wore the sensor; the right finger's images are mirrored.
 
         Raises:
-            ContractError: images of the wrong form, an unknown finger, a reference without markers.
+            ContractError: images of the wrong form or of two sizes, an unknown finger, a reference without markers.
         """
         if isinstance(reference, MarkerPair):
+            _not_given(current)
             return self.encode(reference.reference[None], reference.current[None], reference.finger)
-        side = self.config.side
-        after = prepare(_given(current), check_finger(finger), side, "current")
-        return self.model.encoder.encode_current(self._reference(reference, finger, len(after)), after).mean
+        after = prepare(_given(current), check_finger(finger), self.config.side, "current")
+        before = self._reference(reference, finger, len(after))
+        _same("current", reference.shape[-2:], _given(current).shape[-2:], "Use one camera setting for both.")
+        z = self.model.encoder.encode_current(before, after).mean
+        return Latent.of(z, self.hash)
 
     @torch.no_grad()
     def decode(self, reference: np.ndarray, z: torch.Tensor, finger: Finger = "left") -> torch.Tensor:
-        """Return the (B, side, side) canonical image that latents z would show on that reference's sensor."""
-        before = prepare(reference, check_finger(finger), self.config.side, "reference")
+        """Return the (B, side, side) canonical image that latents z would show on that reference's sensor.
+
+        Raises:
+            ContractError: a reference of the wrong form or count, or latents of another shape or without an origin.
+            CheckpointError: latents of another tokenizer.
+        """
+        z = own_latent(z, self.hash, "decode")
+        wanted = (self.num_patches, self.config.latent)
+        _same("latents (…, P, L)", wanted, tuple(z.shape[1:]), "Decode what encode returned.")
+        before = self._free_air(reference, check_finger(finger))
+        if len(before) > 1:
+            _same("references", len(z), len(before), "Pass one reference per latent, or one.")
         return self.model.decoder(before.expand(len(z), -1, -1, -1), z)[:, 0].clamp(0, 1)
 
     def _reference(self, reference: np.ndarray, finger: Finger, batch: int) -> ReferenceCache:
@@ -118,7 +132,7 @@ class Tokenizer:
         images = reference[None] if getattr(reference, "ndim", 0) == 2 else reference
         before_count = len(images) if isinstance(images, np.ndarray) else 0
         if before_count > 1:
-            _same_length(before_count, batch)
+            _same("references", batch, before_count, "Pass one reference per image, or one.")
             return self.encode_reference(images, finger)
         key = _content_key(images, finger)
         if key not in self._references:
@@ -128,13 +142,16 @@ class Tokenizer:
         return self._references[key]
 
     def encode_reference(self, images: np.ndarray, finger: Finger) -> ReferenceCache:
-        """Return what frames need of free-air images (B, H, W), not cached; ContractError if one is all black."""
+        """Return what frames need of free-air images (B, H, W), not cached; ContractError if one shows no marker."""
+        return self.model.encoder.encode_reference(self._free_air(images, finger))
+
+    def _free_air(self, images: np.ndarray, finger: Finger) -> torch.Tensor:
         before = prepare(images, finger, self.config.side, "reference")
-        if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
-            raise ContractError(
-                expected("reference", "an image with markers", "all black", "Capture it again in free air.")
-            )
-        return self.model.encoder.encode_reference(before)
+        flat = images.reshape(len(before), -1)
+        if bool((flat.min(axis=1) == flat.max(axis=1)).any()):
+            do = "Capture it again in free air."
+            raise ContractError(expected("reference", "an image with markers", "all black or one grey", do))
+        return before
 
 
 def _given(current: np.ndarray | None) -> np.ndarray:
@@ -145,11 +162,15 @@ def _given(current: np.ndarray | None) -> np.ndarray:
     return current
 
 
-def _same_length(references: int, currents: int) -> None:
-    if references != currents:
-        raise ContractError(
-            expected("references", f"1 or {currents}", references, "Pass one reference per image, or one.")
-        )
+def _not_given(current: np.ndarray | None) -> None:
+    if current is not None:
+        do = "Pass the pair, or reference and current."
+        raise ContractError(expected("encode", "a MarkerPair alone", "a current beside it", do))
+
+
+def _same(what: str, wanted: object, came: object, do: str) -> None:
+    if wanted != came:
+        raise ContractError(expected(what, wanted, came, do))
 
 
 def _content_key(images: np.ndarray, finger: Finger) -> str:

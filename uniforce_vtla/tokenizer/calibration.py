@@ -16,6 +16,7 @@ from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.pooling import as_map
 from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
 
@@ -79,9 +80,10 @@ class Calibration:
     imbalance_after: float
 
     @torch.no_grad()
-    def __call__(self, z: torch.Tensor) -> torch.Tensor:
-        """Return the latents (B, P, latent) the anchor would have felt."""
-        return self.adapter(z)
+    def __call__(self, z: Latent) -> Latent:
+        """Return the latents (B, P, latent) the anchor would have given; raises as ``ForceHead`` does."""
+        own = own_latent(z, self.tokenizer_hash, f"the calibration of {self.new}")
+        return Latent.of(self.adapter(own), self.tokenizer_hash)
 
     def save(self, path: str | Path) -> Path:
         """Write the adapter and its facts to a folder ``load`` reads."""
@@ -144,9 +146,11 @@ def calibrate(
         config: sizes and steps.
 
     Raises:
-        ContractError: too few grasps, different shapes, NaN, or grasps that never load the sensors.
+        ContractError: too few grasps, different shapes, NaN, no origin, or grasps that never load the sensors.
+        CheckpointError: latents of another tokenizer.
     """
     config = config or CalibrationConfig()
+    z_new, z_anchor = (own_latent(z, tokenizer_hash, "calibration") for z in (z_new, z_anchor))
     _check(z_new, z_anchor, config)
     order = np.random.default_rng(config.seed).permutation(len(z_new))
     judge, fit = np.split(order, [max(1, int(config.held_out * len(order)))])

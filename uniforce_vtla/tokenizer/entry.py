@@ -13,6 +13,8 @@ from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.mirror import to_canonical
 
+MIN_SIDE_PX = 16  # no marker image is smaller; an (H, W, 3) image would pass for H images of three columns
+
 
 def prepare(images: np.ndarray, finger: Finger, side: int, name: str = "marker images") -> torch.Tensor:
     """Return (B, 1, side, side) float32 in [0, 1] from (B, H, W) or (H, W) images as the sensor saw them.
@@ -24,13 +26,16 @@ def prepare(images: np.ndarray, finger: Finger, side: int, name: str = "marker i
         name: what to call the images in an error.
 
     Raises:
-        ContractError: not an array of that form, empty, NaN, or out of range.
+        ContractError: not an array of that form, empty or too small, NaN, or out of range.
     """
     if not isinstance(images, np.ndarray):
         raise ContractError(expected(name, "a numpy array", type(images).__name__, "Use prepare_tensor."))
     if images.ndim == 2:
         images = images[None]
-    tensor = torch.from_numpy(np.ascontiguousarray(check_images(images, name)))
+    check_images(images, name)
+    if images.dtype == np.uint8 and images.max() == 1:
+        raise ContractError(expected(name, "uint8 of 0 and 255", "0 and 1", "Multiply by 255."))
+    tensor = torch.from_numpy(np.ascontiguousarray(images))
     return prepare_tensor(tensor, right=finger == "right", side=side, name=name)
 
 
@@ -61,7 +66,7 @@ def letterbox(images: torch.Tensor, side: int) -> torch.Tensor:
 
 
 def check_images[Images: (np.ndarray, torch.Tensor)](images: Images, name: str) -> Images:
-    """Return ``images`` if they are (B, H, W) uint8, or finite floats in [0, 1].
+    """Return ``images`` if they are (B, H, W) uint8, or finite floats in [0, 1], of no fewer than 16 px a side.
 
     Raises:
         ContractError: anything else.
@@ -74,6 +79,9 @@ def check_images[Images: (np.ndarray, torch.Tensor)](images: Images, name: str) 
         )
     if 0 in tuple(images.shape):
         raise ContractError(expected(name, "non-empty images", came, "Check the sensor's frame."))
+    if min(images.shape[1:]) < MIN_SIDE_PX:
+        do = "Pass one channel of each image, not RGB."
+        raise ContractError(expected(name, f"(B, H, W), {MIN_SIDE_PX} px a side or more", came, do))
     if kind != "uint8" and not bool(((images >= 0) & (images <= 1)).all()):  # NaN fails this too
         raise ContractError(expected(name, "floats in [0, 1]", "NaN or values outside", "Divide by 255?"))
     return images

@@ -14,6 +14,7 @@ from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.latent import own_latent
 from uniforce_vtla.tokenizer.pooling import pool_latent
 from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
 
@@ -99,7 +100,10 @@ class ForceRegressor(nn.Module):
 
 
 class ForceHead:
-    """A trained head, in eval mode.
+    """A trained head, in eval mode. It reads latents of its own tokenizer, as ``Tokenizer.encode`` returns them.
+
+    Every call raises ContractError for a tensor without origin or of another shape, CheckpointError for latents of
+    another tokenizer. ``model`` reads plain tensors, unchecked.
 
     Attributes:
         source: the only sensor whose forces it was trained on.
@@ -143,32 +147,38 @@ class ForceHead:
         }
         return save_checkpoint(Path(path), self.model, facts)
 
-    @torch.no_grad()
     def __call__(self, z: torch.Tensor) -> torch.Tensor:
         """Return (B, 3) N for (B, P, L) latents, each a frame of its own without history."""
-        return self.model.step(self._checked(z), None)[0]
+        return self.step(z, None)[0]
 
     @torch.no_grad()
     def sequence(self, z: torch.Tensor) -> torch.Tensor:
         """Return (B, T, 3) N for (B, T, P, L) latents, each frame with those before it."""
-        if z.ndim != 4:
+        own = self._own(z)
+        if own.ndim != 4 or not own.shape[1]:
             raise ContractError(expected("latents", "(B, T, P, L)", tuple(z.shape), "Stack frames in time."))
-        self._checked(z[:, 0])
-        return self.model(z)
+        self._frames(own.flatten(0, 1))
+        return self.model(own)
+
+    @torch.no_grad()
+    def step(self, z: torch.Tensor, state: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return force (B, 3) N and the next state for one frame of (B, P, L) latents and those before it."""
+        return self.model.step(self._frames(self._own(z)), state)
 
     def stream(self) -> ForceStream:
         """Return a reader that remembers the frames before; one per finger and episode."""
         return ForceStream(self)
 
-    def _checked(self, z: torch.Tensor) -> torch.Tensor:
+    def _own(self, z: torch.Tensor) -> torch.Tensor:
+        return own_latent(z, self.tokenizer_hash, f"the force head of {self.source}")
+
+    def _frames(self, z: torch.Tensor) -> torch.Tensor:
+        """Return ``z`` if it is (B, P, channels) and finite; raise ContractError otherwise."""
         channels = self.model.config.channels
         square = z.ndim == 3 and math.isqrt(z.shape[1]) ** 2 == z.shape[1]
-        if not square or z.shape[2] != channels:
-            raise ContractError(
-                expected(
-                    "latents", f"(B, P, {channels})", tuple(z.shape), "Use the tokenizer it was trained on."
-                )
-            )
+        if not square or z.shape[2] != channels or not len(z) or z.dtype != torch.float32:
+            came, do = f"{z.dtype} {tuple(z.shape)}", "Use the tokenizer it was trained on."
+            raise ContractError(expected("latents", f"float32 (B, P, {channels})", came, do))
         if not bool(z.isfinite().all()):
             raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the images."))
         return z
@@ -181,8 +191,7 @@ class ForceStream:
         self._head = head
         self._state: torch.Tensor | None = None
 
-    @torch.no_grad()
     def __call__(self, z: torch.Tensor) -> torch.Tensor:
         """Return (B, 3) N, given this frame and those before it."""
-        force, self._state = self._head.model.step(self._head._checked(z), self._state)
+        force, self._state = self._head.step(z, self._state)
         return force

@@ -7,7 +7,9 @@ import math
 import torch
 from torch.nn import functional as F  # noqa: N812
 
+from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.tokenizer.latent import Latent
 
 
 def as_map(z: torch.Tensor) -> torch.Tensor:
@@ -21,5 +23,8 @@ def as_map(z: torch.Tensor) -> torch.Tensor:
 
 
 def pool_latent(z: torch.Tensor, grid: int = 4) -> torch.Tensor:
-    """Return (B, grid², L): means over neighbouring patches of (B, P, L)."""
-    return F.adaptive_avg_pool2d(as_map(z), grid).flatten(2).transpose(1, 2)
+    """Return (B, grid², L): means over neighbouring patches of (B, P, L), with their origin if they have one."""
+    cells = as_map(z)
+    check_count("grid of pooled latents", grid, cells.shape[-1])
+    pooled = F.adaptive_avg_pool2d(cells, grid).flatten(2).transpose(1, 2)
+    return Latent.of(pooled, z.tokenizer_hash) if isinstance(z, Latent) else pooled

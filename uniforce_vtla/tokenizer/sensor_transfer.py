@@ -117,21 +117,24 @@ class SensorTransfer(nn.Module):
         )
 
     @classmethod
-    def from_pretrained(cls, tokenizer: str | Path | None = None) -> SensorTransfer:
+    def from_pretrained(cls, tokenizer: str | Path | None, tokenizer_hash: str) -> SensorTransfer:
         """Load the maps that belong to a tokenizer: shipped ("small", None or "nano"), or a folder's own.
 
         Raises:
-            CheckpointError: none there, truncated, or not of this form.
+            CheckpointError: none there, damaged, not of this form, or made for a tokenizer of another hash.
         """
         folder = checkpoint_folder(tokenizer, FOLDER)
         folder = folder if folder.name == FOLDER else folder / FOLDER
         facts = read_config(folder)
         try:
             kinds, numbers = [str(kind) for kind in facts["kinds"]], int(facts["numbers"])
-            tokenizer_hash = str(facts["tokenizer_hash"])
+            made_for = str(facts["tokenizer_hash"])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             do = "Fit it again with uniforce-sensor-transfer."
             raise CheckpointError(expected(str(folder), "kinds, numbers, hash", error, do)) from error
+        if made_for != tokenizer_hash:
+            do = "Run uniforce-sensor-transfer for this tokenizer."
+            raise CheckpointError(expected("tokenizer of the maps", tokenizer_hash, made_for, do))
         return load_model(folder, lambda: cls(kinds, numbers, tokenizer_hash))
 
     def save(self, folder: str | Path, facts: Mapping[str, Any]) -> Path:

@@ -16,6 +16,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.entry import prepare
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceStream
+from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.model import ReferenceCache
 
 
@@ -25,7 +26,7 @@ class StreamStep(NamedTuple):
     ``markers.mirror.to_finger_frame`` takes the force to the finger's own frame.
     """
 
-    latent: torch.Tensor
+    latent: Latent
     force_N: np.ndarray | None
 
 
@@ -88,7 +89,8 @@ class StreamingEncoder:
                 expected("current", self._shape, image.shape, "Use one camera setting for both.")
             )
         current = prepare(batch, self.finger, self._tokenizer.config.side, "current")
-        z = self._tokenizer.model.encoder.encode_current(self._reference, current).mean  # (1, P, L)
+        mean = self._tokenizer.model.encoder.encode_current(self._reference, current).mean
+        z = Latent.of(mean, self._tokenizer.hash)  # (1, P, L)
         force = None if self._stream is None else self._stream(z)[0].numpy()
         return StreamStep(z[0], force)
 

@@ -11,6 +11,7 @@ import torch
 from safetensors.torch import save_file
 
 from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.tokenizer.weights import is_finite
 
 STATE = "state.safetensors"
 OLD_STATE = "state.pt"  # before 0.1.0 was released
@@ -46,13 +47,15 @@ def load_state(folder: Path) -> tuple[int, dict[str, Any], dict[str, Any]]:
     """Return step, the model's state dict and the optimiser's.
 
     Raises:
-        CheckpointError: truncated, damaged, or not a training state.
+        CheckpointError: truncated, damaged, not a training state, or with NaN or inf.
     """
     path = folder / STATE
     try:
         with safetensors.safe_open(path, framework="pt") as stored:
             facts = stored.metadata() or {}
             tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a dict)
+        if bad := [name for name, tensor in sorted(tensors.items()) if not is_finite(tensor)]:
+            raise ValueError(f"NaN or inf in {', '.join(bad)}")
         step, groups = int(facts["step"]), json.loads(facts["groups"])
         return step, _part(tensors, MODEL), {"state": _moments(tensors), "param_groups": groups}
     except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:

@@ -15,6 +15,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.file_hashes import check_hashes, drop_hashes, write_hashes
 from uniforce_vtla.json_file import read_object
 
 WEIGHTS, CONFIG = "model.safetensors", "config.json"
@@ -30,8 +31,9 @@ def checkpoint_folder(path: str | Path | None, part: str) -> Path:
 
 
 def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> Path:
-    """Write weights and ``config`` atomically, file by file."""
+    """Write weights and ``config`` atomically, file by file, and last their hashes."""
     folder.mkdir(parents=True, exist_ok=True)
+    drop_hashes(folder)
     tensors = {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()}
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         save_file(tensors, Path(scratch) / WEIGHTS)
@@ -39,20 +41,22 @@ def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> P
         for name in (WEIGHTS, CONFIG):
             (Path(scratch) / name).chmod(0o644)  # safetensors makes them private; a package is for everyone
             (Path(scratch) / name).replace(folder / name)
+    write_hashes(folder, (WEIGHTS, CONFIG))
     return folder
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """Return the checkpoint's config.
+    """Return the checkpoint's config, its files compared with their hashes.
 
     Raises:
-        CheckpointError: no such checkpoint, or its config isn't JSON.
+        CheckpointError: no such checkpoint, a file that was changed, or a config that isn't JSON.
     """
     path = folder / CONFIG
     if not path.is_file() or not (folder / WEIGHTS).is_file():
         raise CheckpointError(
             expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", "Check the path.")
         )
+    check_hashes(folder, CheckpointError)
     return read_object(path, CheckpointError)
 
 
@@ -62,7 +66,8 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
     It is built without memory first: sizes that don't fit the file cost nothing.
 
     Raises:
-        CheckpointError: truncated, or any tensor missing, unexpected or of another shape or type; all are listed.
+        CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type, or not finite; all are
+            listed.
     """
     try:
         tensors = load_file(folder / WEIGHTS)
@@ -78,6 +83,7 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
         for name in sorted(wanted.keys() & tensors.keys())
         if tensors[name].dtype != wanted[name].dtype
     ]
+    wrong += [f"NaN or inf in {name}" for name, tensor in sorted(tensors.items()) if not is_finite(tensor)]
     if wrong:
         raise CheckpointError(
             expected(
@@ -87,6 +93,13 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
     model = build()
     model.load_state_dict(tensors)
     return model
+
+
+def is_finite(tensor: torch.Tensor) -> bool:
+    """Return whether a tensor holds no NaN and no inf; one pass, no copy."""
+    if not tensor.is_floating_point() or not tensor.numel():
+        return True
+    return bool(torch.stack(torch.aminmax(tensor)).isfinite().all())
 
 
 def mismatches(wanted: dict[str, torch.Tensor], came: dict[str, torch.Tensor]) -> list[str]:

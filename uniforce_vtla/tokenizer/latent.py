@@ -1,0 +1,76 @@
+"""Latents that carry the hash of their tokenizer: those of two have the same shape and don't mean the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import torch
+
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+
+# What only picks, joins, reshapes or moves numbers; everything else gives a plain tensor.
+PICKS = ("__getitem__", "unbind", "cat", "stack", "unsqueeze", "squeeze", "flatten", "unflatten")
+MOVES = ("reshape", "view", "expand", "contiguous", "clone", "detach", "to", "cpu", "cuda")
+KEEPS_ORIGIN = frozenset((*PICKS, *MOVES))
+
+
+class Latent(torch.Tensor):
+    """Latents (…, P, L) float32 of one tokenizer, as ``Tokenizer.encode`` returns them; a tensor in all other ways.
+
+    Attributes:
+        tokenizer_hash: the ``hash`` of their tokenizer. Indexing, stacking, reshaping and moving keep it.
+    """
+
+    tokenizer_hash: str
+
+    @classmethod
+    def of(cls, z: torch.Tensor, tokenizer_hash: str) -> Latent:
+        """Return latents that were stored as plain numbers, with the hash stored beside them."""
+        latent = z.as_subclass(cls)
+        latent.tokenizer_hash = tokenizer_hash
+        return latent
+
+    def __deepcopy__(self, memo: Any) -> Latent:
+        return self.clone()  # torch's own needs an empty tensor of this class
+
+    @classmethod
+    def __torch_function__(
+        cls, func: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
+        """Run one of torch's functions; its result has an origin if all of its tensors have the same."""
+        with torch._C.DisableTorchFunctionSubclass():
+            result = func(*args, **(kwargs or {}))
+        if getattr(func, "__name__", "") not in KEEPS_ORIGIN:
+            return _plain(result)
+        joined = args[0] if args and isinstance(args[0], (list, tuple)) else args[:1]
+        origins = {getattr(z, "tokenizer_hash", "") for z in joined}
+        return _of_all(result, origins.pop()) if len(origins) == 1 else _plain(result)
+
+
+def own_latent(z: torch.Tensor, tokenizer_hash: str, reader: str) -> torch.Tensor:
+    """Return ``z`` as a plain tensor if it comes from the tokenizer that ``reader`` belongs to.
+
+    Raises:
+        ContractError: a tensor that doesn't say where it comes from.
+        CheckpointError: latents of another tokenizer.
+    """
+    if not isinstance(z, Latent):
+        do = "Pass what Tokenizer.encode returned; stored latents become Latent.of(z, tokenizer's hash)."
+        raise ContractError(expected(f"latents for {reader}", "a Latent", type(z).__name__, do))
+    if z.tokenizer_hash != tokenizer_hash:
+        wanted, came = (f"tokenizer {name[:12]}…" for name in (tokenizer_hash, z.tokenizer_hash))
+        raise CheckpointError(
+            expected(f"latents for {reader}", wanted, came, "Load both of one size or folder.")
+        )
+    return z.as_subclass(torch.Tensor)
+
+
+def _plain(result: Any) -> Any:
+    return result.as_subclass(torch.Tensor) if isinstance(result, Latent) else result
+
+
+def _of_all(result: Any, origin: str) -> Any:
+    if isinstance(result, Iterable) and not isinstance(result, torch.Tensor):
+        return tuple(Latent.of(part, origin) for part in result)
+    return Latent.of(result, origin)
