@@ -191,7 +191,8 @@ def test_refusals(demos: Path, view: Path, tmp_path: Path) -> None:
 
 def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
     defaults = {"action_delta_indices": DELTAS, "observation_delta_indices": None}
-    dataset = SimpleNamespace(root=root, episodes=None, image_transforms=SimpleNamespace(enable=False))
+    transforms = SimpleNamespace(enable=False)
+    dataset = SimpleNamespace(root=root, repo_id="local/x", episodes=None, image_transforms=transforms)
     return SimpleNamespace(dataset=dataset, trainable_config=SimpleNamespace(**(defaults | policy)))
 
 

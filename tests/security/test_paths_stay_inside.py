@@ -36,7 +36,7 @@ OPENERS: dict[str, Callable[[Path], Any]] = {
         ShowDatasetConfig(root=str(root), out=str(root.parent / "out"))
     ),
     "make_training_dataset": lambda root: make_training_dataset(
-        SimpleNamespace(dataset=SimpleNamespace(root=str(root))), pytest.fail
+        SimpleNamespace(dataset=SimpleNamespace(root=str(root), repo_id="local/x")), pytest.fail
     ),
 }
 
