@@ -62,7 +62,7 @@ def _flag(argument: str) -> str:
 
 
 @contextmanager
-def checked_datasets(verify: str) -> Iterator[None]:
+def training_views(verify: str = "") -> Iterator[None]:
     """Let LeRobot's trainer read a training view where the dataset root holds one, and no dataset unchecked."""
     stock = factory.make_dataset
 
@@ -70,7 +70,9 @@ def checked_datasets(verify: str) -> Iterator[None]:
         from uniforce_datasets.training_view import make_training_dataset  # pulls in the recorder's libraries
 
         root = cfg.dataset.root
-        if root is not None and (Path(root) / VIEW_MARKER).is_file() and cfg.dataset.eval_split:
+        if root is None or not (Path(root) / VIEW_MARKER).is_file():
+            return make_training_dataset(cfg, stock, verify)
+        if cfg.dataset.eval_split:
             do = "Make a view of the held-out episodes instead."
             raise ContractError(
                 expected("dataset.eval_split", "0 with a training view", cfg.dataset.eval_split, do)
@@ -146,7 +148,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     flags = to_lerobot([argument for argument in arguments if not argument.startswith(VERIFY)])
     before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
-        with checked_datasets(verify), every_weight_used(flags), process_group_kept():
+        with training_views(verify), every_weight_used(flags), process_group_kept():
             lerobot_train.main()
     finally:
         sys.argv = before

@@ -24,7 +24,6 @@ logger = logging.getLogger(__name__)
 Verify = Literal["full", "quick", "off"]
 PARTS = ("data", "videos", "raw", "cards", "meta")  # folders of a dataset; whatever else lies there isn't its
 VIEW_PARTS = (".",)  # a training view has no folders
-FORMAT = 1
 VIDEO = ".mp4"  # quick compares the sizes of these only
 
 
@@ -33,7 +32,7 @@ class FileHash:
     """What a file was when it was saved; the episode where it belongs to exactly one."""
 
     sha256: str
-    size: int
+    bytes: int
     episode: int | None = None
 
 
@@ -88,10 +87,8 @@ def read_hashes(root: Path) -> Hashes | None:
         return None
     content = read_object(file, DatasetError)
     try:
-        if content["format"] != FORMAT:
-            raise ValueError(f"format {content['format']!r:.20}")
-        return {name: FileHash(**entry) for name, entry in content["files"].items()}
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        return {name: FileHash(**entry) for name, entry in content.items()}
+    except TypeError as error:
         raise DatasetError(
             expected(str(file), "hashes by file", repr(error)[:200], _what_to_do(root))
         ) from error
@@ -99,10 +96,11 @@ def read_hashes(root: Path) -> Hashes | None:
 
 def write_hashes(root: Path, hashes: Hashes) -> None:
     """Write ``hashes.json`` in one step."""
-    files = {name: asdict(entry) for name, entry in sorted(hashes.items())}
+    given = {name: asdict(entry).items() for name, entry in sorted(hashes.items())}
+    files = {name: {key: value for key, value in entry if value is not None} for name, entry in given.items()}
     fresh = root / f".{HASHES}.new"
     try:
-        fresh.write_text(json.dumps({"format": FORMAT, "files": files}))
+        fresh.write_text(json.dumps(files))
         os.replace(fresh, root / HASHES)
     finally:
         fresh.unlink(missing_ok=True)  # half a file of a full disk
@@ -161,8 +159,8 @@ def _check_file(root: Path, verify: Verify, name: str, accepted: list[FileHash],
     if file is None:
         raise _differs(root, name, episode, "the file", "none")
     size = file.stat().st_size
-    if size not in [entry.size for entry in accepted]:
-        raise _differs(root, name, episode, f"{accepted[0].size} bytes", size)
+    if size not in [entry.bytes for entry in accepted]:
+        raise _differs(root, name, episode, f"{accepted[0].bytes} bytes", size)
     if verify == "quick" and file.suffix == VIDEO:
         return
     if hash_file(file).sha256 not in [entry.sha256 for entry in accepted]:

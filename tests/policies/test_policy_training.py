@@ -94,7 +94,7 @@ def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
     stock = factory.make_dataset
     cfg = SimpleNamespace(dataset=SimpleNamespace(root=tmp_path, eval_split=0.0))
     (tmp_path / train.VIEW_MARKER).write_text("{}")
-    with train.checked_datasets(""):
+    with train.training_views():
         assert factory.make_dataset(cfg) == ("view", stock)
         cfg.dataset.eval_split = 0.1
         with pytest.raises(ContractError, match="eval_split"):
@@ -107,13 +107,13 @@ def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, mon
     monkeypatch.setattr(factory, "make_dataset", lambda cfg: SimpleNamespace(root=root))
     local = SimpleNamespace(root=root, repo_id="local/wipe", streaming=False, episodes=None)
     shared = SimpleNamespace(root=None, repo_id="somebody/wipe", streaming=False, episodes=None)
-    with train.checked_datasets(""):
+    with train.training_views():
         assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
         next((root / "data").rglob("*.parquet")).unlink()
         for given in (local, shared):
             with pytest.raises(DatasetError, match="parquet"):
                 factory.make_dataset(SimpleNamespace(dataset=given))
-    with train.checked_datasets("off"):
+    with train.training_views("off"):
         assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
 
 

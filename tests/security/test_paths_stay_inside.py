@@ -138,7 +138,7 @@ def test_a_views_slots_name_fingers_and_no_files(recorded: Path, tmp_path: Path)
     (view / "uniforce_view.json").write_text(json.dumps(marker))
     np.save(tmp_path / "passwd.npy", np.zeros(3))
     with pytest.raises(ContractError, match="finger"):
-        TrainingView(view)
+        TrainingView(view, verify="off")
 
 
 def test_a_preset_is_one_of_the_packages_own(tmp_path: Path) -> None:
