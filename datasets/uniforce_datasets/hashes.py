@@ -8,7 +8,7 @@ import logging
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
@@ -96,7 +96,7 @@ def read_hashes(root: Path) -> Hashes | None:
 
 def write_hashes(root: Path, hashes: Hashes) -> None:
     """Write ``hashes.json`` in one step."""
-    given = {name: asdict(entry).items() for name, entry in sorted(hashes.items())}
+    given = {name: vars(entry).items() for name, entry in sorted(hashes.items())}
     files = {name: {key: value for key, value in entry if value is not None} for name, entry in given.items()}
     fresh = root / f".{HASHES}.new"
     try:
