@@ -109,6 +109,12 @@ def overwrite(file: Path, at: float, content: bytes) -> None:
         handle.write(content)
 
 
+def cut(file: Path) -> None:
+    """Cut a file in the middle."""
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+
+
 def flip_bit(file: Path) -> None:
     """Flip one bit in the middle of a file."""
     content = bytearray(file.read_bytes())
@@ -190,7 +196,7 @@ def stats(root: Path) -> Path:
 VIDEO_DAMAGES = (
     Damage("bytes of a tactile video overwritten", lambda r: overwrite(video(r), 0.8, bytes(64))),
     Damage("one bit of a camera video flipped", lambda r: flip_bit(video(r, camera_key("front")))),
-    Damage("tactile video truncated", lambda r: overwrite_with_half(video(r))),
+    Damage("tactile video truncated", lambda r: cut(video(r))),
     Damage("tactile video missing", lambda r: video(r).unlink()),
     Damage(
         "another finger's reference",
@@ -239,7 +245,7 @@ META_DAMAGES = (
     ),
     Damage("statistics missing", lambda r: stats(r).unlink(), "stats.json"),
     Damage("another rate", lambda r: edit_json(r / "meta/info.json", lambda i: i.update(fps=60)), "info"),
-    Damage("tasks cut", lambda r: overwrite_with_half(r / "meta/tasks.parquet"), "tasks"),
+    Damage("tasks cut", lambda r: cut(r / "meta/tasks.parquet"), "tasks"),
     Damage(
         "length of an episode changed",
         lambda r: set_value(r / "meta/episodes/chunk-000/file-001.parquet", "length", FRAMES - 1, 0),
@@ -250,7 +256,7 @@ META_DAMAGES = (
     ),
     Damage("card missing", lambda r: card_path(r, HIT).unlink()),
     Damage("a file added", lambda r: shutil.copy(data(r), data(r, 7)), "file-007.parquet"),
-    Damage("hashes cut", lambda r: overwrite_with_half(r / HASHES), HASHES),
+    Damage("hashes cut", lambda r: cut(r / HASHES), HASHES),
     Damage(
         "a hash removed",
         lambda r: edit_json(r / HASHES, lambda h: h.pop(str(video(r).relative_to(r)))),
@@ -275,9 +281,3 @@ VIEW_DAMAGES = (
     ),
 )
 DATASET_DAMAGES = (*VIDEO_DAMAGES, *TABLE_DAMAGES, *META_DAMAGES, *VIEW_DAMAGES)
-
-
-def overwrite_with_half(file: Path) -> None:
-    """Cut a file in the middle."""
-    content = file.read_bytes()
-    file.write_bytes(content[: len(content) // 2])

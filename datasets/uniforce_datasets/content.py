@@ -51,7 +51,7 @@ def check_content(source: Source, verify: Verify = "full") -> None:
     _check_counts(source)
 
 
-def end_frames(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, np.ndarray]:
+def end_frames(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, ...]:
     """Return the first and the last (H, W, 3) frame of an episode's video."""
     first = next(episode_frames(span, length, fps))
     *_, last = episode_frames(span, length, fps, first=max(0, length - END_FRAMES))
@@ -112,15 +112,16 @@ def _marker_videos(source: Source) -> list[str]:
     return [key for key in videos(source.info) if key in TACTILE_KEYS]
 
 
+def _middle(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, ...]:
+    return (next(episode_frames(span, length, fps, first=length // 2)),)
+
+
 def _sample(source: Source, episode: Episode) -> None:
     """Look at the middle of marker videos and at both ends of references."""
     for key in _marker_videos(source):
-        span, length = episode.videos[key], episode.length
+        look = end_frames if key in REFERENCE_KEYS else _middle
         with _named(episode):
-            if key in REFERENCE_KEYS:
-                frames: Iterable[np.ndarray] = end_frames(span, length, source.fps)
-            else:
-                frames = (next(episode_frames(span, length, source.fps, first=length // 2)),)
+            frames = look(episode.videos[key], episode.length, source.fps)
         _check_markers(episode, key, frames)
 
 

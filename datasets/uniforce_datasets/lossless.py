@@ -36,13 +36,14 @@ def open_dataset(
     )
 
 
-def check_dataset(root: str | Path, verify: str = "quick") -> Source:
+def check_dataset(root: str | Path, verify: str = "quick", within: Path | None = None) -> Source:
     """Check a dataset and return its source.
 
     Args:
         root: its folder.
         verify: "full" compares the SHA-256 of every file and decodes every frame; "quick" compares sizes, and hashes
             of all but videos, and decodes some marker images of every episode; "off" looks at the metadata only.
+        within: folder that its links may lead into; None is the dataset's own.
 
     Raises:
         DatasetError: a file is missing, damaged, exchanged or never was saved there, a marker stream has no reference
@@ -50,14 +51,14 @@ def check_dataset(root: str | Path, verify: str = "quick") -> Source:
         ContractError: another ``verify``.
     """
     depth, root = check_verify(verify), Path(root)
-    read_info(root)  # paths first: none that leads outside is opened
+    read_info(root, within)  # paths first: none that leads outside is opened
     check_hashes(root, depth)
-    return check_whole(root, depth)
+    return check_whole(root, depth, within)
 
 
-def check_whole(root: Path, verify: Verify) -> Source:
+def check_whole(root: Path, verify: Verify, within: Path | None = None) -> Source:
     """Check a dataset whatever its hashes say; see ``check_dataset``."""
-    source = read_source(root)
+    source = read_source(root, within)
     for finger in source.fingers:
         if tactile_key(finger, reference=True) not in source.features:
             came = f"{tactile_key(finger)} alone"

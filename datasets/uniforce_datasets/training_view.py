@@ -44,6 +44,7 @@ __all__ = ["VIEW_MARKER", "TrainingView", "ViewMetadata", "build_view", "make_tr
 logger = logging.getLogger(__name__)
 
 LOCAL_NAMES = "local/"  # begin of repo ids of datasets that never were on the hub
+SNAPSHOTS = "snapshots"  # of the hub's cache: links into the folder beside it
 TOUCH = ("latent", "wrench", "descriptor", "marker_pair", "none")
 STREAM_KEYS = {"latent": latent_key, "descriptor": descriptor_key, "marker_pair": marker_pair_key}
 
@@ -323,7 +324,9 @@ def _stock_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: s
     if not here and (cfg.dataset.streaming or cfg.dataset.episodes is not None):
         logger.warning("%s isn't checked: only a part of it is downloaded.", cfg.dataset.repo_id)
     elif not here:
-        check_dataset(dataset.root, depth)
+        snapshot = Path(dataset.root)
+        cached = snapshot.parent.name == SNAPSHOTS
+        check_dataset(snapshot, depth, within=snapshot.parents[1] if cached else None)
     return dataset
 
 

@@ -209,6 +209,26 @@ def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
     assert make_training_dataset(trainer_config(demos), lambda cfg: "stock") == "stock"
 
 
+def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(
+    demos: Path, tmp_path: Path
+) -> None:
+    blobs, snapshot = tmp_path / "cache" / "blobs", tmp_path / "cache" / "snapshots" / "0"
+    shutil.copytree(demos, blobs, ignore=shutil.ignore_patterns(".*"))
+    for file in (path for path in blobs.rglob("*") if path.is_file()):  # as the hub's cache keeps files
+        link = snapshot / file.relative_to(blobs)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.symlink_to(file)
+    cfg = trainer_config(None)
+    cfg.dataset.repo_id, cfg.dataset.streaming = "somebody/wipe", False
+    downloaded = SimpleNamespace(root=snapshot)
+    assert make_training_dataset(cfg, lambda cfg: downloaded) is downloaded
+    camera = next((blobs / "videos" / camera_key("front")).rglob("*001.mp4"))
+    camera.write_bytes(camera.read_bytes()[:-1] + b"x")
+    with pytest.raises(DatasetError, match=r"front.*episode 1"):
+        make_training_dataset(cfg, lambda cfg: downloaded)
+    assert make_training_dataset(cfg, lambda cfg: downloaded, "quick") is downloaded
+
+
 def test_a_damaged_view_is_built_anew(demos: Path, tmp_path: Path) -> None:
     out = build_view(demos, tmp_path / "view", encoder=BlockMeans())
     kept = (out / "latent_left.npy").read_bytes()
