@@ -61,6 +61,12 @@ def _flag(argument: str) -> str:
     return f"--{key}.type={value}" if key in CHOICES else f"--{key}={value}"
 
 
+def take_verify(argv: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the last ``verify=…`` ("" where there is none), which LeRobot doesn't know, and the other arguments."""
+    given = [argument.removeprefix(VERIFY) for argument in argv if argument.startswith(VERIFY)]
+    return (given or [""])[-1], [argument for argument in argv if not argument.startswith(VERIFY)]
+
+
 @contextmanager
 def training_views(verify: str = "") -> Iterator[None]:
     """Let LeRobot's trainer read a training view where the dataset root holds one, and no dataset unchecked."""
@@ -144,8 +150,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(HELP)
         return
     register_third_party_plugins()
-    verify = next((a.removeprefix(VERIFY) for a in arguments if a.startswith(VERIFY)), "")
-    flags = to_lerobot([argument for argument in arguments if not argument.startswith(VERIFY)])
+    verify, settings = take_verify(arguments)
+    flags = to_lerobot(settings)
     before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
         with training_views(verify), every_weight_used(flags), process_group_kept():

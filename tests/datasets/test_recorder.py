@@ -162,6 +162,7 @@ def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_g
             assert len(check_dataset(state, "full").episodes) >= kept
         with open_recorder(state) as after:
             assert after.num_episodes >= kept
+        assert (state / staging.HASHES).is_file() == bool(after.num_episodes)
         assert not after.num_episodes or len(check_dataset(state, "full").episodes) == after.num_episodes
 
 

@@ -126,6 +126,8 @@ def test_command_line_becomes_lerobots():
         "--wandb.enable=true",
     ]
     assert flags[4:] == ["--policy.push_to_hub=false"]
+    assert train.take_verify(["steps=5", "verify=off"]) == ("off", ["steps=5"])
+    assert train.take_verify(["steps=5"]) == ("", ["steps=5"])
     assert train.to_lerobot(["resume=true", "config_path=a=b.json"]) == [
         "--resume=true",
         "--config_path=a=b.json",
