@@ -12,7 +12,8 @@ from typing import Protocol
 import numpy as np
 import torch
 
-from uniforce_datasets.source import Episode, Source, episode_frames, read_source
+from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
@@ -70,13 +71,14 @@ class FeltRecording:
     Args:
         root: the dataset's folder.
         forces: reads newtons, e.g. ``gauges()``.
+        verify: how the dataset is checked, see ``check_dataset``.
 
     Raises:
         DatasetError: a dataset that can't be read, or lacks a finger.
     """
 
-    def __init__(self, root: str | Path, forces: ForceReader) -> None:
-        self.source = read_source(root)
+    def __init__(self, root: str | Path, forces: ForceReader, verify: str = "quick") -> None:
+        self.source = check_dataset(root, verify)
         if self.source.fingers != FINGERS:
             do = "Record marker images of both fingers."
             raise DatasetError(expected(str(root), f"fingers {FINGERS}", self.source.fingers, do))

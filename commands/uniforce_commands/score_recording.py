@@ -38,6 +38,7 @@ class ScoreRecordingConfig:
     camera: str = "front"  # scene camera that sees the board
     episodes: int = 0  # the first so many; 0 = all
     gauges: str = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
+    verify: str = "quick"  # full | quick | off: how the dataset is checked first
     out: str = "outputs/recording_scores"  # estimates.json and a picture per episode
 
 
@@ -50,7 +51,7 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     """
     left, right = numbers("pad_friction", config.pad_friction, 2)
     corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
-    recording = FeltRecording(config.root, gauges(config.gauges))
+    recording = FeltRecording(config.root, gauges(config.gauges), config.verify)
     source, rows = recording.source, []
     for episode in tqdm(source.episodes[: config.episodes or None], desc="episodes", unit="episode"):
         felt = recording.feel(episode)

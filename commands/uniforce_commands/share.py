@@ -15,6 +15,7 @@ from lerobot.policies.factory import make_pre_post_processors
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
+from uniforce_datasets.lossless import open_dataset
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, UniForceError, expected
 from uniforce_vtla.evaluation.checkpoint_scores import scores_of
@@ -32,6 +33,7 @@ class ShareConfig:
 
     Example: uniforce-share checkpoint=outputs/train/checkpoints/last/pretrained_model scores=outputs/score/wiping.json
     then: uniforce-share … push=your-name/pi05-wiping  (needs `hf auth login`)
+    a dataset: uniforce-share dataset=outputs/demos push=your-name/wiping
     """
 
     checkpoint: str = "outputs/train/checkpoints/last/pretrained_model"  # what the trainer saved
@@ -41,6 +43,7 @@ class ShareConfig:
     scored_as: str = ""
     push: str = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
+    dataset: str = ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 
@@ -109,6 +112,19 @@ def push(folder: Path, config: ShareConfig) -> str:
     return str(repository)
 
 
+def share_dataset(config: ShareConfig) -> str:
+    """Check a recorded dataset in full and push it where asked; return a line about it.
+
+    Raises:
+        DatasetError: it isn't what was saved; nothing is pushed.
+    """
+    dataset = open_dataset(config.dataset, config.push or "local/dataset", verify="full")
+    if not config.push:
+        return f"{config.dataset} is whole: {dataset.num_episodes} episodes; push=name/dataset uploads it"
+    dataset.push_to_hub(private=config.private, license=None)
+    return f"pushed {dataset.num_episodes} episodes to {config.push}"
+
+
 def _forget_this_machine(config: Any) -> None:
     """Drop paths nobody else has: both tokenizers are in the folder."""
     config.tokenizer_path = config.pretrained_path = None
@@ -132,6 +148,9 @@ def main(argv: list[str] | None = None) -> int:
     config = parse(ShareConfig, argv)
     torch.set_num_threads(1)
     try:
+        if config.dataset:
+            print(share_dataset(config))
+            return 0
         out = share(config)
     except UniForceError as error:
         print(f"share: {error}")

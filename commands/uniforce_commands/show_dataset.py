@@ -46,6 +46,7 @@ class ShowDatasetConfig:
     head: str = ""
     gauges: str = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
     tokenizer: str = ""  # checkpoint folder; empty = shipped
+    verify: str = "quick"  # full | quick | off: how the dataset is checked first
 
 
 def show_dataset(config: ShowDatasetConfig) -> list[Path]:
@@ -61,7 +62,7 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
     rerun = import_rerun("form=rerun", WITHOUT_RERUN) if config.form == "rerun" else None
     friction = _friction(config.pad_friction)
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
-    recording = FeltRecording(config.root, _forces(config, tokenizer))
+    recording = FeltRecording(config.root, _forces(config, tokenizer), config.verify)
     written = []
     for episode in tqdm(_chosen(recording.source, config.episode), desc="episodes", unit="episode"):
         title, stem = f"{Path(config.root).name}, episode {episode.index}", f"episode_{episode.index}"

@@ -33,12 +33,14 @@ Train a policy with LeRobot's trainer; everything after the script's name is a s
   policy.train_expert_only=true | policy.freeze_vision_encoder=true | --peft.method_type=LORA   train less
   policy.next_force_weight=0.1   also predict what is felt when the next chunk begins (training views only)
   accelerate launch --num_processes=4 scripts/train.py …   several devices; no search for unused parameters
+  verify=full|quick|off  check the dataset before (default: full if its repo_id isn't local/…, else quick)
   more: lerobot-train --help (run with --policy.type=pi05_uniforce to see this policy's settings)
 
 Added unless given: policy.push_to_hub=false, wandb.enable=false.  A dataset root that holds a training view
 (uniforce_view.json: cached latents, small images) is read through it, many times faster than video.
 """
 
+VERIFY = "verify="
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
 OURS = "pi05_uniforce"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
@@ -61,23 +63,29 @@ def _flag(argument: str) -> str:
     return f"--{key}.type={value}" if key in CHOICES else f"--{key}={value}"
 
 
+def take_verify(argv: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the last ``verify=…`` ("" where there is none), which LeRobot doesn't know, and the other arguments."""
+    given = [argument.removeprefix(VERIFY) for argument in argv if argument.startswith(VERIFY)]
+    return (given or [""])[-1], [argument for argument in argv if not argument.startswith(VERIFY)]
+
+
 @contextmanager
-def training_views() -> Iterator[None]:
-    """Let LeRobot's trainer read a training view where the dataset root holds one; other roots stay stock."""
+def training_views(verify: str = "") -> Iterator[None]:
+    """Let LeRobot's trainer read a training view where the dataset root holds one, and no dataset unchecked."""
     stock = factory.make_dataset
 
     def make_dataset(cfg: Any) -> Any:
+        from uniforce_datasets.training_view import make_training_dataset  # pulls in the recorder's libraries
+
         root = cfg.dataset.root
         if root is None or not (Path(root) / VIEW_MARKER).is_file():
-            return stock(cfg)
+            return make_training_dataset(cfg, stock, verify)
         if cfg.dataset.eval_split:
             do = "Make a view of the held-out episodes instead."
             raise ContractError(
                 expected("dataset.eval_split", "0 with a training view", cfg.dataset.eval_split, do)
             )
-        from uniforce_datasets.training_view import make_training_dataset  # pulls in the recorder's libraries
-
-        return make_training_dataset(cfg, stock)
+        return make_training_dataset(cfg, stock, verify)
 
     factory.make_dataset = make_dataset
     try:
@@ -160,10 +168,11 @@ def main(argv: Sequence[str] | None = None) -> None:
         print(HELP)
         return
     register_third_party_plugins()
-    flags = to_lerobot(arguments)
+    verify, settings = take_verify(arguments)
+    flags = to_lerobot(settings)
     before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
-        with training_views(), every_weight_used(flags), process_group_kept(), checkpoints_hashed():
+        with training_views(verify), every_weight_used(flags), process_group_kept(), checkpoints_hashed():
             lerobot_train.main()
     finally:
         sys.argv = before

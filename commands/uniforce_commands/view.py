@@ -34,6 +34,7 @@ class ViewConfig:
     keep_events: bool = False
     keep_failures: bool = False  # take failed demos too
     workers: int = 2  # processes; each needs about 1 GB
+    verify: str = "quick"  # full | quick | off: how the datasets are checked first
 
 
 def make_view(config: ViewConfig) -> Path:
@@ -49,6 +50,7 @@ def make_view(config: ViewConfig) -> Path:
         config.tokenizer or None,
         keep=lambda facts: chosen(facts, config),
         workers=config.workers,
+        verify=config.verify,
     )
 
 

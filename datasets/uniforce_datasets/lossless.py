@@ -1,92 +1,68 @@
-"""Open a recorded dataset only if its touch can be trusted: whole files, references, lossless marker video."""
+"""Open a recorded dataset only if it is what was saved: its hashes, whole files, references, exact marker video."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames, read_source, stored_frames
+from uniforce_datasets.content import check_content
+from uniforce_datasets.dataset_info import read_info
+from uniforce_datasets.hashes import Verify, check_hashes, check_verify
+from uniforce_datasets.source import Source, read_source
 from uniforce_datasets.staged_writer import LOCAL
-from uniforce_vtla.contracts import check_marker_image
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
 
-END_FRAMES = 2  # frames looked at from the end of a sampled episode
 
-
-def open_dataset(root: str | Path, repo_id: str = "local/dataset", **options: Any) -> LeRobotDataset:
+def open_dataset(
+    root: str | Path, repo_id: str = "local/dataset", verify: str = "quick", **options: Any
+) -> LeRobotDataset:
     """Return LeRobot's own dataset after checking what it doesn't check.
 
     Args:
         root: folder of the dataset.
         repo_id: LeRobot's name for it; the hub is never asked.
+        verify: see ``check_dataset``.
         options: passed on to ``LeRobotDataset``.
 
     Raises:
-        DatasetError: a file is missing or truncated, a marker stream has no reference, marker video is lossy.
+        DatasetError: see ``check_dataset``.
     """
-    source = check_dataset(root)
+    source = check_dataset(root, verify)
     return LeRobotDataset(
         repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options)
     )
 
 
-def check_dataset(root: str | Path) -> Source:
-    """Check a dataset as ``open_dataset`` does and return its source."""
-    source = read_source(root)
-    _check_references(source)
-    source.columns(("episode_index",))
-    _check_videos(source)
-    for episode in {source.episodes[0], source.episodes[-1]} if source.fingers else ():
-        for finger in source.fingers:
-            check_lossless(source, episode, tactile_key(finger))
-            check_lossless(source, episode, tactile_key(finger, reference=True))
-    return source
+def check_dataset(root: str | Path, verify: str = "quick", within: Path | None = None) -> Source:
+    """Check a dataset and return its source.
+
+    Args:
+        root: its folder.
+        verify: "full" compares the SHA-256 of every file and decodes every frame; "quick" compares sizes, and hashes
+            of all but videos, and decodes some marker images of every episode; "off" looks at the metadata only.
+        within: folder that its links may lead into; None is the dataset's own.
+
+    Raises:
+        DatasetError: a file is missing, damaged, exchanged or never was saved there, a marker stream has no reference
+            or is lossy, a number isn't one; names file and episode.
+        ContractError: another ``verify``.
+    """
+    depth, root = check_verify(verify), Path(root)
+    read_info(root, within)  # paths first: none that leads outside is opened
+    check_hashes(root, depth)
+    return check_whole(root, depth, within)
 
 
-def check_lossless(source: Source, episode: Episode, key: str) -> None:
-    """Raise DatasetError unless the first and last frames of a marker video hold only 0 and 255, R = G = B."""
-    first, last = end_frames(episode.videos[key], episode.length, source.fps)
-    for frame in (first, last):
-        try:
-            check_marker_image(frame[..., 0], key)
-            grey = bool((frame == frame[..., :1]).all())
-        except ContractError as error:
-            raise DatasetError(_lossy(episode, key, "values between")) from error
-        if not grey:
-            raise DatasetError(_lossy(episode, key, "colours"))
-
-
-def _lossy(episode: Episode, key: str, came: str) -> str:
-    do = "The video was encoded with loss: record or convert it again with h264 crf 0 (uniforce-record does)."
-    return expected(f"{key}, episode {episode.index}", "only 0 and 255 after decoding", came, do)
-
-
-def end_frames(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first and the last (H, W, 3) frame of an episode's video."""
-    first = next(episode_frames(span, length, fps))
-    *_, last = episode_frames(span, length, fps, first=max(0, length - END_FRAMES))
-    return first, last
-
-
-def _check_references(source: Source) -> None:
+def check_whole(root: Path, verify: Verify, within: Path | None = None) -> Source:
+    """Check a dataset whatever its hashes say; see ``check_dataset``."""
+    source = read_source(root, within)
     for finger in source.fingers:
         if tactile_key(finger, reference=True) not in source.features:
             came = f"{tactile_key(finger)} alone"
             do = "Touch is read against a free-air reference: record it again with uniforce-record."
             raise DatasetError(expected("dataset", tactile_key(finger, reference=True), came, do))
-
-
-def _check_videos(source: Source) -> None:
-    needed: dict[Path, int] = {}
-    for episode in source.episodes:
-        for span in episode.videos.values():
-            needed[span.file] = needed.get(span.file, 0) + episode.length
-    for file, frames in needed.items():
-        stored = stored_frames(file)
-        if stored < frames:
-            do = "The video is truncated: restore it from a copy."
-            raise DatasetError(expected(str(file), f"{frames} frames", stored, do))
+    check_content(source, verify)
+    return source

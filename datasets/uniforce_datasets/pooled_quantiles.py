@@ -7,12 +7,14 @@ instead of 0.1 / 9.9, and a quantile-normalised policy then trains on targets fa
 from __future__ import annotations
 
 import json
-import os
+import shutil
 from pathlib import Path
 
 import numpy as np
 
+from uniforce_datasets.hashes import stage_hashes
 from uniforce_datasets.source import read_source
+from uniforce_datasets.staging import STAGING, commit
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, STATE
@@ -38,17 +40,21 @@ def pooled_stats(values: np.ndarray) -> dict[str, np.ndarray]:
 def write_pooled_stats(root: str | Path) -> None:
     """Replace the statistics of state and action, where a recording has them, in ``meta/stats.json`` by pooled ones.
 
+    Statistics and hashes change in one step; nobody else may write to the dataset meanwhile.
+
     Raises:
         DatasetError: the statistics or the columns are damaged.
     """
-    path = Path(root) / "meta" / "stats.json"
-    stats = read_object(path, DatasetError)
+    root = Path(root)
+    stats = read_object(root / "meta" / "stats.json", DatasetError)
     columns = read_source(root).columns(tuple(key for key in POOLED_KEYS if key in stats))
     for key, values in columns.items():
         stats[key] = {name: value.tolist() for name, value in pooled_stats(values).items()}
-    fresh = path.with_suffix(".json.new")
+    staged = root / STAGING / "meta" / "stats.json"
     try:
-        fresh.write_text(json.dumps(stats, indent=4))
-        os.replace(fresh, path)
+        staged.parent.mkdir(parents=True)
+        staged.write_text(json.dumps(stats, indent=4))
+        stage_hashes(root)
+        commit(root)
     finally:
-        fresh.unlink(missing_ok=True)  # half a file of a full disk
+        shutil.rmtree(root / STAGING, ignore_errors=True)  # half a file of a full disk

@@ -17,7 +17,9 @@ from lerobot.datasets.io_utils import write_info
 
 from uniforce_datasets.cards import write_card
 from uniforce_datasets.columns import ColumnMaker, check_row, sensor_index
+from uniforce_datasets.dataset_info import INFO
 from uniforce_datasets.features import CAMERA_SHAPE, Shape, dataset_features, refuse_other_features
+from uniforce_datasets.hashes import check_hashes, stage_hashes
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.raw_video import RawVideo
 from uniforce_datasets.recorder_lock import claim, lock
@@ -65,7 +67,7 @@ class EpisodeRecorder:
 
     Raises:
         DatasetError: another recorder writes here, the folder can't be written, holds something else or other
-            features, the disk is full, a video frame was lost.
+            features, a file that isn't as it was saved, the disk is full, a video frame was lost.
         ContractError: a frame with a missing key, a wrong shape, or a marker image that isn't {0, 255}.
     """
 
@@ -97,6 +99,8 @@ class EpisodeRecorder:
         self._raw_shapes = dict(raw_shapes or {})
         self._lock = lock(claim(root), lock_wait_s)
         recover(self.root)
+        if (self.root / INFO).exists():
+            check_hashes(self.root, "quick")
         self._writer = self._open()
 
     @property
@@ -182,6 +186,7 @@ class EpisodeRecorder:
             self._name_marker_codec()
             self._writer.finalize()
             check_stored(self.root / STAGING, frames, self._fps, self._ends)
+            stage_hashes(self.root, episode)
             commit(self.root)
         self._writer = self._open()
 
@@ -195,7 +200,7 @@ class EpisodeRecorder:
         if self._lock.closed:
             return
         self._abandon()
-        if (self.root / "meta" / "info.json").exists():
+        if (self.root / INFO).exists():
             self._pool()
         self._lock.close()
 
@@ -216,7 +221,7 @@ class EpisodeRecorder:
 
     def _open(self) -> DatasetWriter:
         """A LeRobot writer whose files all go to the staging folder."""
-        if not (self.root / "meta" / "info.json").exists():
+        if not (self.root / INFO).exists():
             self._refuse_foreign_files()
         writer = open_writer(
             self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime

@@ -161,13 +161,18 @@ def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     files = sorted((root / "data").rglob("*.parquet"))
     if not files:
         raise DatasetError(expected(str(root), "data/**/*.parquet", "none", "Record episodes first."))
-    tables = [read_table(file, list(keys)) for file in files]
-    try:
-        table = pa.concat_tables(tables)
-    except pa.ArrowException as error:
+    tables = {file: read_table(file, list(keys)) for file in files}
+    return {key: _joined(root / "data", key, tables) for key in keys}
+
+
+def _joined(data: Path, key: str, tables: dict[Path, pa.Table]) -> np.ndarray:
+    """Join a column's numbers: as arrays, since LeRobot's tools store the same rows as another Arrow type."""
+    parts = [_as_array(str(file), key, table[key].combine_chunks()) for file, table in tables.items()]
+    kinds = {f"{part.dtype}{list(part.shape[1:])}" for part in parts}
+    if len(kinds) > 1:
         do = "Files of different recordings lie together."
-        raise DatasetError(expected(str(root / "data"), "one kind of columns", error, do)) from error
-    return {key: _as_array(str(root), key, table[key].combine_chunks()) for key in keys}
+        raise DatasetError(expected(f"{key} in {data}", "one kind of numbers", sorted(kinds), do))
+    return np.concatenate(parts)
 
 
 def _as_array(where: str, key: str, column: pa.Array) -> np.ndarray:

@@ -1,8 +1,9 @@
 """Make each saved episode durable in one step: write it aside, then move it in.
 
 An episode is written into ``.staging``; when complete and flushed, the folder is renamed ``.commit`` (the one atomic
-step) and its files are moved into the dataset, ``meta/info.json`` last.  LeRobot's own loader can open the dataset
-at any instant in between, and ``recover`` finishes or forgets whatever a power loss or kill -9 left behind.
+step) and its files are moved into the dataset, ``meta/info.json`` and ``hashes.json`` last.  LeRobot's own loader can
+open the dataset at any instant in between, its hashes fit at any instant, and ``recover`` finishes or forgets
+whatever a power loss or kill -9 left behind.
 """
 
 from __future__ import annotations
@@ -12,9 +13,10 @@ import shutil
 from pathlib import Path
 
 STAGING, COMMIT = ".staging", ".commit"
+HASHES = "hashes.json"  # of all files, moved in last
 ORDER = (
     *("data", "videos", "raw", "cards"),
-    *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/info.json"),
+    *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/info.json", HASHES),
 )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from uniforce_datasets.lossless import end_frames
+from uniforce_datasets.content import end_frames
 from uniforce_datasets.raw_video import FOLDER
 from uniforce_datasets.source import VideoSpan, stored_frames
 from uniforce_vtla.errors import DatasetError, expected

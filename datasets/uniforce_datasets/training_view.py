@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +13,10 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from uniforce_datasets.dataset_info import INFO, read_info
+from uniforce_datasets.dataset_info import INFO
 from uniforce_datasets.features import WRENCH_AXES
+from uniforce_datasets.hashes import VIEW_PARTS, check_hashes, check_verify
+from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
 from uniforce_datasets.view_marker import read_marker
@@ -38,6 +41,10 @@ from uniforce_vtla.keys import (
 
 __all__ = ["VIEW_MARKER", "TrainingView", "ViewMetadata", "build_view", "make_training_dataset"]
 
+logger = logging.getLogger(__name__)
+
+LOCAL_NAMES = "local/"  # begin of repo ids of datasets that never were on the hub
+SNAPSHOTS = "snapshots"  # of the hub's cache: links into the folder beside it
 TOUCH = ("latent", "wrench", "descriptor", "marker_pair", "none")
 STREAM_KEYS = {"latent": latent_key, "descriptor": descriptor_key, "marker_pair": marker_pair_key}
 
@@ -80,9 +87,10 @@ class TrainingView(Dataset):
         episodes: numbers of the episodes to sample from; None is all.
         image_transforms: applied to each camera image.
         ahead: frames after the sample whose latents come with it, for an auxiliary loss; 0 is none.
+        verify: "full" and "quick" compare the SHA-256 of every array; "off" doesn't.
 
     Raises:
-        DatasetError: not a whole view, or it holds no true wrench though one is asked for.
+        DatasetError: not a whole view, an array that changed, or no true wrench though one is asked for.
     """
 
     def __init__(
@@ -94,9 +102,12 @@ class TrainingView(Dataset):
         episodes: Sequence[int] | None = None,
         image_transforms: Callable[[torch.Tensor], torch.Tensor] | None = None,
         ahead: int = 0,
+        verify: str = "quick",
     ) -> None:
         self.root = Path(root)
         self.marker = read_marker(self.root)
+        if check_verify(verify) != "off":
+            check_hashes(self.root, "full", VIEW_PARTS)
         self._deltas = np.asarray(action_deltas, dtype=np.int64)
         self._touch = self._touch_columns(self.marker["slots"] if slots is None else slots, touch)
         self.episodes = None if episodes is None else list(episodes)
@@ -265,21 +276,24 @@ def _vector(names: Sequence[str]) -> dict[str, Any]:
     return {"dtype": "float32", "shape": (len(names),), "names": list(names)}
 
 
-def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any]) -> Any:
+def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str = "") -> Any:
     """Return a TrainingView where ``cfg.dataset.root`` is one, else what LeRobot itself makes.
 
     The policy's own settings choose the action frames, slots and touch input; a policy without touch slots gets
     cameras, state and action only.
 
+    Args:
+        cfg: LeRobot's training config.
+        stock_make_dataset: LeRobot's own function.
+        verify: see ``check_dataset``; "" is "quick" for a dataset of this machine (``local/…``), else "full".
+
     Raises:
-        DatasetError: a path or link that leads out of the dataset, the policy pools latents to another grid, or asks
-            for observation histories.
+        DatasetError: a dataset or view that isn't what was saved, a path or link that leads out of it, the policy pools
+            latents to another grid, or asks for observation histories.
     """
     root = cfg.dataset.root
     if root is None or not (Path(root) / VIEW_MARKER).is_file():
-        if root is not None and (Path(root) / INFO).is_file():
-            read_info(Path(root))  # LeRobot follows any path it finds there
-        return stock_make_dataset(cfg)
+        return _stock_dataset(cfg, stock_make_dataset, verify)
     policy = cfg.trainable_config
     if getattr(policy, "observation_delta_indices", None) is not None:
         raise DatasetError(
@@ -293,9 +307,27 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any]) ->
         raise DatasetError(expected("latent_grid of the view", policy.latent_grid, marker["latent_grid"], do))
     deltas = policy.action_delta_indices
     ahead = policy.n_action_steps if getattr(policy, "next_force_weight", 0) else 0
+    deltas, transforms = (0,) if deltas is None else deltas, _transforms(cfg)
     return TrainingView(
-        root, (0,) if deltas is None else deltas, slots, touch, cfg.dataset.episodes, _transforms(cfg), ahead
+        root, deltas, slots, touch, cfg.dataset.episodes, transforms, ahead, verify or "quick"
     )
+
+
+def _stock_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str) -> Any:
+    """Return what LeRobot makes, checked before; what it has to download first is checked afterwards."""
+    root, shared = cfg.dataset.root, not str(cfg.dataset.repo_id).startswith(LOCAL_NAMES)
+    depth = check_verify(verify or ("full" if shared else "quick"))
+    here = root is not None and (Path(root) / INFO).is_file()
+    if here:
+        check_dataset(root, depth)
+    dataset = stock_make_dataset(cfg)
+    if not here and (cfg.dataset.streaming or cfg.dataset.episodes is not None):
+        logger.warning("%s isn't checked: only a part of it is downloaded.", cfg.dataset.repo_id)
+    elif not here:
+        snapshot = Path(dataset.root)
+        cached = snapshot.parent.name == SNAPSHOTS
+        check_dataset(snapshot, depth, within=snapshot.parents[1] if cached else None)
+    return dataset
 
 
 def _transforms(cfg: Any) -> Callable[[torch.Tensor], torch.Tensor] | None:

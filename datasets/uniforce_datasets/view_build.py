@@ -6,6 +6,7 @@ Stock LeRobot decodes six videos for every training sample.  A view reads arrays
 from __future__ import annotations
 
 import json
+import logging
 import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
@@ -19,6 +20,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from uniforce_datasets.hashes import VIEW_PARTS, check_hashes, files_of, hash_files, write_hashes
 from uniforce_datasets.latent_encoder import LatentEncoder, pooled_tokenizer
 from uniforce_datasets.source import Episode, episode_frames
 from uniforce_datasets.view_plan import (
@@ -36,6 +38,8 @@ from uniforce_vtla.probes.plain_touch import descriptors, marker_pairs
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer import Tokenizer
 
+logger = logging.getLogger(__name__)
+
 PROGRESS = "progress.json"
 BATCH = 32  # frames encoded at once: 10 MB of marker images
 DEFAULT_SLOTS = {"touch0": "right", "touch1": "left"}
@@ -51,6 +55,7 @@ def build_view(
     encoder: LatentEncoder | None = None,
     keep: Callable[[EpisodeFacts], bool] = lambda facts: facts.success,
     workers: int = 1,
+    verify: str = "quick",
 ) -> Path:
     """Build the view of one or more recorded datasets; go on where an interrupted build stopped.
 
@@ -64,13 +69,14 @@ def build_view(
         encoder: anything else that encodes touch, instead of ``tokenizer``.
         keep: chooses episodes; clean successes by default.
         workers: processes that decode and encode, an episode each at a time.
+        verify: how the datasets are checked, see ``check_dataset``.
 
     Raises:
         DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
     """
     encoder = encoder or pooled_tokenizer(tokenizer, latent_grid)
     settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)
-    plan = plan_view([roots] if isinstance(roots, str | Path) else roots, settings, keep)
+    plan = plan_view([roots] if isinstance(roots, str | Path) else roots, settings, keep, verify)
     out = Path(out)
     if _same_view(out, plan):
         return out
@@ -79,6 +85,7 @@ def build_view(
     for key, values in plan.columns.items():
         np.save(building / f"{key}.npy", values)
     write_json(building / VIEW_MARKER, plan.marker)
+    write_hashes(building, hash_files(building, files_of(building, VIEW_PARTS), lambda name: None))
     shutil.rmtree(out, ignore_errors=True)
     building.rename(out)
     return out
@@ -88,12 +95,22 @@ def _same_view(out: Path, plan: ViewPlan) -> bool:
     """Return whether ``out`` is this view already; raise DatasetError if it holds something else."""
     marker = out / VIEW_MARKER
     if marker.is_file():
-        return bool(json.loads(marker.read_text()) == json.loads(json.dumps(plan.marker)))
+        same = json.loads(marker.read_text()) == json.loads(json.dumps(plan.marker))
+        return same and _whole(out)
     if out.exists() and any(out.iterdir()):
         raise DatasetError(
             expected(str(out), "no folder, or an older view", "other files", "Choose another out.")
         )
     return False
+
+
+def _whole(view: Path) -> bool:
+    try:
+        check_hashes(view, parts=VIEW_PARTS)
+    except DatasetError as error:
+        logger.warning("built anew: %s", error)
+        return False
+    return True
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,10 @@ class ViewPlan:
 
 
 def plan_view(
-    roots: Sequence[str | Path], settings: ViewSettings, wanted: Callable[[EpisodeFacts], bool]
+    roots: Sequence[str | Path],
+    settings: ViewSettings,
+    wanted: Callable[[EpisodeFacts], bool],
+    verify: str = "quick",
 ) -> ViewPlan:
     """Check the datasets and choose their episodes.
 
@@ -121,7 +124,7 @@ def plan_view(
         if slot not in SLOTS:
             raise ContractError(expected("slot", " or ".join(SLOTS), repr(slot), "Write touch0:right."))
         check_finger(finger)
-    sources = [check_dataset(root) for root in roots]
+    sources = [check_dataset(root, verify) for root in roots]
     for source in sources:
         _check_streams(source, sources[0].fps)
     truth = all(truth_wrench_key(f) in s.features for s in sources for f in FINGERS)

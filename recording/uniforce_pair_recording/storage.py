@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from uniforce_datasets.features import MARKER_VIDEO_SHAPE
+from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_datasets.recorder import EpisodeRecorder
-from uniforce_datasets.source import Episode, Source, episode_frames, read_source
+from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_pair_recording.coverage import Coverage
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
@@ -113,13 +114,20 @@ class PairStore:
         left_sensor, right_sensor: registry names.
         indenters: names, in the order of their indices.
         rate_hz: frames per second, a whole number.
+        verify: how a dataset to go on with is checked, see ``check_dataset``.
 
     Raises:
         DatasetError: another recorder writes here, or other sensors, rates or features are there.
     """
 
     def __init__(
-        self, root: str | Path, left_sensor: str, right_sensor: str, indenters: tuple[str, ...], rate_hz: int
+        self,
+        root: str | Path,
+        left_sensor: str,
+        right_sensor: str,
+        indenters: tuple[str, ...],
+        rate_hz: int,
+        verify: str = "quick",
     ) -> None:
         self.root = Path(root)
         self.indenters = indenters
@@ -137,7 +145,7 @@ class PairStore:
         self.counts = np.zeros(len(indenters), int)
         self.coverage = [Coverage.empty() for _ in indenters]
         self.next_session = 0
-        self._go_on()
+        self._go_on(verify)
 
     @property
     def layout(self) -> Path:
@@ -185,11 +193,11 @@ class PairStore:
 
     # --- going on ----------------------------------------------------------------------------------------------------
 
-    def _go_on(self) -> None:
+    def _go_on(self, verify: str) -> None:
         """Count what is there and bring the layout up to it."""
         if not self._recorder.num_episodes:
             return
-        source = read_source(self.dataset)
+        source = check_dataset(self.dataset, verify)
         forces = tuple(pair_force_key(f) for f in FINGERS)
         columns = source.columns((PAIR_INDENTER, PAIR_SESSION, PAIR_PLACE, *forces))
         indenter, session = (columns[key].reshape(-1) for key in (PAIR_INDENTER, PAIR_SESSION))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from uniforce_datasets.lossless import open_dataset
+from uniforce_datasets.staging import HASHES
 from uniforce_datasets.synthetic import FPS, record_synthetic
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.keys import tactile_key
@@ -17,7 +18,10 @@ from uniforce_vtla.keys import tactile_key
 
 @pytest.fixture
 def copy(demos: Path, tmp_path: Path) -> Path:
-    return shutil.copytree(demos, tmp_path / "copy")
+    """A dataset to spoil, without hashes: its content is all there is to judge it by."""
+    root = Path(shutil.copytree(demos, tmp_path / "copy"))
+    (root / HASHES).unlink()
+    return root
 
 
 def a_video(root: Path, key: str = tactile_key("left")) -> Path:
@@ -67,6 +71,7 @@ def test_dataset_without_reference_is_refused(copy: Path) -> None:
 
 def test_lossy_marker_video_is_refused(tmp_path: Path) -> None:
     root = record_synthetic(tmp_path / "data", 1, 4)
+    (root / HASHES).unlink()
     rng = np.random.default_rng(0)
     with av.open(str(a_video(root)), "w") as video:
         stream = video.add_stream("h264", FPS, options={"crf": "23", "preset": "veryfast"})

@@ -171,9 +171,9 @@ def test_sensors_are_those_of_the_episodes_sampled_from(view: Path, tmp_path: Pa
     marker["episodes"][1]["left_sensor"] = "uskin"
     marker["sensors"]["left"] = ["gelsight", "uskin"]
     (mixed / VIEW_MARKER).write_text(json.dumps(marker))
-    assert TrainingView(mixed).meta.sensors["left"] == ["gelsight", "uskin"]
-    assert TrainingView(mixed, episodes=[0, 2]).meta.sensors["left"] == ["gelsight"]
-    assert TrainingView(mixed, episodes=[1]).meta.sensors["left"] == ["uskin"]
+    assert TrainingView(mixed, verify="off").meta.sensors["left"] == ["gelsight", "uskin"]
+    assert TrainingView(mixed, episodes=[0, 2], verify="off").meta.sensors["left"] == ["gelsight"]
+    assert TrainingView(mixed, episodes=[1], verify="off").meta.sensors["left"] == ["uskin"]
 
 
 def test_refusals(demos: Path, view: Path, tmp_path: Path) -> None:
@@ -191,7 +191,8 @@ def test_refusals(demos: Path, view: Path, tmp_path: Path) -> None:
 
 def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
     defaults = {"action_delta_indices": DELTAS, "observation_delta_indices": None}
-    dataset = SimpleNamespace(root=root, episodes=None, image_transforms=SimpleNamespace(enable=False))
+    transforms = SimpleNamespace(enable=False)
+    dataset = SimpleNamespace(root=root, repo_id="local/x", episodes=None, image_transforms=transforms)
     return SimpleNamespace(dataset=dataset, trainable_config=SimpleNamespace(**(defaults | policy)))
 
 
@@ -206,6 +207,36 @@ def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
             trainer_config(view, touch_input="latent", **(touch | {"latent_grid": 2})), pytest.fail
         )
     assert make_training_dataset(trainer_config(demos), lambda cfg: "stock") == "stock"
+
+
+def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(
+    demos: Path, tmp_path: Path
+) -> None:
+    blobs, snapshot = tmp_path / "cache" / "blobs", tmp_path / "cache" / "snapshots" / "0"
+    shutil.copytree(demos, blobs, ignore=shutil.ignore_patterns(".*"))
+    for file in (path for path in blobs.rglob("*") if path.is_file()):  # as the hub's cache keeps files
+        link = snapshot / file.relative_to(blobs)
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.symlink_to(file)
+    cfg = trainer_config(None)
+    cfg.dataset.repo_id, cfg.dataset.streaming = "somebody/wipe", False
+    downloaded = SimpleNamespace(root=snapshot)
+    assert make_training_dataset(cfg, lambda cfg: downloaded) is downloaded
+    camera = next((blobs / "videos" / camera_key("front")).rglob("*001.mp4"))
+    camera.write_bytes(camera.read_bytes()[:-1] + b"x")
+    with pytest.raises(DatasetError, match=r"front.*episode 1"):
+        make_training_dataset(cfg, lambda cfg: downloaded)
+    assert make_training_dataset(cfg, lambda cfg: downloaded, "quick") is downloaded
+
+
+def test_a_damaged_view_is_built_anew(demos: Path, tmp_path: Path) -> None:
+    out = build_view(demos, tmp_path / "view", encoder=BlockMeans())
+    kept = (out / "latent_left.npy").read_bytes()
+    (out / "latent_left.npy").write_bytes(kept[:-1] + b"x")
+    with pytest.raises(DatasetError, match=r"latent_left.*uniforce-view"):
+        TrainingView(out)
+    build_view(demos, out, encoder=BlockMeans())
+    assert (out / "latent_left.npy").read_bytes() == kept and len(TrainingView(out)) == EPISODES * FRAMES
 
 
 @pytest.mark.slow

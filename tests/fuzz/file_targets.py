@@ -20,9 +20,11 @@ from lerobot_policy_pi05_uniforce import (
 )
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets.bench import BlockMeans
+from uniforce_datasets.hashes import check_hashes, hash_files, write_hashes
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import episode_frames
+from uniforce_datasets.staging import HASHES
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view
 from uniforce_vtla.array_file import read_array, read_arrays
@@ -65,6 +67,7 @@ def dataset(folder: Path) -> FileTarget:
     logging.getLogger("lerobot").setLevel(logging.ERROR)
     root = record_synthetic(folder / "data", 1, 3)
     (root / ".recorder.lock").unlink(missing_ok=True)
+    (root / HASHES).unlink()  # or none of the readers behind them would see an injured file
 
     def read() -> None:
         source = check_dataset(root)
@@ -78,11 +81,20 @@ def dataset(folder: Path) -> FileTarget:
     return FileTarget(root, read)
 
 
+def hashes(folder: Path) -> FileTarget:
+    (folder / "data" / "meta").mkdir(parents=True)
+    (folder / "data" / "meta" / "info.json").write_text("{}")
+    known = hash_files(folder / "data", ["meta/info.json"], lambda name: None)
+    write_hashes(folder / "data", known)
+    return FileTarget(folder / "data", lambda: check_hashes(folder / "data"))
+
+
 def view(folder: Path) -> FileTarget:
     """Read a training view and two of its samples."""
     root = build_view(
         record_synthetic(folder / "recorded", 1, 3), folder / "data", image_side=8, encoder=BlockMeans()
     )
+    (root / HASHES).unlink()
 
     def read() -> None:
         samples = TrainingView(root, (-1, 0, 1))

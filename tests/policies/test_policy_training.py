@@ -3,6 +3,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -18,7 +19,7 @@ from safetensors.torch import load_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from uniforce_commands import share, train
-from uniforce_vtla.errors import ContractError
+from uniforce_vtla.errors import ContractError, DatasetError
 
 AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
 
@@ -91,7 +92,7 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
 
 def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
     module = ModuleType("uniforce_datasets.training_view")
-    module.make_training_dataset = lambda cfg, stock: ("view", stock)
+    module.make_training_dataset = lambda cfg, stock, verify: ("view", stock)
     monkeypatch.setitem(sys.modules, "uniforce_datasets.training_view", module)
     stock = factory.make_dataset
     cfg = SimpleNamespace(dataset=SimpleNamespace(root=tmp_path, eval_split=0.0))
@@ -104,11 +105,19 @@ def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
     assert factory.make_dataset is stock
 
 
-def test_other_datasets_stay_with_lerobot(tmp_path, monkeypatch):
-    monkeypatch.setattr(factory, "make_dataset", lambda cfg: "stock")
+def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, monkeypatch):
+    root = Path(shutil.copytree(dataset, tmp_path / "copy"))
+    monkeypatch.setattr(factory, "make_dataset", lambda cfg: SimpleNamespace(root=root))
+    local = SimpleNamespace(root=root, repo_id="local/wipe", streaming=False, episodes=None)
+    shared = SimpleNamespace(root=None, repo_id="somebody/wipe", streaming=False, episodes=None)
     with train.training_views():
-        assert factory.make_dataset(SimpleNamespace(dataset=SimpleNamespace(root=tmp_path))) == "stock"
-        assert factory.make_dataset(SimpleNamespace(dataset=SimpleNamespace(root=None))) == "stock"
+        assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
+        next((root / "data").rglob("*.parquet")).unlink()
+        for given in (local, shared):
+            with pytest.raises(DatasetError, match="parquet"):
+                factory.make_dataset(SimpleNamespace(dataset=given))
+    with train.training_views("off"):
+        assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
 
 
 def test_command_line_becomes_lerobots():
@@ -120,6 +129,8 @@ def test_command_line_becomes_lerobots():
         "--wandb.enable=true",
     ]
     assert flags[4:] == ["--policy.push_to_hub=false"]
+    assert train.take_verify(["steps=5", "verify=off"]) == ("off", ["steps=5"])
+    assert train.take_verify(["steps=5"]) == ("", ["steps=5"])
     assert train.to_lerobot(["resume=true", "config_path=a=b.json"]) == [
         "--resume=true",
         "--config_path=a=b.json",

@@ -36,7 +36,7 @@ OPENERS: dict[str, Callable[[Path], Any]] = {
         ShowDatasetConfig(root=str(root), out=str(root.parent / "out"))
     ),
     "make_training_dataset": lambda root: make_training_dataset(
-        SimpleNamespace(dataset=SimpleNamespace(root=str(root))), pytest.fail
+        SimpleNamespace(dataset=SimpleNamespace(root=str(root), repo_id="local/x")), pytest.fail
     ),
 }
 
@@ -138,7 +138,7 @@ def test_a_views_slots_name_fingers_and_no_files(recorded: Path, tmp_path: Path)
     (view / "uniforce_view.json").write_text(json.dumps(marker))
     np.save(tmp_path / "passwd.npy", np.zeros(3))
     with pytest.raises(ContractError, match="finger"):
-        TrainingView(view)
+        TrainingView(view, verify="off")
 
 
 def test_a_preset_is_one_of_the_packages_own(tmp_path: Path) -> None:

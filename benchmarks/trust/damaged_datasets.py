@@ -1,0 +1,283 @@
+"""Kinds of damage to a recorded dataset and to a training view, each a small function on a copy."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from uniforce_datasets.bench import BlockMeans
+from uniforce_datasets.cards import card_path
+from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.raw_video import raw_path
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.staging import HASHES
+from uniforce_datasets.synthetic import FPS, dots, synthetic_frame
+from uniforce_datasets.training_view import TrainingView, build_view
+from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.keys import ACTION, STATE, SUCCESS, camera_key, sensor_key, tactile_key
+
+EPISODES, FRAMES = 3, 12
+RAW_SHAPE = (48, 64, 3)
+HIT = 1  # the episode that is damaged
+SECTION = range(5, 8)  # of its frames
+LEFT, REFERENCE = tactile_key("left"), tactile_key("left", reference=True)
+Change = Callable[[int, np.ndarray], np.ndarray | None]
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One kind.
+
+    Attributes:
+        name: in words.
+        do: injures the copy in a folder.
+        said: what the error has to name: the episode, or a file that belongs to none alone.
+        hashed: whether the copy still has its hashes; without them its content has to give it away.
+        of: "dataset" or "view".
+    """
+
+    name: str
+    do: Callable[[Path], object]
+    said: str = f"episode {HIT}"
+    hashed: bool = True
+    of: str = "dataset"
+
+    def refused(self, whole: Path, copy: Path, verify: str) -> str | None:
+        """Return the error's line after damaging a copy of a whole dataset or view; None where it was accepted."""
+        shutil.copytree(whole, copy)
+        if not self.hashed:
+            (copy / HASHES).unlink()
+        self.do(copy)
+        try:
+            check_dataset(copy, verify) if self.of == "dataset" else TrainingView(copy, verify=verify)
+        except DatasetError as error:
+            return str(error)
+        return None
+
+
+def record_whole(folder: Path) -> dict[str, Path]:
+    """Record a small dataset with raw frames and cards, no two pictures alike, and build its view."""
+    root, rng = folder / "dataset", np.random.default_rng(0)
+    shapes = dict.fromkeys(FINGERS, RAW_SHAPE)
+    with EpisodeRecorder(root, "local/whole", "gelsight", "tactip", FPS, raw_shapes=shapes) as recorder:
+        for episode in range(EPISODES):
+            for step in range(FRAMES):
+                raw = {finger: rng.integers(0, 255, RAW_SHAPE, np.uint8) for finger in FINGERS}
+                recorder.add(_frame(episode, step, rng), f"wipe board {episode}", raw)
+            recorder.save(True, "success", seed=episode, card={"label": "success"})
+    view = build_view(root, folder / "view", image_side=16, encoder=BlockMeans())
+    return {"dataset": root, "view": view}
+
+
+def _frame(episode: int, step: int, rng: np.random.Generator) -> dict[str, Any]:
+    frame = synthetic_frame(step + 7 * episode, rng)
+    for number, finger in enumerate(FINGERS):
+        at_rest = 3 * episode + 11 * number
+        frame[tactile_key(finger, reference=True)] = dots(at_rest)
+        frame[tactile_key(finger)] = dots(at_rest + 20 * np.sin(step / 5 + episode))
+    return frame
+
+
+# --- files and what is in them ------------------------------------------------------------------------------------
+
+
+def video(root: Path, key: str = LEFT, episode: int = HIT) -> Path:
+    """Return an episode's video."""
+    return root / "videos" / key / "chunk-000" / f"file-{episode:03d}.mp4"
+
+
+def data(root: Path, episode: int = HIT) -> Path:
+    """Return an episode's table of numbers."""
+    return root / "data" / "chunk-000" / f"file-{episode:03d}.parquet"
+
+
+def overwrite(file: Path, at: float, content: bytes) -> None:
+    """Overwrite bytes of a file from a share of its length on."""
+    with file.open("r+b") as handle:
+        handle.seek(int(file.stat().st_size * at))
+        handle.write(content)
+
+
+def cut(file: Path) -> None:
+    """Cut a file in the middle."""
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+
+
+def flip_bit(file: Path) -> None:
+    """Flip one bit in the middle of a file."""
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+
+
+def swap(one: Path, other: Path) -> None:
+    """Exchange two files."""
+    kept = one.read_bytes()
+    shutil.copy(other, one)
+    other.write_bytes(kept)
+
+
+def encode_again(file: Path, change: Change) -> None:
+    """Decode a video, change its frames (None leaves one out), and encode it without loss."""
+    with av.open(str(file)) as source:
+        frames = [frame.to_ndarray(format="rgb24") for frame in source.decode(video=0)]
+    changed = [new for number, frame in enumerate(frames) if (new := change(number, frame)) is not None]
+    with av.open(str(file), "w") as target:
+        stream = target.add_stream("h264", FPS, options={"crf": "0", "preset": "ultrafast", "g": "15"})
+        stream.height, stream.width = changed[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for frame in changed:
+            target.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+        target.mux(stream.encode())
+
+
+def blurred(number: int, frame: np.ndarray) -> np.ndarray:
+    """Return a frame as a lossy codec leaves it, in the middle of the episode only."""
+    return cv2.GaussianBlur(frame, (5, 5), 0) if number in SECTION else frame
+
+
+def coloured(number: int, frame: np.ndarray) -> np.ndarray:
+    """Return a frame without red in the middle of the episode."""
+    return frame * np.array([number not in SECTION, 1, 1], np.uint8)
+
+
+def moved(number: int, frame: np.ndarray) -> np.ndarray:
+    """Return a frame that stands elsewhere from the middle on."""
+    return np.roll(frame, 6, axis=1) if number >= SECTION.start else frame
+
+
+def set_value(file: Path, column: str, value: float, row: int = SECTION.start) -> None:
+    """Set (the first number of) a column in one row of a table."""
+    table = pq.read_table(file)
+    values = table[column].to_pylist()
+    values[row] = [value, *values[row][1:]] if isinstance(values[row], list) else value
+    index = table.column_names.index(column)
+    field = table.schema.field(column)
+    pq.write_table(table.set_column(index, field, pa.array(values, field.type)), file)
+
+
+def shorten(file: Path) -> None:
+    """Leave the last row of a table out."""
+    table = pq.read_table(file)
+    pq.write_table(table.slice(0, len(table) - 1), file)
+
+
+def edit_json(file: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change what a JSON file says."""
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
+
+
+def edit_array(file: Path) -> None:
+    """Change one number of an array."""
+    values = np.load(file)
+    values.flat[values.size // 2] += 1
+    np.save(file, values)
+
+
+def stats(root: Path) -> Path:
+    """Return the file of statistics."""
+    return root / "meta" / "stats.json"
+
+
+VIDEO_DAMAGES = (
+    Damage("bytes of a tactile video overwritten", lambda r: overwrite(video(r), 0.8, bytes(64))),
+    Damage("one bit of a camera video flipped", lambda r: flip_bit(video(r, camera_key("front")))),
+    Damage("tactile video truncated", lambda r: cut(video(r))),
+    Damage("tactile video missing", lambda r: video(r).unlink()),
+    Damage(
+        "another finger's reference",
+        lambda r: shutil.copy(video(r, tactile_key("right", reference=True)), video(r, REFERENCE)),
+    ),
+    Damage(
+        "reference of another episode", lambda r: shutil.copy(video(r, REFERENCE, 2), video(r, REFERENCE))
+    ),
+    Damage("tactile videos of two episodes exchanged", lambda r: swap(video(r), video(r, LEFT, 2))),
+    Damage("left and right exchanged", lambda r: swap(video(r), video(r, tactile_key("right")))),
+    Damage("lossy section in the middle", lambda r: encode_again(video(r), blurred)),
+    Damage("lossy section, no hashes", lambda r: encode_again(video(r), blurred), hashed=False),
+    Damage("coloured section, no hashes", lambda r: encode_again(video(r), coloured), hashed=False),
+    Damage("reference moves, no hashes", lambda r: encode_again(video(r, REFERENCE), moved), hashed=False),
+    Damage(
+        "a frame missing, no hashes",
+        lambda r: encode_again(video(r), lambda n, frame: None if n == 3 else frame),
+        hashed=False,
+    ),
+    Damage(
+        "raw frames of another episode",
+        lambda r: shutil.copy(raw_path(r, "left", 2), raw_path(r, "left", HIT)),
+    ),
+    Damage("raw frames missing", lambda r: raw_path(r, "right", HIT).unlink()),
+)
+TABLE_DAMAGES = (
+    Damage("NaN in the state", lambda r: set_value(data(r), STATE, np.nan)),
+    Damage("NaN in the state, no hashes", lambda r: set_value(data(r), STATE, np.nan), hashed=False),
+    Damage("infinite action, no hashes", lambda r: set_value(data(r), ACTION, np.inf), hashed=False),
+    Damage("an action changed", lambda r: set_value(data(r), ACTION, 0.25)),
+    Damage("a time changed, no hashes", lambda r: set_value(data(r), "timestamp", 0.1), hashed=False),
+    Damage(
+        "frame of another episode, no hashes",
+        lambda r: set_value(data(r), "episode_index", 2),
+        hashed=False,
+    ),
+    Damage("an aborted episode called a success", lambda r: set_value(data(r), SUCCESS, 0.0)),
+    Damage("another sensor named", lambda r: set_value(data(r), sensor_key("left"), 2)),
+    Damage("a row missing", lambda r: shorten(data(r))),
+    Damage("data files exchanged", lambda r: swap(data(r), data(r, 2))),
+    Damage("bytes of a data file overwritten", lambda r: overwrite(data(r), 0.3, bytes(64))),
+)
+META_DAMAGES = (
+    Damage(
+        "statistics changed", lambda r: edit_json(stats(r), lambda s: s[STATE].update(q01=[0] * 5)), "stats"
+    ),
+    Damage("statistics missing", lambda r: stats(r).unlink(), "stats.json"),
+    Damage("another rate", lambda r: edit_json(r / "meta/info.json", lambda i: i.update(fps=60)), "info"),
+    Damage("tasks cut", lambda r: cut(r / "meta/tasks.parquet"), "tasks"),
+    Damage(
+        "length of an episode changed",
+        lambda r: set_value(r / "meta/episodes/chunk-000/file-001.parquet", "length", FRAMES - 1, 0),
+    ),
+    Damage(
+        "card changed",
+        lambda r: edit_json(card_path(r, HIT), lambda card: card.update(label="failed")),
+    ),
+    Damage("card missing", lambda r: card_path(r, HIT).unlink()),
+    Damage("a file added", lambda r: shutil.copy(data(r), data(r, 7)), "file-007.parquet"),
+    Damage("hashes cut", lambda r: cut(r / HASHES), HASHES),
+    Damage(
+        "a hash removed",
+        lambda r: edit_json(r / HASHES, lambda h: h.pop(str(video(r).relative_to(r)))),
+        "file-001.mp4",
+    ),
+)
+VIEW_DAMAGES = (
+    Damage("a latent changed", lambda r: edit_array(r / "latent_left.npy"), "latent_left.npy", of="view"),
+    Damage("an action changed", lambda r: edit_array(r / f"{ACTION}.npy"), f"{ACTION}.npy", of="view"),
+    Damage("a picture overwritten", lambda r: overwrite(r / "front.npy", 0.5, b"x"), "front.npy", of="view"),
+    Damage(
+        "fingers exchanged",
+        lambda r: swap(r / "latent_left.npy", r / "latent_right.npy"),
+        "latent_",
+        of="view",
+    ),
+    Damage(
+        "another tokenizer named",
+        lambda r: edit_json(r / "uniforce_view.json", lambda v: v.update(tokenizer_hash="0" * 64)),
+        "uniforce_view.json",
+        of="view",
+    ),
+)
+DATASET_DAMAGES = (*VIDEO_DAMAGES, *TABLE_DAMAGES, *META_DAMAGES, *VIEW_DAMAGES)

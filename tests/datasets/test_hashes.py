@@ -1,0 +1,151 @@
+"""Hashes of a dataset: one per file, followed by the recorder, written anew after LeRobot's own tools."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
+
+from uniforce_commands import share, verify
+from uniforce_datasets.hashes import PARTS, FileHash, files_of, read_hashes, write_hashes
+from uniforce_datasets.lossless import check_dataset, open_dataset
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.staging import HASHES
+from uniforce_datasets.synthetic import FPS, record_synthetic
+from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.keys import ACTION
+
+
+@pytest.fixture
+def copy(demos: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(demos, tmp_path / "copy"))
+
+
+def ours(root: Path, *more: str) -> int:
+    return verify.main([f"root={root}", *more])
+
+
+def test_every_file_has_its_hash_and_episode(demos: Path) -> None:
+    stored = json.loads((demos / HASHES).read_text())
+    assert set(stored) == set(files_of(demos)) and {name.split("/")[0] for name in stored} < set(PARTS)
+    for name, entry in stored.items():
+        content = (demos / name).read_bytes()
+        assert entry["sha256"] == hashlib.sha256(content).hexdigest() and entry["bytes"] == len(content)
+        shared = name in ("meta/info.json", "meta/stats.json", "meta/tasks.parquet")
+        assert entry.get("episode") == (None if shared else int(name.split(".")[-2][-3:]))
+
+
+@pytest.mark.parametrize(
+    "content", ['{"a": 1}', '{"a": {"sha256": "0"}}', '{"a": {"sha256": "0", "size": 1}}', "[]", "{", "\0"]
+)
+def test_hashes_that_are_none_are_refused(tmp_path: Path, content: str) -> None:
+    (tmp_path / HASHES).write_text(content)
+    with pytest.raises(DatasetError, match=HASHES):
+        read_hashes(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../outside", "/etc/passwd", "\0", "x" * 5000])
+def test_a_hash_opens_no_file_outside(copy: Path, name: str) -> None:
+    (copy.parent / "outside").write_text("mine")
+    write_hashes(copy, (read_hashes(copy) or {}) | {name: FileHash("0", 4)})
+    with pytest.raises(DatasetError, match="got none"):
+        check_dataset(copy, "full")
+
+
+def test_a_dataset_without_hashes_loads_with_one_line(copy: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (copy / HASHES).unlink()
+    with caplog.at_level(logging.WARNING, "uniforce_datasets"):
+        check_dataset(copy)
+    assert [r.message.count("uniforce-verify") for r in caplog.records] == [1]
+    record_synthetic(copy, 1, 4)  # it goes on without, and says so
+    assert not (copy / HASHES).exists()
+    assert ours(copy, "rehash=true") == 0 and check_dataset(copy, "full").num_frames == 64
+    record_synthetic(copy, 1, 4)
+    assert check_dataset(copy, "full").num_frames == 68
+
+
+def test_only_full_quick_and_off_are_depths(copy: Path) -> None:
+    with pytest.raises(ContractError, match="verify"):
+        check_dataset(copy, "fast")
+    (copy / "meta" / "stats.json").write_text("{}")
+    check_dataset(copy, "off")
+
+
+def test_a_changed_dataset_is_not_continued(copy: Path) -> None:
+    (copy / "meta" / "stats.json").write_text("{}")
+    with pytest.raises(DatasetError, match=r"stats\.json.*uniforce-verify"):
+        EpisodeRecorder(copy, "local/x", "gelsight", "tactip", FPS)
+
+
+@pytest.mark.slow
+def test_edited_by_lerobot_then_hashed_again(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert ours(copy) == 0 and "as it was saved" in capsys.readouterr().out
+    modify_tasks(open_dataset(copy), new_task="another")
+    assert ours(copy) == 2 and f"uniforce-verify root={copy}" in capsys.readouterr().out
+    assert ours(copy, "rehash=true") == 0 and ours(copy) == 0
+    assert {episode.task for episode in check_dataset(copy, "full").episodes} == {"another"}
+
+
+@pytest.mark.slow
+def test_merged_by_lerobot_then_hashed(demos: Path, tmp_path: Path) -> None:
+    merged, fewer = tmp_path / "merged", tmp_path / "fewer"
+    merge_datasets([open_dataset(demos), open_dataset(demos)], "local/merged", merged)
+    assert ours(merged, "rehash=true") == 0
+    stored = read_hashes(merged)
+    assert stored is not None and {entry.episode for entry in stored.values()} == {None}  # packed files
+    source = check_dataset(merged, "full")
+    assert (
+        len(source.episodes) == 6 and len({e.videos[k].file for e in source.episodes for k in e.videos}) == 6
+    )
+    record_synthetic(merged, 1, 4)
+    assert len(check_dataset(merged, "full").episodes) == 7
+    delete_episodes(open_dataset(demos), [1], fewer, "local/fewer")
+    assert ours(fewer, "rehash=true") == 0 and len(check_dataset(fewer, "full").episodes) == 2
+
+
+def test_content_that_cannot_be_trusted_gets_no_hashes(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from benchmarks.trust.damaged_datasets import data, set_value
+
+    before = (copy / HASHES).read_text()
+    set_value(data(copy), ACTION, float("nan"))
+    assert ours(copy, "rehash=true") == 2 and "episode 1" in capsys.readouterr().out
+    assert (copy / HASHES).read_text() == before
+    with EpisodeRecorder(copy.parent / "busy", "local/x", "gelsight", "tactip", FPS) as recorder:
+        assert ours(recorder.root, "rehash=true") == 2 and "one recorder" in capsys.readouterr().out
+
+
+def test_a_view_is_checked_and_never_hashed_again(view: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert ours(view) == 0 and "view of 3 episodes" in capsys.readouterr().out
+    assert ours(view, "rehash=true") == 2 and "uniforce-view" in capsys.readouterr().out
+
+
+def test_a_shared_dataset_is_checked_in_full_first(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pushed: list[str] = []
+    dataset = "lerobot.datasets.lerobot_dataset.LeRobotDataset.push_to_hub"
+    monkeypatch.setattr(dataset, lambda self, **_: pushed.append(self.repo_id))
+    given = [f"dataset={copy}", "push=somebody/wipe"]
+    assert share.main(given) == 0 and pushed == ["somebody/wipe"]
+    camera = next((copy / "videos" / "observation.images.front").rglob("*001.mp4"))
+    content = bytearray(camera.read_bytes())
+    content[-100] ^= 1
+    camera.write_bytes(content)
+    check_dataset(copy, "quick")
+    assert share.main(given) == 2 and len(pushed) == 1 and "episode 1" in capsys.readouterr().out
+
+
+def test_hashes_of_a_thousand_episodes_cost_little(tmp_path: Path) -> None:
+    many = {f"videos/key_{n % 9}/chunk-000/file-{n}.mp4": FileHash("0" * 64, n, n) for n in range(9000)}
+    began_s = time.process_time()
+    write_hashes(tmp_path, many)
+    assert read_hashes(tmp_path) == many
+    assert time.process_time() - began_s < 1
