@@ -5,6 +5,7 @@ Axes are x, y, z m, yaw rad, and for an action width m, in the robot's base fram
 
 from __future__ import annotations
 
+import math
 from typing import Protocol
 
 import numpy as np
@@ -35,7 +36,7 @@ def pose_of(axes: np.ndarray) -> np.ndarray:
 def axes_of(pose: np.ndarray) -> np.ndarray:
     """(4,) of a (4, 4) pose; NaN where the hand does not point straight down."""
     axes = np.array([*pose[:3, 3], np.arctan2(pose[1, 1], pose[0, 1])])
-    return axes if np.allclose(pose, pose_of(axes), atol=1e-6) else np.full(4, np.nan)
+    return axes if np.abs(pose - pose_of(axes)).max() < 1e-6 else np.full(4, np.nan)
 
 
 def wrong_pose(
@@ -93,7 +94,7 @@ def wrong_action(
 
 
 def _gap(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.linalg.norm(a[:3] - b[:3]))
+    return math.dist(a[:3], b[:3])
 
 
 def _turn(a: np.ndarray, b: np.ndarray) -> float:

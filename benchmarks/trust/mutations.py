@@ -108,7 +108,12 @@ def main(argv: list[str] | None = None) -> int:
     config = parse(MutationsConfig, argv)
     table = {name: notice(name) for name in tqdm(MUTATIONS, desc="mutations")}
     survivors = [name for name, found in table.items() if not found]
-    row = {"tried": len(table), "noticed": len(table) - len(survivors), "survivors": survivors, "table": table}
+    row = {
+        "tried": len(table),
+        "noticed": len(table) - len(survivors),
+        "survivors": survivors,
+        "table": table,
+    }
     path = update(Path(config.out), "mutations", row)
     print(f"{row['noticed']} of {row['tried']} noticed; survivors: {survivors or 'none'}; written to {path}")
     return int(bool(survivors))
