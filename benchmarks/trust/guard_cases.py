@@ -271,7 +271,11 @@ class Episode:
 
     def _tick(self) -> None:
         count, here = len(self.arm.sent), self.arm.axes
-        self.stream.tick()
+        try:
+            self.stream.tick()
+        except RobotError as fault:
+            self.stream.halt(fault)  # its thread ends with what it raised
+            raise
         self._note(["went on after a reading that can't be"] * bool(self.arm.right_names))
         if len(self.arm.sent) == count:
             return
@@ -315,7 +319,6 @@ class Episode:
     def _stopped(self, fault: RobotError) -> None:
         """Judge the name, see that nothing goes on, and recover."""
         self._judge_name(fault)
-        self.stream.halt(fault)  # its thread ends with what it raised
         count = len(self.arm.sent)
         try:
             self.robot.send_action(dict(zip(AXES, [*self.arm.axes, 0.05], strict=True)))
