@@ -40,6 +40,8 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["resume=/nowhere"], "recorded dataset"),
         (["episodes=0"], "episodes"),
         (["teleop=recording_test", "episode_s=0"], "episode_s"),
+        (["teleop=recording_test", "late_share=nan"], "late_share"),
+        (["teleop=recording_test", "late_share=2"], "late_share"),
         (["rig=nosuch"], "got rig"),
         (["robot.foo=1"], "got --robot.foo=1"),
         (["teleop=recording_test", "robot.foo=1"], "got --robot.foo=1"),
