@@ -2,8 +2,8 @@
 
 ``guard_oracle`` judges each pose and each action. Beside that: what is wrong stops the arm within one tick under its
 own name, what is right is never refused, nothing is sent after a fault, and after ``recover`` the first target is the
-measured pose. In a share of the episodes the stream's own target is replaced by one that drifts, jumps or is no number, so that
-the last check stands alone.
+measured pose. In a share of the episodes the stream's own target is replaced by one that drifts, jumps or is no
+number, so that the last check stands alone.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class ScriptedArm:
             self.right_names = LIES[lie]
         self.readings += 1
         if lie == "jump":
-            self.axes = self.axes + [*self.rng.choice([-0.06, 0.06], 3), 0.0]
+            self.axes = self.axes + np.array([*self.rng.choice([-0.06, 0.06], 3), 0.0])
         said = {
             "pose": pose_of(self.axes),
             "q": self.rng.normal(0, 1e-6, 7),

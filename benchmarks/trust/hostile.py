@@ -87,7 +87,7 @@ def _note_hang(path: Path, client: str, fault: str) -> None:
 
 
 def is_right(row: dict[str, Any]) -> bool:
-    """Return whether the fault was named, the arm held and known to the caller in time, and no action was taken afterwards."""
+    """Return whether the fault was named, the arm held and the fault known in time, and no action taken afterwards."""
     in_time = row["learnt_s"] <= LEARN_s or row["fault"] in AT_NEXT_ANSWER  # there ``recover`` waits
     named = row["named"] in RIGHT_NAMES[row["fault"]]
     return named and in_time and row["hold_s"] <= HOLD_s and not row["sent_after"]

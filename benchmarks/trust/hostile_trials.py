@@ -83,8 +83,8 @@ class Trial:
     Attributes:
         named: the fault the caller was given, "" for none.
         hold_s: robot's own clock, from the first moment at which the fault could be known until the arm was at rest.
-        learnt_s: robot's own clock, from then until the caller knew; the wall's, where the robot is dead or the caller waits
-            for ``recover``.
+        learnt_s: robot's own clock, from then until the caller knew; the wall's, where the robot is dead or the caller
+            waits for ``recover``.
         sent_after: actions that were taken after the caller had learnt.
         starved: how often it was begun in vain: a busy machine kept the stand-in from telling its state in time.
     """
@@ -237,7 +237,7 @@ def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
 
 
 def _hold_s(fci: StandIn, known_s: float) -> tuple[float, float]:
-    """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and that time's rate."""
+    """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its clock's rate."""
     time.sleep(AFTER_s)
     look = fci.do("look")
     arm, fault = look["arm"], look["fault"]

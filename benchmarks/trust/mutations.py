@@ -1,7 +1,7 @@
 """Would the attack notice a broken guard? ``python -m benchmarks.trust.mutations [out=docs/results/trust.json]``.
 
-Each mutation breaks one place of a copy of the robot's package; then the cases of ``guard_cases`` run on the copy until they
-find a violation. A mutation without one survives.
+Each mutation breaks one place of a copy of the robot's package; then the cases of ``guard_cases`` run on the copy
+until they find a violation. A mutation without one survives.
 """
 
 from __future__ import annotations
@@ -28,38 +28,86 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
     "sent: box unchecked": (SEND, "self._require_box(target, last, here)", "pass"),
     "sent: box 1 cm wider": (SEND, "self._low) - ROUNDING", "self._low) - 0.01"),
     "sent: rate unchecked": (SEND, "self._require_rate(target, last, here, elapsed_s)", "pass"),
-    "sent: turn rate unchecked": (SEND, "_turn(target, last) <= limits.speed_rad_s * elapsed_s + ROUNDING", "True"),
+    "sent: turn rate unchecked": (
+        SEND,
+        "_turn(target, last) <= limits.speed_rad_s * elapsed_s + ROUNDING",
+        "True",
+    ),
     "sent: distance unchecked": (SEND, "self._require_near(target, here)", "pass"),
     "sent: last pose forgotten": (SEND, "self._last, self._last_s = target, now_s", "pass"),
     "sent: a pause buys a jump": (SEND, "min(max(now_s - self._last_s, 0.0), gap_s)", "now_s - self._last_s"),
-    "sent: refuses at half the speed": (SEND, "limits.speed_m_s * elapsed_s + R", "limits.speed_m_s * elapsed_s / 2 + R"),
+    "sent: refuses at half the speed": (
+        SEND,
+        "limits.speed_m_s * elapsed_s + R",
+        "limits.speed_m_s * elapsed_s / 2 + R",
+    ),
     "guards: no box": (GUARDS, "np.clip(action, limits.low, limits.high)", "action"),
     "guards: no step": (GUARDS, "self._step(boxed, measured)", "boxed"),
     "guards: no rate": (GUARDS, "self._rate(stepped, last, elapsed_s)", "stepped"),
     "guards: width at any speed": (GUARDS, "limits.speed_width_m_s * elapsed_s", "1.0"),
     "guards: last target forgotten": (GUARDS, "self._last, self._last_s = sent, now_s", "pass"),
-    "guards: a pause buys a jump": (GUARDS, "min(max(now_s - self._last_s, 0.0), gap_s)", "now_s - self._last_s"),
+    "guards: a pause buys a jump": (
+        GUARDS,
+        "min(max(now_s - self._last_s, 0.0), gap_s)",
+        "now_s - self._last_s",
+    ),
     "guards: turns the long way": (GUARDS, "turn = shortest_turn(start_rad, goal_rad)", "turn = -goal_rad"),
-    "stream: sends unchecked": (STREAM, "self._check_sent(target, ToolPose.from_ee(state.ee_to_base), now)", "pass"),
-    "stream: readings unchecked": (STREAM, "        self._check_state(state)\n        self._refuse", "        self._refuse"),
-    "stream: first reading unchecked": (STREAM, "        self._check_state(state)\n        self._state", "        self._state"),
+    "stream: sends unchecked": (
+        STREAM,
+        "self._check_sent(target, ToolPose.from_ee(state.ee_to_base), now)",
+        "pass",
+    ),
+    "stream: readings unchecked": (
+        STREAM,
+        "        self._check_state(state)\n        self._refuse",
+        "        self._refuse",
+    ),
+    "stream: first reading unchecked": (
+        STREAM,
+        "        self._check_state(state)\n        self._state",
+        "        self._state",
+    ),
     "stream: ramps unslowed": (STREAM, "self._slowed(self._ramp.at(now_s), now_s)", "self._ramp.at(now_s)"),
-    "stream: begins at the goal": (STREAM, "            return self._measured()\n        limits", "            return goal\n        limits"),
-    "stream: no watchdog": (STREAM, "            self._rest_wanted = True\n            log", "            log"),
-    "stream: rest follows the arm": (STREAM, "self._rest_wanted, self._holding = False, True", "self._holding = True"),
+    "stream: begins at the goal": (
+        STREAM,
+        "            return self._measured()\n        limits",
+        "            return goal\n        limits",
+    ),
+    "stream: no watchdog": (
+        STREAM,
+        "            self._rest_wanted = True\n            log",
+        "            log",
+    ),
+    "stream: rest follows the arm": (
+        STREAM,
+        "self._rest_wanted, self._holding = False, True",
+        "self._holding = True",
+    ),
     "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),
-    "stream: a halt ends nothing": (STREAM, "self._fault = self._fault or fault\n        self._ending.set()", "pass"),
+    "stream: a halt ends nothing": (
+        STREAM,
+        "self._fault = self._fault or fault\n        self._ending.set()",
+        "pass",
+    ),
     "state: numbers unchecked": (STATE, "if not (whole and np.isfinite(state.robot_time_s)):", "if False:"),
     "state: force unchecked": (STATE, "if not np.isfinite(state.wrench_N).all():", "if False:"),
     "state: speed unchecked": (STATE, "if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():", "if False:"),
     "state: jumps pass": (STATE, "if far or jumped.any():", "if False:"),
     "state: clocks run backwards": (STATE, "if elapsed_s < 0:", "if False:"),
     "state: mirrored poses pass": (STATE, " or np.linalg.det(rotation) < 0", ""),
-    "robot: faults not latched": (ROBOT, "            self._fault = fault\n            self._stream.halt(fault)", "            pass"),
+    "robot: faults not latched": (
+        ROBOT,
+        "            self._fault = fault\n            self._stream.halt(fault)",
+        "            pass",
+    ),
     "robot: words are numbers": (ROBOT, "if isinstance(value, bool | str | bytes):", "if False:"),
-    "robot: recovers with the old target": (ROBOT, "        self._fault = None\n        self.guards.reset()", "        self._fault = None"),
+    "robot: recovers with the old target": (
+        ROBOT,
+        "        self._fault = None\n        self.guards.reset()",
+        "        self._fault = None",
+    ),
     "robot: unguarded": (ROBOT, "self.guards(wanted, self.measured(), self._clock())", "wanted"),
-}  # fmt: skip
+}
 CASES = """
 import logging
 logging.disable(logging.CRITICAL)

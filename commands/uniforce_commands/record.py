@@ -61,9 +61,7 @@ class RecordConfig:
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
 
-def record(
-    config: RecordConfig, device_flags: Sequence[str] = (), given: Collection[str] = ()
-) -> SessionEnd:
+def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collection[str] = ()) -> SessionEnd:
     """Record what is missing.
 
     Args:
