@@ -237,7 +237,7 @@ def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
 
 
 def _hold_s(fci: StandIn, known_s: float) -> tuple[float, float]:
-    """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its clock's rate."""
+    """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its rate."""
     time.sleep(AFTER_s)
     look = fci.do("look")
     arm, fault = look["arm"], look["fault"]
