@@ -27,7 +27,8 @@ from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 
 PERIOD_s = 1 / 30
-UNDER_WAY_s, NOTICE_s, AFTER_s = 0.6, 15.0, 0.7
+UNDER_WAY_s, NOTICE_s = 0.6, 15.0
+AFTER_s = 0.7  # of the robot's own time, in which the arm is looked at
 STUCK_s = 45.0  # no trial takes so long
 STARTS = 5
 SWAY_m, SWAY_s = 0.015, 1.0  # up to 0.09 m/s
@@ -238,8 +239,9 @@ def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
 
 def _hold_s(fci: StandIn, known_s: float) -> tuple[float, float]:
     """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its rate."""
-    time.sleep(AFTER_s)
-    look = fci.do("look")
+    end_ms = fci.do("look")["arm"]["milliseconds"] + 1e3 * AFTER_s
+    while (look := fci.do("look"))["arm"]["milliseconds"] < end_ms:  # on a busy machine its clock is slow
+        time.sleep(PERIOD_s)
     arm, fault = look["arm"], look["fault"]
     rate = (arm["milliseconds"] - fault["at_ms"]) / max(1e3 * (time.monotonic() - fault["at_s"]), 1.0)
     if arm["held_since_ms"] is None:
