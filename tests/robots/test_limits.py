@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.trust.bad_settings import NEEDS, bad_settings, try_all
@@ -74,6 +74,7 @@ def test_a_setting_that_was_changed_later_is_refused_by_the_robot(tmp_path: Path
         UniforceFranka(config)
 
 
+@settings(deadline=None)
 @given(
     st.tuples(*[st.floats(0, 3000)] * 3),
     st.tuples(*[st.floats(0, 0.05)] * 3),
