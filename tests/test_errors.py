@@ -8,6 +8,7 @@ from uniforce_vtla.errors import expected, without_credentials
     [
         ("http://anna:s3cret@cam:81/video", "http://***@cam:81/video"),
         ("rtsp://anna:p@ss@cam", "rtsp://***@cam"),
+        ("http://anna:s3/cr'et@cam", "http://***@cam"),
         ('"source": "http://anna:s3cret@cam"', '"source": "http://***@cam"'),
         ("http://cam/video?size=2&access_token=abc.def&x=1", "http://cam/video?size=2&access_token=***&x=1"),
         ("http://cam/video?Password=a b", "http://cam/video?Password=*** b"),

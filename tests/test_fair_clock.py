@@ -83,10 +83,9 @@ def test_and_counts_when_the_second_try_was_calm(pytester: pytest.Pytester):
     run(pytester, [0.0, 0.5, 0.5, 0.5], passes_at=9).assertoutcome(failed=1)
 
 
-def test_always_starved_is_skipped_and_says_so(pytester: pytest.Pytester):
-    seen = run(pytester, [0.3 * k for k in range(2 * TRIES)], passes_at=99)
-    seen.assertoutcome(skipped=1)
-    assert "not judged: starved 4 times" in seen.getreports("pytest_runtest_logreport")[1].longrepr[2]
+def test_a_defect_does_not_hide_behind_a_machine_that_is_always_starved(pytester: pytest.Pytester):
+    run(pytester, [0.3 * k for k in range(2 * TRIES)], passes_at=99).assertoutcome(failed=1)
+    run(pytester, [0.3 * k for k in range(2 * TRIES)], passes_at=TRIES).assertoutcome(passed=1)
 
 
 def test_a_pass_needs_no_calm_and_other_tests_no_witness(pytester: pytest.Pytester):

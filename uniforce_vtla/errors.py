@@ -67,7 +67,9 @@ class TeleoperatorError(UniForceError):
         self.fault = fault
 
 
-LOGIN = re.compile(r"(?<=://)[^/\s'\"]*@")  # user:password@ of an address
+LOGIN = re.compile(
+    r"(?<=://)[^\s\"]*@"
+)  # user:password@ of an address; a password may hold a slash or a quote
 SECRET = re.compile(r"(?i)([?&][\w-]*(?:auth|key|pass|pwd|secret|sig|token)[\w-]*=)[^&\s'\"]+")
 
 

@@ -1,4 +1,4 @@
-"""Attack the robot's guards: ``python -m benchmarks.trust.guards [episodes=4000] [out=docs/results/trust.json]``.
+"""Attack the robot's guards: ``python -m benchmarks.trust.guards [episodes=2000] [out=docs/results/trust.json]``.
 
 Tries every bad setting, then drives the whole chain with random limits, states and actions, and counts what was sent.
 """
@@ -25,10 +25,10 @@ CHUNK = 100
 class GuardsConfig:
     """Count bad settings refused and bad poses sent; a newly found violation is printed with its seed.
 
-    Example: python -m benchmarks.trust.guards episodes=4000 out=docs/results/trust.json
+    Example: python -m benchmarks.trust.guards episodes=2000 out=docs/results/trust.json
     """
 
-    episodes: int = 4000  # of 50 actions; 4,000 send some 280,000 poses
+    episodes: int = 2000  # of 50 actions; 2,000 send some 200,000 poses
     seed: int = 0  # the first of the seeds, one for each 100 episodes
     out: str = "outputs/trust.json"  # the result file; only its key ``guards`` changes
 

@@ -17,12 +17,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from benchmarks.trust.hostile_trials import RIGHT_NAMES, Trial
+from benchmarks.trust.hostile_trials import AT_NEXT_ANSWER, RIGHT_NAMES, Trial
 from benchmarks.trust.report import update
 from uniforce_vtla.arguments import choose, parse
 
 CLIENTS = ("pylibfranka", "franky")
-HOLD_s = 0.5  # the bar
+HOLD_s = LEARN_s = 0.5  # the bars
 HANG_s = 60.0  # without a new row; a trial takes 4 to 15 s
 POLL_s = 0.5
 
@@ -87,8 +87,10 @@ def _note_hang(path: Path, client: str, fault: str) -> None:
 
 
 def is_right(row: dict[str, Any]) -> bool:
-    """Return whether the fault was named, the arm was held in time, and no action was taken afterwards."""
-    return row["named"] in RIGHT_NAMES[row["fault"]] and row["hold_s"] <= HOLD_s and not row["sent_after"]
+    """Return whether the fault was named, the arm held and the fault known in time, and no action taken afterwards."""
+    in_time = row["learnt_s"] <= LEARN_s or row["fault"] in AT_NEXT_ANSWER  # there ``recover`` waits
+    named = row["named"] in RIGHT_NAMES[row["fault"]]
+    return named and in_time and row["hold_s"] <= HOLD_s and not row["sent_after"]
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -142,10 +144,10 @@ def main(argv: list[str] | None = None) -> int:
         {"trials": len(rows), "wrong": len(wrong), "table": summarise(rows)},
     )
     for row in wrong:
-        came = f"{row['named'] or 'nothing'}, held after {row['hold_s']} s"
+        came = f"{row['named'] or 'nothing'}, held after {row['hold_s']} s, known after {row['learnt_s']} s"
         print(f"{row['client']} {row['fault']}: {came}. {row['message']}")
     print(
-        f"{len(rows) - len(wrong)} of {len(rows)} trials right (named, held ≤ {HOLD_s} s); written to {path}"
+        f"{len(rows) - len(wrong)} of {len(rows)} trials right (named, held and known ≤ {HOLD_s} s); written to {path}"
     )
     return int(bool(wrong))
 

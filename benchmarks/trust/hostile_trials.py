@@ -27,7 +27,8 @@ from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 
 PERIOD_s = 1 / 30
-UNDER_WAY_s, NOTICE_s, AFTER_s = 0.6, 15.0, 0.7
+UNDER_WAY_s, NOTICE_s = 0.6, 15.0
+AFTER_s = 0.7  # of the robot's own time, in which the arm is looked at
 STUCK_s = 45.0  # no trial takes so long
 STARTS = 5
 SWAY_m, SWAY_s = 0.015, 1.0  # up to 0.09 m/s
@@ -83,7 +84,8 @@ class Trial:
     Attributes:
         named: the fault the caller was given, "" for none.
         hold_s: robot's own clock, from the first moment at which the fault could be known until the arm was at rest.
-        learnt_s: wall clock, from then until the caller knew.
+        learnt_s: robot's own clock, from then until the caller knew; the wall's, where the robot is dead or the caller
+            waits for ``recover``.
         sent_after: actions that were taken after the caller had learnt.
         starved: how often it was begun in vain: a busy machine kept the stand-in from telling its state in time.
     """
@@ -174,9 +176,12 @@ def _break(
         named, message = error.fault, str(error)
     learnt_s = time.monotonic()
     sent_after = _sends(robot, start)
-    known_s = ordered_s if fault == "server_death" else knowable_s(robot, fci, fault, ordered_s)
-    hold_s = max(learnt_s - known_s, 0.0) if fault == "server_death" else _hold_s(fci, known_s)
-    took_s = max(learnt_s - known_s, 0.0)
+    if fault == "server_death":
+        hold_s = took_s = max(learnt_s - ordered_s, 0.0)
+    else:
+        known_s = knowable_s(robot, fci, fault, ordered_s)
+        hold_s, rate = _hold_s(fci, known_s)
+        took_s = rate * max(learnt_s - known_s, 0.0)
     return Trial(client, fault, named, message, round(hold_s, 4), round(took_s, 4), sent_after, time.time())
 
 
@@ -186,7 +191,7 @@ def _stop_and_recover(robot: UniforceFranka, fci: StandIn, client: str, fault: s
     stopped_s = time.monotonic()
     with contextlib.suppress(RobotError):
         robot.send_action({})  # an action that is none stops the arm
-    hold_s = _hold_s(fci, stopped_s)
+    hold_s, _ = _hold_s(fci, stopped_s)
     named, message, begun_s = "", "", time.monotonic()
     try:
         robot.recover()
@@ -213,7 +218,7 @@ def knowable_s(robot: UniforceFranka, fci: StandIn, fault: str, ordered_s: float
     assert hand is not None
     if fault in ("hung_hand", "hand_garbage_reply"):  # the client waits for the rest of an answer
         return hand._deadline_s
-    if fault in ("hand_silent", "hand_garbage_state") and hand._reading is not None:
+    if fault == "hand_silent" and hand._reading is not None:
         return max(ordered_s, hand._reading.time_s + hand.settings.reading_age_s)
     if fault == "slip_out":
         return float(struck_s) + LOST_s
@@ -232,16 +237,17 @@ def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
     return taken
 
 
-def _hold_s(fci: StandIn, known_s: float) -> float:
-    """Return how long the arm moved after ``known_s``, in its own time; infinity while it still moves."""
-    time.sleep(AFTER_s)
-    look = fci.do("look")
+def _hold_s(fci: StandIn, known_s: float) -> tuple[float, float]:
+    """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its rate."""
+    end_ms = fci.do("look")["arm"]["milliseconds"] + 1e3 * AFTER_s
+    while (look := fci.do("look"))["arm"]["milliseconds"] < end_ms:  # on a busy machine its clock is slow
+        time.sleep(PERIOD_s)
     arm, fault = look["arm"], look["fault"]
-    if arm["held_since_ms"] is None:
-        return float("inf")
     rate = (arm["milliseconds"] - fault["at_ms"]) / max(1e3 * (time.monotonic() - fault["at_s"]), 1.0)
+    if arm["held_since_ms"] is None:
+        return float("inf"), rate
     known_ms = fault["at_ms"] + 1e3 * rate * max(known_s - fault["at_s"], 0.0)
-    return float(max((arm["last_moving_ms"] or 0) - known_ms, 0.0) / 1e3)
+    return float(max((arm["last_moving_ms"] or 0) - known_ms, 0.0) / 1e3), rate
 
 
 def main() -> None:

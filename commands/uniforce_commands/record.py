@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,12 +61,13 @@ class RecordConfig:
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
 
-def record(config: RecordConfig, device_flags: Sequence[str] = ()) -> SessionEnd:
+def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collection[str] = ()) -> SessionEnd:
     """Record what is missing.
 
     Args:
         config: what and where.
         device_flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``.
+        given: settings that were named, also with the value they have anyway.
 
     Raises:
         ContractError: a robot, teleoperator, sensor, level or setting nobody knows.
@@ -74,7 +75,7 @@ def record(config: RecordConfig, device_flags: Sequence[str] = ()) -> SessionEnd
         RobotError, SensorError, TeleoperatorError: it can't be connected.
     """
     _check(config)
-    _refuse_ignored(config, device_flags)
+    _refuse_ignored(config, device_flags, given)
     if config.robot == "sim" and config.teleop == "expert":
         return _record_expert(config)
     from uniforce_recording.assemble import make_operator, run_session
@@ -150,6 +151,8 @@ def _check(config: RecordConfig) -> None:
         raise ContractError(expected("prompts", "an instruction or more", "none", do))
     if config.nudge < 0:
         raise ContractError(expected("nudge", "≥ 0", config.nudge, "0 records an undisturbed expert."))
+    if not config.root.strip():
+        raise ContractError(expected("root", "a folder", repr(config.root), "Name one."))
     if config.episodes < 1:
         raise ContractError(expected("episodes", "≥ 1", config.episodes, "Ask for some."))
     if config.episode_s <= 0:
@@ -166,24 +169,31 @@ IGNORED = {  # by how it records: settings that would change nothing
     "robot=franka": (*SCENE, *EXPERT, "real_time"),
     "robot=sim teleop=expert": (*ROBOT, *BY_HAND, "late_share", "reserve_MB", "unwell_s", "real_time"),
     "robot=sim, steered by hand": (*ROBOT, *EXPERT),
+    "operator=keys": ("verdict", "unwell_s"),
+    "operator=nobody": ("quick_notes", "drive_between"),
 }
 
 
-def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str]) -> None:
+def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Collection[str]) -> None:
     """Refuse what was set and would change nothing."""
     mode = "robot=franka" if config.robot == "franka" else "robot=sim, steered by hand"
     if (config.robot, config.teleop) == ("sim", "expert"):
         mode = "robot=sim teleop=expert"
+    operator = "" if config.teleop == "expert" else f"operator={config.operator}"
     plain = RecordConfig()
-    given = [name for name in IGNORED[mode] if getattr(config, name) != getattr(plain, name)]
+    ignored = [
+        name
+        for name in (*IGNORED[mode], *IGNORED.get(operator, ()))
+        if name in given or getattr(config, name) != getattr(plain, name)
+    ]
     parts = (
         () if config.robot == "franka" else ("robot",) if config.teleop != "expert" else ("robot", "teleop")
     )
     flags = [
         flag for flag in device_flags if flag.removeprefix("--").startswith(tuple(f"{p}." for p in parts))
     ]
-    if given or (parts and flags):
-        came = ", ".join([*given, *flags])
+    if ignored or (parts and flags):
+        came, mode = ", ".join([*ignored, *flags]), f"{mode} {operator}".strip()
         raise ContractError(expected(f"settings with {mode}", "those it uses", came, "Leave them out."))
 
 
@@ -201,7 +211,7 @@ def main(argv: list[str] | None = None) -> int:
     flags, own = split_device_flags(arguments)
     config = parse(RecordConfig, own)
     try:
-        end = record(config, flags)
+        end = record(config, flags, [word.lstrip("-").partition("=")[0] for word in own])
     except UniForceError as error:
         print(f"record: {error}")
         return 2

@@ -221,8 +221,6 @@ class EpisodeRecorder:
 
     def _open(self) -> DatasetWriter:
         """A LeRobot writer whose files all go to the staging folder."""
-        if not (self.root / INFO).exists():
-            self._refuse_foreign_files()
         writer = open_writer(
             self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime
         )
@@ -231,13 +229,6 @@ class EpisodeRecorder:
         self._raw = RawVideo(self.root / STAGING, self._raw_shapes, encoder)
         self._ends: dict[str, tuple[np.ndarray, ...]] = {}  # first and last marker images of the episode
         return writer
-
-    def _refuse_foreign_files(self) -> None:
-        foreign = [p.name for p in self.root.iterdir() if not p.name.startswith(".")]
-        if foreign:
-            raise DatasetError(
-                expected(str(self.root), "an empty folder or a dataset", foreign[:3], "Choose another root.")
-            )
 
     def _reopen(self) -> None:
         self._abandon()

@@ -8,16 +8,17 @@ import time
 from pathlib import Path
 from typing import IO
 
+from uniforce_datasets.staging import COMMIT
 from uniforce_vtla.errors import DatasetError, expected
 
 POLL_s = 0.05
 
 
 def claim(root: str | Path) -> Path:
-    """Return the folder of a dataset, made where there is none.
+    """Return the folder of a dataset, made where there is none. Nothing is left in a folder that is refused.
 
     Raises:
-        DatasetError: no name, or nothing can be written there.
+        DatasetError: no name, nothing can be written there, or it holds something else.
     """
     do = "Give root=… a folder you may write to."
     if not str(root).strip():
@@ -26,9 +27,13 @@ def claim(root: str | Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
-            return folder
+            foreign = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise DatasetError(expected(f"root={root}", "a folder to write to", error, do)) from error
+    if foreign and not any((folder / name).exists() for name in (COMMIT, "meta/info.json")):
+        do = "Choose another root."
+        raise DatasetError(expected(str(folder), "an empty folder or a dataset", foreign[:3], do))
+    return folder
 
 
 def lock(root: Path, wait_s: float) -> IO[str]:

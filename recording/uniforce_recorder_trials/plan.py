@@ -60,9 +60,9 @@ class Plan:
             "root": root,
             "repo_id": "local/trial",
             "prompts": "[go round]",
-            "drive_between": False,
             "reserve_MB": 50.0,
-            "unwell_s": 10.0 * self.patience,
             "late_share": 0.1 if self.patience <= 1 else 0.9,
-        }
-        return [f"{name}={value}" for name, value in (plain | settings).items()]
+        } | settings
+        attended = plain["operator"] == "keys"
+        wait = {"drive_between": False} if attended else {"unwell_s": 10.0 * self.patience}
+        return [f"{name}={value}" for name, value in (wait | plain).items()]

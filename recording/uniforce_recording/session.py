@@ -54,6 +54,10 @@ class SessionSettings:
     late_share: float = 0.1
     settings: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.late_share <= 1:  # NaN is not, either
+            raise ContractError(expected("late_share", "a share from 0 to 1", self.late_share, "Give one."))
+
 
 @dataclass(frozen=True)
 class SessionEnd:

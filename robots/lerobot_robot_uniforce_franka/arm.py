@@ -6,6 +6,7 @@ the fingers close along that frame's y axis and z points out of the hand. A back
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -75,7 +76,8 @@ def fault_of_errors(errors: tuple[str, ...]) -> str:
 class Gains:
     """Stiffness of the Cartesian impedance, in the hand's frame, and how far the target may lead.
 
-    The spring's force is bounded by stiffness × ``clip_m`` whatever target comes: the cheapest hard bound there is.
+    The spring's force is bounded by stiffness × ``clip_m`` whatever target comes: the cheapest hard bound there is. Its
+    length, over every turn of a hand that points down, stays below ``limits.FORCE_N``.
 
     Attributes:
         stiffness_N_m: along the hand's x, y (the fingers close along y) and z.
@@ -91,10 +93,12 @@ class Gains:
 
     def __post_init__(self) -> None:
         require_in_limits(self)
-        force_N = np.multiply(self.stiffness_N_m, self.clip_m).max()
-        torque_Nm = max(self.rotation_Nm_rad) * self.clip_rad
+        # The clips are along the base's axes and the stiffness along the hand's, which turns about the vertical.
+        level_N = max(self.stiffness_N_m[:2]) * math.hypot(*self.clip_m[:2])
+        force_N = math.hypot(level_N, self.stiffness_N_m[2] * self.clip_m[2])
+        torque_Nm = max(self.rotation_Nm_rad) * self.clip_rad * math.sqrt(3)
         if force_N > FORCE_N or torque_Nm > TORQUE_Nm:
-            wanted = f"stiffness × clip of at most {FORCE_N:g} N and {TORQUE_Nm:g} Nm"
+            wanted = f"a spring of at most {FORCE_N:g} N and {TORQUE_Nm:g} Nm, stiffness × clip of all axes"
             came = f"{force_N:.1f} N, {torque_Nm:.1f} Nm"
             raise ContractError(expected("gains", wanted, came, "Soften the arm or clip more."))
 

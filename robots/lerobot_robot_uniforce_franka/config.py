@@ -12,8 +12,10 @@ from lerobot_camera_uniforce.config_uniforce import TactileFingerConfig
 from lerobot_robot_uniforce_franka.arm import ROLLOUT, ArmSettings, Gains
 from lerobot_robot_uniforce_franka.guards import GuardLimits
 from lerobot_robot_uniforce_franka.hand import HandSettings
-from lerobot_robot_uniforce_franka.limits import require_in_limits, require_one_of
+from lerobot_robot_uniforce_franka.limits import require_in_limits, require_kind, require_one_of
 from lerobot_robot_uniforce_franka.stream import StreamSettings
+
+NESTED = {"gains": Gains, "guards": GuardLimits, "stream": StreamSettings, "gripper": HandSettings}
 
 
 @RobotConfig.register_subclass("uniforce_franka")
@@ -54,6 +56,8 @@ class UniforceFrankaConfig(RobotConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_in_limits(self)
+        for name, kind in NESTED.items():
+            require_kind(f"UniforceFrankaConfig.{name}", getattr(self, name), kind)
         require_one_of("backend", self.backend, ("franky", "pylibfranka"))
         require_one_of("realtime", self.realtime, ("ignore", "enforce"))
 

@@ -7,7 +7,6 @@ interruption badly; a control loop at 30 Hz can wait for none of that.
 from __future__ import annotations
 
 import logging
-import math
 import threading
 import time
 from dataclasses import dataclass
@@ -249,10 +248,13 @@ class HandThread:
         """Want a width from now on; the newest one counts once the hand is free. Never blocks.
 
         Raises:
-            RobotError: the hand has a fault.
+            RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
         """
         if self._fault is not None:
             raise self._fault
+        if not -THINNEST_m <= width_m <= WIDEST_m:
+            do = "Not sent; please report it."
+            raise RobotError(expected("width to send", f"0 to {WIDEST_m} m", width_m, do), "guard")
         if self._ending.is_set():
             raise RobotError(
                 "hand: expected a running thread, got one that has ended. Connect again.", "ended"
@@ -288,9 +290,10 @@ class HandThread:
         reading = self._driver.read()
         if reading is None:
             return
-        if not (math.isfinite(reading.width_m) and -THINNEST_m <= reading.width_m <= WIDEST_m):
-            came, do = f"{reading.width_m} m", "Home the hand, then connect again."
-            raise RobotError(expected("hand", f"a width of 0 to {WIDEST_m} m", came, do), "hand_state")
+        widths = (reading.width_m, reading.max_width_m)
+        if not all(-THINNEST_m <= width <= WIDEST_m for width in widths):  # NaN is not, either
+            came, do = f"{widths[0]} of {widths[1]} m", "Home the hand, then connect again."
+            raise RobotError(expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state")
         grasps = self._last is not None and self._last.force_N > 0 and not self._in_flight
         if grasps and reading.is_grasped:
             self._held_s = reading.time_s
@@ -300,7 +303,8 @@ class HandThread:
     def _finish(self, outcome: bool | None) -> None:
         if outcome is None:
             return
-        self._in_flight, self._ended_s = False, time.monotonic()
+        self._ended_s = time.monotonic()  # first: the arm's thread may look in between
+        self._in_flight = False
         if not outcome:
             self.failed_grasps += 1
             log.warning("hand: %s did not succeed", self._last)
@@ -311,7 +315,8 @@ class HandThread:
         command = None if target is None else next_command(target, self._last, self.settings)
         if command is None or reading is None:
             return
-        travel_s = abs(reading.width_m - command.width_m) / command.speed_m_s
+        end_m = 0.0 if command.force_N > 0 else command.width_m  # a grasp of nothing closes fully
+        travel_s = abs(reading.width_m - end_m) / command.speed_m_s
         self._driver.begin(command)
         self._deadline_s = time.monotonic() + travel_s + GRACE_s
         self._held_s, self._last, self._in_flight = None, command, True

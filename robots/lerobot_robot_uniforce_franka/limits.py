@@ -43,8 +43,8 @@ BOX = (  # x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), 
     Range(-3.2, 3.2),
     Range(0.0, 0.1),
 )
-FORCE_N = 60.0  # of the spring: stiffness × clip along an axis of the hand
-TORQUE_Nm = 20.0  # likewise about it
+FORCE_N = 60.0  # length of the spring's force, however the hand is turned about the vertical
+TORQUE_Nm = 25.0  # length of its torque
 
 HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
     "GuardLimits": {
@@ -64,7 +64,7 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
         "state_age_s": Range(0.02, 1.0),
     },
     "HandSettings": {
-        "speed_m_s": Range(0, 0.1, above=True),
+        "speed_m_s": Range(0.005, 0.1),  # a slower command's deadline would be minutes away
         "grip_force_N": Range(0, 40, above=True),  # the hand's own limit is 70
         "grasp_below_m": Range(0, 0.08),
         "hysteresis_m": Range(0, 0.02),
@@ -104,6 +104,16 @@ def require_in_limits(settings: object) -> None:
             _require_each(f"{name}.{field}", value, allowed)
         else:
             _require(f"{name}.{field}", value, allowed)
+
+
+def require_kind(what: str, value: object, kind: type) -> None:
+    """Check that settings are of a class that was checked when it was made; a subclass may have left that out.
+
+    Raises:
+        ContractError: anything else.
+    """
+    if type(value) is not kind:
+        raise ContractError(expected(what, kind.__name__, repr(value), "Give one."))
 
 
 def require_one_of(what: str, value: object, choices: tuple[str, ...]) -> None:

@@ -42,7 +42,7 @@ class UniforceFranka(Robot):
 
     def __init__(self, config: UniforceFrankaConfig, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(config)
-        self.config = config
+        self.config = config = replace(config)  # checks it again: a field may have been set since it was made
         self._clock = clock
         self.cameras = make_cameras_from_configs(config.cameras)
         self.guards = GuardChain(config.guards)

@@ -37,7 +37,7 @@ class StateCheck:
                 estimate is lost), ``speed`` or ``jump`` (faster than the arm can be), ``frozen`` (its target moved and
                 the joints did not change by a single bit).
         """
-        _require_numbers(state)
+        _require_possible(state)
         if self._last is not None:
             _require_continuous(self._last, state)
             self._require_alive(self._last, state)
@@ -62,14 +62,19 @@ class StateCheck:
             )
 
 
-def _require_numbers(state: ArmState) -> None:
+def _require_possible(state: ArmState) -> None:
     pose, joints = state.ee_to_base, (state.q_rad, state.dq_rad_s)
     whole = np.isfinite(pose).all() and all(np.isfinite(row).all() for row in joints)
     if not (whole and np.isfinite(state.robot_time_s)):
         raise _bad("finite numbers", "NaN or infinity")
     rotation = pose[:3, :3]
-    if np.abs(rotation.T @ rotation - np.eye(3)).max() > ROTATION_ERROR:
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > ROTATION_ERROR or np.linalg.det(rotation) < 0:
         raise _bad("a rotation in its pose", rotation.round(3).tolist())
+    if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():
+        do = "Its encoders or the network lie; restart the robot's controller."
+        raise RobotError(
+            expected("joint speed", "within the data sheet's", state.dq_rad_s.round(2).tolist(), do), "speed"
+        )
     if not np.isfinite(state.wrench_N).all():
         do = "Without it nothing bounds a press; restart the robot's controller."
         raise RobotError(
@@ -81,12 +86,6 @@ def _require_continuous(last: ArmState, state: ArmState) -> None:
     elapsed_s = state.robot_time_s - last.robot_time_s
     if elapsed_s < 0:
         raise _bad("a clock that advances", f"{1000 * elapsed_s:.0f} ms")
-    too_fast = np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s
-    if too_fast.any():
-        do = "Its encoders or the network lie; restart the robot's controller."
-        raise RobotError(
-            expected("joint speed", "within the data sheet's", state.dq_rad_s.round(2).tolist(), do), "speed"
-        )
     elapsed_s = min(elapsed_s, LONGEST_s)
     moved_m = float(np.linalg.norm(state.ee_to_base[:3, 3] - last.ee_to_base[:3, 3]))
     turned_rad = _angle(last.ee_to_base[:3, :3].T @ state.ee_to_base[:3, :3])

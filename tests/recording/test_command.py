@@ -35,17 +35,22 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["robot=franka", "teleop=recording_test"], "instruction"),
         (["teleop=telepathy"], "recording_test"),
         (["teleop=recording_test", "operator=cat"], "keys | nobody"),
-        (["teleop=recording_test", "operator=nobody", "verdict=great"], "verdict"),
+        (["teleop=recording_test", "operator=nobody", "verdict=great"], "great"),
         (["teleop=recording_test", "teleop.speed=1"], "speed"),
         (["resume=/nowhere"], "recorded dataset"),
         (["episodes=0"], "episodes"),
         (["teleop=recording_test", "episode_s=0"], "episode_s"),
+        (["teleop=recording_test", "late_share=nan"], "late_share"),
+        (["teleop=recording_test", "late_share=2"], "late_share"),
         (["rig=nosuch"], "got rig"),
         (["robot.foo=1"], "got --robot.foo=1"),
         (["teleop=recording_test", "robot.foo=1"], "got --robot.foo=1"),
         (["episode_s=9", "prompts=[tidy]"], "prompts, episode_s"),
         (["teleop=recording_test", "nudge=2"], "nudge"),
         (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "level=easy"], "level"),
+        (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "left_sensor=gelsight"], "left_sensor"),
+        (["teleop=recording_test", "verdict=success"], "got verdict"),
+        (["teleop=recording_test", "operator=nobody", "drive_between=false"], "got drive_between"),
     ],
 )
 def test_what_cannot_be_is_refused_with_a_reason(
@@ -57,22 +62,25 @@ def test_what_cannot_be_is_refused_with_a_reason(
     assert not (tmp_path / "data").exists()
 
 
-@pytest.mark.parametrize("root", ["", "/proc/nothing", "{file}", "{file}/below", "{full}"])
+@pytest.mark.parametrize("root", ["", ".", "/proc/nothing", "{file}", "{file}/below", "{full}"])
 @pytest.mark.parametrize("words", [["level=easy"], QUICK])
 def test_a_root_that_cannot_be_ends_before_the_first_episode(
-    words: list[str], root: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    root: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     file, full = tmp_path / "file", tmp_path / "full"
     file.write_text("mine")
     full.mkdir()
     (full / "letter.txt").write_text("mine")
+    monkeypatch.chdir(full)
     own = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"] if words == QUICK else []
     assert main([*words, *own, f"root={root.format(file=file, full=full)}", "episodes=1"]) == 2
     said = capsys.readouterr()
     assert "folder" in said.out and "Traceback" not in said.err
-    assert file.read_text() == "mine" and [p.name for p in full.iterdir() if p.name[0] != "."] == [
-        "letter.txt"
-    ]
+    assert file.read_text() == "mine" and [p.name for p in full.iterdir()] == ["letter.txt"]
 
 
 def test_settings_of_devices_are_told_from_the_commands_own() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import signal
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 import pytest
@@ -52,12 +54,13 @@ def go(
     operator: Operator,
     teleop: Sway | None = None,
     own_process: bool = False,
+    out: TextIO | None = None,
     **settings: object,
 ) -> SessionEnd:
     plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
     teleop = teleop or sway(root.parent)
     store = StoreSettings(root, "local/test", reserve_MB=1.0, own_process=own_process)
-    end = run_session(fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)))  # type: ignore[arg-type]
+    end = run_session(fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)), out=out)  # type: ignore[arg-type]
     assert not fake.robot.is_connected and not teleop.is_connected
     assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
     return end
@@ -106,8 +109,10 @@ def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
         return quick()
 
     monkeypatch.setattr(teleop, "get_action", slow)
-    end = go(fake, tmp_path / "data", Nobody("success"), teleop, late_share=0.1)
+    console = io.StringIO()
+    end = go(fake, tmp_path / "data", Nobody("success"), teleop, out=console, late_share=0.1)
     assert end.exit_code == 3 and "missed" in end.message
+    assert "stored aborted:late" in console.getvalue() and "0/1 episodes" in console.getvalue()
     assert labels(tmp_path / "data") == ["aborted:late"] * 3
     assert read_card(tmp_path / "data", 0)["label"] == "aborted:late"
 

@@ -27,6 +27,7 @@ class FakeArm:
         self.mode = "idle"
         self.targets: list[tuple[float, np.ndarray]] = []
         self.fault: RobotError | None = None
+        self.refusals = 0  # how often it has said so
         self.stopped_at: list[float] = []
         self.connected = self.closed = False
         self.follows = True
@@ -41,11 +42,13 @@ class FakeArm:
 
     def state(self) -> ArmState:
         if self.fault is not None:
+            self.refusals += 1
             raise self.fault
         time.sleep(self.blocks_s)
         self.readings += 1
         now = time.monotonic()
-        self._move(now)
+        if self.silent_since_s is None:  # what it repeats is the same pose, too
+            self._move(now)
         robot_s = now if self.silent_since_s is None else self.silent_since_s
         return ArmState(
             now,

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lerobot_robot_uniforce_franka.guards import GuardChain, GuardLimits
@@ -107,6 +107,7 @@ def test_a_measured_pose_that_is_no_number_stops() -> None:
     assert caught.value.fault == "bad_state"
 
 
+@settings(deadline=None)
 @given(st.lists(st.floats(-10, 10), min_size=5, max_size=5), st.floats(0.001, 5.0))
 def test_whatever_comes_what_is_sent_keeps_the_limits(action: list[float], elapsed: float) -> None:
     limits = GuardLimits()

@@ -148,6 +148,26 @@ def test_a_command_without_an_answer_is_a_fault_after_its_travel_and_half_a_seco
     hand.stop()
 
 
+def test_a_grasp_of_nothing_has_time_to_close_fully(eventually: Callable) -> None:
+    driver = FakeHand(takes_s=1.65, succeeds=False)  # 80 mm at 50 mm/s take 1.6 s
+    hand = HandThread(driver)
+    hand.start()
+    hand.submit(0.035)
+    eventually(lambda: hand.is_busy)
+    while hand.is_busy:
+        assert checked(hand) == ""
+        time.sleep(0.01)
+    assert hand.failed_grasps == 1
+    hand.stop()
+
+
+@pytest.mark.parametrize("width", [float("nan"), float("inf"), -0.01, 0.5])
+def test_a_width_that_must_not_be_sent(hand: HandThread, driver: FakeHand, width: float) -> None:
+    with pytest.raises(RobotError, match="width to send") as caught:
+        hand.submit(width)
+    assert caught.value.fault == "guard" and not driver.commands
+
+
 def test_old_readings_are_a_fault(hand: HandThread, driver: FakeHand, eventually: Callable) -> None:
     assert checked(hand) == ""
     driver.silent_since_s = time.monotonic()

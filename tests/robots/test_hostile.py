@@ -29,12 +29,13 @@ def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
     wrong = [
         right | {"named": ""},
         right | {"hold_s": 0.6},
+        right | {"learnt_s": 0.6},
         right | {"sent_after": 1},
         right | {"named": "hang"},
     ]
     assert not any(is_right(row) for row in wrong)
     line = summarise([right, *wrong])["reflex franky"]
-    assert (line["trials"], line["named_right"], line["held"], line["sent_after"]) == (5, 3, 4, 1)
+    assert (line["trials"], line["named_right"], line["held"], line["sent_after"]) == (6, 4, 5, 1)
 
 
 PROGRAM = """

@@ -7,7 +7,8 @@ import logging
 import numpy as np
 import pytest
 
-from benchmarks.trust.guard_cases import drive, violations
+from benchmarks.trust.guard_cases import drive
+from benchmarks.trust.guard_oracle import axes_of, pose_of, wrong_pose
 from lerobot_robot_uniforce_franka.guards import GuardLimits
 from lerobot_robot_uniforce_franka.poses import ToolPose
 from lerobot_robot_uniforce_franka.send_check import SendCheck
@@ -59,17 +60,28 @@ def test_letting_go_is_allowed_from_any_distance() -> None:
     check(pose(0, 0, -0.001), pose(0, 0, -0.001), 0.11)
 
 
-def test_the_judge_of_the_chain_sees_what_is_wrong() -> None:
-    sequence = [(now_s, target, pose()) for now_s, target in SENT]
-    assert violations(LIMITS, sequence) == []
-    for name, wrong in REFUSED.items():
-        if name != "turned from the arm":
-            assert violations(LIMITS, [*sequence, wrong]), name
+def axes(pose: ToolPose) -> np.ndarray:
+    return np.array([*pose.position_m, pose.yaw_rad])
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_the_judge_of_the_chain_sees_what_is_wrong(name: str) -> None:
+    (first_s, first), (now_s, second) = SENT
+    assert wrong_pose(LIMITS, axes(second), HERE, axes(first), now_s - first_s) == []
+    later_s, target, measured = REFUSED[name]
+    assert wrong_pose(LIMITS, axes(target), axes(measured), axes(second), later_s - now_s)
+
+
+def test_the_judge_reads_poses_by_itself() -> None:
+    target = ToolPose(np.array([0.4, -0.1, 0.2]), 0.7)
+    np.testing.assert_allclose(pose_of(axes(target)), target.ee_to_base(), atol=1e-12)
+    np.testing.assert_allclose(axes_of(target.ee_to_base()), axes(target), atol=1e-12)
 
 
 @pytest.mark.slow
 def test_whatever_comes_nothing_wrong_is_sent(caplog: pytest.LogCaptureFixture) -> None:
+    """``python -m benchmarks.trust.mutations`` shows that each broken guard fails this."""
     with caplog.at_level(logging.CRITICAL):
-        found = drive(episodes=1600, seed=7)
-    assert found["sent"] > 100_000 and found["violations"] == []
-    assert {"action", "bad_state", "jump"} <= set(found["faults"]), "the attack did attack"
+        found = drive(episodes=1100, seed=7)
+    assert found["violations"] == [] and found["sent"] > 100_000
+    assert {"action", "bad_state", "jump", "speed", "force", "guard"} <= set(found["faults"]), "it did attack"

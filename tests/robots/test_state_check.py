@@ -48,8 +48,9 @@ def test_a_lost_force_estimate() -> None:
     assert fault(replace(START, wrench_N=with_number(START.wrench_N, np.nan))) == "force"
 
 
-def test_a_pose_that_is_no_rotation() -> None:
-    assert fault(replace(START, ee_to_base=np.diag([1.0, 1.0, 0.5, 1.0]))) == "bad_state"
+@pytest.mark.parametrize("z", [0.5, -1.0])
+def test_a_pose_that_is_no_rotation(z: float) -> None:
+    assert fault(replace(START, ee_to_base=np.diag([1.0, 1.0, z, 1.0]))) == "bad_state"
 
 
 def test_a_clock_that_runs_backwards() -> None:
@@ -71,6 +72,7 @@ def test_a_turn_of_the_hand_that_is_too_fast() -> None:
 
 def test_a_joint_faster_than_its_data_sheet() -> None:
     assert fault(START, moved(START, 0.01, dq_rad_s=np.full(7, 4.0))) == "speed"
+    assert fault(replace(START, dq_rad_s=np.full(7, 4.0))) == "speed", "also in the first reading"
 
 
 def test_an_arm_at_full_speed_and_one_that_rests_pass() -> None:

@@ -112,16 +112,12 @@ def test_a_stopped_arm_ends_the_stream_by_name(
     assert len(arm.targets) == count, "no target after the fault"
 
 
-def test_a_lost_arm_is_let_go_within_half_a_second(
-    arm: FakeArm, stream: ArmStream, eventually: Callable
-) -> None:
+def test_a_lost_arm_is_let_go_within_a_tick(arm: FakeArm, stream: ArmStream, eventually: Callable) -> None:
     stream.submit(away(-0.01))
-    begun = time.monotonic()
     arm.fault = RobotError("gone", "connection")
     eventually(lambda: bool(arm.stopped_at))
     assert stream.fault is arm.fault
-    if arm.stopped_at[0] - begun > 0.5:  # say so instead of blaming the code for the machine
-        pytest.skip(f"the machine took {arm.stopped_at[0] - begun:.2f} s for a loop of 10 ms")
+    assert arm.refusals <= 2, "a tick in which it was lost, and one look for a better reason"
 
 
 def test_a_robot_that_says_nothing_new_is_gone(

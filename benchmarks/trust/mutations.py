@@ -1,0 +1,170 @@
+"""Would the attack notice a broken guard? ``python -m benchmarks.trust.mutations [out=docs/results/trust.json]``.
+
+Each mutation breaks one place of a copy of the robot's package; then the cases of ``guard_cases`` run on the copy
+until they find a violation. A mutation without one survives.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import multiprocessing
+import shutil
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from benchmarks.trust.report import update
+from uniforce_vtla.arguments import parse
+from uniforce_vtla.errors import ContractError, expected
+
+PACKAGE = Path(str(importlib.util.find_spec("lerobot_robot_uniforce_franka").origin)).parent  # type: ignore[union-attr]
+SEEDS, EPISODES = 8, 25
+SEND, GUARDS, STREAM, STATE, ROBOT = "send_check.py", "guards.py", "stream.py", "state_check.py", "robot.py"
+# A last check without its look at NaN is none of these: its box refuses NaN, too.
+MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there, what is put in its place
+    "sent: box unchecked": (SEND, "self._require_box(target, last, here)", "pass"),
+    "sent: box 1 cm wider": (SEND, "self._low) - ROUNDING", "self._low) - 0.01"),
+    "sent: rate unchecked": (SEND, "self._require_rate(target, last, here, elapsed_s)", "pass"),
+    "sent: turn rate unchecked": (
+        SEND,
+        "_turn(target, last) <= limits.speed_rad_s * elapsed_s + ROUNDING",
+        "True",
+    ),
+    "sent: distance unchecked": (SEND, "self._require_near(target, here)", "pass"),
+    "sent: last pose forgotten": (SEND, "self._last, self._last_s = target, now_s", "pass"),
+    "sent: a pause buys a jump": (SEND, "min(max(now_s - self._last_s, 0.0), gap_s)", "now_s - self._last_s"),
+    "sent: refuses at half the speed": (
+        SEND,
+        "limits.speed_m_s * elapsed_s + R",
+        "limits.speed_m_s * elapsed_s / 2 + R",
+    ),
+    "guards: no box": (GUARDS, "np.clip(action, limits.low, limits.high)", "action"),
+    "guards: no step": (GUARDS, "self._step(boxed, measured)", "boxed"),
+    "guards: no rate": (GUARDS, "self._rate(stepped, last, elapsed_s)", "stepped"),
+    "guards: width at any speed": (GUARDS, "limits.speed_width_m_s * elapsed_s", "1.0"),
+    "guards: last target forgotten": (GUARDS, "self._last, self._last_s = sent, now_s", "pass"),
+    "guards: a pause buys a jump": (
+        GUARDS,
+        "min(max(now_s - self._last_s, 0.0), gap_s)",
+        "now_s - self._last_s",
+    ),
+    "guards: turns the long way": (GUARDS, "turn = shortest_turn(start_rad, goal_rad)", "turn = -goal_rad"),
+    "stream: sends unchecked": (
+        STREAM,
+        "self._check_sent(target, ToolPose.from_ee(state.ee_to_base), now)",
+        "pass",
+    ),
+    "stream: readings unchecked": (
+        STREAM,
+        "        self._check_state(state)\n        self._refuse",
+        "        self._refuse",
+    ),
+    "stream: first reading unchecked": (
+        STREAM,
+        "        self._check_state(state)\n        self._state",
+        "        self._state",
+    ),
+    "stream: ramps unslowed": (STREAM, "self._slowed(self._ramp.at(now_s), now_s)", "self._ramp.at(now_s)"),
+    "stream: begins at the goal": (
+        STREAM,
+        "            return self._measured()\n        limits",
+        "            return goal\n        limits",
+    ),
+    "stream: no watchdog": (
+        STREAM,
+        "            self._rest_wanted = True\n            log",
+        "            log",
+    ),
+    "stream: rest follows the arm": (
+        STREAM,
+        "self._rest_wanted, self._holding = False, True",
+        "self._holding = True",
+    ),
+    "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),
+    "stream: a halt ends nothing": (
+        STREAM,
+        "self._fault = self._fault or fault\n        self._ending.set()",
+        "pass",
+    ),
+    "state: numbers unchecked": (STATE, "if not (whole and np.isfinite(state.robot_time_s)):", "if False:"),
+    "state: force unchecked": (STATE, "if not np.isfinite(state.wrench_N).all():", "if False:"),
+    "state: speed unchecked": (STATE, "if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():", "if False:"),
+    "state: jumps pass": (STATE, "if far or jumped.any():", "if False:"),
+    "state: clocks run backwards": (STATE, "if elapsed_s < 0:", "if False:"),
+    "state: mirrored poses pass": (STATE, " or np.linalg.det(rotation) < 0", ""),
+    "robot: faults not latched": (
+        ROBOT,
+        "            self._fault = fault\n            self._stream.halt(fault)",
+        "            pass",
+    ),
+    "robot: words are numbers": (ROBOT, "if isinstance(value, bool | str | bytes):", "if False:"),
+    "robot: recovers with the old target": (
+        ROBOT,
+        "        self._fault = None\n        self.guards.reset()",
+        "        self._fault = None",
+    ),
+    "robot: unguarded": (ROBOT, "self.guards(wanted, self.measured(), self._clock())", "wanted"),
+}
+PRELOAD = [
+    "lerobot.robots",
+    "lerobot_camera_uniforce",
+]  # once, since they take seconds; never the package itself
+
+
+@dataclass
+class MutationsConfig:
+    """Break one guard at a time; count the breaks that the attack notices.
+
+    Example: python -m benchmarks.trust.mutations out=docs/results/trust.json
+    """
+
+    out: str = "outputs/trust.json"  # the result file; only its key ``mutations`` changes
+
+
+def notice(name: str) -> str:
+    """Return the first violation found on a package with this mutation, "" for a survivor; needs a fresh process.
+
+    Raises:
+        ContractError: what the mutation replaces does not stand there once.
+    """
+    file, old, new = MUTATIONS[name]
+    logging.disable(logging.CRITICAL)
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(shutil.copytree(PACKAGE, Path(folder) / PACKAGE.name))
+        text = (copy / file).read_text()
+        if text.count(old) != 1:
+            raise ContractError(expected(name, f"{old!r} once in {file}", text.count(old), "Mend the table."))
+        (copy / file).write_text(text.replace(old, new))
+        sys.path.insert(0, folder)
+        from benchmarks.trust.guard_cases import drive
+
+        return next((found[0] for seed in range(SEEDS) if (found := drive(EPISODES, seed)["violations"])), "")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Try all, write the table, print the survivors; 1 where there are any."""
+    config = parse(MutationsConfig, argv)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(PRELOAD)
+    with ProcessPoolExecutor(2, mp_context=context, max_tasks_per_child=1) as pool:
+        found = tqdm(pool.map(notice, MUTATIONS), total=len(MUTATIONS), desc="mutations")
+        table = dict(zip(MUTATIONS, found, strict=True))
+    survivors = [name for name, found in table.items() if not found]
+    row = {
+        "tried": len(table),
+        "noticed": len(table) - len(survivors),
+        "survivors": survivors,
+        "table": table,
+    }
+    path = update(Path(config.out), "mutations", row)
+    print(f"{row['noticed']} of {row['tried']} noticed; survivors: {survivors or 'none'}; written to {path}")
+    return int(bool(survivors))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
