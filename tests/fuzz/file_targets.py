@@ -19,12 +19,11 @@ from lerobot_policy_pi05_uniforce import (
     make_pi05_uniforce_pre_post_processors,
 )
 from lerobot_policy_pi05_uniforce.controller import PolicyController
+from uniforce_datasets import hashes as dataset_hashes
 from uniforce_datasets.bench import BlockMeans
-from uniforce_datasets.hashes import check_hashes, hash_files, write_hashes
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import episode_frames
-from uniforce_datasets.staging import HASHES
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view
 from uniforce_vtla.array_file import read_array, read_arrays
@@ -81,12 +80,12 @@ def dataset(folder: Path) -> FileTarget:
     return FileTarget(root, read)
 
 
-def hashes(folder: Path) -> FileTarget:
-    (folder / "data" / "meta").mkdir(parents=True)
-    (folder / "data" / "meta" / "info.json").write_text("{}")
-    known = hash_files(folder / "data", ["meta/info.json"], lambda name: None)
-    write_hashes(folder / "data", known)
-    return FileTarget(folder / "data", lambda: check_hashes(folder / "data"))
+def hashes_of_dataset(folder: Path) -> FileTarget:
+    root = folder / "data"
+    (root / "meta").mkdir(parents=True)
+    (root / "meta" / "info.json").write_text("{}")
+    dataset_hashes.write_hashes(root, dataset_hashes.hash_files(root, ["meta/info.json"], lambda name: None))
+    return FileTarget(root, lambda: dataset_hashes.check_hashes(root))
 
 
 def view(folder: Path) -> FileTarget:
@@ -182,7 +181,7 @@ def foreign(folder: Path) -> FileTarget:
     return FileTarget(root, lambda: read_tensors(root / "peer.pth"))
 
 
-def hashes(folder: Path) -> FileTarget:
+def hashes_of_checkpoint(folder: Path) -> FileTarget:
     (folder / "data").mkdir()
     (folder / "data" / "config.json").write_text("{}")
     target = FileTarget(folder / "data", lambda: check_hashes(folder / "data", UniForceError))
@@ -205,7 +204,8 @@ def arrays(folder: Path) -> FileTarget:
 
 FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones first
     "arrays": arrays,
-    "hashes": hashes,
+    "hashes_of_dataset": hashes_of_dataset,
+    "hashes_of_checkpoint": hashes_of_checkpoint,
     "foreign": foreign,
     "training_state": training_state,
     "adapter": adapter,
