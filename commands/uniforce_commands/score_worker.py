@@ -9,6 +9,7 @@ from pathlib import Path
 
 import cv2
 import torch
+from lerobot.utils.io_utils import write_video
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.blind import BEST, BlindScript
@@ -18,7 +19,7 @@ from uniforce_commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_commands.score_controls import controlled
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
-from uniforce_vtla.evaluation.pictures import write_trace_sheet, write_video
+from uniforce_vtla.evaluation.pictures import write_trace_sheet
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.results_file import write_json
 

@@ -24,7 +24,6 @@ class TraceRecorder:
         self._count = 0
         self._at_lift: np.ndarray | None = None
         self.phase = 0
-        self.aborted = False
 
     def record(self) -> None:
         """Append the state after a step."""
@@ -66,4 +65,4 @@ class TraceRecorder:
         """Return what was recorded so far."""
         columns = {name: self._rows[: self._count, i].copy() for i, name in enumerate(STEP_FIELDS)}
         rated = {f: get_sensor(self._sim.sensors[f]).rated_depth_mm for f in FINGERS}
-        return EpisodeTrace(**columns, rated_depth_mm=(rated["left"], rated["right"]), aborted=self.aborted)
+        return EpisodeTrace(**columns, rated_depth_mm=(rated["left"], rated["right"]))

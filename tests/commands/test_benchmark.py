@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.wiping_plan import ARMS
 from lerobot_env_uniforce_wiping.blind import BEST
 from uniforce_commands import score_worker
 from uniforce_commands.benchmark import BenchmarkConfig, configs, main, report
 from uniforce_commands.score import score_arms
-from uniforce_commands.score_config import ScoreConfig
+from uniforce_commands.score_config import SCRIPTS, ScoreConfig
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.arms import read_rows
-from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 

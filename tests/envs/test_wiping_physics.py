@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lerobot_env_uniforce_wiping.bench_rig import (
+from benchmarks.physics_rig import (
     GRAVITY_m_s2,
     creep_mm_s,
     grasped,

@@ -54,7 +54,6 @@ def test_precedence_of_outcomes() -> None:
     dropped = replace(dirty, grip_left_N=np.zeros(N), grip_right_N=np.zeros(N))
     assert score_episode(dirty).outcome == "residual"
     assert score_episode(dropped).outcome == "failed_grasp"
-    assert score_episode(replace(dropped, aborted=True)).outcome == "aborted"
 
 
 def test_never_lifted_and_slid_out_are_failed_grasps() -> None:
@@ -113,15 +112,13 @@ columns = st.lists(st.floats(0, 30), min_size=8, max_size=40)
 
 
 @examples(40)
-@given(
-    st.lists(st.tuples(columns, st.floats(0, 1), st.integers(0, 3), st.booleans()), min_size=1, max_size=8)
-)
-def test_outcomes_sum_to_n(episodes: list[tuple[list[float], float, int, bool]]) -> None:
-    outcomes = Counter(_random_result(*e).outcome for e in episodes)
+@given(st.lists(st.tuples(columns, st.floats(0, 1), st.integers(0, 3)), min_size=1, max_size=8))
+def test_outcomes_sum_to_n(episodes: list[tuple[list[float], float, int]]) -> None:
+    outcomes = Counter(score_episode(_random_trace(*e)).outcome for e in episodes)
     assert set(outcomes) <= set(OUTCOME_NAMES) and sum(outcomes.values()) == len(episodes)
 
 
-def _random_trace(values: list[float], residual: float, phase: int, aborted: bool) -> EpisodeTrace:
+def _random_trace(values: list[float], residual: float, phase: int) -> EpisodeTrace:
     n = len(values)
     fields = {name: np.asarray(values) for name in STEP_FIELDS}
     fields |= {
@@ -129,17 +126,13 @@ def _random_trace(values: list[float], residual: float, phase: int, aborted: boo
         "residual": np.full(n, residual),
         "phase": np.full(n, phase),
     }
-    return EpisodeTrace(**fields, rated_depth_mm=(1.5, 5.0), aborted=aborted)
-
-
-def _random_result(values: list[float], residual: float, phase: int, aborted: bool):
-    return score_episode(_random_trace(values, residual, phase, aborted))
+    return EpisodeTrace(**fields, rated_depth_mm=(1.5, 5.0))
 
 
 @examples(40)
 @given(columns, st.floats(1.0, 4.0))
 def test_events_are_monotone_in_what_they_measure(values: list[float], factor: float) -> None:
-    base = _random_trace(values, 0.0, 2, False)
+    base = _random_trace(values, 0.0, 2)
     worse = replace(base, press_N=base.press_N * factor, slip_mm=base.slip_mm * factor)
     before, after = score_episode(base), score_episode(worse)
     assert before.excess_force <= after.excess_force and before.slippage <= after.slippage
@@ -148,7 +141,7 @@ def test_events_are_monotone_in_what_they_measure(values: list[float], factor: f
 @examples(40)
 @given(columns, st.floats(0.0, 1.0))
 def test_stricter_limits_never_make_an_episode_cleaner(values: list[float], share: float) -> None:
-    trace = _random_trace(values, 0.05, 2, False)
+    trace = _random_trace(values, 0.05, 2)
     strict = ScoreLimits(residual_share=0.1 * share, slip_mm=5 * share, mean_press_N=10 * share)
     assert score_episode(trace, strict).clean <= score_episode(trace).clean
 

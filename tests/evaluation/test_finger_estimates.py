@@ -13,7 +13,7 @@ from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.episode import WIPING_PHASE, ScoreLimits, press_events, score_episode
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
-from uniforce_vtla.evaluation.finger_estimates_figure import draw_estimate
+from uniforce_vtla.evaluation.pictures import draw_estimate
 
 RATE = 30
 WEIGHT_N = 0.8
