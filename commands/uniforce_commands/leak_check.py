@@ -20,7 +20,7 @@ from benchmarks.press_regressors import FRAMES, Samples, measure, verdict
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.hands import TouchSettings
+from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, tactile_name

@@ -13,8 +13,8 @@ from tqdm import tqdm
 
 from benchmarks import physics_rig as rig
 from benchmarks.physics_page import draw_page
+from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
-from lerobot_env_uniforce_wiping.solver import SolverSettings
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.results_file import provenance, write_json

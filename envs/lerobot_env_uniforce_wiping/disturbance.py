@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_env_uniforce_wiping.ink import InkField
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.sequence import Z
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
 
 @dataclass(frozen=True)

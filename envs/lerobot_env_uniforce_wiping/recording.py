@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ, WipeSimulation
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
+from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 from uniforce_vtla.sensors import get_sensor

@@ -129,6 +129,5 @@ def test_nothing_to_replay_says_so(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_every_script_of_the_plan_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:
     assert set(score_worker.SCRIPTS) == set(SCRIPTS)
-    style, settings = BEST
     swept = json.loads(RESULTS.joinpath("blind_scripts.json").read_text())
-    assert f"{style}_press{settings.press_N:g}_grip{settings.grip_N:g}" == swept["best_blind"]
+    assert f"open_loop_press{BEST.press_N:g}_grip{BEST.grip_N:g}" == swept["best_blind"]

@@ -9,8 +9,8 @@ import numpy as np
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.disturbance import Nudge, NudgeSettings, Push
 from lerobot_env_uniforce_wiping.episodes import walk
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.sequence import Z
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
 STILL = (0.0,) * 5
 

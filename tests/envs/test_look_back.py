@@ -10,11 +10,9 @@ import pytest
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.disturbance import Rewrite, RewriteSettings
 from lerobot_env_uniforce_wiping.ink import InkField
-from lerobot_env_uniforce_wiping.look_back import look_back
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.scene_params import draw_scene
-from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
-from lerobot_env_uniforce_wiping.sweep import Sweep
+from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Sweep, look_back
 
 SEED = 9001
 EVERYWHERE = RewriteSettings(

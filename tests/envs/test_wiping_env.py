@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.blind_styles import STYLES
 from lerobot_env_uniforce_wiping import ExpertNoise, WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.blind import BEST, BlindScript
-from lerobot_env_uniforce_wiping.blind_hands import STYLES, BlindSettings
+from lerobot_env_uniforce_wiping.blind import BlindScript, BlindSettings
 from lerobot_env_uniforce_wiping.episodes import run_script
-from lerobot_env_uniforce_wiping.hands import TouchSettings
+from lerobot_env_uniforce_wiping.expert import TouchSettings
 from lerobot_env_uniforce_wiping.scene_params import draw_scene
-from lerobot_env_uniforce_wiping.sweep import Sweep
+from lerobot_env_uniforce_wiping.sequence import Sweep
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeTrace
@@ -116,8 +116,6 @@ def test_bad_action_is_refused_and_the_target_held(grasped: WipeEnv, action: obj
 def test_bad_settings_are_refused() -> None:
     with pytest.raises(SensorError):
         WipeEnv(left_sensor="thumb")
-    with pytest.raises(ContractError, match="painter"):
-        WipeEnv(renderer="oil")
     with pytest.raises(ContractError, match="easy"):
         WipeEnv(level="impossible")
     with pytest.raises(RolloutError, match="reset"):
@@ -149,7 +147,7 @@ def test_who_feels_wipes_and_who_is_blind_does_not() -> None:
     """At the benchmark's own level, against the sweep's best blind script: touch has to matter."""
     env, scenes = WipeEnv(level="paper"), range(30)
     touch = [run_script(env, WipeExpert(), seed).clean for seed in scenes]
-    blind = [run_script(env, BlindScript(*BEST), seed).clean for seed in scenes]
+    blind = [run_script(env, BlindScript(), seed).clean for seed in scenes]
     assert sum(touch) >= 29 and sum(blind) <= 18
 
 
@@ -164,7 +162,7 @@ def test_a_blind_hand_presses_as_the_hidden_stiffness_has_it(
     for stiffness in (0.7, 1.7):
         scene = replace(nominal, stiffness_scale=stiffness)
         monkeypatch.setattr("lerobot_env_uniforce_wiping.env.draw_scene", lambda *_, scene=scene: scene)
-        script = BlindScript(style, settings)
+        script = BlindScript(settings, STYLES[style])
         presses.append(run_script(WipeEnv(level="paper"), script, SEED).metrics["press_mean_N"])
     assert presses[1] > 1.4 * presses[0] > 0
 
@@ -180,11 +178,9 @@ def test_expert_targets_are_smooth_and_slow() -> None:
     assert speed[:, 2].max() <= 0.080 and np.hypot(speed[:, 0], speed[:, 1]).max() <= 0.120
 
 
-def test_unknown_fingers_and_styles_are_refused() -> None:
+def test_unknown_fingers_are_refused() -> None:
     with pytest.raises(ContractError, match="both"):
         WipeExpert("thumb")  # type: ignore[arg-type]
-    with pytest.raises(ContractError, match="open_loop"):
-        BlindScript("psychic", BlindSettings(6.0, 9.0))
 
 
 def test_runs_without_gl() -> None:

@@ -10,7 +10,7 @@ from properties import examples
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, draw_scene, level_hash
 from lerobot_env_uniforce_wiping.ink import InkField
-from lerobot_env_uniforce_wiping.sweep import Sweep
+from lerobot_env_uniforce_wiping.sequence import Sweep
 from uniforce_vtla.errors import ContractError
 
 LOCKED = {
@@ -89,7 +89,7 @@ def test_light_changes_the_picture_and_nothing_else() -> None:
     for env, gain in ((dim, 0.7), (bright, 1.0)):
         env.start(1)
         env.sim.scene = replace(env.sim.scene, light_gain=(gain, gain, gain), light_turn_rad=(0.0, 0.0, 0.0))
-        env._renderer.reset(env.sim)
+        env._painter.reset(env.sim)
     dark, light = dim.observe(), bright.observe()
     ratio = dark["pixels"]["front"].mean() / light["pixels"]["front"].mean()
     assert ratio == pytest.approx(0.7, abs=0.03)

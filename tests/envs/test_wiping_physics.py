@@ -21,8 +21,8 @@ from benchmarks.physics_rig import (
     stroke,
     warnings,
 )
+from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
-from lerobot_env_uniforce_wiping.solver import SolverSettings
 from uniforce_vtla.contracts import FINGERS
 
 few = settings(max_examples=8, deadline=None)  # each is a grasp of a tenth of a second and more

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.hands import TouchSettings
+from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.episode import WIPING_PHASE, ScoreLimits, press_events, score_episode
