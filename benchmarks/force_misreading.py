@@ -13,7 +13,7 @@ import numpy as np
 
 from uniforce_vtla.errors import DatasetError, RolloutError, expected
 
-# force → its place in a wrench and its sign there (pads feel −y)
+# force → its place in a wrench and its sign there (a press is −y on both pads)
 FORCES = {"press": (1, -1.0), "grip": (2, 1.0)}
 LEAST_MOMENTS = 20  # fewer don't determine four slopes
 PRESSING_N = 2.0  # shear along the pad's height above this is a wipe
@@ -107,14 +107,14 @@ def misreading(
         forces: which are asked for.
 
     Raises:
-        RolloutError: it doesn't answer a force as one who regulates it.
+        RolloutError: it doesn't respond to a force as a regulator would.
     """
     for force in forces:
         if not learnt.of(force) > 0:
             came, do = f"{learnt.of(force):.3f} mm per N", "Train it longer, or with touch."
             raise RolloutError(expected(f"answer to more {force}", "a command that gives way", came, do))
     answered, found = response(other), {}
-    surplus_mm = same.moves_mm - same.wrench @ learnt.slopes  # fingers truly feel different forces
+    surplus_mm = same.moves_mm - same.wrench @ learnt.slopes  # the true forces of both fingers differ
     for force in forces:
         error_N = surplus_mm[:, list(FORCES).index(force)] / learnt.of(force)
         means = np.array([error_N[same.episode == one].mean() for one in np.unique(same.episode)])

@@ -41,7 +41,7 @@ def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
     """Draw each arm's tool height over the wipe: median, and the middle half of all rollouts as a band.
 
     A board's height and tilt differ between scenes, so every profile is taken against its own median; medians, since
-    who looks back at the board lifts by centimetres between two sweeps.
+    a policy that looks back at the board lifts by centimetres between two sweeps.
     """
     shown = [r for r in reports if any(row.z_profile_mm for row in r.rows)]
     columns = min(max(len(shown), 1), PANELS_PER_ROW)

@@ -35,8 +35,8 @@ class Recipe:
 
     ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default. ``state_noise`` blurs
     the measured height by 6 mm and the width by 1.4 mm while training: boards lie higher or lower, erasers are wider or
-    narrower, arms and grippers give way, so that who trusts the pose strokes in the air, presses or squeezes too hard
-    (docs/experiments/tiny_policy.md). V keeps both, having nothing else.
+    narrower, arms and grippers give way, so that a policy that trusts the pose strokes in the air, presses or grips too
+    hard (docs/experiments/tiny_policy.md). V keeps both, having nothing else.
     ``sensor_transfer`` is the share of samples whose latents are mapped to those of another finger's sensor,
     ``touch_directions`` how many directions of a latent map are kept (0: all of it), ``touch_noise`` how much
     they are blurred while training, in units of what fingers of a grasp disagree by (None: the policy's own default).
@@ -55,10 +55,10 @@ class Recipe:
 _BOTH: tuple[tuple[str, Finger], ...] = (("touch0", "right"), ("touch1", "left"))
 # V+T's touch is masked in a tenth of the samples, so that the masked control is inside its training distribution.
 _HIDDEN = 0.1
-# A fifth mapped to another sensor makes a head read the other finger's grip three times better and costs its own
-# one nothing. Four directions hold grip and pull and nothing sideways, in which the fingers of one grasp may disagree
-# by newtons, and each is blurred by as much as they disagree along it: who trusts the last two squeezes with 12 N where
-# 9 are meant (docs/experiments/tiny_policy.md).
+# A fifth mapped to another sensor makes a head read the other finger's grip three times better and costs its own one
+# nothing. Four directions hold grip and pull and nothing sideways, in which the fingers of one grasp may disagree by
+# newtons, and each is blurred by as much as they disagree along it: without the last two steps a policy grips with 12 N
+# where 9 are meant (docs/experiments/tiny_policy.md).
 _LATENT = Recipe("latent", sensor_transfer=0.2, touch_directions=4, touch_noise=1.0)
 RECIPES = {
     "v": Recipe("none", state_noise=()),

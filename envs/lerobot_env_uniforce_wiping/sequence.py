@@ -23,7 +23,7 @@ NEAR_m = 0.002  # arrived
 SLOW_DOWN_m = 0.008  # before a corner
 APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
 # A soft arm lags behind its command by .3 s, a stiff one by .1 s, and a policy observes neither the command nor the
-# stiffness. Braking early makes the command's own speed tell how far it has left to go
+# stiffness. Braking early makes the command's own speed show how far it has left to go
 # (docs/experiments/tiny_policy.md).
 HEIGHT_GAIN = 2.5  # 1/s
 # a hand beside the row's beginning comes to it on the way down and, what is left, along the stroke

@@ -31,7 +31,7 @@ def paired_clean(first: ArmReport, second: ArmReport) -> tuple[Clean, Clean]:
 
 
 def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[dict[str, Any], Clean, Clean]]:
-    """Yield, per pair of arms scored on shared seeds, who they are and the clean successes of both."""
+    """Yield, per pair of arms scored on shared seeds, their names and the clean successes of both."""
     for first, second in pairs:
         if first in reports and second in reports:
             one, two = paired_clean(reports[first], reports[second])
@@ -42,11 +42,11 @@ def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[di
 def better(reports: Mapping[str, ArmReport], pairs: Pairs) -> list[dict[str, Any]]:
     """Return, per pair scored on shared seeds, exact McNemar (Holm over the family) and the anytime test."""
     tests = [
-        who
+        pair
         | asdict(mcnemar(one, two))
         | {"points": 100 * (sum(one) - sum(two)) / len(one)}
         | _watched(one, two)
-        for who, one, two in _scored(reports, pairs)
+        for pair, one, two in _scored(reports, pairs)
     ]
     for test, adjusted in zip(tests, holm([test["p_value"] for test in tests]), strict=True):
         test["p_holm"] = adjusted
@@ -62,7 +62,7 @@ def as_good(reports: Mapping[str, ArmReport], claims: Sequence[AtMostWorse]) -> 
     """Return, per claim about arms scored on shared seeds, whether non-inferiority within its margin is shown."""
     tests = []
     for claim in claims:
-        for who, one, two in _scored(reports, [(claim.first, claim.second)]):
+        for pair, one, two in _scored(reports, [(claim.first, claim.second)]):
             found = non_inferior(one, two, claim.margin)
-            tests.append({"about": claim.about} | who | asdict(found) | {"shown": found.shown})
+            tests.append({"about": claim.about} | pair | asdict(found) | {"shown": found.shown})
     return tests
