@@ -31,7 +31,7 @@ class BenchmarkConfig:
     or, of arms you trained: uniforce-benchmark checkpoints=outputs/arms/seed0 results=outputs/benchmark_results
     """
 
-    # holds a folder per checkpoint (see plan.py); these come with the source. Several (comma between them), one for
+    # holds a folder per checkpoint of wiping_plan.py; these come with the source. Several (comma between them), one for
     # each training seed, take turns from scene to scene, the same for all arms
     checkpoints: str = "checkpoints/wiping/seed0"
     level: str = "paper"  # locked level

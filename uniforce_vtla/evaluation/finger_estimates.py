@@ -74,9 +74,8 @@ def estimate_events(
         nothing = np.zeros(len(time_s))
         return FingerEstimate(nothing, grip, np.zeros_like(grip), (), (), ("never lifted",))
     lifted = np.arange(len(time_s)) >= start
-    carried = _carry(time_s, start)
     up = force_N[:, :, FY].sum(axis=1)  # (n,) what the pads bear
-    press = np.where(lifted, np.median(up[carried]) - up, 0.0)
+    press = np.where(lifted, np.median(up[_carry(time_s, start)]) - up, 0.0)
     shear = np.linalg.norm(force_N[:, :, :FZ], axis=2)  # (n, 2)
     used = shear / np.maximum(grip, SMALLEST_GRIP_N) / np.asarray(pad_friction)
     used[~lifted] = 0.0
