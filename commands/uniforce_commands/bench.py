@@ -27,7 +27,7 @@ class BenchConfig:
 
 
 def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
-    from lerobot_env_uniforce_wiping.bench import bench_env
+    from benchmarks.speed.env import bench_env
     from uniforce_datasets.bench import bench_loader
     from uniforce_vtla.contact.bench import bench_contact
     from uniforce_vtla.markers.bench import bench_canonicalizer

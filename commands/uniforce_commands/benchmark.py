@@ -10,16 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.wiping_figures import draw_z_profiles
+from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_commands.score import score_arms
-from uniforce_commands.score_config import ScoreConfig
+from uniforce_commands.score_config import SCRIPTS, ScoreConfig
 from uniforce_vtla.arguments import choose, names_in, parse
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
-from uniforce_vtla.evaluation.arms import ArmReport, table
-from uniforce_vtla.evaluation.checkpoint_scores import own_scenes
+from uniforce_vtla.evaluation.arms import ArmReport, own_scenes, table
 from uniforce_vtla.evaluation.comparison import as_good, better
-from uniforce_vtla.evaluation.pictures import draw_arms, draw_z_profiles
-from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS, Arm
+from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.results_file import provenance, write_json
 
 
@@ -31,7 +31,7 @@ class BenchmarkConfig:
     or, of arms you trained: uniforce-benchmark checkpoints=outputs/arms/seed0 results=outputs/benchmark_results
     """
 
-    # holds a folder per checkpoint (see plan.py); these come with the source. Several (comma between them), one for
+    # holds a folder per checkpoint of wiping_plan.py; these come with the source. Several (comma between them), one for
     # each training seed, take turns from scene to scene, the same for all arms
     checkpoints: str = "checkpoints/wiping/seed0"
     level: str = "paper"  # locked level
@@ -97,7 +97,7 @@ def _config(command: BenchmarkConfig, arm: Arm, policy: str, rollouts: int) -> S
 def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: float) -> Path:
     """Write the table, the plan's tests and the pictures; other keys of an earlier table are kept."""
     path = Path(command.results) / "wiping.json"
-    by_name = {r.arm: r for r in reports}
+    by_name, planned = {r.arm: r for r in reports}, {arm.name: arm.checkpoint for arm in ARMS}
     earlier = json.loads(path.read_text()) if path.exists() else {}
     kept = {"blind_scripts": earlier["blind_scripts"]} if _same_level(earlier, command.level) else {}
     content: dict[str, Any] = {
@@ -105,9 +105,11 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
         "level": command.level,
         "level_hash": level_hash(LEVELS[command.level]),
         "checkpoints": names_in(command.checkpoints),
-        "arms": {r.arm: r.as_dict() | _by_checkpoint(r, command) for r in reports},
-        "tests": better(by_name),
-        "as_good": as_good(by_name),
+        "arms": {
+            r.arm: {"checkpoint": planned[r.arm]} | r.as_dict() | _by_checkpoint(r, command) for r in reports
+        },
+        "tests": better(by_name, BETTER),
+        "as_good": as_good(by_name, AS_GOOD),
         "seconds_of_last_call": seconds,  # a resumed table was rolled out in several
     }
     write_json(path, kept | content | provenance())

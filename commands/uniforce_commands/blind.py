@@ -12,8 +12,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from lerobot_env_uniforce_wiping.blind import BlindScript
-from lerobot_env_uniforce_wiping.blind_hands import STYLES, BlindSettings, NominalGrip
+from benchmarks.blind_styles import STYLES, MeasuredRelative
+from lerobot_env_uniforce_wiping.blind import BlindScript, BlindSettings
 from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.expert import WipeExpert
@@ -68,7 +68,7 @@ def make_script(job: Job) -> Script:
     """Build the controller a job asks for."""
     if job.kind == "expert":
         return WipeExpert(job.style)  # type: ignore[arg-type]
-    return BlindScript(job.style, BlindSettings(job.press_N, job.grip_N))
+    return BlindScript(BlindSettings(job.press_N, job.grip_N), STYLES[job.style])
 
 
 def run_job(job: Job) -> tuple[Job, EpisodeResult]:
@@ -79,8 +79,8 @@ def run_job(job: Job) -> tuple[Job, EpisodeResult]:
 def all_jobs(config: BlindConfig) -> list[Job]:
     """Return every script × seed."""
     scripts = [("expert", fingers, 0.0, 0.0) for fingers in config.experts]
-    for style, (grip, _) in STYLES.items():
-        grips_N = config.grip_open_N if grip is NominalGrip else config.grip_relative_N
+    for style, regulator in STYLES.items():
+        grips_N = config.grip_relative_N if regulator is MeasuredRelative else config.grip_open_N
         scripts += [("blind", style, p, g) for p, g in itertools.product(config.press_N, grips_N)]
     seeds = range(config.first_seed, config.first_seed + config.episodes)
     return [Job(*script, level=config.level, seed=seed) for script in scripts for seed in seeds]

@@ -14,7 +14,7 @@ from uniforce_commands.dataset_story import camera_frames, cameras
 from uniforce_commands.raw_recording import raw_touch
 from uniforce_datasets.source import Episode, Source
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.evaluation.episode_story import EpisodeStory
+from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
 from uniforce_vtla.keys import tactile_key
 
 TIME = "time"
@@ -24,7 +24,7 @@ HEAT_PX = 16  # a patch's side in a heat map, so that the viewer has something t
 
 
 def write_recording(
-    rerun: ModuleType, story: EpisodeStory, source: Source, episode: Episode, path: Path
+    rerun: ModuleType, story: EpisodeSummary, source: Source, episode: Episode, path: Path
 ) -> Path:
     """Write an episode and the layout it is looked at in.
 
@@ -52,7 +52,7 @@ def write_recording(
 
 
 def _send_touch(
-    rerun: ModuleType, recording: Any, story: EpisodeStory, source: Source, episode: Episode, finger: Any
+    rerun: ModuleType, recording: Any, story: EpisodeSummary, source: Source, episode: Episode, finger: Any
 ) -> None:
     if (raw := raw_touch(source, episode, finger)) is not None:
         frames = (_encoded(frame, ".jpg") for frame in raw())
@@ -67,14 +67,14 @@ def _send_touch(
 
 
 def _send_pictures(
-    rerun: ModuleType, recording: Any, path: str, kind: str, pictures: Iterator[bytes], story: EpisodeStory
+    rerun: ModuleType, recording: Any, path: str, kind: str, pictures: Iterator[bytes], story: EpisodeSummary
 ) -> None:
     blobs = list(pictures)
     columns = rerun.EncodedImage.columns(blob=blobs, media_type=[kind] * len(blobs))
     recording.send_columns(path, [rerun.TimeColumn(TIME, duration=story.time_s)], columns)
 
 
-def _send_numbers(rerun: ModuleType, recording: Any, story: EpisodeStory) -> None:
+def _send_numbers(rerun: ModuleType, recording: Any, story: EpisodeSummary) -> None:
     for path, values in traces(story).items():
         columns = rerun.Scalars.columns(scalars=np.ascontiguousarray(values))
         recording.send_columns(path, [rerun.TimeColumn(TIME, duration=story.time_s)], columns)
@@ -82,12 +82,12 @@ def _send_numbers(rerun: ModuleType, recording: Any, story: EpisodeStory) -> Non
         for frame, word in ((stretch.first, "begins"), (stretch.end - 1, "ends")):
             recording.set_time(TIME, duration=story.time_s[frame])
             recording.log("log", rerun.TextLog(f"{stretch.name} {word}", level="WARN"))
-    for moment in story.moments:
-        recording.set_time(TIME, duration=story.time_s[moment.frame])
-        recording.log("log", rerun.TextLog(moment.name, level="INFO"))
+    for key_frame in story.key_frames:
+        recording.set_time(TIME, duration=story.time_s[key_frame.frame])
+        recording.log("log", rerun.TextLog(key_frame.name, level="INFO"))
 
 
-def traces(story: EpisodeStory) -> dict[str, np.ndarray]:
+def traces(story: EpisodeSummary) -> dict[str, np.ndarray]:
     """Return (n,) numbers by path: forces of both fingers, and what follows from them."""
     found = {}
     for number, finger in enumerate(FINGERS):
@@ -102,10 +102,10 @@ def traces(story: EpisodeStory) -> dict[str, np.ndarray]:
     return found
 
 
-def _layout(rerun: ModuleType, story: EpisodeStory, seen: dict[str, str]) -> Any:
+def _layout(rerun: ModuleType, story: EpisodeSummary, seen: dict[str, str]) -> Any:
     blueprint = rerun.blueprint
     pictures = [f"camera/{name}" for name in seen]
-    touch = [f"raw/{finger}" for finger in story.moments[0].raw]
+    touch = [f"raw/{finger}" for finger in story.key_frames[0].raw]
     touch += [f"{what}/{finger}" for what in ("markers", "latent") for finger in FINGERS]
     plots = [f"force_N/{finger}" for finger in FINGERS]
     plots += ["press_N"] if story.found is not None else []

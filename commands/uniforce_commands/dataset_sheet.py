@@ -6,9 +6,13 @@ from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
-from uniforce_vtla.evaluation.episode_moments import draw_channels, draw_moments
-from uniforce_vtla.evaluation.episode_story import EpisodeStory, Moment
-from uniforce_vtla.evaluation.episode_timeline import draw_timeline
+from uniforce_vtla.evaluation.episode_summary import (
+    EpisodeSummary,
+    KeyFrame,
+    draw_channels,
+    draw_key_frames,
+    draw_timeline,
+)
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; margin: 2rem auto; max-width: 1280px; padding: 0 1rem; }
@@ -32,7 +36,7 @@ CHANNELS = (
 )
 
 
-def write_sheet(story: EpisodeStory, facts: Mapping[str, str], folder: Path, stem: str) -> Path:
+def write_sheet(story: EpisodeSummary, facts: Mapping[str, str], folder: Path, stem: str) -> Path:
     """Draw the pictures, write the page beside them, and return the page's path.
 
     Args:
@@ -42,12 +46,12 @@ def write_sheet(story: EpisodeStory, facts: Mapping[str, str], folder: Path, ste
         stem: how the files' names begin.
     """
     timeline = draw_timeline(story, folder / f"{stem}_timeline.png")
-    moments = draw_moments(story, folder / f"{stem}_moments.png")
+    key_frames = draw_key_frames(story, folder / f"{stem}_moments.png")
     held = hardest(story)
     channels = draw_channels(story, held, folder / f"{stem}_latent.png")
     sections = (
         ("Time line", HONEST + (TRUE if story.true_force_N is not None else ""), timeline),
-        ("Moments", TOUCH, moments),
+        ("Key frames", TOUCH, key_frames),
         (f"Latent force, {held.name}", CHANNELS, channels),
     )
     page = folder / f"{stem}.html"
@@ -55,12 +59,14 @@ def write_sheet(story: EpisodeStory, facts: Mapping[str, str], folder: Path, ste
     return page
 
 
-def hardest(story: EpisodeStory) -> Moment:
-    """Return the moment at which both fingers together press hardest."""
-    return max(story.moments, key=lambda moment: float(story.force_N[moment.frame, :, 2].sum()))
+def hardest(story: EpisodeSummary) -> KeyFrame:
+    """Return the key frame at which both fingers together press hardest."""
+    return max(story.key_frames, key=lambda key_frame: float(story.force_N[key_frame.frame, :, 2].sum()))
 
 
-def _page(story: EpisodeStory, facts: Mapping[str, str], sections: tuple[tuple[str, str, Path], ...]) -> str:
+def _page(
+    story: EpisodeSummary, facts: Mapping[str, str], sections: tuple[tuple[str, str, Path], ...]
+) -> str:
     rows = "\n".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts.items())
     verdict = f"<b>Estimated from the fingers:</b> {escape('; '.join(story.verdict))}"
     if story.true_verdict:

@@ -11,9 +11,8 @@ from uniforce_commands.raw_recording import raw_touch
 from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.evaluation.episode_story import EpisodeStory, Moment
+from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
-from uniforce_vtla.evaluation.telling_moments import telling_moments
 from uniforce_vtla.keys import TACTILE_KEYS
 from uniforce_vtla.markers.overlay import overlay
 from uniforce_vtla.tokenizer import Tokenizer
@@ -35,7 +34,7 @@ def tell(
     episode: Episode,
     friction: tuple[float, float] | None,
     title: str,
-) -> EpisodeStory:
+) -> EpisodeSummary:
     """Return the story of an episode.
 
     Raises:
@@ -43,7 +42,7 @@ def tell(
     """
     felt = recording.feel(episode)
     found, truth, note = _judged(felt, friction or UNKNOWN_FRICTION)
-    named = telling_moments(felt.force_N, felt.tool_z_m)
+    named = find_key_frames(felt.force_N, felt.tool_z_m)
     film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
     source, telling = recording.source, set(named.values())
     seen = {
@@ -53,8 +52,8 @@ def tell(
     touched = {finger: _overlays(source, episode, finger, telling) for finger in FINGERS}
     kept = {finger: read for finger in FINGERS if (read := raw_touch(source, episode, finger))}
     raw = {finger: dict(_chosen(read(), telling)) for finger, read in kept.items()}
-    moments = tuple(
-        Moment(
+    key_frames = tuple(
+        KeyFrame(
             name,
             frame,
             {camera: pictures[frame] for camera, pictures in seen.items()},
@@ -63,14 +62,14 @@ def tell(
         )
         for name, frame in named.items()
     )
-    return EpisodeStory(
+    return EpisodeSummary(
         title=title,
         time_s=felt.time_s,
         films={camera: [pictures[frame] for frame in film] for camera, pictures in seen.items()},
         force_N=felt.force_N,
         true_force_N=felt.true_force_N,
         change={f: latent_change(tokenizer, source, episode, f) for f in FINGERS},
-        moments=moments,
+        key_frames=key_frames,
         found=found,
         truth=truth,
         judges_slip=friction is not None,

@@ -16,13 +16,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from benchmarks.press_regressors import FRAMES, Samples, measure, verdict
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.hands import TouchSettings
+from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.evaluation.leak import FRAMES, Samples, measure, verdict
 from uniforce_vtla.keys import CAMERAS, tactile_name
 from uniforce_vtla.probes.plain_touch import descriptors
 from uniforce_vtla.results_file import provenance, write_json

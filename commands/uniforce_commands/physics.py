@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from lerobot_env_uniforce_wiping import bench_rig as rig
-from lerobot_env_uniforce_wiping.physics_page import draw_page
+from benchmarks import physics_rig as rig
+from benchmarks.physics_page import draw_page
+from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
-from lerobot_env_uniforce_wiping.solver import SolverSettings
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.results_file import provenance, write_json

@@ -12,14 +12,7 @@ import torch
 from torch.utils.data import default_collate
 from tqdm import tqdm
 
-from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_policy
-from uniforce_datasets.training_view import TrainingView
-from uniforce_datasets.view_marker import read_marker
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.array_file import read_array
-from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import CheckpointError, DatasetError, UniForceError, expected
-from uniforce_vtla.evaluation.reading import (
+from benchmarks.force_misreading import (
     SITUATIONS,
     Changes,
     Misreading,
@@ -27,6 +20,13 @@ from uniforce_vtla.evaluation.reading import (
     misreading,
     response,
 )
+from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_policy
+from uniforce_datasets.training_view import TrainingView
+from uniforce_datasets.view_marker import read_marker
+from uniforce_vtla.arguments import parse
+from uniforce_vtla.array_file import read_array
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import CheckpointError, DatasetError, UniForceError, expected
 from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TASK, camera_key, latent_key, truth_wrench_key
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -213,7 +213,7 @@ def read_forces(
 def read_policy(config: PolicyReadingConfig) -> tuple[dict[str, Any], list[str]]:
     """Return the facts for the result file and the lines of the table."""
     reader, demos, facts = Reader(config), Demos.read(Path(config.view)), dict[str, Any]()
-    lines = ["situation force  other finger   mean N  between episodes N  single moments N  heard"]
+    lines = ["situation force  other finger   mean N  between episodes N  single moments N  slope ratio"]
     answers = ["situation force  mm per N: policy  demos"]
     for name, situation in SITUATIONS.items():
         moments = find_moments(demos, reader.finger, name, config)
@@ -222,7 +222,7 @@ def read_policy(config: PolicyReadingConfig) -> tuple[dict[str, Any], list[str]]
         answers += [f"{name:9s} {f:6s} {v['policy']:16.3f} {v['demos']:6.3f}" for f, v in per_N.items()]
         lines += [
             f"{name:9s} {force:6s} {kind:12s} {m.mean_N:+8.2f} {m.between_episodes_N:19.2f} {m.rms_N:17.2f} "
-            f"{m.heard:6.2f}"
+            f"{m.slope_ratio:12.2f}"
             for kind, forces in found.items()
             for force, m in forces.items()
         ]

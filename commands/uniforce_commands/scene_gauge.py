@@ -20,7 +20,7 @@ from tqdm import tqdm
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.hands import TouchSettings
+from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.evaluation.episode import (

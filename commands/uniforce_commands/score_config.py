@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 
 from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.evaluation.checkpoint_scores import whose_turn
-from uniforce_vtla.evaluation.plan import SCRIPTS
+from uniforce_vtla.evaluation.arms import whose_turn
+
+SCRIPTS = ("expert", "blind")  # the scene's own: one regulates by both pads' true wrench, one uses no touch
 
 
 @dataclass

@@ -19,7 +19,7 @@ from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.evaluation.board_camera import estimate_residual
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
-from uniforce_vtla.evaluation.finger_estimates_figure import draw_estimate
+from uniforce_vtla.evaluation.pictures import draw_estimate
 from uniforce_vtla.keys import camera_key
 from uniforce_vtla.results_file import provenance, write_json
 

@@ -9,20 +9,21 @@ from pathlib import Path
 
 import cv2
 import torch
+from lerobot.utils.io_utils import write_video
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.blind import BEST, BlindScript
+from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import Script
 from lerobot_policy_pi05_uniforce.controller import PolicyController, ScriptController, shipped_checkpoint
 from uniforce_commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_commands.score_controls import controlled
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
-from uniforce_vtla.evaluation.pictures import write_trace_sheet, write_video
+from uniforce_vtla.evaluation.pictures import write_trace_sheet
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.results_file import write_json
 
-SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert, "blind": lambda: BlindScript(*BEST)}
+SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert, "blind": BlindScript}
 
 
 @dataclass(frozen=True)

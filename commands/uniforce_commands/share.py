@@ -18,7 +18,7 @@ from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from uniforce_datasets.lossless import open_dataset
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, UniForceError, expected
-from uniforce_vtla.evaluation.checkpoint_scores import scores_of
+from uniforce_vtla.evaluation.arms import scores_of
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.results_file import write_json
 

@@ -18,7 +18,7 @@ from uniforce_datasets.source import Episode, Source
 from uniforce_vtla.arguments import names_in, numbers, parse
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, UniForceError, expected
-from uniforce_vtla.evaluation.episode_story import EpisodeStory
+from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
@@ -117,14 +117,14 @@ def _facts(source: Source, episode: Episode, config: ShowDatasetConfig) -> dict[
     return facts | {"forces read by": read_by}
 
 
-def _numbers(story: EpisodeStory, facts: dict[str, str]) -> dict[str, object]:
+def _numbers(story: EpisodeSummary, facts: dict[str, str]) -> dict[str, object]:
     """Return what the pictures show, as numbers."""
     content: dict[str, object] = {
         "what": "estimates from marker images and the robot's own height",
         "facts": facts,
         "verdict": story.verdict,
         "verdict_from_true_forces": story.true_verdict,
-        "moments": {m.name: round(float(story.time_s[m.frame]), 3) for m in story.moments},
+        "moments": {k.name: round(float(story.time_s[k.frame]), 3) for k in story.key_frames},
         "strongest_N": dict(zip(FINGERS, abs(story.force_N).max(axis=0).tolist(), strict=True)),
     }
     if story.found is not None:

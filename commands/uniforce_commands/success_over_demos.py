@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.wiping_figures import draw_success_over_demos
+from benchmarks.wiping_plan import ARMS, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from lerobot_policy_pi05_uniforce.stored_policy import stored_config
 from uniforce_commands.score import score_arms
-from uniforce_commands.score_config import ScoreConfig
+from uniforce_commands.score_config import SCRIPTS, ScoreConfig
 from uniforce_vtla.arguments import choose, names_in, parse
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
 from uniforce_vtla.evaluation.arms import ArmReport
-from uniforce_vtla.evaluation.pictures import draw_success_over_demos
-from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS, Arm
 from uniforce_vtla.results_file import provenance, write_json
 
 

@@ -6,10 +6,10 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.wiping_plan import RECIPES, Recipe
 from uniforce_commands import train
 from uniforce_vtla.arguments import choose, parse
 from uniforce_vtla.errors import DatasetError, UniForceError, expected
-from uniforce_vtla.evaluation.plan import RECIPES, Recipe
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 

@@ -1,35 +1,117 @@
-"""Blind scripts: the same sequence without touch, eyes included. If one wiped well, touch would not be needed."""
+"""The same sequence without touch: grip and press from nominal positions. If it wiped well, touch would be needless."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.blind_hands import STYLES, BlindSettings, blind_hands
-from lerobot_env_uniforce_wiping.look_back import look_back
-from lerobot_env_uniforce_wiping.sequence import WipeSequence
-from uniforce_vtla.errors import ContractError, expected
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
+from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
+from lerobot_env_uniforce_wiping.sequence import Regulator, WipeSequence, look_back
 
 if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
-# of the sweep in docs/results/blind_scripts.json
-BEST = "open_loop", BlindSettings(press_N=7.0, grip_N=13.0)
+CLEARANCE_m = 0.008  # above the nominal contact height, where lowering slows down
+FAST_m_s, SLOW_m_s = 0.050, 0.018  # lowering
+LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
+CLOSING_m_s = 0.040  # gripper in free air
+SETTLE_steps = 12  # waited at a position before the next phase
+
+
+def lowering_speed(target_m: float, layout: Layout) -> float:
+    """Fast in free air, slow where the board may be, changing smoothly."""
+    height = target_m - (layout.board_height_m + layout.grasp_height_m + CLEARANCE_m)
+    return float(np.clip(LOWERING_GAIN * height, SLOW_m_s, FAST_m_s))
+
+
+@dataclass(frozen=True)
+class BlindSettings:
+    """Set points of a script without touch, turned into positions by nominal stiffnesses."""
+
+    press_N: float
+    grip_N: float
+
+    @property
+    def press_depth_m(self) -> float:
+        """How far below the contact the z target goes."""
+        return self.press_N / STIFFNESS_N_m[2]
+
+    @property
+    def grip_depth_m(self) -> float:
+        """How far inside the eraser the width target goes."""
+        return self.grip_N / GRIPPER_N_m
+
+
+BEST = BlindSettings(press_N=7.0, grip_N=13.0)  # of the sweep in docs/results/blind_scripts.json
+
+
+class Settled:
+    """Counts how long something has been so."""
+
+    def __init__(self) -> None:
+        self._steps = 0
+
+    def __call__(self, now: bool) -> bool:
+        """Return whether it has been so for ``SETTLE_steps``."""
+        self._steps = self._steps + 1 if now else 0
+        return self._steps >= SETTLE_steps
+
+
+class OpenLoopRegulator:
+    """Goes to the nominal eraser's width and the nominal board's height, less what grip and press take, and waits."""
+
+    def __init__(self, layout: Layout, settings: BlindSettings) -> None:
+        self._layout = layout
+        self._width_m = layout.eraser_width_m - settings.grip_depth_m
+        self._z_m = layout.board_height_m + layout.grasp_height_m - settings.press_depth_m
+        self._closed, self._lowered = Settled(), Settled()
+
+    def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
+        """Close to the nominal width, wait for the gripper to settle."""
+        nxt = max(self._width_m, target_m - CLOSING_m_s / CONTROL_HZ)
+        return nxt, self._closed(nxt == self._width_m)
+
+    def hold(self, target_m: float, measured: np.ndarray) -> float:
+        """Keep the width."""
+        return target_m
+
+    def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
+        """Go to the nominal depth, wait for the arm to settle."""
+        nxt = max(self._z_m, target_m - lowering_speed(target_m, self._layout) / CONTROL_HZ)
+        return nxt, self._lowered(nxt == self._z_m)
+
+    def press(self, target_m: float, measured: np.ndarray) -> float:
+        """Keep the height."""
+        return target_m
+
+    def lost(self) -> bool:
+        """Return False: a board that is lost looks like a soft arm."""
+        return False
 
 
 class BlindScript:
-    """A script of one style and one pair of set points, with the expert's own sequence and layout."""
+    """A script with the expert's own sequence and layout, without touch.
 
-    def __init__(self, style: str, settings: BlindSettings) -> None:
-        if style not in STYLES:
-            raise ContractError(expected("style", " | ".join(STYLES), repr(style), "Name one."))
-        self._style, self._settings = style, settings
+    Args:
+        settings: its set points.
+        style: makes its regulator.
+    """
+
+    def __init__(
+        self,
+        settings: BlindSettings = BEST,
+        style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator,
+    ) -> None:
+        self._settings, self._style = settings, style
 
     def reset(self, env: WipeEnv) -> None:
         """Start a new episode."""
-        hands = blind_hands(self._style, env.level.layout, self._settings)
-        self._sequence = WipeSequence(env.level, hands, env.state.astype(np.float64), lambda: look_back(env))
+        regulator, start = self._style(env.level.layout, self._settings), env.state.astype(np.float64)
+        self._sequence = WipeSequence(env.level, regulator, start, lambda: look_back(env))
 
     @property
     def phase(self) -> str:

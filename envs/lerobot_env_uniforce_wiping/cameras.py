@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from lerobot_env_uniforce_wiping.levels import CAMERA_PX
 from lerobot_env_uniforce_wiping.mjcf import TCP_m
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
 from uniforce_vtla.keys import CAMERAS
 
-CAMERA_PX = 224
 FOV_rad = {"front": 0.54, "wrist": 1.35}
 FRONT_m, FRONT_LOOK_m = np.array([1.15, -0.05, 0.44]), np.array([0.47, -0.045, 0.045])  # robot base frame
 WRIST_m, WRIST_LOOK_m = np.array([0.0, -0.095, 0.045]), np.array([0.0, -0.035, TCP_m + 0.045])  # hand frame

@@ -1,8 +1,8 @@
-"""A hand that gets nudged while it demonstrates, so that demos hold recoveries.
+"""Disturbances of a demonstration, so that demos hold recoveries: a nudged hand, ink that comes back.
 
-The executed target is the expert's target plus a slow offset that nobody is told of.  The expert feels its effect and
-corrects; the dataset stores what the expert *commanded*, so every label is a correction and never the nudge itself
-(the idea of DART: Laskey et al. 2017, "Noise Injection for Robust Imitation Learning").
+The executed target is the expert's target plus a slow hidden offset. The expert measures its effect and corrects; the
+dataset stores what the expert *commanded*, so every label is a correction and never the nudge itself (the idea of
+DART: Laskey et al. 2017, "Noise Injection for Robust Imitation Learning").
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_env_uniforce_wiping.ink import InkField
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.sequence import Z
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
 
 
 @dataclass(frozen=True)
 class Push:
-    """A shove of the hand along z that wears off."""
+    """A push of the hand along z that decays."""
 
     by_m: tuple[float, float]  # drawn evenly; up is positive
     per_s: float  # how often one begins
-    fall_s: float  # time constant of its wearing off
+    fall_s: float  # time constant of its decay
 
 
 @dataclass(frozen=True)
@@ -30,17 +30,17 @@ class NudgeSettings:
     """Spread of the offset per axis; an offset in z or width is a force through the arm's or gripper's stiffness."""
 
     sd: tuple[float, float, float, float, float] = (0.0012, 0.0012, 0.0028, 0.010, 0.0009)  # m, m, m, rad, m
-    # 2.8 mm · 800 N/m ≈ 2.2 N: presses of 10 N and more occur, and are corrected within half a second. With less, what
-    # a swapped finger misreads of the press is as large as what demos show of it, and a policy listens to it less
-    # .9 mm · 1200 N/m ≈ 1.1 N, of which regulation leaves half: less of grip drowns in what a finger misreads of it,
-    # and a policy then squeezes by the width it knows; with 1.2 mm every second demo is no longer clean
+    # 2.8 mm · 800 N/m ≈ 2.2 N: presses of 10 N and more occur, and are corrected within half a second. With less, a
+    # swapped finger's error of the press is as large as its spread in demos, and a policy responds to it less.
+    # .9 mm · 1200 N/m ≈ 1.1 N, of which regulation leaves half: with less, a finger's error of the grip is larger, and
+    # a policy then grips by the measured width; with 1.2 mm every second demo is no longer clean
     correlation_s: float = 0.6  # about the time the expert needs to correct a press
     # a soft arm gives way by 19 mm at the usual press; slow: the press that comes back with it stays within 2 N
     wiping: Push = Push((0.004, 0.022), per_s=0.08, fall_s=4.0)
-    # a policy that misses the moment to grip goes on sinking, and hangs where nobody ever was
+    # a policy that misses the moment to grip goes on sinking, to where demos never were
     descending: Push = Push((-0.025, 0.020), per_s=0.8, fall_s=1.5)
     in_air: Push = Push((-0.015, 0.045), per_s=0.5, fall_s=1.2)
-    # back down to the wiped board: leaving takes a third of a second, too short to learn that a clean board is left
+    # back down to the wiped board: an undisturbed departure takes a third of a second, too short to learn from
     leaving: Push = Push((-0.012, -0.003), per_s=2.0, fall_s=1.0)
     rise_s: float = 0.1  # of a push
 
@@ -56,8 +56,8 @@ class Nudge:
     """Ornstein-Uhlenbeck offset of the executed target, and a push along z now and then.
 
     Without pushes while wiping demos lose the board for moments at most, and a policy that begins a stroke in the air
-    goes on so; without those in the air nobody shows the way back from too high, and a policy that rises too far
-    drifts; without those while leaving, one that leaves a clean board too slowly goes down again.
+    goes on so; without those in the air no demo returns from too high, and a policy that rises too far drifts; without
+    those while leaving, one that leaves a clean board too slowly goes down again.
 
     Args:
         seed: the scene's; an episode repeats exactly.
@@ -99,9 +99,9 @@ class Nudge:
 
 @dataclass(frozen=True)
 class RewriteSettings:
-    """When somebody writes on the board again, and how much."""
+    """When ink comes back to the board, and how much."""
 
-    share: float = 0.7  # of the episodes; what the eraser still comes to is wiped without anyone noticing
+    share: float = 0.7  # of the episodes; ink that the eraser still passes is wiped unnoticed
     after_s: tuple[float, float] = (3.5, 5.8)  # of wiping; the sweep takes six
     height_m: tuple[float, float] = (0.020, 0.040)  # along board x, of a writing 34 to 48 mm high
     length_m: tuple[float, float] = (0.030, 0.080)  # along board y, of a writing 70 to 100 mm long
@@ -109,7 +109,7 @@ class RewriteSettings:
 
 
 class Rewrite:
-    """In some episodes part of the writing comes back behind the eraser: what an expert who looks back finds.
+    """In some episodes part of the writing comes back behind the eraser, for the expert to find when it looks back.
 
     Without it demos end with the first sweep, and a policy whose first sweep was too light lifts the eraser and stays
     there.

@@ -8,12 +8,11 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from lerobot_env_uniforce_wiping.cameras import CAMERA_PX
-from lerobot_env_uniforce_wiping.levels import get_level
+from lerobot_env_uniforce_wiping.levels import CAMERA_PX, CONTROL_HZ, get_level
 from lerobot_env_uniforce_wiping.painter import Painter
 from lerobot_env_uniforce_wiping.recording import CLEAR_m, TraceRecorder
 from lerobot_env_uniforce_wiping.scene_params import SceneParams, draw_scene
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ, WipeSimulation
+from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from lerobot_env_uniforce_wiping.touch import PadImages
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, Finger
 from uniforce_vtla.errors import ContractError, RolloutError, expected
@@ -33,9 +32,7 @@ class WipeEnv(gymnasium.Env):
         level: name of a locked level.
         left_sensor: sensor worn by the left finger.
         right_sensor: sensor worn by the right finger.
-        renderer: "painter" (OpenCV, no GL), so far the only one.
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
-        limits: what counts as residual, slip and excess force.
         max_steps: cut episodes earlier or later than the level does.
         render_mode: gymnasium's; pictures are always arrays.
     """
@@ -47,17 +44,15 @@ class WipeEnv(gymnasium.Env):
         level: str = "easy",
         left_sensor: str = "gelsight",
         right_sensor: str = "tactip",
-        renderer: str = "painter",
         expose_wrench: bool = False,
-        limits: ScoreLimits | None = None,
         max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
     ) -> None:
         self.level = get_level(level)
         self.sensors = {"left": get_sensor(left_sensor).name, "right": get_sensor(right_sensor).name}
-        self.limits = limits or ScoreLimits()
+        self.limits = ScoreLimits()
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
-        self._renderer = _make_renderer(renderer)
+        self._painter = Painter()
         self._max_episode_steps = max_steps or round(self.level.time_limit_s * CONTROL_HZ)
         self.task = self.task_description = "wipe the whiteboard"
         self._sim: WipeSimulation | None = None
@@ -129,7 +124,7 @@ class WipeEnv(gymnasium.Env):
         self._steps = 0
         self.task = self.task_description = scene.task
         self._touch = {f: PadImages(self.sensors[f], f, seed) for f in FINGERS}
-        self._renderer.reset(self._sim)
+        self._painter.reset(self._sim)
 
     def advance(self, action: np.ndarray) -> bool:
         """Take one 1/30 s step without rendering; return whether the episode has ended.
@@ -173,7 +168,7 @@ class WipeEnv(gymnasium.Env):
 
     def observe(self) -> dict[str, Any]:
         """Render cameras and pads now."""
-        pixels = dict(zip(CAMERAS, self._renderer.render(), strict=True))
+        pixels = dict(zip(CAMERAS, self._painter.render(), strict=True))
         for finger in FINGERS:
             pixels[tactile_name(finger)] = self._touch[finger].image(self.sim)
             pixels[tactile_name(finger, reference=True)] = self._touch[finger].reference
@@ -191,17 +186,7 @@ class WipeEnv(gymnasium.Env):
 
     def render(self) -> np.ndarray:
         """Return the front camera's picture."""
-        return self._renderer.render()[0]
-
-    def close(self) -> None:
-        """Free the renderer."""
-        self._renderer.close()
-
-
-def _make_renderer(name: str) -> Painter:
-    if name == "painter":
-        return Painter()
-    raise ContractError(expected("renderer", "painter", repr(name), "It is the one that runs everywhere."))
+        return self._painter.render()[0]
 
 
 def _flat(result: EpisodeResult) -> dict[str, float]:

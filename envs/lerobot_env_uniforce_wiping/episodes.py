@@ -1,4 +1,4 @@
-"""Scripted episodes on the fast path: nothing is rendered unless whoever walks along looks."""
+"""Scripted episodes on the fast path: nothing is rendered unless the caller observes."""
 
 from __future__ import annotations
 

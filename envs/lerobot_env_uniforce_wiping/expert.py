@@ -1,20 +1,19 @@
-"""The scripted expert: feels the pads' true wrench with noise, sees ink that is left, knows only the nominal layout.
+"""The scripted expert: reads the pads' true wrench with noise, sees ink that is left, knows only the nominal layout.
 
-Its twin without touch (``fingers="none"``) runs the same sequence on nominal numbers.
+With ``fingers="none"`` it runs the same sequence on nominal numbers.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.blind_hands import BlindSettings, blind_hands
-from lerobot_env_uniforce_wiping.hands import Feel, TouchHands, TouchSettings
-from lerobot_env_uniforce_wiping.levels import Layout, Level
-from lerobot_env_uniforce_wiping.look_back import look_back
-from lerobot_env_uniforce_wiping.sequence import Hands, Pace, WipeSequence
+from lerobot_env_uniforce_wiping.blind import BlindSettings, CLOSING_m_s, OpenLoopRegulator, lowering_speed
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout, Level
+from lerobot_env_uniforce_wiping.sequence import Pace, Regulator, WipeSequence, look_back
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 
@@ -33,7 +32,7 @@ GRAVITY_m_s2 = 9.81
 
 @dataclass(frozen=True)
 class ExpertNoise:
-    """How unlike a machine the expert is; all zero makes it exact."""
+    """Noise scales of the expert; all zero makes it exact."""
 
     force_sd_N: float = 0.10  # white, per reading and axis
     force_gain_sd: float = 0.02  # per episode and finger
@@ -48,12 +47,75 @@ class ExpertNoise:
     stray_sd_m: tuple[float, float] = (0.004, 0.008)
 
 
+@dataclass(frozen=True)
+class Contact:
+    """Grip and press as estimated from the pads' wrenches."""
+
+    grip_N: float  # normal force per finger
+    press_N: float  # eraser on board
+
+
+@dataclass(frozen=True)
+class TouchSettings:
+    """How the expert regulates."""
+
+    # 4 N are enough to wipe; 10 N are an event, and policies' peaks are 1.4 times their means, which spread by .7 N
+    press_N: float = 6.1
+    # friction holds 1.2 times that press on the slipperiest pads; a flat gel that is swapped in reads a leaning eraser
+    # a quarter too low, and 12 N are too deep for it (docs/experiments/tiny_policy.md)
+    grip_N: float = 7.5
+    lift_from: float = 0.85  # share of the wanted grip at which the grasp is made
+    # share of the wanted press at which sweeping begins, still pressing harder: a policy that reads its press too low
+    # must not wait for the rest in one place
+    sweep_from: float = 0.5
+    press_rate_m_s_N: float = 0.0035  # z speed per N of press error
+    press_speed_m_s: float = 0.020  # fastest regulation
+    grip_rate_m_s_N: float = 0.0030  # width speed per N of grip error
+    contact_N: float = 1.2  # press that counts as touching the board
+
+
+class TouchRegulator:
+    """Regulates grip and press by touch; keeps no memory beyond its own target."""
+
+    def __init__(self, layout: Layout, contact: Callable[[], Contact], settings: TouchSettings) -> None:
+        self._layout, self._contact, self._settings = layout, contact, settings
+
+    def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
+        """Close fast until a pad touches something, then regulate; made at `lift_from` of the wanted grip."""
+        s = self._settings
+        return self.hold(target_m, measured), self._contact().grip_N > s.lift_from * s.grip_N
+
+    def hold(self, target_m: float, measured: np.ndarray) -> float:
+        """Move the width against the grip error."""
+        s = self._settings
+        speed = np.clip(s.grip_rate_m_s_N * (self._contact().grip_N - s.grip_N), -CLOSING_m_s, CLOSING_m_s)
+        return float(target_m + speed / CONTROL_HZ)
+
+    def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
+        """Go down until the board is touched, then regulate; sweep from `sweep_from` of the wanted press on."""
+        press_N, s = self._contact().press_N, self._settings
+        if press_N < s.contact_N:
+            return target_m - lowering_speed(target_m, self._layout) / CONTROL_HZ, False
+        return self.press(target_m, measured), press_N > s.sweep_from * s.press_N
+
+    def press(self, target_m: float, measured: np.ndarray) -> float:
+        """Move z against the press error."""
+        s = self._settings
+        limit = s.press_speed_m_s
+        speed = np.clip(s.press_rate_m_s_N * (self._contact().press_N - s.press_N), -limit, limit)
+        return float(target_m + speed / CONTROL_HZ)
+
+    def lost(self) -> bool:
+        """Return whether the press is below what counts as touching the board."""
+        return self._contact().press_N < self._settings.contact_N
+
+
 class WipeExpert:
     """``reset(env)`` at each episode's start, then ``act(env)`` before each step.
 
     Args:
-        fingers: which pads it feels.
-        noise: its human side; drawn from the scene's seed, so that an episode repeats exactly.
+        fingers: which pads it reads.
+        noise: drawn from the scene's seed, so that an episode repeats exactly.
         settings: set points and rates of its regulation.
     """
 
@@ -85,12 +147,12 @@ class WipeExpert:
             stroke_m_s=usual.stroke_m_s * slower[2],
         )
         self._phase_rad, self._clock = rng.uniform(0, 2 * np.pi, 2), 0
-        self._felt = Feel(0.0, 0.0)
+        self._contact = Contact(0.0, 0.0)
         level = self._own_heights(env.scene.level)
         self._weight_N = level.layout.eraser_mass_kg * GRAVITY_m_s2
-        hands = self._hands(level.layout, press, grip)
+        regulator = self._regulator(level.layout, press, grip)
         start = env.state.astype(np.float64)
-        self._sequence = WipeSequence(level, hands, start, lambda: look_back(env), pace, self._stray)
+        self._sequence = WipeSequence(level, regulator, start, lambda: look_back(env), pace, self._stray)
 
     def _stray(self) -> np.ndarray:
         """Draw by how much the hand arrives beside a row, (2,) m."""
@@ -107,11 +169,11 @@ class WipeExpert:
         )
         return replace(level, layout=own)
 
-    def _hands(self, layout: Layout, press_N: float, grip_N: float) -> Hands:
+    def _regulator(self, layout: Layout, press_N: float, grip_N: float) -> Regulator:
         if not self.fingers:
-            return blind_hands("open_loop", layout, BlindSettings(press_N, grip_N))
+            return OpenLoopRegulator(layout, BlindSettings(press_N, grip_N))
         wanted = replace(self.settings, press_N=press_N, grip_N=grip_N)
-        return TouchHands(layout, lambda: self._felt, wanted)
+        return TouchRegulator(layout, lambda: self._contact, wanted)
 
     @property
     def phase(self) -> str:
@@ -121,17 +183,17 @@ class WipeExpert:
     def act(self, env: WipeEnv) -> np.ndarray:
         """Return the next absolute target (5,) float32."""
         if self.fingers:
-            self._felt = self.feel(env.true_wrench())
+            self._contact = self._estimate(env.true_wrench())
         self._clock += 1
         action = self._sequence.next(env.state.astype(np.float64))
         action[:2] += self.noise.wander_m * np.sin(self._clock * 0.05 + self._phase_rad)
         return action.astype(np.float32)
 
-    def feel(self, wrench: dict[Finger, np.ndarray]) -> Feel:
+    def _estimate(self, wrench: dict[Finger, np.ndarray]) -> Contact:
         """Estimate grip and press from the pads it may use; one pad stands for both."""
         noisy = [
             wrench[f][:3] * self._gain[f] + self.noise.force_sd_N * self._rng.standard_normal(3)
             for f in self.fingers
         ]
         _, up, grip = np.mean(noisy, axis=0)
-        return Feel(grip_N=float(grip), press_N=float(self._weight_N - 2 * up))
+        return Contact(grip_N=float(grip), press_N=float(self._weight_N - 2 * up))

@@ -2,7 +2,7 @@
 
 Archard's law above a threshold: felt pressed with less than F₀ glides over the ink, and more wears it by F − F₀ (as in
 Preston's equation with a threshold pressure, but for the felt as a whole: its leading edge presses twice as hard as its
-middle, so that a threshold per cell would let a light hand wipe with the edge alone).
+middle, so that with a threshold per cell a light press would wipe with the edge alone).
 """
 
 from __future__ import annotations

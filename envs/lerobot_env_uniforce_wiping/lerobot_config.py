@@ -9,9 +9,7 @@ import gymnasium
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
-from lerobot_env_uniforce_wiping.cameras import CAMERA_PX
-from lerobot_env_uniforce_wiping.levels import get_level
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
+from lerobot_env_uniforce_wiping.levels import CAMERA_PX, CONTROL_HZ, get_level
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
 from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TACTILE_KEYS, camera_key
 
@@ -42,7 +40,6 @@ class UniforceWipingConfig(EnvConfig):
     level: str = "easy"
     left_sensor: str = "gelsight"
     right_sensor: str = "tactip"
-    renderer: str = "painter"
     expose_wrench: bool = False  # ceiling control only
     episode_length: int | None = None  # steps; None = the level's own
     features: dict[str, PolicyFeature] = field(default_factory=_features)
@@ -73,7 +70,6 @@ class UniforceWipingConfig(EnvConfig):
             "level": self.level,
             "left_sensor": self.left_sensor,
             "right_sensor": self.right_sensor,
-            "renderer": self.renderer,
             "expose_wrench": self.expose_wrench,
             "max_steps": self.episode_length,
         }

@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, replace
 
 from uniforce_vtla.errors import ContractError, expected
 
+CONTROL_HZ = 30.0
+CAMERA_PX = 224  # side of both scene cameras' pictures
 Range = tuple[float, float]
 
 
@@ -30,7 +32,10 @@ class Layout:
 
 @dataclass(frozen=True)
 class Level:
-    """One difficulty: sweep geometry, time limit and the ranges hidden variables are drawn from."""
+    """One difficulty: sweep geometry, time limit and the ranges a scene's variables are drawn from.
+
+    The hidden ones have usual ranges; they reach a policy through contact and motion only.
+    """
 
     name: str
     time_limit_s: float  # the episode is cut here
@@ -40,85 +45,44 @@ class Level:
     letter_height_m: float  # along x
     word_length_m: float  # along y
     words: tuple[str, ...]
-    wear_per_kPa_m: float  # Archard constant: ink worn off per pressure and sliding distance
-    wear_from_N: float  # felt pressed with less glides over the ink
-    adhesion_sigma: float  # lognormal spread of ink adhesion over the board
-    stiffness_scale: (
-        Range  # arm stiffness over nominal, hidden; as likely above as below the range's geometric mean
-    )
-    damping_scale: Range  # arm damping over nominal, hidden
-    stiction_Nm: Range  # dry friction of each arm joint, hidden
-    gripper_gain: Range  # gripper servo stiffness over nominal, hidden
-    gripper_dead_band_m: Range  # smallest change of width the gripper answers, hidden
-    board_offset_m: Range  # board height over nominal, hidden
-    board_tilt_rad: Range  # about x and y, hidden
-    eraser_width_offset_m: Range  # hidden (a pixel or two in the cameras)
-    eraser_mass_kg: Range
-    pad_friction: Range
-    board_friction: Range
-    gel_scale: Range  # pad stiffness over nominal, hidden
     placement_m: float  # start pose and eraser placement spread, ±
     word_offset_m: float  # ± shift of the writing inside the swept area
     camera_shift_m: float  # ± camera position jitter
     camera_turn_rad: float  # ± camera rotation jitter
+    letter_scale: Range  # size of the writing over its full box; a smaller word lies anywhere in it
+    board_shift_m: float  # ± board in x and y, writing and all
+    board_turn_rad: float  # ± board about the vertical
+    eraser_turn_rad: float  # ± resting eraser about the vertical; closing pads square it up
+    eraser_length_offset_m: Range
+    light_gain: Range  # brightness of the cameras' pictures
+    light_tint: float  # ± gain of each colour
+    light_turn_rad: float  # ± direction the light comes from, about each axis
+    # Archard constant: ink worn off per pressure and sliding distance. Clean after one sweep with 6.5 N, after two or
+    # three with 4 N, seldom with less: a hand may err by a factor of two, from 4 to the 9 N whose peaks are too much
+    wear_per_kPa_m: float = 14.0
+    wear_from_N: float = 2.0  # felt pressed with less glides over the ink
+    adhesion_sigma: float = 0.15  # lognormal spread of ink adhesion over the board
+    # hidden; stiffness and damping are drawn log-uniformly, over their nominal values. Stiffnesses of the arm and the
+    # gripper that spread by less than `paper`'s would make a fixed depth good enough (docs/experiments/scene.md)
+    stiffness_scale: Range = (0.5, 1.5)  # of the arm
+    damping_scale: Range = (0.8, 1.2)  # likewise
+    stiction_Nm: Range = (0.05, 0.35)  # dry friction of each arm joint
+    gripper_gain: Range = (0.5, 1.5)  # stiffness of the gripper's servo
+    gripper_dead_band_m: Range = (0.0, 0.0003)  # smallest change of width the gripper answers
+    board_offset_m: Range = (-0.006, 0.006)  # board height over nominal
+    board_tilt_rad: Range = (-0.015, 0.015)  # about x and y
+    eraser_width_offset_m: Range = (-0.002, 0.002)  # a pixel or two in the cameras
+    eraser_mass_kg: Range = (0.040, 0.070)
+    pad_friction: Range = (0.50, 0.85)
+    board_friction: Range = (0.25, 0.40)
+    gel_scale: Range = (0.94, 1.06)  # pad stiffness
     layout: Layout = Layout()
-    letter_scale: Range = (
-        1.0,
-        1.0,
-    )  # size of the writing over its full box; a smaller word lies anywhere in it
-    board_shift_m: float = 0.0  # ± board in x and y, writing and all
-    board_turn_rad: float = 0.0  # ± board about the vertical
-    eraser_turn_rad: float = 0.0  # ± resting eraser about the vertical; closing pads square it up
-    eraser_length_offset_m: Range = (0.0, 0.0)
-    light_gain: Range = (1.0, 1.0)  # brightness of the cameras' pictures
-    light_tint: float = 0.0  # ± gain of each colour
-    light_turn_rad: float = 0.0  # ± direction the light comes from, about each axis
 
 
-_HIDDEN = {
-    # clean after one sweep with 6.5 N, after two or three with 4 N, seldom with less: a hand may err by a factor of
-    # two, from 4 to the 9 N whose peaks are too much
-    "wear_per_kPa_m": 14.0,
-    "wear_from_N": 2.0,
-    "adhesion_sigma": 0.15,
-    "stiffness_scale": (0.5, 1.5),
-    "damping_scale": (0.8, 1.2),
-    "stiction_Nm": (0.05, 0.35),
-    "gripper_gain": (0.5, 1.5),
-    "gripper_dead_band_m": (0.0, 0.0003),
-    "board_offset_m": (-0.006, 0.006),
-    "board_tilt_rad": (-0.015, 0.015),
-    "eraser_width_offset_m": (-0.002, 0.002),
-    "eraser_mass_kg": (0.040, 0.070),
-    "pad_friction": (0.50, 0.85),
-    "board_friction": (0.25, 0.40),
-    "gel_scale": (0.94, 1.06),
-}
-
-# Stiffnesses that spread by less would make a fixed depth good enough (docs/experiments/scene.md).
-_WIDER = {
-    "stiffness_scale": (0.45, 2.0),
-    "gripper_gain": (0.45, 2.0),
-    "eraser_width_offset_m": (-0.004, 0.004),
-}
-
-WORDS = (
-    *("hi", "ok", "go", "abc", "VLA", "2+2", "tea", "map"),
-    *(
-        "robot",
-        "touch",
-        "wipe",
-        "force",
-        "hello",
-        "chalk",
-        "Monday",
-        "42 km",
-        "x = 7",
-        "to do",
-        "Room 5",
-        "latent",
-    ),
-)
+SHORT_WORDS = ("hi", "ok", "go", "abc", "VLA", "2+2", "tea", "map")
+_LONGER = ("robot", "touch", "wipe", "force", "hello", "chalk")
+_LONGEST = ("Monday", "42 km", "x = 7", "to do", "Room 5", "latent")
+WORDS = (*SHORT_WORDS, *_LONGER, *_LONGEST)
 
 EASY = Level(
     name="easy",
@@ -128,7 +92,7 @@ EASY = Level(
     stroke_m=0.110,
     letter_height_m=0.030,
     word_length_m=0.072,
-    words=WORDS[:8],
+    words=SHORT_WORDS,
     placement_m=0.003,
     word_offset_m=0.002,
     camera_shift_m=0.004,
@@ -141,7 +105,7 @@ EASY = Level(
     light_gain=(0.85, 1.1),
     light_tint=0.03,
     light_turn_rad=0.2,
-    **(_HIDDEN | {"wear_per_kPa_m": 20.0}),  # type: ignore[arg-type]  # two rows, no time for a second sweep
+    wear_per_kPa_m=20.0,  # two rows, no time for a second sweep
 )
 PAPER = Level(
     name="paper",
@@ -164,7 +128,9 @@ PAPER = Level(
     light_gain=(0.75, 1.15),
     light_tint=0.05,
     light_turn_rad=0.4,
-    **(_HIDDEN | _WIDER),  # type: ignore[arg-type]
+    stiffness_scale=(0.45, 2.0),
+    gripper_gain=(0.45, 2.0),
+    eraser_width_offset_m=(-0.004, 0.004),
 )
 HARD = replace(
     PAPER,

@@ -6,10 +6,12 @@ the board and the table; arm links touch nothing.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
-from lerobot_env_uniforce_wiping.solver import SolverSettings
 from uniforce_vtla.sensors import get_sensor
 
 # Modified DH of the Franka arm (published): a m, d m, alpha rad of each joint's frame in the one before.
@@ -49,7 +51,7 @@ FELT_m = 0.010  # felt thickness
 STIFFNESS_N_m = (2000.0, 2000.0, 800.0)  # nominal Cartesian stiffness, x y z
 ROTATION_Nm_rad = 60.0  # stiffness about each axis
 DAMPING_RATIO = 0.8  # of the Cartesian impedance at nominal stiffness
-EFFECTIVE_MASS_kg = 3.0  # of the tool as felt at the tip, for the damping only
+EFFECTIVE_MASS_kg = 3.0  # of the tool at its tip, for the damping only
 EFFECTIVE_INERTIA_kgm2 = 0.05  # likewise
 SHEAR_N_m = 8000.0  # both pads alike: a load from outside is then shared equally, F_L ≈ F_R
 SHEAR_DAMPING = 20.0  # N s/m, half critical
@@ -57,6 +59,25 @@ SHEAR_MASS_kg = 0.05  # armature that keeps the pad's shear mode stable at this 
 GRIPPER_N_m = 1200.0  # nominal stiffness of the gripper's servo, force per finger over width error
 GRIPPER_FORCE_N = 70.0  # servo limit
 TOOL_DOWN = np.diag([1.0, -1.0, -1.0])  # tool frame in the base frame at yaw 0: x closes, z points down
+READS = 4  # force samples averaged over a control step
+
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """Speed against accuracy of the physics; ``uniforce-physics`` charts both (docs/results/physics.png)."""
+
+    substeps: int = 4  # physics steps per force sample: 480 Hz; at 240 Hz the pads' shear springs break loose
+    noslip_iterations: int = 8  # without them a held eraser creeps out of the hand
+
+    @property
+    def physics_hz(self) -> float:
+        """Physics steps per second."""
+        return CONTROL_HZ * READS * self.substeps
+
+    @property
+    def timestep_s(self) -> float:
+        """Duration of a physics step."""
+        return 1 / self.physics_hz
 
 
 def _arm(scene: SceneParams) -> tuple[str, str]:

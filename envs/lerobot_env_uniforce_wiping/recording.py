@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ, WipeSimulation
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
+from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 from uniforce_vtla.sensors import get_sensor
@@ -24,22 +25,25 @@ class TraceRecorder:
         self._count = 0
         self._at_lift: np.ndarray | None = None
         self.phase = 0
-        self.aborted = False
 
     def record(self) -> None:
         """Append the state after a step."""
-        sim = self._sim
-        height = sim.measured[2]
-        self._update_phase(height)
-        left, right = sim.pads["left"], sim.pads["right"]
-        self._count += 1
-        grips = (float(left.wrench[2]), float(right.wrench[2]))
-        depths = (left.depth_mm, right.depth_mm)
-        tail = (height * 1000, sim.ink.residual, float(self.phase))
-        if self._count > len(self._rows):
+        sim, height_m = self._sim, self._sim.measured[2]
+        self._update_phase(height_m)
+        if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        head = (self._count / CONTROL_HZ, sim.press_N)
-        self._rows[self._count - 1] = (*head, *grips, self.slip_mm(), *depths, *tail)
+        pads = [sim.pads[finger] for finger in FINGERS]
+        self._rows[self._count] = (
+            (self._count + 1) / CONTROL_HZ,
+            sim.press_N,
+            *(pad.wrench[2] for pad in pads),
+            self.slip_mm(),
+            *(pad.depth_mm for pad in pads),
+            height_m * 1000,
+            sim.ink.residual,
+            self.phase,
+        )  # in the order of STEP_FIELDS
+        self._count += 1
 
     def _update_phase(self, height_m: float) -> None:
         sim, layout = self._sim, self._sim.scene.level.layout
@@ -65,5 +69,5 @@ class TraceRecorder:
     def trace(self) -> EpisodeTrace:
         """Return what was recorded so far."""
         columns = {name: self._rows[: self._count, i].copy() for i, name in enumerate(STEP_FIELDS)}
-        rated = {f: get_sensor(self._sim.sensors[f]).rated_depth_mm for f in FINGERS}
-        return EpisodeTrace(**columns, rated_depth_mm=(rated["left"], rated["right"]), aborted=self.aborted)
+        left, right = (get_sensor(self._sim.sensors[f]).rated_depth_mm for f in FINGERS)
+        return EpisodeTrace(**columns, rated_depth_mm=(left, right))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -52,8 +53,13 @@ class SceneParams:
 
 def draw_scene(seed: int, level_name: str) -> SceneParams:
     """Draw a scene; equal arguments give an equal scene on any machine."""
-    level = get_level(level_name)
-    rng = np.random.default_rng([seed, 20260])
+    level, rng = get_level(level_name), np.random.default_rng([seed, 20260])
+    drawn = _drawn(level, rng)
+    return SceneParams(seed=seed, level=level, **drawn | _drawn_later(level, rng, drawn["word_offset_m"]))
+
+
+def _drawn(level: Level, rng: np.random.Generator) -> dict[str, Any]:
+    """Return field → value. The order of draws is part of a scene."""
 
     def uniform(span: Range) -> float:
         return float(rng.uniform(*span))
@@ -64,57 +70,44 @@ def draw_scene(seed: int, level_name: str) -> SceneParams:
     def spread(half: float, n: int) -> tuple[float, ...]:
         return tuple(float(v) for v in rng.uniform(-half, half, n))
 
-    friction = uniform(level.pad_friction)
-    place = spread(level.placement_m, 2)
-    scene = SceneParams(
-        seed=seed,
-        level=level,
-        stiffness_scale=factor(level.stiffness_scale),
-        damping_scale=factor(level.damping_scale),
-        stiction_Nm=uniform(level.stiction_Nm),
-        gripper_gain=factor(level.gripper_gain),
-        gripper_dead_band_m=uniform(level.gripper_dead_band_m),
-        board_height_m=level.layout.board_height_m + uniform(level.board_offset_m),
-        board_tilt_rad=(uniform(level.board_tilt_rad), uniform(level.board_tilt_rad)),
-        eraser_width_m=level.layout.eraser_width_m + uniform(level.eraser_width_offset_m),
-        eraser_mass_kg=uniform(level.eraser_mass_kg),
-        pad_friction=(friction, friction),
-        board_friction=uniform(level.board_friction),
-        gel_scale=(factor(level.gel_scale), factor(level.gel_scale)),
-        eraser_offset_m=(place[0], place[1]),
-        start_offset_m=spread(2 * level.placement_m, 3),  # type: ignore[arg-type]
-        word=str(rng.choice(level.words)),
-        word_offset_m=spread(level.word_offset_m, 2),  # type: ignore[arg-type]
-        camera_shift_m=tuple(spread(level.camera_shift_m, 3) for _ in range(2)),
-        camera_turn_rad=tuple(spread(level.camera_turn_rad, 3) for _ in range(2)),
-        task=str(rng.choice(TASK_TEXTS)),
-        letter_scale=1.0,
-        board_shift_m=(0.0, 0.0),
-        board_turn_rad=0.0,
-        eraser_turn_rad=0.0,
-        eraser_length_m=level.layout.eraser_length_m,
-        light_gain=(1.0, 1.0, 1.0),
-        light_turn_rad=(0.0, 0.0, 0.0),
-    )
-    return _varied(scene, rng)
+    layout, friction, place = level.layout, uniform(level.pad_friction), spread(level.placement_m, 2)
+    return {
+        "pad_friction": (friction, friction),
+        "eraser_offset_m": place,
+        "stiffness_scale": factor(level.stiffness_scale),
+        "damping_scale": factor(level.damping_scale),
+        "stiction_Nm": uniform(level.stiction_Nm),
+        "gripper_gain": factor(level.gripper_gain),
+        "gripper_dead_band_m": uniform(level.gripper_dead_band_m),
+        "board_height_m": layout.board_height_m + uniform(level.board_offset_m),
+        "board_tilt_rad": (uniform(level.board_tilt_rad), uniform(level.board_tilt_rad)),
+        "eraser_width_m": layout.eraser_width_m + uniform(level.eraser_width_offset_m),
+        "eraser_mass_kg": uniform(level.eraser_mass_kg),
+        "board_friction": uniform(level.board_friction),
+        "gel_scale": (factor(level.gel_scale), factor(level.gel_scale)),
+        "start_offset_m": spread(2 * level.placement_m, 3),
+        "word": str(rng.choice(level.words)),
+        "word_offset_m": spread(level.word_offset_m, 2),
+        "camera_shift_m": tuple(spread(level.camera_shift_m, 3) for _ in range(2)),
+        "camera_turn_rad": tuple(spread(level.camera_turn_rad, 3) for _ in range(2)),
+        "task": str(rng.choice(TASK_TEXTS)),
+    }
 
 
-def _varied(scene: SceneParams, rng: np.random.Generator) -> SceneParams:
-    """Return the scene with its later variety, drawn last: what was drawn before stays as it was."""
-    level = scene.level
+def _drawn_later(level: Level, rng: np.random.Generator, word_offset_m: tuple[float, ...]) -> dict[str, Any]:
+    """Return what came to scenes later, drawn last: what was drawn before stays as it was."""
     scale = float(rng.uniform(*level.letter_scale))
     room = (1 - scale) / 2 * np.array([level.letter_height_m, level.word_length_m])
-    offset = np.array(scene.word_offset_m) + room * rng.uniform(-1, 1, 2)
+    offset = np.array(word_offset_m) + room * rng.uniform(-1, 1, 2)
     shift = level.board_shift_m * rng.uniform(-1, 1, 2)
     gain = rng.uniform(*level.light_gain) * (1 + level.light_tint * rng.uniform(-1, 1, 3))
-    return replace(
-        scene,
-        letter_scale=scale,
-        word_offset_m=(float(offset[0]), float(offset[1])),
-        board_shift_m=(float(shift[0]), float(shift[1])),
-        board_turn_rad=float(level.board_turn_rad * rng.uniform(-1, 1)),
-        eraser_turn_rad=float(level.eraser_turn_rad * rng.uniform(-1, 1)),
-        eraser_length_m=scene.eraser_length_m + float(rng.uniform(*level.eraser_length_offset_m)),
-        light_gain=tuple(float(g) for g in gain),  # type: ignore[arg-type]
-        light_turn_rad=tuple(float(v) for v in level.light_turn_rad * rng.uniform(-1, 1, 3)),
-    )
+    return {
+        "letter_scale": scale,
+        "word_offset_m": tuple(offset.tolist()),
+        "board_shift_m": tuple(shift.tolist()),
+        "board_turn_rad": float(level.board_turn_rad * rng.uniform(-1, 1)),
+        "eraser_turn_rad": float(level.eraser_turn_rad * rng.uniform(-1, 1)),
+        "eraser_length_m": level.layout.eraser_length_m + float(rng.uniform(*level.eraser_length_offset_m)),
+        "light_gain": tuple(gain.tolist()),
+        "light_turn_rad": tuple((level.light_turn_rad * rng.uniform(-1, 1, 3)).tolist()),
+    }

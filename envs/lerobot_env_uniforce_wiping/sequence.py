@@ -1,30 +1,32 @@
 """The wiping sequence every scripted controller shares: where to go next, and when.
 
-How hard to squeeze and to press is left to *hands*: touching ones (the expert), or blind ones.
+How hard to grip and to press is left to a *regulator*: one that uses touch (the expert's), or one without.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.levels import Level
-from lerobot_env_uniforce_wiping.simulation import CONTROL_HZ
-from lerobot_env_uniforce_wiping.sweep import Sweep
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Level
+
+if TYPE_CHECKING:
+    from lerobot_env_uniforce_wiping.env import WipeEnv
 
 X, Y, Z, YAW, WIDTH = range(5)
+STRAY_SHARE = 0.05  # of the inked cells: so few don't make a row the first inked one
 LOOKS_BACK = 2  # times a board that is not clean is wiped again: more don't fit into an episode
 NEAR_m = 0.002  # arrived
 SLOW_DOWN_m = 0.008  # before a corner
 APPROACH_GAIN = 7.0  # 1/s: speed per distance left, so that moves end softly
-# A soft arm lags behind its command by .3 s, a stiff one by .1 s, and who learns from demos is told neither the command
-# nor the stiffness. Braking early makes the command's own speed tell how far it has left to go
+# A soft arm lags behind its command by .3 s, a stiff one by .1 s, and a policy observes neither the command nor the
+# stiffness. Braking early makes the command's own speed show how far it has left to go
 # (docs/experiments/tiny_policy.md).
 HEIGHT_GAIN = 2.5  # 1/s
-# who arrives beside the row's beginning comes to it on the way down and, what is left, along the stroke
+# a hand beside the row's beginning comes to it on the way down and, what is left, along the stroke
 STRAY_GAIN = 2.5  # 1/s
 PHASES = ("descend", "close", "lift", "carry", "lower", "wipe", "leave", "done")
 
@@ -40,7 +42,7 @@ class Pace:
     ramp_m_s2: float = 0.5  # change of speed along the sweep
 
 
-class Hands(Protocol):
+class Regulator(Protocol):
     """Decides grip and press. Every method maps the current target and measured state to the next target."""
 
     def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
@@ -56,17 +58,66 @@ class Hands(Protocol):
         """Return the next z target while wiping."""
 
     def lost(self) -> bool:
-        """Return whether the eraser is felt to have left the board; who doesn't feel never knows."""
+        """Return whether the eraser has left the board; always False without touch."""
+
+
+class Sweep:
+    """A polyline over the nominal board, by arc length.
+
+    A memoryless policy can follow it: the row's x decides the direction, the end of a row leads to the next
+    row's x, and the last end is left upwards.
+    """
+
+    def __init__(self, level: Level) -> None:
+        cx, cy = level.layout.board_center_m
+        rows = cx + (np.arange(level.rows) - (level.rows - 1) / 2) * level.row_pitch_m
+        ends = (cy - level.stroke_m / 2, cy + level.stroke_m / 2)
+        corners = []
+        for k, x in enumerate(rows):
+            start, stop = ends if k % 2 == 0 else ends[::-1]
+            corners += [(x, start), (x, stop)]
+        self.corners = np.array(corners)
+        self._at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.corners, axis=0), axis=1))])
+
+    @property
+    def length_m(self) -> float:
+        """Total arc length."""
+        return float(self._at[-1])
+
+    def row_at(self, x_m: float) -> float:
+        """Return the arc length at which the row nearest to an x begins."""
+        rows = self.corners[::2, 0]
+        return float(self._at[2 * int(np.argmin(np.abs(rows - x_m)))])
+
+    def between_rows(self, along_m: float) -> bool:
+        """Whether the tool moves from one row to the next there, along the closing axis."""
+        return bool(np.searchsorted(self._at, along_m, side="right") % 2 == 0) and along_m < self.length_m
+
+    def point(self, along_m: float) -> np.ndarray:
+        """Return (2,) x, y at an arc length, clamped to the ends."""
+        return np.array([np.interp(along_m, self._at, self.corners[:, i]) for i in range(2)])
+
+
+def look_back(env: WipeEnv) -> float | None:
+    """Return the x at which the ink that is left begins, m, or None when the board counts as wiped.
+
+    Cameras show the same to a policy; scripts spare themselves the vision.
+    """
+    ink = env.sim.ink
+    if ink.residual <= env.limits.residual_share:
+        return None
+    on_board_x_m = float(np.quantile(ink.dirty_x_m, STRAY_SHARE))
+    return float(env.level.layout.board_center_m[0] + env.scene.board_shift_m[0] + on_board_x_m)
 
 
 class WipeSequence:
-    """Targets as a smooth function of the phase, the measured state and the hands.
+    """Targets as a smooth function of the phase, the measured state and the regulator.
 
     Args:
         level: for the layout.
-        hands: choose grip and press.
+        regulator: chooses grip and press.
         target: (5,) the tool's own pose, to start from.
-        look: tells the x at which the ink that is left begins, m, None where the board is clean.
+        look: returns the x at which the ink that is left begins, m, None where the board is clean.
         pace: speeds.
         stray: draws by how much, (2,) m, the hand arrives beside the row it carries the eraser to; None: it doesn't.
     """
@@ -74,13 +125,13 @@ class WipeSequence:
     def __init__(
         self,
         level: Level,
-        hands: Hands,
+        regulator: Regulator,
         target: np.ndarray,
         look: Callable[[], float | None],
         pace: Pace | None = None,
         stray: Callable[[], np.ndarray] | None = None,
     ) -> None:
-        self.level, self.hands, self.pace = level, hands, pace or Pace()
+        self.level, self.regulator, self.pace = level, regulator, pace or Pace()
         self.sweep = Sweep(level)
         self.target = np.array(target, dtype=np.float64)
         self.phase = "descend"
@@ -131,16 +182,16 @@ class WipeSequence:
 
     def _close(self, measured: np.ndarray) -> bool:
         self._go_to_height(self.level.layout.grasp_height_m, measured)
-        self.target[WIDTH], held = self.hands.close(self.target[WIDTH], measured)
+        self.target[WIDTH], held = self.regulator.close(self.target[WIDTH], measured)
         return held
 
     def _lift(self, measured: np.ndarray) -> bool:
-        self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
+        self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
         self._go_to_height(self.level.layout.carry_height_m, measured)
         return measured[Z] > self.level.layout.carry_height_m - 0.010
 
     def _carry(self, measured: np.ndarray) -> bool:
-        self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
+        self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
         self._go_to_height(self.level.layout.carry_height_m, measured)
         # of the first row, or of the first that is still dirty
         start = self.sweep.point(self._along_m) + self._stray_m
@@ -148,19 +199,19 @@ class WipeSequence:
         return bool(np.linalg.norm(measured[:2] - start) < 2 * NEAR_m)
 
     def _lower(self, measured: np.ndarray) -> bool:
-        self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
+        self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
         self._follow_sweep()  # to the start, or where the board was lost
-        self.target[Z], pressed = self.hands.lower(self.target[Z], measured)
+        self.target[Z], pressed = self.regulator.lower(self.target[Z], measured)
         return pressed
 
     def _wipe(self, measured: np.ndarray) -> bool:
-        if self.hands.lost():  # who hangs over a clean board is done, who hangs over ink goes down again
+        if self.regulator.lost():  # over a clean board it is done, over ink it goes down again
             self.phase, self._speed_m_s = "leave" if self._look() is None else "lower", 0.0
             return False
         shifting = self.sweep.between_rows(self._along_m + SLOW_DOWN_m)
         if not shifting:  # drag along the closing axis loads the pads unevenly: hold still and trust the gel
-            self.target[WIDTH] = self.hands.hold(self.target[WIDTH], measured)
-            self.target[Z] = self.hands.press(self.target[Z], measured)
+            self.target[WIDTH] = self.regulator.hold(self.target[WIDTH], measured)
+            self.target[Z] = self.regulator.press(self.target[Z], measured)
         wanted = self.pace.shift_m_s if shifting else self.pace.stroke_m_s
         limit = self.pace.ramp_m_s2 / CONTROL_HZ
         self._speed_m_s += float(np.clip(wanted - self._speed_m_s, -limit, limit))

@@ -8,10 +8,9 @@ import mujoco
 import numpy as np
 
 from lerobot_env_uniforce_wiping.ink import InkField
-from lerobot_env_uniforce_wiping.kinematics import solve_arm
-from lerobot_env_uniforce_wiping.mjcf import TOOL_DOWN, build_mjcf
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
+from lerobot_env_uniforce_wiping.mjcf import READS, TOOL_DOWN, SolverSettings, build_mjcf
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
-from lerobot_env_uniforce_wiping.solver import CONTROL_HZ, READS, SolverSettings
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.sensors import get_sensor
 
@@ -22,13 +21,18 @@ WIDTH_RANGE_m = (0.0, 0.08)
 YAW_RANGE_rad = (-0.5, 0.5)
 FLAT_N_mm, DOME_N_mm = 8.0, 2.4  # pad stiffness: rated depth at 12 N
 GEL_D, GEL_ZETA = 0.5, 0.7  # solimp d and damping ratio: converged in the time step, no chatter
+IK_DAMPING, IK_STEP_rad = (
+    0.05**2 * 1e-2,
+    0.3,
+)  # of the arm's pose at reset; largest joint change per iteration
+HOME_q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])  # joint angles, rad
 # World components of a force on a pad, in its canonical image frame: x = +y, y = −z, and z into the pad.
 INTO_PAD_x = {"left": -1.0, "right": 1.0}
 
 
 @dataclass(frozen=True)
 class PadTruth:
-    """What one pad feels, averaged over a step, and where the object touches it.
+    """Contact of one pad, averaged over a step.
 
     ``wrench`` is canonical: fx, fy, fz in N and torsion in Nmm; ``depth_mm`` is the mean indentation.
     """
@@ -144,7 +148,7 @@ class WipeSimulation:
             if len(rows):
                 sign = np.where(
                     role[rows, 0] == code, -1.0, 1.0
-                )  # the force on the pad, whichever comes first
+                )  # of the force on the pad, whichever comes first
                 turn = self.data.efc_force[address[rows] + 3]
                 world = (frame[rows].transpose(0, 2, 1) @ local[rows, :, None])[..., 0] * sign[:, None]
                 twist = frame[rows, 0, :] * (sign * turn)[:, None]
@@ -199,3 +203,26 @@ class WipeSimulation:
         """(3,) position of the eraser in the tool frame, m."""
         tool = self.data.site_xmat[self._tcp].reshape(3, 3)
         return tool.T @ (self.data.xpos[self._eraser] - self.data.site_xpos[self._tcp])
+
+
+def solve_arm(
+    model: mujoco.MjModel, data: mujoco.MjData, position_m: np.ndarray, rotation: np.ndarray
+) -> None:
+    """Set the arm's seven joints so that site ``tcp`` meets a pose, by damped least squares; used at reset only."""
+    site, first = model.site("tcp").id, model.joint("joint1")
+    joints = slice(first.qposadr[0], first.qposadr[0] + len(HOME_q))
+    columns = slice(first.dofadr[0], first.dofadr[0] + len(HOME_q))
+    data.qpos[joints] = HOME_q
+    jacobian = np.zeros((6, model.nv))
+    for _ in range(60):
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        turn = rotation @ data.site_xmat[site].reshape(3, 3).T
+        axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        error = np.concatenate([position_m - data.site_xpos[site], axis])
+        if np.linalg.norm(error) < 1e-6:
+            break
+        mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+        J = jacobian[:, columns]
+        step = J.T @ np.linalg.solve(J @ J.T + IK_DAMPING * np.eye(6), error)
+        data.qpos[joints] += np.clip(step, -IK_STEP_rad, IK_STEP_rad)

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.wiping_plan import ARMS
 from lerobot_env_uniforce_wiping.blind import BEST
 from uniforce_commands import score_worker
 from uniforce_commands.benchmark import BenchmarkConfig, configs, main, report
 from uniforce_commands.score import score_arms
-from uniforce_commands.score_config import ScoreConfig
+from uniforce_commands.score_config import SCRIPTS, ScoreConfig
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.arms import read_rows
-from uniforce_vtla.evaluation.plan import ARMS, SCRIPTS
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
@@ -129,6 +129,5 @@ def test_nothing_to_replay_says_so(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_every_script_of_the_plan_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:
     assert set(score_worker.SCRIPTS) == set(SCRIPTS)
-    style, settings = BEST
     swept = json.loads(RESULTS.joinpath("blind_scripts.json").read_text())
-    assert f"{style}_press{settings.press_N:g}_grip{settings.grip_N:g}" == swept["best_blind"]
+    assert f"open_loop_press{BEST.press_N:g}_grip{BEST.grip_N:g}" == swept["best_blind"]

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.wiping_plan import RECIPES
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.stored_policy import stored_config
 from uniforce_commands.benchmark import BenchmarkConfig
 from uniforce_commands.train_arm import CAMERA_VARIATION, DELTA_KNEE, EXECUTED, TOLD_AXES
-from uniforce_vtla.evaluation.plan import RECIPES
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ROOT / BenchmarkConfig().checkpoints

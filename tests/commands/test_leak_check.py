@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.press_regressors import FRAMES, Samples, measure, verdict
 from uniforce_commands.leak_check import TOUCHING_N, LeakConfig, collect
-from uniforce_vtla.evaluation.leak import FRAMES, Samples, measure, verdict
 from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.force_misreading import SITUATIONS
 from uniforce_commands import policy_reading as module
 from uniforce_commands.policy_reading import Demos, PolicyReadingConfig, find_moments, main, read_forces
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.evaluation.reading import SITUATIONS
 from uniforce_vtla.keys import ACTION, truth_wrench_key
 
 LENGTH, KINDS = 30, ["gelsight", "uskin"] * 10  # frames per episode, and the left finger's sensors

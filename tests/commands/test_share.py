@@ -40,7 +40,10 @@ torch.save(after(policy.select_action(before(torch.load("raw.pt")))), "action.pt
 SCORES = {
     "level": "easy",
     "checkpoints": ["arms/seed0", "arms/seed1"],
-    "arms": {"V": {"by_seed": "ff"}, "V+T": {"by_seed": "Cf" * 16 + "sf" + "rf" * 3}},
+    "arms": {
+        "V": {"checkpoint": "v", "by_seed": "ff"},
+        "V+T": {"checkpoint": "vt", "by_seed": "Cf" * 16 + "sf" + "rf" * 3},
+    },
 }
 
 

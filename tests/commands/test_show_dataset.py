@@ -21,9 +21,8 @@ from uniforce_commands.show_dataset import main
 from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.evaluation.episode_story import EpisodeStory, Moment
+from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import estimate_events
-from uniforce_vtla.evaluation.telling_moments import telling_moments
 from uniforce_vtla.tokenizer import Tokenizer
 
 FRAMES = 8
@@ -169,31 +168,31 @@ def wiped() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return time_s, np.stack([finger, finger], axis=1), np.where(time_s >= 2, 0.2, 0.1)
 
 
-def story_of(title: str = "made up") -> EpisodeStory:
+def story_of(title: str = "made up") -> EpisodeSummary:
     time_s, force, height = wiped()
     grey = np.full((24, 24, 3), 90, np.uint8)
-    named = telling_moments(force, height)
-    moments = tuple(
-        Moment(name, frame, {"front": grey}, {"left": grey, "right": grey}) for name, frame in named.items()
+    named = find_key_frames(force, height)
+    key_frames = tuple(
+        KeyFrame(name, frame, {"front": grey}, {"left": grey, "right": grey}) for name, frame in named.items()
     )
     change = np.random.default_rng(0).normal(size=(len(time_s), 4, 4, 6)).astype(np.float32)
-    return EpisodeStory(
+    return EpisodeSummary(
         title=title,
         time_s=time_s,
         films={"front": [grey] * 3},
         force_N=force,
         true_force_N=None,
         change={"left": change, "right": change},
-        moments=moments,
+        key_frames=key_frames,
         found=estimate_events(time_s, force, height, (0.6, 0.6)),
         truth=None,
         judges_slip=True,
     )
 
 
-def test_moments_and_stretches_are_where_things_happen() -> None:
+def test_key_frames_and_stretches_are_where_things_happen() -> None:
     story = story_of()
-    at_s = {moment.name: story.time_s[moment.frame] for moment in story.moments}
+    at_s = {key_frame.name: story.time_s[key_frame.frame] for key_frame in story.key_frames}
     assert at_s["grasped"] == 1.0 and at_s["lifted"] == 2.0 and at_s["strongest push"] == 4.0
     assert list(at_s.values()) == sorted(at_s.values())
     stretch = next(s for s in story.stretches if s.name.startswith("press"))

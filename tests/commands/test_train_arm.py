@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.wiping_plan import ARMS, RECIPES
 from uniforce_commands import train_arm as module
+from uniforce_commands.score_config import SCRIPTS
 from uniforce_commands.train_arm import TrainArmConfig, arguments, main, train_arm
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.evaluation.plan import ARMS, RECIPES, SCRIPTS
 from uniforce_vtla.keys import VIEW_MARKER
 
 

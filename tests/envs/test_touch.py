@@ -22,7 +22,7 @@ def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger: Finger)
     assert np.mean(free != touched) < 0.01  # noise, no contact
 
 
-def test_who_does_not_feel_with_the_left_finger_cannot_tell_the_rigs_apart() -> None:
+def test_rigs_differ_in_the_left_fingers_marker_image_alone() -> None:
     """The benchmark rolls such arms out on one rig only."""
     rigs = [WipeEnv("paper", left, "tactip") for left in ("gelsight", "uskin")]
     for env in rigs:

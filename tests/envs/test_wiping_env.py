@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.blind_styles import STYLES
 from lerobot_env_uniforce_wiping import ExpertNoise, WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.blind import BEST, BlindScript
-from lerobot_env_uniforce_wiping.blind_hands import STYLES, BlindSettings
-from lerobot_env_uniforce_wiping.episodes import run_script
-from lerobot_env_uniforce_wiping.hands import TouchSettings
+from lerobot_env_uniforce_wiping.blind import BlindScript, BlindSettings
+from lerobot_env_uniforce_wiping.episodes import run_script, walk
 from lerobot_env_uniforce_wiping.scene_params import draw_scene
-from lerobot_env_uniforce_wiping.sweep import Sweep
+from lerobot_env_uniforce_wiping.sequence import Sweep
 from uniforce_vtla.contracts import FINGERS, check_marker_image
 from uniforce_vtla.errors import ContractError, RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeTrace
@@ -53,10 +52,6 @@ def test_observation_is_inside_its_space_and_finite(grasped: WipeEnv) -> None:
     assert WipeEnv().observation_space.contains(grasped.observe())
 
 
-def test_wrench_is_not_in_the_default_observation(grasped: WipeEnv) -> None:
-    assert set(grasped.observe()) == {"pixels", "agent_pos"}
-
-
 def test_marker_images_hold_only_black_and_white_on_three_equal_channels(grasped: WipeEnv) -> None:
     pixels = grasped.observe()["pixels"]
     for finger in FINGERS:
@@ -76,12 +71,6 @@ def test_same_seed_same_episode_and_other_seed_another() -> None:
     first, again, other = start(7), start(7), start(8)
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert not np.array_equal(first[1], other[1]) and not np.array_equal(first[0], other[0])
-
-
-def test_pads_look_alike_whatever_they_wear() -> None:
-    pictures = [WipeEnv(left_sensor=s).reset(seed=SEED)[0]["pixels"] for s in ("gelsight", "uskin")]
-    for camera in ("front", "wrist"):
-        assert np.array_equal(pictures[0][camera], pictures[1][camera])
 
 
 def test_pictures_show_ink_that_goes_away(grasped: WipeEnv) -> None:
@@ -116,12 +105,12 @@ def test_bad_action_is_refused_and_the_target_held(grasped: WipeEnv, action: obj
 def test_bad_settings_are_refused() -> None:
     with pytest.raises(SensorError):
         WipeEnv(left_sensor="thumb")
-    with pytest.raises(ContractError, match="painter"):
-        WipeEnv(renderer="oil")
     with pytest.raises(ContractError, match="easy"):
         WipeEnv(level="impossible")
     with pytest.raises(RolloutError, match="reset"):
         WipeEnv().advance(np.zeros(5))
+    with pytest.raises(ContractError, match="both"):
+        WipeExpert("thumb")  # type: ignore[arg-type]
 
 
 def test_step_reports_success_and_metrics_every_time() -> None:
@@ -137,24 +126,24 @@ def test_step_reports_success_and_metrics_every_time() -> None:
 
 
 @pytest.mark.parametrize("seed", EASY_SEEDS)
-def test_expert_wipes_clean(seed: int) -> None:
+def test_expert_wipes_clean_with_smooth_and_slow_targets(seed: int) -> None:
     env = WipeEnv()
-    result = run_script(env, WipeExpert(), seed)
-    assert result.clean, result.reasons
-    assert len(env.trace.time_s) <= 360
+    speed = np.abs(np.diff(list(walk(env, WipeExpert(), seed)), axis=0)) * 30
+    assert env.result().clean, env.result().reasons
+    assert speed[:, 2].max() <= 0.080 and np.hypot(speed[:, 0], speed[:, 1]).max() <= 0.120
 
 
 @pytest.mark.slow
-def test_who_feels_wipes_and_who_is_blind_does_not() -> None:
+def test_scripts_with_touch_wipe_and_those_without_do_not() -> None:
     """At the benchmark's own level, against the sweep's best blind script: touch has to matter."""
-    env, scenes = WipeEnv(level="paper"), range(30)
+    env, scenes = WipeEnv(level="paper"), range(20)
     touch = [run_script(env, WipeExpert(), seed).clean for seed in scenes]
-    blind = [run_script(env, BlindScript(*BEST), seed).clean for seed in scenes]
-    assert sum(touch) >= 29 and sum(blind) <= 18
+    blind = [run_script(env, BlindScript(), seed).clean for seed in scenes]
+    assert sum(touch) >= 19 and sum(blind) <= 13
 
 
 @pytest.mark.parametrize("style", sorted(STYLES))
-def test_a_blind_hand_presses_as_the_hidden_stiffness_has_it(
+def test_without_touch_the_press_depends_on_the_hidden_stiffness(
     style: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = BlindSettings(press_N=5.0, grip_N=13.0 if style != "measured_relative" else 8.0)
@@ -164,38 +153,16 @@ def test_a_blind_hand_presses_as_the_hidden_stiffness_has_it(
     for stiffness in (0.7, 1.7):
         scene = replace(nominal, stiffness_scale=stiffness)
         monkeypatch.setattr("lerobot_env_uniforce_wiping.env.draw_scene", lambda *_, scene=scene: scene)
-        script = BlindScript(style, settings)
+        script = BlindScript(settings, STYLES[style])
         presses.append(run_script(WipeEnv(level="paper"), script, SEED).metrics["press_mean_N"])
     assert presses[1] > 1.4 * presses[0] > 0
 
 
-def test_expert_targets_are_smooth_and_slow() -> None:
-    env, expert = WipeEnv(), WipeExpert()
-    env.start(SEED)
-    expert.reset(env)
-    actions = []
-    while not env.advance(actions[-1] if actions else env.state):
-        actions.append(expert.act(env))
-    speed = np.abs(np.diff(np.array(actions), axis=0)) * 30
-    assert speed[:, 2].max() <= 0.080 and np.hypot(speed[:, 0], speed[:, 1]).max() <= 0.120
-
-
-def test_unknown_fingers_and_styles_are_refused() -> None:
-    with pytest.raises(ContractError, match="both"):
-        WipeExpert("thumb")  # type: ignore[arg-type]
-    with pytest.raises(ContractError, match="open_loop"):
-        BlindScript("psychic", BlindSettings(6.0, 9.0))
-
-
-def test_runs_without_gl() -> None:
-    code = "from lerobot_env_uniforce_wiping import WipeEnv; print(WipeEnv().reset(seed=1)[0]['pixels']['front'].std())"
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        env=os.environ | {"MUJOCO_GL": "disable"},
-        capture_output=True,
-        text=True,
-        timeout=240,
-    )
+def test_runs_without_gl_and_loads_mujoco_with_the_first_scene_only() -> None:
+    code = "import sys, lerobot_env_uniforce_wiping as w; assert 'mujoco' not in sys.modules; "
+    code += "print(w.WipeEnv().reset(seed=1)[0]['pixels']['front'].std())"
+    env = os.environ | {"MUJOCO_GL": "disable"}
+    run = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=240)
     assert run.returncode == 0, run.stderr
     assert float(run.stdout) > 10
 
@@ -213,7 +180,7 @@ def descent(seed: int, noise: ExpertNoise) -> np.ndarray:
 
 
 def test_a_soft_arm_is_not_far_behind_its_command_where_the_hand_must_stop() -> None:
-    """A policy knows neither the command nor the stiffness: where the two differ by more, soft arms grasp too low."""
+    """A policy observes neither command nor stiffness: where the two differ by more, soft arms grasp too low."""
     leads_m = {}
     for seed in (41_018, 41_026):
         path = descent(seed, ExpertNoise(grasp_sd_m=0.0, carry_sd_m=0.0))
@@ -247,14 +214,3 @@ def test_a_hand_that_arrives_beside_its_row_comes_to_it(monkeypatch: pytest.Monk
     assert np.linalg.norm(by_phase["lower"] - beside_m) < 0.005
     assert np.linalg.norm(by_phase["wipe"]) < 0.5 * np.linalg.norm(beside_m)
     assert fastest_m_s < 0.140 and env.result().success
-
-
-def test_the_expert_regulates_by_every_setting_it_was_given() -> None:
-    """Fields used to be handed on by position, those added later not at all."""
-    steps = []
-    for share in (0.3, 0.95):
-        env = WipeEnv("paper")
-        env.start(3)
-        steps.append(steps_to_the_first_sweep(env, WipeExpert(settings=TouchSettings(sweep_from=share))))
-    early, late = steps
-    assert early < late

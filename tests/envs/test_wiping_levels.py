@@ -10,8 +10,7 @@ from properties import examples
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, draw_scene, level_hash
 from lerobot_env_uniforce_wiping.ink import InkField
-from lerobot_env_uniforce_wiping.sweep import Sweep
-from uniforce_vtla.errors import ContractError
+from lerobot_env_uniforce_wiping.sequence import Sweep
 
 LOCKED = {
     "easy": "532baefcfd12",
@@ -25,19 +24,12 @@ def test_levels_are_locked() -> None:
     assert {name: level_hash(level) for name, level in LEVELS.items()} == LOCKED
 
 
-def test_unknown_level_names_the_known_ones() -> None:
-    with pytest.raises(ContractError, match=r"easy \| paper"):
-        draw_scene(0, "impossible")
-
-
 @examples(30)
 @given(st.integers(0, 2**31 - 1), st.sampled_from(sorted(LEVELS)))
 def test_scene_is_a_function_of_seed_and_level(seed: int, level: str) -> None:
     scene = draw_scene(seed, level)
     assert scene == draw_scene(seed, level)
     assert asdict(scene) != asdict(draw_scene(seed + 1, level))
-    low, high = LEVELS[level].stiffness_scale
-    assert low <= scene.stiffness_scale <= high
 
 
 @pytest.mark.parametrize("name", sorted(LEVELS))
@@ -89,7 +81,7 @@ def test_light_changes_the_picture_and_nothing_else() -> None:
     for env, gain in ((dim, 0.7), (bright, 1.0)):
         env.start(1)
         env.sim.scene = replace(env.sim.scene, light_gain=(gain, gain, gain), light_turn_rad=(0.0, 0.0, 0.0))
-        env._renderer.reset(env.sim)
+        env._painter.reset(env.sim)
     dark, light = dim.observe(), bright.observe()
     ratio = dark["pixels"]["front"].mean() / light["pixels"]["front"].mean()
     assert ratio == pytest.approx(0.7, abs=0.03)

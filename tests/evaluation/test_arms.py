@@ -1,16 +1,20 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import (
-    OUTCOMES,
     PROFILE_POINTS,
     EpisodeRow,
     read_rows,
+    scores_of,
     summarise,
     table,
     write_row,
@@ -18,16 +22,17 @@ from uniforce_vtla.evaluation.arms import (
 )
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 from uniforce_vtla.evaluation.pictures import draw_arms
+from uniforce_vtla.keys import OUTCOME_NAMES
 
 
 def row(seed: int, outcome: str = "success", clean: bool = True) -> EpisodeRow:
     return EpisodeRow(seed, outcome, clean, not clean, False, 0.05, 6.0, 7.0, 10.0, 20.0, 30.0)
 
 
-@given(st.lists(st.sampled_from(OUTCOMES), min_size=1, max_size=30))
+@given(st.lists(st.sampled_from(OUTCOME_NAMES), min_size=1, max_size=30))
 def test_outcomes_sum_to_n(outcomes: list[str]) -> None:
     report = summarise("V", [row(i, o, o == "success") for i, o in enumerate(outcomes)])
-    assert sum(report.count(o) for o in OUTCOMES) == report.n
+    assert sum(report.count(o) for o in OUTCOME_NAMES) == report.n
     assert report.as_dict()["clean"] == outcomes.count("success")
 
 
@@ -61,3 +66,34 @@ def test_a_profile_ends_with_the_last_contact_and_keeps_what_was_lifted_between(
     assert len(profile) == PROFILE_POINTS and profile[0] == 8.0 and profile[-1] == 8.0
     assert 19 < max(profile) <= 20
     assert z_profile(trace([0.0] * 3, [8.0] * 3, [2, 2, 2])) == ()  # never touched the board
+
+
+def test_one_letter_a_seed_says_what_happened() -> None:
+    rows = [row(0), replace(row(1), clean=False, slippage=True), row(2, "failed_grasp", clean=False)]
+    assert summarise("V", rows).as_dict()["by_seed"] == "Csf"
+
+
+TABLE: dict[str, Any] = {
+    "level": "paper",
+    "checkpoints": ["arms/seed0", "arms/seed1"],
+    "arms": {
+        "V": {"checkpoint": "v", "by_seed": "CCCCC"},
+        "V+T": {"checkpoint": "vt", "by_seed": "CsrCf"},
+        "V+U": {"checkpoint": "vt", "by_seed": "saCCC"},
+    },
+    "tests": ["of both"],
+    "as_good": ["of both"],
+}
+
+
+def test_a_checkpoints_scores_are_of_its_own_turns_alone() -> None:
+    first, second = scores_of(TABLE, "arms/seed0/vt"), scores_of(TABLE, "arms/seed1/vt")
+    assert first["arms"]["V+T"] == {"n": 3, "clean": 1, "success": 1, "by_seed": "Crf"}
+    assert second["arms"]["V+T"] == {"n": 2, "clean": 1, "success": 2, "by_seed": "sC"}
+    assert list(first["arms"]) == ["V+T", "V+U"] and first["tests"] == first["as_good"] == []
+
+
+@pytest.mark.parametrize("checkpoint", ["vt", "arms/seed2/vt", "arms/seed0/vtg", "arms/seed0/expert"])
+def test_a_checkpoint_that_was_not_scored_is_refused(checkpoint: str) -> None:
+    with pytest.raises(ContractError, match="as it was scored"):
+        scores_of(TABLE, checkpoint)

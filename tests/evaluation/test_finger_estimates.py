@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.hands import TouchSettings
+from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.episode import WIPING_PHASE, ScoreLimits, press_events, score_episode
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
-from uniforce_vtla.evaluation.finger_estimates_figure import draw_estimate
+from uniforce_vtla.evaluation.pictures import draw_estimate
 
 RATE = 30
 WEIGHT_N = 0.8

@@ -1,24 +1,25 @@
-"""From scored episodes to an arm's line in the table."""
+"""From scored episodes to an arm's line in the table, and to the part of a table that is one checkpoint's."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.episode import WIPING_PHASE, EpisodeTrace
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
+from uniforce_vtla.keys import OUTCOME_NAMES
 
 PROFILE_POINTS = 60
 CONTACT_N = 0.5  # of press: the eraser is on the board
-OUTCOMES = ("success", "failed_grasp", "residual", "aborted")
-CLEAN, EVENTFUL = "C", OUTCOMES[0][0]  # letters of ``EpisodeRow.code``: wiped clean, wiped with an event
+CLEAN, EVENTFUL = "C", "s"  # letters of ``EpisodeRow.code``: wiped clean, wiped with an event
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,8 @@ class EpisodeRow:
     think_p50_ms: float
     think_p95_ms: float
     missed_deadlines: int = 0  # calls answered after the action queue ran dry
-    z_profile_mm: tuple[
-        float, ...
-    ] = ()  # tool height from first to last contact, at PROFILE_POINTS even shares of that time
+    # tool height from first to last contact, at PROFILE_POINTS even shares of that time
+    z_profile_mm: tuple[float, ...] = ()
 
     @property
     def code(self) -> str:
@@ -93,12 +93,8 @@ def read_rows(path: Path) -> dict[int, EpisodeRow]:
     if not path.exists():
         return {}
     complete = path.read_text().split("\n")[:-1]
-    contents = [json.loads(line) for line in complete if line]
-    rows = [
-        EpisodeRow(**content | {"z_profile_mm": tuple(content.get("z_profile_mm", ()))})
-        for content in contents
-    ]
-    return {row.seed: row for row in rows}
+    rows = [EpisodeRow(**json.loads(line)) for line in complete if line]
+    return {row.seed: replace(row, z_profile_mm=tuple(row.z_profile_mm)) for row in rows}
 
 
 @dataclass(frozen=True)
@@ -115,13 +111,13 @@ class ArmReport:
 
     def count(self, name: str) -> int:
         """Number of rollouts with outcome or event ``name``."""
-        if name in OUTCOMES:
+        if name in OUTCOME_NAMES:
             return sum(row.outcome == name for row in self.rows)
         return sum(bool(getattr(row, name)) for row in self.rows)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the arm's entry in ``wiping.json``."""
-        names = (*OUTCOMES, "clean", "slippage", "excess_force")
+        names = (*OUTCOME_NAMES, "clean", "slippage", "excess_force")
         counts: dict[str, Any] = {"n": self.n, **{name: self.count(name) for name in names}}
         interval = wilson(self.count("clean"), self.n)
         seeds = [row.seed for row in self.rows]
@@ -141,10 +137,40 @@ def table(reports: Sequence[ArmReport]) -> str:
     """Return a Markdown table, one line per arm, k/n with Wilson 95 % intervals."""
     head = "| arm | clean success | success | failed grasp | residual | aborted | slippage | excess force |"
     lines = [head, "|" + "---|" * 8]
+    counted = ("failed_grasp", "residual", "aborted", "slippage", "excess_force")
     for report in reports:
-        counts = [
-            report.count(c) for c in ("failed_grasp", "residual", "aborted", "slippage", "excess_force")
-        ]
+        counts = [report.count(name) for name in counted]
         clean, success = (wilson(report.count(c), report.n) for c in ("clean", "success"))
         lines.append("| " + " | ".join([report.arm, str(clean), str(success), *map(str, counts)]) + " |")
     return "\n".join(lines)
+
+
+def whose_turn(scene: int, names: Sequence[str]) -> str:
+    """Return which of several training seeds' checkpoints acts in a scene, counted from the first one scored."""
+    return names[scene % len(names)]
+
+
+def own_scenes(by_seed: str, name: str, names: Sequence[str]) -> dict[str, Any]:
+    """Return an arm's counts on the scenes that were one checkpoint's turn, from the letters of all of them."""
+    letters = "".join(letter for scene, letter in enumerate(by_seed) if whose_turn(scene, names) == name)
+    clean = letters.count(CLEAN)
+    return {"n": len(letters), "clean": clean, "success": clean + letters.count(EVENTFUL), "by_seed": letters}
+
+
+def scores_of(table: Mapping[str, Any], checkpoint: str) -> dict[str, Any]:
+    """Return the part of a benchmark's table that belongs on a checkpoint's card.
+
+    Args:
+        table: of several arms (``wiping.json``); each says the name of its ``checkpoint``.
+        checkpoint: as it was scored: a folder of ``table["checkpoints"]`` and its own name, ``…/seed0/vt``.
+
+    Raises:
+        ContractError: a checkpoint that isn't in the table.
+    """
+    seeds, folder = list(table.get("checkpoints", ())), PurePath(checkpoint)
+    arms = {name: arm for name, arm in table["arms"].items() if arm.get("checkpoint") == folder.name}
+    if str(folder.parent) not in seeds or not arms:
+        do = "Name it as it was scored."
+        raise ContractError(expected("checkpoint", f"a checkpoint inside {seeds}", checkpoint, do))
+    own = {name: own_scenes(arm["by_seed"], str(folder.parent), seeds) for name, arm in arms.items()}
+    return dict(table) | {"checkpoints": [checkpoint], "arms": own, "tests": [], "as_good": []}

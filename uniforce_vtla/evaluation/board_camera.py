@@ -16,18 +16,12 @@ from uniforce_vtla.errors import ContractError, DatasetError, expected
 
 TOP_VIEW_px = (170, 230)  # rows, columns of the board seen from above: 1 mm cells of the simulated board
 RIM_share = 0.04  # of the board left out along its edges: blur and shadow
-
-
-@dataclass(frozen=True)
-class BoardSettings:
-    """When a cell of the top view counts as ink, as bare board, or as neither."""
-
-    ink_contrast: float = 0.35  # darker than the bare board by this share of its brightness
-    faded: float = 0.25  # of its first strength: fainter is no ink, as in the simulator's own count
-    # colour distance from the way bare → ink, over the bare board's brightness: further off it is neither
-    alike: float = 0.15
-    smallest_word: int = 40  # cells; fewer are noise
-    least_judged: float = 0.5  # of the first picture's ink; with less in view there is no estimate
+INK_CONTRAST = 0.35  # a cell darker than the bare board by this share of its brightness is ink
+FADED = 0.25  # of its first strength: fainter is no ink, as in the simulator's own count
+# colour distance from the way bare → ink, over the bare board's brightness: a cell further off is neither
+ALIKE = 0.15
+SMALLEST_WORD = 40  # cells; fewer are noise
+LEAST_JUDGED = 0.5  # of the first picture's ink; with less in view there is no estimate
 
 
 @dataclass(frozen=True)
@@ -38,40 +32,36 @@ class ResidualEstimate:
     judged: float
 
 
-def estimate_residual(
-    first: np.ndarray, last: np.ndarray, corners_px: np.ndarray, settings: BoardSettings | None = None
-) -> ResidualEstimate:
+def estimate_residual(first: np.ndarray, last: np.ndarray, corners_px: np.ndarray) -> ResidualEstimate:
     """Estimate the ink left between two pictures of one camera.
 
     Args:
         first: (H, W, 3) uint8 RGB before the wipe, the writing in view.
         last: the same camera after it.
         corners_px: (4, 2) image points x, y of the board's corners, in order around it.
-        settings: thresholds.
 
     Raises:
         ContractError: pictures of different shape, or corners that are no quadrilateral.
         DatasetError: no writing in the first picture, or too little of it in view in the last.
     """
-    settings = settings or BoardSettings()
     before, after = (_top_view(image, corners_px) for image in _checked(first, last, corners_px))
     bare = np.median(before.reshape(-1, 3), axis=0)  # most of a board is bare
     brightness = float(bare.mean())
-    ink = brightness - before.mean(axis=-1) > settings.ink_contrast * brightness
-    if ink.sum() < settings.smallest_word:
+    ink = brightness - before.mean(axis=-1) > INK_CONTRAST * brightness
+    if ink.sum() < SMALLEST_WORD:
         do = "Take the first picture before the wipe, the arm out of the way; check the corners."
         raise DatasetError(expected("writing on the board", "dark cells", int(ink.sum()), do))
     ink_colour = np.percentile(before[ink], 25, axis=0)  # strokes are thin: most cells are mixed with board
     strength, _ = _on_the_way(before, bare, ink_colour)
     now_bare = np.median(after[~ink], axis=0)  # light may have changed
     now, off_the_way = _on_the_way(after, now_bare, ink_colour)
-    judgeable = off_the_way < settings.alike * brightness
+    judgeable = off_the_way < ALIKE * brightness
     seen = ink & judgeable
     judged = float(seen.sum() / ink.sum())
-    if judged < settings.least_judged:
+    if judged < LEAST_JUDGED:
         do = "Move the arm away before the last picture."
-        raise DatasetError(expected("writing in view", f"≥ {settings.least_judged:.0%}", f"{judged:.0%}", do))
-    left = seen & (now > settings.faded * strength)
+        raise DatasetError(expected("writing in view", f"≥ {LEAST_JUDGED:.0%}", f"{judged:.0%}", do))
+    left = seen & (now > FADED * strength)
     return ResidualEstimate(float(left.sum() / seen.sum()), judged)
 
 

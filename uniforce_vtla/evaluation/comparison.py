@@ -1,17 +1,26 @@
-"""The plan's questions, answered from paired rows: which arm is better, which is at most a margin worse."""
+"""Arms on the same seeds: which one is better, which one is at most a margin worse."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from uniforce_vtla.evaluation.arms import ArmReport
-from uniforce_vtla.evaluation.plan import AS_GOOD, BETTER, AtMostWorse
 from uniforce_vtla.evaluation.statistics import anytime, holm, mcnemar, non_inferior
 
 Pairs = Sequence[tuple[str, str]]
 Clean = list[bool]  # clean success, seed by seed
+
+
+@dataclass(frozen=True)
+class AtMostWorse:
+    """The claim that ``first`` succeeds cleanly at most ``margin`` (a share) less often than ``second``."""
+
+    about: str
+    first: str
+    second: str
+    margin: float
 
 
 def paired_clean(first: ArmReport, second: ArmReport) -> tuple[Clean, Clean]:
@@ -22,7 +31,7 @@ def paired_clean(first: ArmReport, second: ArmReport) -> tuple[Clean, Clean]:
 
 
 def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[dict[str, Any], Clean, Clean]]:
-    """Yield, per pair of arms scored on shared seeds, who they are and the clean successes of both."""
+    """Yield, per pair of arms scored on shared seeds, their names and the clean successes of both."""
     for first, second in pairs:
         if first in reports and second in reports:
             one, two = paired_clean(reports[first], reports[second])
@@ -30,14 +39,14 @@ def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[di
                 yield {"arms": [first, second], "n": len(one)}, one, two
 
 
-def better(reports: Mapping[str, ArmReport], pairs: Pairs = BETTER) -> list[dict[str, Any]]:
+def better(reports: Mapping[str, ArmReport], pairs: Pairs) -> list[dict[str, Any]]:
     """Return, per pair scored on shared seeds, exact McNemar (Holm over the family) and the anytime test."""
     tests = [
-        who
+        pair
         | asdict(mcnemar(one, two))
         | {"points": 100 * (sum(one) - sum(two)) / len(one)}
         | _watched(one, two)
-        for who, one, two in _scored(reports, pairs)
+        for pair, one, two in _scored(reports, pairs)
     ]
     for test, adjusted in zip(tests, holm([test["p_value"] for test in tests]), strict=True):
         test["p_holm"] = adjusted
@@ -49,13 +58,11 @@ def _watched(one: Clean, two: Clean) -> dict[str, Any]:
     return {"anytime_p": test.p_value, "anytime_decided_after": test.decided_after}
 
 
-def as_good(
-    reports: Mapping[str, ArmReport], claims: Sequence[AtMostWorse] = AS_GOOD
-) -> list[dict[str, Any]]:
+def as_good(reports: Mapping[str, ArmReport], claims: Sequence[AtMostWorse]) -> list[dict[str, Any]]:
     """Return, per claim about arms scored on shared seeds, whether non-inferiority within its margin is shown."""
     tests = []
     for claim in claims:
-        for who, one, two in _scored(reports, [(claim.first, claim.second)]):
+        for pair, one, two in _scored(reports, [(claim.first, claim.second)]):
             found = non_inferior(one, two, claim.margin)
-            tests.append({"about": claim.about} | who | asdict(found) | {"shown": found.shown})
+            tests.append({"about": claim.about} | pair | asdict(found) | {"shown": found.shown})
     return tests

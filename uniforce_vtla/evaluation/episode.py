@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.keys import OUTCOME_NAMES
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,6 @@ class EpisodeTrace:
         residual: visible ink over initial ink.
         phase: 0 before the lift, 1 carrying, 2 wiping, 3 lifted off after wiping.
         rated_depth_mm: (left, right) deepest indentation the sensors allow.
-        aborted: the episode was stopped by an error.
     """
 
     time_s: np.ndarray
@@ -64,22 +62,19 @@ class EpisodeTrace:
     residual: np.ndarray
     phase: np.ndarray
     rated_depth_mm: tuple[float, float]
-    aborted: bool = False
 
     def __post_init__(self) -> None:
         for name in STEP_FIELDS:
             values = getattr(self, name)
             if values.shape != self.time_s.shape or values.ndim != 1:
-                raise ContractError(
-                    expected(f"trace.{name}", self.time_s.shape, values.shape, "One value per step.")
-                )
+                do = "One value per step."
+                raise ContractError(expected(f"trace.{name}", self.time_s.shape, values.shape, do))
             if not np.isfinite(values).all():
-                raise ContractError(
-                    expected(f"trace.{name}", "finite numbers", "NaN or inf", "Check the simulation.")
-                )
+                do = "Check the simulation."
+                raise ContractError(expected(f"trace.{name}", "finite numbers", "NaN or inf", do))
 
 
-STEP_FIELDS = tuple(f.name for f in fields(EpisodeTrace) if f.name not in ("rated_depth_mm", "aborted"))
+STEP_FIELDS = tuple(f.name for f in fields(EpisodeTrace) if f.name != "rated_depth_mm")
 
 
 @dataclass(frozen=True)
@@ -107,33 +102,23 @@ class EpisodeResult:
 
 
 def score_episode(trace: EpisodeTrace, limits: ScoreLimits | None = None) -> EpisodeResult:
-    """Judge one episode; precedence aborted > failed_grasp > residual > success."""
+    """Judge one episode; precedence aborted (no step was taken) > failed_grasp > residual > success."""
     limits = limits or ScoreLimits()
     if len(trace.time_s) == 0:
         return EpisodeResult("aborted", False, False, ("no step was taken",))
-    grasp, slips, excess = (
-        grasp_faults(trace, limits),
-        slip_events(trace, limits),
-        excess_events(trace, limits),
-    )
-    outcome, why = _outcome(trace, limits, grasp)
+    slips, excess = slip_events(trace, limits), excess_events(trace, limits)
+    outcome, why = _outcome(trace, limits)
     return EpisodeResult(outcome, bool(slips), bool(excess), (*why, *slips, *excess), _metrics(trace, limits))
 
 
-def _outcome(trace: EpisodeTrace, limits: ScoreLimits, grasp: list[str]) -> tuple[str, list[str]]:
-    aborted, failed, residual, success = OUTCOME_NAMES
-    if trace.aborted:
-        return aborted, ["stopped by an error"]
-    if grasp:
-        return failed, grasp
+def _outcome(trace: EpisodeTrace, limits: ScoreLimits) -> tuple[str, list[str]]:
+    if faults := grasp_faults(trace, limits):
+        return "failed_grasp", faults
     if trace.residual[-1] > limits.residual_share:
-        return residual, [_residual_reason(trace, limits)]
-    return success, []
-
-
-def _residual_reason(trace: EpisodeTrace, limits: ScoreLimits) -> str:
-    wiping = trace.press_N > limits.wiping_press_N
-    return "pressed too lightly or not everywhere" if wiping.any() else "never touched the board"
+        pressed = (trace.press_N > limits.wiping_press_N).any()
+        why = "pressed too lightly or not everywhere" if pressed else "never touched the board"
+        return "residual", [why]
+    return "success", []
 
 
 def grasp_faults(trace: EpisodeTrace, limits: ScoreLimits) -> list[str]:

@@ -2,8 +2,8 @@
 
 The simulator knows the press and the slip; a robot has forces read from marker images. Press: what the pads carry less
 than in free air, the board carries. Slippage: both pads at their friction limit at once, for long; in simulation that
-is what tells a slide from a firm stroke (docs/benchmark.md). How far something slid, and how deep a pad was pressed,
-these forces can't tell.
+separates a slide from a firm stroke (docs/benchmark.md). These forces don't say how far something slid or how deep a
+pad was pressed.
 """
 
 from __future__ import annotations
@@ -17,22 +17,17 @@ from uniforce_vtla.evaluation.episode import ScoreLimits, longest_run_s, press_e
 
 FY, FZ = 1, 2  # canonical frame: y up along the finger's pad, z into the pad
 
-
-@dataclass(frozen=True)
-class FingerSettings:
-    """What counts as held, carried and sliding."""
-
-    held_N: float = 1.5  # grip of each finger above which something is in the hand
-    lift_m: float = 0.02  # tool height gained since the grasp that counts as lifted
-    carry_s: float = 0.4  # of free air after the lift, before the board is near: what the eraser weighs
-    friction_share: float = 0.9  # of a pad's friction: at its limit, within what heads can read
-    slide_s: float = 1.0  # both pads there for so long have let the object slide some millimetres
-    smallest_grip_N: float = 0.5  # below it shear over grip means nothing
+HELD_N = 1.5  # grip of each finger above which something is in the hand
+LIFT_m = 0.02  # tool height gained since the grasp that counts as lifted
+CARRY_s = 0.4  # of free air after the lift, before the board is near: what the eraser weighs
+FRICTION_SHARE = 0.9  # of a pad's friction: at its limit, within what heads can read
+SLIDE_s = 1.0  # both pads there for so long have let the object slide some millimetres
+SMALLEST_GRIP_N = 0.5  # below it shear over grip means nothing
 
 
 @dataclass(frozen=True)
 class FingerEstimate:
-    """One episode as the fingers felt it.
+    """One episode as the fingers measured it.
 
     Attributes:
         press_N: (n,) on the board; 0 before the lift.
@@ -50,14 +45,14 @@ class FingerEstimate:
     excess_force: tuple[str, ...]
     lost: tuple[str, ...]
 
+    @property
+    def events(self) -> list[str]:
+        """All reasons, or "no event"."""
+        return [*self.lost, *self.slippage, *self.excess_force] or ["no event"]
+
 
 def estimate_events(
-    time_s: np.ndarray,
-    force_N: np.ndarray,
-    tool_z_m: np.ndarray,
-    pad_friction: tuple[float, float],
-    limits: ScoreLimits | None = None,
-    settings: FingerSettings | None = None,
+    time_s: np.ndarray, force_N: np.ndarray, tool_z_m: np.ndarray, pad_friction: tuple[float, float]
 ) -> FingerEstimate:
     """Judge one episode from the fingers' forces and the robot's own height.
 
@@ -66,58 +61,55 @@ def estimate_events(
         force_N: (n, 2, 3) left and right, fx, fy, fz in the canonical frame.
         tool_z_m: (n,) measured height of the tool.
         pad_friction: left, right; from a slow pull until the object slides.
-        limits: where an episode stops being good, as for the simulator.
-        settings: what counts as held, carried and sliding.
 
     Raises:
         ContractError: shapes that don't fit, numbers that aren't finite, friction that isn't positive.
         DatasetError: nothing was lifted for long enough to weigh it.
     """
-    limits, settings = limits or ScoreLimits(), settings or FingerSettings()
+    limits = ScoreLimits()
     _check(time_s, force_N, tool_z_m, pad_friction)
     grip = force_N[:, :, FZ]
-    start = lift_frame(grip, tool_z_m, settings)
+    start = lift_frame(grip, tool_z_m)
     if start is None:
         nothing = np.zeros(len(time_s))
         return FingerEstimate(nothing, grip, np.zeros_like(grip), (), (), ("never lifted",))
     lifted = np.arange(len(time_s)) >= start
-    carried = _carry(time_s, start, settings)
     up = force_N[:, :, FY].sum(axis=1)  # (n,) what the pads bear
-    press = np.where(lifted, np.median(up[carried]) - up, 0.0)
+    press = np.where(lifted, np.median(up[_carry(time_s, start)]) - up, 0.0)
     shear = np.linalg.norm(force_N[:, :, :FZ], axis=2)  # (n, 2)
-    used = shear / np.maximum(grip, settings.smallest_grip_N) / np.asarray(pad_friction)
+    used = shear / np.maximum(grip, SMALLEST_GRIP_N) / np.asarray(pad_friction)
     used[~lifted] = 0.0
-    sliding_s = longest_run_s((used > settings.friction_share).all(axis=1), time_s)
+    sliding_s = longest_run_s((used > FRICTION_SHARE).all(axis=1), time_s)
     slid = (f"both pads at their friction limit for {sliding_s:.1f} s",)
-    loose = lifted & (grip < limits.lost_grip_N + settings.smallest_grip_N).all(axis=1)
+    loose = lifted & (grip < limits.lost_grip_N + SMALLEST_GRIP_N).all(axis=1)
     dropped = longest_run_s(loose, time_s) > limits.lost_grip_s
     return FingerEstimate(
         press,
         grip,
         used,
-        slid if sliding_s > settings.slide_s else (),
+        slid if sliding_s > SLIDE_s else (),
         tuple(press_events(press, time_s, limits)),
         (f"no grip for {limits.lost_grip_s:g} s",) if dropped else (),
     )
 
 
-def lift_frame(grip_N: np.ndarray, tool_z_m: np.ndarray, settings: FingerSettings) -> int | None:
-    """Return the first frame with something held ``lift_m`` above where it was grasped; None if there is none."""
-    held = (grip_N > settings.held_N).all(axis=1)
+def lift_frame(grip_N: np.ndarray, tool_z_m: np.ndarray) -> int | None:
+    """Return the first frame with something held ``LIFT_m`` above where it was grasped; None if there is none."""
+    held = (grip_N > HELD_N).all(axis=1)
     if not held.any():
         return None
     grasp_z = tool_z_m[int(held.argmax())]
-    lifted = held & (tool_z_m > grasp_z + settings.lift_m)
+    lifted = held & (tool_z_m > grasp_z + LIFT_m)
     return int(lifted.argmax()) if lifted.any() else None
 
 
-def _carry(time_s: np.ndarray, start: int, settings: FingerSettings) -> slice:
-    end = int(np.searchsorted(time_s, time_s[start] + settings.carry_s))
-    if time_s[-1] < time_s[start] + settings.carry_s:
+def _carry(time_s: np.ndarray, start: int) -> slice:
+    end_s = time_s[start] + CARRY_s
+    if time_s[-1] < end_s:
         came = f"{time_s[-1] - time_s[start]:.2f} s"
         do = "Let the robot carry it through free air first."
-        raise DatasetError(expected("time after the lift", f"≥ {settings.carry_s:g} s", came, do))
-    return slice(start, end)
+        raise DatasetError(expected("time after the lift", f"≥ {CARRY_s:g} s", came, do))
+    return slice(start, int(np.searchsorted(time_s, end_s)))
 
 
 def _check(

@@ -1,19 +1,21 @@
-"""Pictures of scored rollouts: bars with intervals, an episode's sheet, a video."""
+"""Pictures of scored rollouts: bars with intervals, an episode's sheet or its estimates."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-import av
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from uniforce_vtla.evaluation.arms import OUTCOMES, ArmReport
+from uniforce_vtla.evaluation.arms import ArmReport
+from uniforce_vtla.evaluation.episode import ScoreLimits
+from uniforce_vtla.evaluation.finger_estimates import FRICTION_SHARE, FingerEstimate
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.figure_file import save_figure
+from uniforce_vtla.keys import OUTCOME_NAMES
 
 PICTURE_DPI = 110  # thumbnails need it
 COLOURS = {
@@ -23,8 +25,6 @@ COLOURS = {
     "failed_grasp": "#e76f51",
     "aborted": "#6c757d",
 }
-PANELS_PER_ROW = 6  # z-profiles that still fit a page
-Z_RANGE_MM = (-4.0, 6.0)  # what pressing changes; a look back lifts out of it
 
 
 def draw_arms(reports: Sequence[ArmReport], path: Path, title: str) -> Path:
@@ -52,7 +52,7 @@ def draw_outcomes(axes: Axes, reports: Sequence[ArmReport]) -> None:
 
 
 def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
-    counts = {outcome: report.count(outcome) for outcome in OUTCOMES} | {"clean": report.count("clean")}
+    counts = {outcome: report.count(outcome) for outcome in OUTCOME_NAMES} | {"clean": report.count("clean")}
     counts["success with an event"] = counts["success"] - counts["clean"]
     left = 0.0
     for name, colour in COLOURS.items():
@@ -60,53 +60,6 @@ def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
         label = name.replace("_", " ") if place == 0 else None
         axes.barh(place, share, 0.7, left=left, color=colour, label=label)
         left += share
-
-
-def draw_success_over_demos(curves: Mapping[str, Mapping[int, ArmReport]], path: Path) -> Path:
-    """Draw clean success with its 95 % interval over the number of demos, a curve per arm."""
-    figure = Figure(figsize=(5.6, 3.6))
-    axes = figure.subplots()
-    for name, curve in curves.items():
-        clean = [wilson(report.count("clean"), report.n) for report in curve.values()]
-        rates = np.array([p.k / p.n for p in clean])
-        spread = np.abs(np.array([(p.low, p.high) for p in clean]).T - rates)
-        axes.errorbar([*curve], rates, yerr=spread, fmt="o-", capsize=3, ms=4, label=name)
-    every = sorted({demos for curve in curves.values() for demos in curve})
-    axes.set_xscale("log")
-    axes.set_xticks(every, [str(demos) for demos in every])
-    axes.minorticks_off()
-    axes.set_ylim(0, 1.02)
-    axes.set_xlabel("demos")
-    axes.set_ylabel("clean success, 95 %")
-    axes.legend(frameon=False)
-    return save_figure(figure, path, PICTURE_DPI, crop=True)
-
-
-def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
-    """Draw each arm's tool height over the wipe: median, and the middle half of all rollouts as a band.
-
-    A board's height and tilt differ between scenes, so every profile is taken against its own median; medians, since
-    who looks back at the board lifts by centimetres between two sweeps.
-    """
-    shown = [r for r in reports if any(row.z_profile_mm for row in r.rows)]
-    columns = min(max(len(shown), 1), PANELS_PER_ROW)
-    rows = max(-(-len(shown) // columns), 1)
-    figure = Figure(figsize=(1.0 + 2.3 * columns, 0.4 + 2.6 * rows), layout="constrained")
-    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
-    for panel in panels.flat[len(shown) :]:
-        panel.axis("off")
-    for panel, report in zip(panels.flat, shown, strict=False):
-        height = np.array([row.z_profile_mm for row in report.rows if row.z_profile_mm])
-        height -= np.median(height, axis=1, keepdims=True)
-        share = np.linspace(0, 100, height.shape[1])
-        low, middle, high = np.percentile(height, [25, 50, 75], axis=0)
-        panel.fill_between(share, low, high, alpha=0.25, color="#2a9d8f")
-        panel.plot(share, middle, color="#2a9d8f")
-        panel.set_title(f"{report.arm}\nhalf within {np.median(np.abs(height)):.2f} mm", fontsize=9)
-        panel.set_ylim(*Z_RANGE_MM)
-        panel.set_xlabel("% of the wipe", fontsize=8)
-    figure.supylabel("tool height about its median, mm", fontsize=9)
-    return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
@@ -140,14 +93,26 @@ def _thumbnails(frames: Sequence[np.ndarray], count: int = 6) -> np.ndarray:
     return np.concatenate(chosen, axis=1)
 
 
-def write_video(path: Path, frames: Sequence[np.ndarray], fps: int) -> Path:
-    """Write (H, W, 3) uint8 frames as an h264 video that browsers play."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("h264", rate=fps)
-        stream.height, stream.width = frames[0].shape[:2]
-        stream.pix_fmt = "yuv420p"
-        for frame in frames:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
-        container.mux(stream.encode())
-    return path
+def draw_estimate(
+    found: FingerEstimate, time_s: np.ndarray, truth: FingerEstimate | None, path: Path
+) -> Path:
+    """Draw a recording's estimates over time, beside the same from true forces where there are any."""
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    press, grip, friction = figure.subplots(3, 1, sharex=True)
+    for estimate, style, label in ((truth, "k:", "from true forces"), (found, "-", "estimate")):
+        if estimate is None:
+            continue
+        press.plot(time_s, estimate.press_N, style, label=label)
+        grip.plot(time_s, estimate.grip_N[:, 0], style, label=f"left, {label}")
+        grip.plot(time_s, estimate.grip_N[:, 1], style, label=f"right, {label}")
+        friction.plot(time_s, estimate.friction_used.min(axis=1), style, label=label)
+    press.axhline(ScoreLimits().mean_press_N, color="C3", lw=0.8, ls="--")
+    friction.axhline(FRICTION_SHARE, color="C3", lw=0.8, ls="--")
+    press.set_ylabel("press on board [N]")
+    grip.set_ylabel("grip [N]")
+    friction.set(ylabel="friction used, lesser pad", xlabel="time [s]")
+    for panel in (press, grip, friction):
+        panel.grid(alpha=0.25)
+        panel.legend(fontsize=8, loc="upper left")
+    figure.suptitle("; ".join(found.events))
+    return save_figure(figure, path)

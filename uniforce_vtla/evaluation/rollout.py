@@ -6,7 +6,6 @@ Evaluation never meets a policy class; it is handed a controller, ``action chunk
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -45,7 +44,7 @@ class Controller(Protocol):
         """Return the next (n, 5) absolute targets to execute before looking again."""
 
     def facts(self) -> dict[str, float]:
-        """Return what it has to say of itself since the last reset: missed deadlines, latencies."""
+        """Return its own figures since the last reset: missed deadlines, latencies."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Rollout:
         trace: what was measured at each control step.
         think_ms: controller time per chunk.
         frames: front-camera pictures, one per chunk, when asked for.
-        facts: what the controller says of itself, e.g. ``missed_deadlines``.
+        facts: the controller's own figures, e.g. ``missed_deadlines``.
     """
 
     seed: int
@@ -69,13 +68,7 @@ class Rollout:
     facts: dict[str, float] = field(default_factory=dict)
 
 
-def roll_out(
-    env: Environment,
-    controller: Controller,
-    seed: int,
-    keep_frames: bool = False,
-    on_step: Callable[[], None] | None = None,
-) -> Rollout:
+def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: bool = False) -> Rollout:
     """Run one episode to its end.
 
     Raises:
@@ -92,26 +85,14 @@ def roll_out(
         start = time.perf_counter()
         chunk = _checked(controller.chunk(observation, env.task))
         think_ms.append(1e3 * (time.perf_counter() - start))
-        done = _execute(env, chunk, on_step)
+        done = any(env.advance(action) for action in chunk)  # what comes after the end is not executed
         if not done:
             observation = env.observe()
     return Rollout(seed, env.result(), env.trace, np.asarray(think_ms), frames, controller.facts())
 
 
-def _execute(env: Environment, chunk: np.ndarray, on_step: Callable[[], None] | None) -> bool:
-    for action in chunk:
-        if on_step is not None:
-            on_step()
-        if env.advance(action):
-            return True
-    return False
-
-
 def _checked(chunk: np.ndarray) -> np.ndarray:
     if chunk.ndim != 2 or chunk.shape[1] != 5 or len(chunk) == 0 or not np.isfinite(chunk).all():
-        raise RolloutError(
-            expected(
-                "action chunk", "finite (n ≥ 1, 5)", f"{chunk.shape}", "The robot holds; check the policy."
-            )
-        )
+        do = "The robot holds; check the policy."
+        raise RolloutError(expected("action chunk", "finite (n ≥ 1, 5)", chunk.shape, do))
     return chunk

@@ -2,7 +2,7 @@
 
 Two rigs, the same right finger: GelSight left or uSkin left, TacTip right. V and V+T learn from both rigs' demos,
 V+T+G and V+T+U from their own. V+G and V+U are the V+T checkpoint, its one slot filled by the other finger.
-Both left pads are the same body to physics and cameras, so an arm that doesn't feel with the left finger does the same
+Both left pads are the same body to physics and cameras, so an arm whose left finger fills no slot does the same
 on either rig and is rolled out on one (``tests/envs/test_touch.py``).
 """
 
@@ -11,15 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from uniforce_vtla.contracts import Finger
-
-SCRIPTS = ("expert", "blind")  # the scene's own: feels both pads' true wrench; the best that feels nothing
+from uniforce_vtla.evaluation.comparison import AtMostWorse
 
 
 @dataclass(frozen=True)
 class Arm:
     """One line of the table: which checkpoint, on which rig, and what was changed at rollout time.
 
-    ``checkpoint`` is the name of a folder of checkpoints, or one of ``SCRIPTS``.
+    ``checkpoint`` is the name of a folder of checkpoints, or a script's of ``uniforce-score``: expert | blind.
     """
 
     name: str
@@ -32,14 +31,14 @@ class Arm:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a checkpoint of the plan is trained: what it feels, with which fingers, on which rigs' demos.
+    """How a checkpoint of the plan is trained: its touch input, with which fingers, on which rigs' demos.
 
     ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default. ``state_noise`` blurs
     the measured height by 6 mm and the width by 1.4 mm while training: boards lie higher or lower, erasers are wider or
-    narrower, arms and grippers give way, so that who trusts the pose strokes in the air, presses or squeezes too hard
-    (docs/experiments/tiny_policy.md). V keeps both, having nothing else.
-    ``sensor_transfer`` is the share of samples whose latents are told as another finger would tell them,
-    ``touch_directions`` how many directions of a latent map are heard at all (0: all of it), ``touch_noise`` how much
+    narrower, arms and grippers give way, so that a policy that trusts the pose strokes in the air, presses or grips too
+    hard (docs/experiments/tiny_policy.md). V keeps both, having nothing else.
+    ``sensor_transfer`` is the share of samples whose latents are mapped to those of another finger's sensor,
+    ``touch_directions`` how many directions of a latent map are kept (0: all of it), ``touch_noise`` how much
     they are blurred while training, in units of what fingers of a grasp disagree by (None: the policy's own default).
     """
 
@@ -54,12 +53,12 @@ class Recipe:
 
 
 _BOTH: tuple[tuple[str, Finger], ...] = (("touch0", "right"), ("touch1", "left"))
-# V+T hides its touch in a tenth of the samples, so that the masked control asks it nothing it never met.
+# V+T's touch is masked in a tenth of the samples, so that the masked control is inside its training distribution.
 _HIDDEN = 0.1
-# A fifth told as another finger would makes a head read the other finger's grip three times better and costs the own
-# one nothing. Four directions hold grip and pull and nothing sideways, in which the fingers of one grasp may disagree
-# by newtons, and each is blurred by as much as they disagree along it: who trusts the last two squeezes with 12 N where
-# 9 are meant (docs/experiments/tiny_policy.md).
+# A fifth mapped to another sensor makes a head read the other finger's grip three times better and costs its own one
+# nothing. Four directions hold grip and pull and nothing sideways, in which the fingers of one grasp may disagree by
+# newtons, and each is blurred by as much as they disagree along it: without the last two steps a policy grips with 12 N
+# where 9 are meant (docs/experiments/tiny_policy.md).
 _LATENT = Recipe("latent", sensor_transfer=0.2, touch_directions=4, touch_noise=1.0)
 RECIPES = {
     "v": Recipe("none", state_noise=()),
@@ -99,16 +98,6 @@ BETTER = (
     ("V+T+U", "V"),
     ("raw images", "raw images swapped"),
 )
-
-
-@dataclass(frozen=True)
-class AtMostWorse:
-    """The claim that ``first`` succeeds cleanly at most ``margin`` (a share) less often than ``second``."""
-
-    about: str
-    first: str
-    second: str
-    margin: float
 
 
 AS_GOOD = (

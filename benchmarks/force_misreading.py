@@ -1,7 +1,7 @@
 """How many newtons a policy misreads: what its commands do when it is given other touch, all else the same.
 
-A policy doesn't say what it feels, but it answers: more press, and it raises its next height; more grip, and it opens.
-The slope of that answer, found by handing it the touch of other moments, turns any change of a command into newtons.
+A policy's commands respond to touch: more press, and it raises its next height; more grip, and it opens. The slope of
+that response, found by giving it the touch of other moments, turns any change of a command into newtons.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 
 from uniforce_vtla.errors import DatasetError, RolloutError, expected
 
-# force → its place in a wrench and its sign there (pads feel −y)
-FELT = {"press": (1, -1.0), "grip": (2, 1.0)}
-LEAST_MOMENTS = 20  # fewer can't tell four slopes
+# force → its place in a wrench and its sign there (a press is −y on both pads)
+FORCES = {"press": (1, -1.0), "grip": (2, 1.0)}
+LEAST_MOMENTS = 20  # fewer don't determine four slopes
 PRESSING_N = 2.0  # shear along the pad's height above this is a wipe
 IN_AIR_N = 1.0  # below this only the eraser's weight pulls
 CLOSING_N, HELD_N = 2.0, 8.0  # grip from the first touch to about the demos' own
@@ -67,8 +67,8 @@ class Response:
 
     def of(self, force: str) -> float:
         """Return mm per N of press (height) or grip (width)."""
-        place, sign = FELT[force]
-        return sign * float(self.slopes[place, list(FELT).index(force)])
+        place, sign = FORCES[force]
+        return sign * float(self.slopes[place, list(FORCES).index(force)])
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Misreading:
     mean_N: float  # over all moments: a bias
     between_episodes_N: float  # spread of the episodes' means: what regulation can't average out
     rms_N: float  # of single moments
-    heard: float  # slope beside that of the finger it learnt with: 1 = it listens as well
+    slope_ratio: float  # to that of the finger it was trained with: 1 = the same response
 
 
 def response(changes: Changes) -> Response:
@@ -90,13 +90,13 @@ def response(changes: Changes) -> Response:
     if len(changes.wrench) < LEAST_MOMENTS:
         do = "Look at more episodes."
         raise DatasetError(expected("moments", f"at least {LEAST_MOMENTS}", len(changes.wrench), do))
-    told = np.c_[changes.wrench, np.ones(len(changes.wrench))]
-    slopes, *_ = np.linalg.lstsq(told, changes.moves_mm, rcond=None)
+    inputs = np.c_[changes.wrench, np.ones(len(changes.wrench))]
+    slopes, *_ = np.linalg.lstsq(inputs, changes.moves_mm, rcond=None)
     return Response(slopes[:-1])
 
 
 def misreading(
-    same: Changes, other: Changes, learnt: Response, forces: Sequence[str] = tuple(FELT)
+    same: Changes, other: Changes, learnt: Response, forces: Sequence[str] = tuple(FORCES)
 ) -> dict[str, Misreading]:
     """Return what a policy misreads with a finger, by force.
 
@@ -107,21 +107,21 @@ def misreading(
         forces: which are asked for.
 
     Raises:
-        RolloutError: it doesn't answer a force as one who regulates it.
+        RolloutError: it doesn't respond to a force as a regulator would.
     """
     for force in forces:
         if not learnt.of(force) > 0:
             came, do = f"{learnt.of(force):.3f} mm per N", "Train it longer, or with touch."
             raise RolloutError(expected(f"answer to more {force}", "a command that gives way", came, do))
     answered, found = response(other), {}
-    surplus_mm = same.moves_mm - same.wrench @ learnt.slopes  # fingers truly feel different forces
+    surplus_mm = same.moves_mm - same.wrench @ learnt.slopes  # the true forces of both fingers differ
     for force in forces:
-        error_N = surplus_mm[:, list(FELT).index(force)] / learnt.of(force)
+        error_N = surplus_mm[:, list(FORCES).index(force)] / learnt.of(force)
         means = np.array([error_N[same.episode == one].mean() for one in np.unique(same.episode)])
         found[force] = Misreading(
             mean_N=float(error_N.mean()),
             between_episodes_N=float(means.std()),
             rms_N=float(np.sqrt(np.square(error_N).mean())),
-            heard=answered.of(force) / learnt.of(force),
+            slope_ratio=answered.of(force) / learnt.of(force),
         )
     return found

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
-from lerobot_env_uniforce_wiping.solver import SolverSettings
 from uniforce_vtla.figure_file import save_figure
 
 GREY, BLUE, ORANGE, RED, GREEN = "0.45", "#1f6fb2", "#d9822b", "#c23b3b", "#3f8f4f"

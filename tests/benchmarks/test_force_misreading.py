@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.force_misreading import SITUATIONS, Changes, misreading, response
 from uniforce_vtla.errors import DatasetError, RolloutError
-from uniforce_vtla.evaluation.reading import SITUATIONS, Changes, misreading, response
 
 SLOPES = np.array([[0.0, 0.01], [-0.4, 0.002], [0.03, 0.05], [0.001, 0.0]])  # mm per N, N, N, Nmm
 EPISODES, MOMENTS = 30, 12
@@ -27,20 +27,20 @@ def test_slopes_are_found() -> None:
     )
 
 
-def test_a_bias_and_a_deaf_ear_are_found() -> None:
+def test_a_bias_and_a_weaker_response_are_found() -> None:
     learnt = response(changes(0))
     same = changes(1, offset_mm=(0.4 * 0.5, -0.05 * 0.8))  # believes in .5 N more press, .8 N less grip
-    deaf = SLOPES * (1, 0.6)
-    found = misreading(same, changes(2, deaf), learnt)
+    weaker = SLOPES * (1, 0.6)
+    found = misreading(same, changes(2, weaker), learnt)
     assert found["press"].mean_N == pytest.approx(0.5, abs=0.02)
     assert found["grip"].mean_N == pytest.approx(-0.8, abs=0.03)
-    assert found["press"].heard == pytest.approx(1, abs=0.03) and found["grip"].heard == pytest.approx(
-        0.6, abs=0.03
-    )
+    assert found["press"].slope_ratio == pytest.approx(1, abs=0.03) and found[
+        "grip"
+    ].slope_ratio == pytest.approx(0.6, abs=0.03)
     assert found["press"].rms_N > abs(found["press"].mean_N) > found["press"].between_episodes_N
 
 
-def test_what_differs_from_episode_to_episode_is_told_apart() -> None:
+def test_what_differs_from_episode_to_episode_is_separated() -> None:
     plain, rng = changes(3), np.random.default_rng(4)
     own_N = rng.standard_normal(EPISODES)  # each episode's own error of press
     moved = plain.moves_mm + np.c_[0.4 * own_N[plain.episode], np.zeros(len(plain.episode))]
@@ -53,10 +53,10 @@ def test_too_few_moments_and_a_policy_that_does_not_answer_are_refused() -> None
     few = changes(0)
     with pytest.raises(DatasetError, match="moments"):
         response(Changes(few.moves_mm[:9], few.wrench[:9], few.episode[:9]))
-    deaf = response(changes(0, SLOPES * (1, -1)))
+    reversed_grip = response(changes(0, SLOPES * (1, -1)))
     with pytest.raises(RolloutError, match="grip"):
-        misreading(changes(1), changes(2), deaf)
-    assert list(misreading(changes(1), changes(2), deaf, ["press"])) == ["press"]
+        misreading(changes(1), changes(2), reversed_grip)
+    assert list(misreading(changes(1), changes(2), reversed_grip, ["press"])) == ["press"]
 
 
 def test_every_moment_is_of_one_situation_at_most() -> None:

@@ -14,9 +14,10 @@ import mujoco
 import numpy as np
 
 from lerobot_env_uniforce_wiping.ink import InkField
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
+from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.scene_params import SceneParams, draw_scene
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
-from lerobot_env_uniforce_wiping.solver import CONTROL_HZ, SolverSettings
 from uniforce_vtla.contracts import FINGERS
 
 GRAVITY_m_s2 = 9.81

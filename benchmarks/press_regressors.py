@@ -1,4 +1,4 @@
-"""Does anything but touch tell the press?  Regressors that may look at everything a policy sees, except touch.
+"""Does anything but touch predict the press?  Regressors that may look at everything a policy sees, except touch.
 
 They should fail where touch succeeds. Trees read three frames of state, a small CNN three frames of both cameras;
 the check counts only if the same trees read the press well from touch.
@@ -32,7 +32,7 @@ class Samples:
 
     @property
     def moves(self) -> np.ndarray:
-        """Return (N, 10): how the targets changed between the three frames; the targets themselves tell a force."""
+        """Return (N, 10): how the targets changed between the three frames; the targets themselves predict a force."""
         frames = self.command.reshape(len(self.command), FRAMES, -1)
         return np.diff(frames, axis=1).reshape(len(frames), -1)
 
@@ -42,7 +42,7 @@ def measure(samples: Samples, cnn_steps: int) -> dict[str, float]:
     train = samples.scene < round(2 / 3 * (samples.scene.max() + 1))
     flat = {
         "state": samples.state,
-        # what a policy without touch is told
+        # the inputs of a policy without touch
         "state and own moves": np.hstack([samples.state, samples.moves]),
         "state and own targets": np.hstack([samples.state, samples.command]),
         "touch": samples.touch,

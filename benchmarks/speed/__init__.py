@@ -1,0 +1,1 @@
+"""Latencies and throughputs, each beside an anchor measured in the same run."""

@@ -1,0 +1,270 @@
+"""One recorded episode for people: its key frames, forces, latents and estimated events, and pictures of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from uniforce_vtla.evaluation.episode import ScoreLimits, runs
+from uniforce_vtla.evaluation.finger_estimates import (
+    FRICTION_SHARE,
+    FY,
+    FZ,
+    HELD_N,
+    FingerEstimate,
+    lift_frame,
+)
+from uniforce_vtla.figure_file import save_figure
+
+LETTERS = "ABCDEFGH"  # of the key frames, the same in all pictures
+FORCES = (("fx", "#4c78a8"), ("fy", "#e07b39"), ("fz", "#2a9d8f"))
+BEYOND = "#e63946"  # limits, and stretches beyond one
+SIDE_IN = 2.1  # of a key frame's picture
+WIDTH_IN, FILM_IN, PLOT_IN, LATENT_IN = 14.0, 1.12, 1.45, 0.8  # of the time line and its rows
+
+
+@dataclass(frozen=True, eq=False)
+class KeyFrame:
+    """One frame worth looking at.
+
+    Attributes:
+        name: why, e.g. "lifted".
+        frame: its number in the episode.
+        cameras: (H, W, 3) uint8 RGB by camera.
+        markers: (H, W, 3) uint8 overlay of reference and current, by finger.
+        raw: (H, W, 3) uint8 RGB of what the sensor gave, by finger; only those that were kept.
+    """
+
+    name: str
+    frame: int
+    cameras: dict[str, np.ndarray]
+    markers: dict[str, np.ndarray]
+    raw: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Frames ``first`` … ``end − 1`` beyond a limit; whether that makes an event is for the scores to say."""
+
+    name: str
+    first: int
+    end: int
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeSummary:
+    """An episode of n frames with two fingers, left before right in every array.
+
+    Attributes:
+        title: dataset and episode.
+        time_s: (n,).
+        films: evenly spaced (H, W, 3) uint8 RGB pictures by camera.
+        force_N: (n, 2, 3) estimates, canonical frame.
+        true_force_N: the same from a simulator; None for a robot's recording.
+        change: by finger, (n, g, g, L) latent minus its free-air latent, as the sensor sees it.
+        key_frames: in order of time.
+        found: what the estimates mean; None where that can't be judged.
+        truth: what the true forces mean.
+        judges_slip: whether the pads' friction is known.
+        note: why ``found`` is None.
+    """
+
+    title: str
+    time_s: np.ndarray
+    films: dict[str, list[np.ndarray]]
+    force_N: np.ndarray
+    true_force_N: np.ndarray | None
+    change: dict[str, np.ndarray]
+    key_frames: tuple[KeyFrame, ...]
+    found: FingerEstimate | None
+    truth: FingerEstimate | None
+    judges_slip: bool
+    note: str = ""
+
+    def strength(self, finger: str) -> np.ndarray:
+        """Return (n, g, g): how far each patch's latent is from free air."""
+        return np.linalg.norm(self.change[finger], axis=-1)
+
+    @property
+    def stretches(self) -> list[Stretch]:
+        """Where the estimated press, or the friction both pads use, is beyond its limit."""
+        if self.found is None:
+            return []
+        most_N, used = ScoreLimits().mean_press_N, self.found.friction_used.min(axis=1)
+        beyond = {
+            f"press > {most_N:g} N": self.found.press_N > most_N,
+            "both pads at their friction limit": used > FRICTION_SHARE,
+        }
+        return [
+            Stretch(name, int(first), int(end))
+            for name, flags in beyond.items()
+            for first, end in runs(flags)
+        ]
+
+    @property
+    def verdict(self) -> list[str]:
+        """The estimated events in words."""
+        if self.found is None:
+            return [f"events can't be estimated: {self.note}"]
+        unjudged = [] if self.judges_slip else ["slippage isn't judged: the pads' friction wasn't given"]
+        return [*self.found.events, *unjudged]
+
+    @property
+    def true_verdict(self) -> list[str]:
+        """The same judged by true forces; empty where there are none."""
+        return [] if self.truth is None else self.truth.events
+
+
+def find_key_frames(force_N: np.ndarray, tool_z_m: np.ndarray) -> dict[str, int]:
+    """Return frame by name, in order of time.
+
+    Args:
+        force_N: (n, 2, 3) left and right, canonical frame.
+        tool_z_m: (n,) measured height.
+    """
+    grip = force_N[:, :, FZ]
+    held = (grip > HELD_N).all(axis=1)
+    lifted = lift_frame(grip, tool_z_m)
+    found = {"start": 0, "end": len(force_N) - 1, "strongest grip": int(grip.sum(axis=1).argmax())}
+    if held.any():
+        found["grasped"] = int(held.argmax())
+    if lifted is not None:
+        found["lifted"] = lifted
+        found["strongest push"] = lifted + int(force_N[lifted:, :, FY].sum(axis=1).argmin())
+    return dict(sorted(found.items(), key=lambda item: item[1]))
+
+
+def draw_key_frames(summary: EpisodeSummary, path: Path) -> Path:
+    """Draw a column per key frame: cameras, then of each finger its raw frame if kept, markers, latent change."""
+    first, count = summary.key_frames[0], len(summary.key_frames)
+    rows = list(summary.films)
+    for finger in summary.change:
+        parts = ("raw", "markers", "latent") if finger in first.raw else ("markers", "latent")
+        rows += [f"{finger} {part}" for part in parts]
+    heights = [0.76 if name.endswith(("markers", "raw")) else 1.0 for name in rows]
+    size = (SIDE_IN * count + 0.6, SIDE_IN * sum(heights) + 0.9)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(rows), count, squeeze=False, height_ratios=heights)
+    for column, letter, frame in zip(grid.T, LETTERS, summary.key_frames, strict=False):
+        column[0].set_title(f"{letter}  {frame.name}\n{summary.time_s[frame.frame]:.2f} s", fontsize=10)
+        _column(dict(zip(rows, column, strict=True)), summary, frame)
+    for name, panel in zip(rows, grid[:, 0], strict=True):
+        panel.set_ylabel(name)
+    for panel in grid.flat:
+        panel.set(xticks=[], yticks=[])
+    return save_figure(figure, path)
+
+
+def _column(panels: dict[str, Axes], summary: EpisodeSummary, frame: KeyFrame) -> None:
+    for camera in summary.films:
+        panels[camera].imshow(frame.cameras[camera])
+    for finger, picture in frame.raw.items():
+        panels[f"{finger} raw"].imshow(picture)
+    for number, finger in enumerate(summary.change):
+        panels[f"{finger} markers"].imshow(frame.markers[finger], interpolation="antialiased")
+        strength, panel = summary.strength(finger), panels[f"{finger} latent"]
+        panel.imshow(strength[frame.frame], cmap="magma", vmin=0, vmax=max(float(strength.max()), 1e-6))
+        forces = {"estimate": summary.force_N, "true": summary.true_force_N}
+        words = [f"{k} {_newtons(v[frame.frame, number])}" for k, v in forces.items() if v is not None]
+        panel.set_xlabel("\n".join(words), fontsize=8)
+
+
+def _newtons(force_N: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:+.1f}" for value in force_N) + ") N"
+
+
+def draw_channels(summary: EpisodeSummary, frame: KeyFrame, path: Path) -> Path:
+    """Draw every latent channel of both fingers at one key frame, on one colour scale."""
+    changes = {finger: change[frame.frame] for finger, change in summary.change.items()}  # (g, g, L)
+    channels = next(iter(changes.values())).shape[-1]
+    figure = Figure(figsize=(1.6 * channels + 1.4, 1.75 * len(changes) + 0.6), layout="constrained")
+    grid = figure.subplots(len(changes), channels, squeeze=False)
+    limit = max(float(np.abs(change).max()) for change in changes.values()) or 1.0
+    for line, (finger, change) in zip(grid, changes.items(), strict=True):
+        line[0].set_ylabel(finger)
+        for channel, panel in enumerate(line):
+            image = panel.imshow(change[:, :, channel], cmap="RdBu_r", vmin=-limit, vmax=limit)
+            panel.set(xticks=[], yticks=[], title=f"z{channel}")
+    figure.colorbar(image, ax=grid, shrink=0.8, label="latent − free air")
+    return save_figure(figure, path)
+
+
+def draw_timeline(summary: EpisodeSummary, path: Path) -> Path:
+    """Draw everything over the same seconds; letters mark the columns of ``draw_key_frames``."""
+    events = [] if summary.found is None else ["press", *(["friction"] if summary.judges_slip else [])]
+    plots = [*events, *(f"force {finger}" for finger in summary.change)]
+    rows = [*summary.films, *plots, *(f"latent {finger}" for finger in summary.change)]
+    heights = [FILM_IN] * len(summary.films) + [PLOT_IN] * len(plots) + [LATENT_IN] * len(summary.change)
+    figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.8), layout="constrained")
+    panels = dict(zip(rows, figure.subplots(len(rows), 1, sharex=True, height_ratios=heights), strict=True))
+    for camera, film in summary.films.items():
+        _strip(panels[camera], np.concatenate(film, axis=1), summary.time_s[-1], camera)
+    for number, finger in enumerate(summary.change):
+        _forces(panels[f"force {finger}"], summary, number, finger)
+        # rows of the pad from its top down, each as strong as its latents' mean distance from free air
+        pad_rows = summary.strength(finger).mean(axis=2).T  # (g, n)
+        label = f"{finger}\nlatent,\npad rows"
+        _strip(panels[f"latent {finger}"], pad_rows, summary.time_s[-1], label, fontsize=8)
+    for name in events:
+        _event(panels[name], summary, name)
+    for name in plots:
+        _finish(panels[name], summary)
+    for letter, frame in zip(LETTERS, summary.key_frames, strict=False):
+        at, above = (summary.time_s[frame.frame], 1.0), {"xytext": (0, 3), "textcoords": "offset points"}
+        panels[rows[0]].annotate(letter, at, ha="center", fontweight="bold", **above)
+    panels[rows[-1]].set_xlabel("time [s]")
+    return save_figure(figure, path)
+
+
+def _strip(panel: Axes, picture: np.ndarray, end_s: float, label: str, fontsize: float = 10) -> None:
+    panel.imshow(picture, extent=(0, end_s, 0, 1), aspect="auto", cmap="magma", vmin=0)
+    panel.set(yticks=[])
+    panel.set_ylabel(label, fontsize=fontsize)
+
+
+def _event(panel: Axes, summary: EpisodeSummary, name: str) -> None:
+    """Draw the press, or the friction the lesser pad uses, with its limit."""
+
+    def values(estimate: FingerEstimate) -> np.ndarray:
+        return estimate.press_N if name == "press" else estimate.friction_used.min(axis=1)
+
+    limits = {
+        "press": (ScoreLimits().mean_press_N, "limit of its 0.5 s mean", "press on board [N]", "#6a4c93"),
+        "friction": (FRICTION_SHARE, "limit", "friction used,\nlesser pad", "#bc6c25"),
+    }
+    limit, limit_label, label, colour = limits[name]
+    if summary.truth is not None:
+        panel.plot(
+            summary.time_s, values(summary.truth), color="k", lw=2.2, alpha=0.25, label="from true forces"
+        )
+    if summary.found is not None:
+        panel.plot(summary.time_s, values(summary.found), color=colour, lw=1.4, label="estimate")
+    panel.axhline(limit, color=BEYOND, lw=0.8, ls="--", label=limit_label)
+    panel.set_ylabel(label)
+
+
+def _forces(panel: Axes, summary: EpisodeSummary, number: int, finger: str) -> None:
+    for axis, (name, colour) in enumerate(FORCES):
+        if summary.true_force_N is not None:
+            true = summary.true_force_N[:, number, axis]
+            panel.plot(summary.time_s, true, color=colour, lw=2.6, alpha=0.3, label=f"{name}, true")
+        estimate = summary.force_N[:, number, axis]
+        panel.plot(summary.time_s, estimate, color=colour, lw=1.1, label=f"{name}, estimate")
+    panel.axhline(0, color="0.7", lw=0.6)
+    panel.set_ylabel(f"{finger} finger [N]")
+
+
+def _finish(panel: Axes, summary: EpisodeSummary) -> None:
+    """Mark key frames and stretches; add grid and legend."""
+    for frame in summary.key_frames:
+        panel.axvline(summary.time_s[frame.frame], color="0.4", lw=0.6, ls=":")
+    for stretch in summary.stretches:
+        first_s, last_s = summary.time_s[[stretch.first, stretch.end - 1]]
+        panel.axvspan(first_s, last_s, color=BEYOND, alpha=0.12, lw=0)
+    panel.grid(alpha=0.2)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
