@@ -58,7 +58,7 @@ class Steering:
             self._call(self._teleop.start_from, _named(axes))
 
     def target(self, axes: np.ndarray) -> np.ndarray:
-        """Return (5,) absolute targets, told the (5,) measured axes.
+        """Return (5,) absolute targets for the (5,) measured axes.
 
         Raises:
             TeleoperatorError: the device failed, or what it says can't be followed. ``fault`` is ``ended`` where a

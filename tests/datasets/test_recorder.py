@@ -145,7 +145,7 @@ def test_a_commit_cut_short_anywhere_loads_and_is_finished(
     with pytest.raises(KeyboardInterrupt):
         recorder.save(success=True, outcome="success", seed=1)
     monkeypatch.undo()
-    recorder._lock.close()  # as the dead process would
+    recorder._lock.release()  # as the dead process would
     assert open_dataset(root).num_episodes >= 1
     with open_recorder(root) as after:
         assert after.num_episodes == 2

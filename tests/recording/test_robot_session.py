@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_fakes import FakeRig, Sway, SwayConfig, sway
+from recording_fakes import FakeRig, Script, Sway, SwayConfig, sway
 
 from lerobot_camera_uniforce.faults import WrongSensorError
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.source import read_source, stored_frames
+from uniforce_recording import disk_guard
 from uniforce_recording.assemble import run_session
-from uniforce_recording.disk_guard import DiskGuard
-from uniforce_recording.operators import Command, Event, Nobody, Operator, Phase, Script
+from uniforce_recording.operators import Command, Event, Operator, Phase, Unattended
 from uniforce_recording.session import SessionEnd, SessionSettings
-from uniforce_recording.store import StoreSettings
+from uniforce_recording.store import StoreProcess, StoreSettings, open_recorder
 from uniforce_vtla.errors import TeleoperatorError
 from uniforce_vtla.keys import (
     ABORT_CAUSES,
@@ -56,8 +56,11 @@ def go(
 ) -> SessionEnd:
     plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
     teleop = teleop or sway(root.parent)
-    store = StoreSettings(root, "local/test", reserve_MB=1.0, own_process=own_process)
-    end = run_session(fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)))  # type: ignore[arg-type]
+    store = StoreSettings(root, "local/test", reserve_MB=1.0)
+    opens = StoreProcess if own_process else open_recorder
+    end = run_session(
+        fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)), open_store=opens
+    )  # type: ignore[arg-type]
     assert not fake.robot.is_connected and not teleop.is_connected
     assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
     return end
@@ -65,9 +68,9 @@ def go(
 
 def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
     root = tmp_path / "data"
-    end = go(fake, root, Nobody("success"), episodes=2, prompts=("wipe", "clean the board"))
+    end = go(fake, root, Unattended("success"), episodes=2, prompts=("wipe", "clean the board"))
     assert end.exit_code == 0 and [e.label for e in end.endings] == ["success"] * 2
-    assert go(fake, root, Nobody("success"), episodes=3).message == "3 of 3 episodes"
+    assert go(fake, root, Unattended("success"), episodes=3).message == "3 of 3 episodes"
     dataset = open_dataset(root, return_uint8=True)
     assert dataset.num_episodes == 3 and len(dataset) == 45
     assert {dataset[i]["task"] for i in (0, 15)} == {"wipe", "clean the board"}
@@ -79,7 +82,7 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
 
 
 def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
-    go(fake, tmp_path / "data", Nobody("success"))
+    go(fake, tmp_path / "data", Unattended("success"))
     times = tuple(key(source) for key in (time_key, age_key, index_key) for source in ("front", "left"))
     keys = (STATE, ACTION, STAMPS, *times)
     columns = read_source(tmp_path / "data").columns((*keys, measured_key("wrench"), measured_key("hand")))
@@ -106,7 +109,7 @@ def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
         return quick()
 
     monkeypatch.setattr(teleop, "get_action", slow)
-    end = go(fake, tmp_path / "data", Nobody("success"), teleop, late_share=0.1)
+    end = go(fake, tmp_path / "data", Unattended("success"), teleop, late_share=0.1)
     assert end.exit_code == 3 and "missed" in end.message
     assert labels(tmp_path / "data") == ["aborted:late"] * 3
     assert read_card(tmp_path / "data", 0)["label"] == "aborted:late"
@@ -209,7 +212,7 @@ def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None
 
 def test_nothing_begins_out_of_free_air(fake: FakeRig, tmp_path: Path) -> None:
     fake.hand.width_m = 0.03
-    end = go(fake, tmp_path / "data", Nobody("success"), unwell_s=0.3)
+    end = go(fake, tmp_path / "data", Unattended("success"), unwell_s=0.3)
     assert end.exit_code == 3 and "Open the gripper" in end.message and not end.endings
     asked: list[Phase] = []
 
@@ -225,7 +228,7 @@ def test_nothing_begins_out_of_free_air(fake: FakeRig, tmp_path: Path) -> None:
 def test_a_moving_gel_is_no_reference(fake: FakeRig, tmp_path: Path) -> None:
     frames = fake.captures["tactile_left"].frames
     fake.captures["tactile_left"].frames = tuple(np.roll(f, 12 * n, axis=1) for n, f in enumerate(frames))
-    end = go(fake, tmp_path / "data", Nobody("success"), unwell_s=0.2)
+    end = go(fake, tmp_path / "data", Unattended("success"), unwell_s=0.2)
     assert end.exit_code == 3 and "bad_touch" in end.message and "contact" in end.message
 
 
@@ -233,17 +236,13 @@ def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
     fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = tmp_path / "data"
-    go(fake, root, Nobody("success"))
+    go(fake, root, Unattended("success"))
     room = iter([10**12] * 8)
-    monkeypatch.setattr(
-        DiskGuard.__init__,
-        "__defaults__",
-        (*DiskGuard.__init__.__defaults__[:-1], lambda path: next(room, 10)),  # type: ignore[index]
-    )
-    end = go(fake, root, Nobody("success"), episodes=2, episode_s=5.0)
+    monkeypatch.setattr(disk_guard, "free_bytes", lambda path: next(room, 10))
+    end = go(fake, root, Unattended("success"), episodes=2, episode_s=5.0)
     assert end.exit_code == 4 and labels(root) == ["success", "aborted:disk_full"]
     assert end.endings[0].held_s < 0.1
-    end = go(fake, root, Nobody("success"), episodes=2)
+    end = go(fake, root, Unattended("success"), episodes=2)
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
@@ -293,14 +292,14 @@ def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
         return real()
 
     teleop.get_action = get_action  # type: ignore[method-assign]
-    end = go(fake, tmp_path / "data", Nobody("residual"), teleop, episode_s=5.0)
+    end = go(fake, tmp_path / "data", Unattended("residual"), teleop, episode_s=5.0)
     assert end.exit_code == 0 and labels(tmp_path / "data") == ["residual"]
     assert read_source(tmp_path / "data").num_frames == 7
 
 
 @pytest.mark.slow
 def test_the_whole_through_the_storing_process(fake: FakeRig, tmp_path: Path) -> None:
-    end = go(fake, tmp_path / "data", Nobody("success"), own_process=True)
+    end = go(fake, tmp_path / "data", Unattended("success"), own_process=True)
     assert end.exit_code == 0 and labels(tmp_path / "data")[-1] == "success"
     assert open_dataset(tmp_path / "data").num_episodes >= 1
 
@@ -311,7 +310,7 @@ def test_another_sensor_than_configured_is_refused_before_anything_moves(
     captures = fake.captures
     captures["tactile_left"], captures["tactile_right"] = captures["tactile_right"], captures["tactile_left"]
     with pytest.raises(WrongSensorError, match="Another sensor answers"):
-        go(fake, tmp_path / "data", Nobody("success"))
+        go(fake, tmp_path / "data", Unattended("success"))
     assert not fake.arm.targets and not fake.robot.is_connected
 
 
@@ -331,5 +330,5 @@ def test_nobody_gives_up_on_a_fault_that_comes_back(fake: FakeRig, tmp_path: Pat
 
     fake.rig.begin_episode = mended  # type: ignore[method-assign]
     teleop = Flaky(SwayConfig(id="test", calibration_dir=tmp_path))
-    end = go(fake, tmp_path / "data", Nobody("success"), teleop, episode_s=3.0)
+    end = go(fake, tmp_path / "data", Unattended("success"), teleop, episode_s=3.0)
     assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3
