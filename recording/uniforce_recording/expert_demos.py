@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,14 +45,11 @@ def record_expert(demos: ExpertDemos) -> None:
         ContractError: an unknown sensor or level, or an expert that fails too often.
         DatasetError: see ``EpisodeRecorder``.
     """
-    env = WipeEnv(demos.level, demos.left_sensor, demos.right_sensor)
-    fps = int(env.metadata["render_fps"])
     sensors = demos.left_sensor, demos.right_sensor
-    try:
+    with closing(WipeEnv(demos.level, *sensors)) as env:
+        fps = int(env.metadata["render_fps"])
         with EpisodeRecorder(demos.root, demos.repo_id, *sensors, fps) as recorder:
             _fill(demos, env, recorder)
-    finally:
-        env.close()
 
 
 def _fill(demos: ExpertDemos, env: WipeEnv, recorder: EpisodeRecorder) -> None:

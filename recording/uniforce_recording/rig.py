@@ -26,17 +26,6 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class ScanWindow:
-    """The newest taxel scans, oldest first: (size, 16, 3) upright counts, the oldest repeated where there were fewer.
-
-    ``times_s`` (size,) says when each was taken.
-    """
-
-    scans: np.ndarray
-    times_s: np.ndarray
-
-
-@dataclass(frozen=True)
 class FingerTouch:
     """One finger's newest sample.
 
@@ -46,7 +35,8 @@ class FingerTouch:
         index: number of the sample since connecting.
         time_s: when it was taken.
         raw: (H, W, 3) uint8 camera frame or (16, 3) counts, upright; None where a rig has no raw signal.
-        window: of taxels only.
+        window, window_times_s: of taxels only, the newest scans (size, 16, 3), oldest first, the oldest repeated where
+            there were fewer, and when each was taken (size,).
     """
 
     image: np.ndarray
@@ -54,7 +44,8 @@ class FingerTouch:
     index: int
     time_s: float
     raw: np.ndarray | None = None
-    window: ScanWindow | None = None
+    window: np.ndarray | None = None
+    window_times_s: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -142,19 +133,10 @@ class Rig(Protocol):
         """(5,) where it is now; works before the first reference."""
 
     def begin_episode(self, seed: int) -> None:
-        """Take the free-air references, or build the scene of ``seed``.
-
-        Raises:
-            DeviceError, RobotError: no free air, or a sensor that isn't well.
-        """
+        """Take the free-air references, refusing them where sensors aren't well, or build the scene of ``seed``."""
 
     def observe(self) -> Observation:
-        """Return the newest of everything.
-
-        Raises:
-            DeviceError: a camera or finger that is lost, stale, frozen or bad.
-            RobotError: a fault of the arm or the hand.
-        """
+        """Return the newest of everything; a camera or finger that is lost, stale, frozen or bad is a DeviceError."""
 
     def act(self, action: np.ndarray) -> np.ndarray:
         """Go to (5,) absolute targets; return what was sent after the guards."""

@@ -98,12 +98,12 @@ def raw_frames(seen: Observation) -> dict[Finger, np.ndarray]:
 
 def _touch(finger: Finger, touch: FingerTouch, begun_s: float) -> dict[str, np.ndarray]:
     row = {tactile_key(finger): touch.image, tactile_key(finger, reference=True): touch.reference}
-    if touch.window is None or touch.raw is None:
+    if touch.raw is None or touch.window is None or touch.window_times_s is None:
         return row
     return row | {
         counts_key(finger): touch.raw.reshape(-1).astype(np.int32),
-        window_key(finger): touch.window.scans.reshape(-1).astype(np.int32),
-        window_time_key(finger): touch.window.times_s - begun_s,
+        window_key(finger): touch.window.reshape(-1).astype(np.int32),
+        window_time_key(finger): touch.window_times_s - begun_s,
     }
 
 

@@ -16,7 +16,7 @@ from lerobot_camera_uniforce.samples import NS_PER_S
 from lerobot_camera_uniforce.uskin_camera import UniforceUskin
 from uniforce_recording.faults import named
 from uniforce_recording.plain_camera import PlainCamera
-from uniforce_recording.rig import FingerTouch, Picture, ScanWindow
+from uniforce_recording.rig import FingerTouch, Picture
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.keys import tactile_name
@@ -85,14 +85,13 @@ class Sensing:
             return Picture(sample.raw, sample.index, sample.stamp_ns / NS_PER_S)
 
     def _touch(self, finger: Finger, device: TactileFinger) -> FingerTouch:
-        name, is_taxel = tactile_name(finger), isinstance(device, UniforceUskin)
-        with named("touch", name):
+        with named("touch", name := tactile_name(finger)):
             self._watches[name].look(time.monotonic(), device.counts.bad)
             sample = device.latest()
             image, reference = device.marker_image(sample.raw), self._references[finger]
-            window = _window(device, self._window) if isinstance(device, UniforceUskin) else None
-        raw = sample.raw if is_taxel or self._keep_raw else None
-        return FingerTouch(image, reference, sample.index, sample.stamp_ns / NS_PER_S, raw, window)
+            window = _window(device, self._window) if isinstance(device, UniforceUskin) else ()
+        raw = sample.raw if window or self._keep_raw else None
+        return FingerTouch(image, reference, sample.index, sample.stamp_ns / NS_PER_S, raw, *window)
 
 
 class GarbageWatch:
@@ -124,11 +123,11 @@ def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:
     return device
 
 
-def _window(device: UniforceUskin, size: int) -> ScanWindow:
+def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
     window = device.upright_window(size)
     first_s = window.stamps_ns[size - window.count] / NS_PER_S
     times_s = np.where(window.stamps_ns == 0, first_s, window.stamps_ns / NS_PER_S)
-    return ScanWindow(window.data, times_s)
+    return window.data, times_s
 
 
 def _facts(device: SampledCamera) -> dict[str, Any]:

@@ -76,7 +76,7 @@ class RecordingSession:
     """Record with parts that are connected.
 
     Args:
-        parts: rig, teleoperator, operator, recorder, disk, view.
+        parts: connected.
         settings: what.
         judged: episodes in the dataset that count already.
         seed: of the first attempt; counts up.
@@ -154,15 +154,12 @@ class RecordingSession:
         """Do what was said between episodes; return whether the waiting is over."""
         self._quits = self._quits or event.command is Command.QUIT
         if event.command is Command.RECOVER:
-            self._recover()
+            try:
+                self._parts.rig.recover()
+                self._parts.view.say("recovered; nothing has moved")
+            except RobotError as error:
+                self._parts.view.say(f"not recovered: {error}")
         return event.command in (Command.GO, Command.QUIT)
-
-    def _recover(self) -> None:
-        try:
-            self._parts.rig.recover()
-            self._parts.view.say("recovered; nothing has moved")
-        except RobotError as error:
-            self._parts.view.say(f"not recovered: {error}")
 
     def _drive(self, driving: bool) -> bool:
         """Let a person move the robot between episodes; return whether that worked."""

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import pytest
-from lerobot.teleoperators import TeleoperatorConfig
 from recording_fakes import Sway, SwayConfig, sway
 
 from lerobot_camera_uniforce.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_datasets.features import dataset_features
 from uniforce_recording import disk_guard
-from uniforce_recording.build import make_teleoperator, read_devices, teleoperator_names
+from uniforce_recording.build import read_devices, teleoperator_names
 from uniforce_recording.disk_guard import DiskGuard
 from uniforce_recording.faults import DeviceError, StopRequestedError, cause_of, named
 from uniforce_recording.live_view import LiveView
@@ -229,22 +227,6 @@ def test_every_teleoperator_can_be_named() -> None:
             assert read_devices([], "", name).teleop.type == registered
         except ContractError as error:
             assert not registered.startswith("uniforce_") and "required field" in str(error)
-
-
-def test_a_teleoperator_is_built_from_its_settings(tmp_path: Path) -> None:
-    flags = [f"--teleop.calibration_dir={tmp_path}", "--teleop.id=a", "--teleop.width_m=0.05"]
-    teleop = make_teleoperator(read_devices(flags, "", "recording_test").teleop)
-    assert isinstance(teleop, Sway) and teleop.width_m == 0.05
-
-
-def test_what_cant_be_built_is_told() -> None:
-    @TeleoperatorConfig.register_subclass("recording_nothing")
-    @dataclass
-    class NothingConfig(TeleoperatorConfig):
-        pass
-
-    with pytest.raises(ContractError, match="teleop"):
-        make_teleoperator(NothingConfig())
 
 
 def test_a_little_garbage_is_borne_and_much_is_not() -> None:

@@ -19,9 +19,9 @@ from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_recording import disk_guard
 from uniforce_recording.assemble import run_session
-from uniforce_recording.operators import Command, Event, Operator, Phase, Unattended
+from uniforce_recording.operators import VERDICTS, Command, Event, Operator, Phase, Unattended
 from uniforce_recording.session import SessionEnd, SessionSettings
-from uniforce_recording.store import StoreProcess, StoreSettings, open_recorder
+from uniforce_recording.store import StoreSettings, open_recorder
 from uniforce_vtla.errors import TeleoperatorError
 from uniforce_vtla.keys import (
     ABORT_CAUSES,
@@ -51,15 +51,13 @@ def go(
     root: Path,
     operator: Operator,
     teleop: Sway | None = None,
-    own_process: bool = False,
     **settings: object,
 ) -> SessionEnd:
     plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
     teleop = teleop or sway(root.parent)
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
-    opens = StoreProcess if own_process else open_recorder
     end = run_session(
-        fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)), open_store=opens
+        fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)), open_store=open_recorder
     )  # type: ignore[arg-type]
     assert not fake.robot.is_connected and not teleop.is_connected
     assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
@@ -129,17 +127,10 @@ def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], lis
     return lambda now, n: [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
 
 
-@pytest.mark.parametrize(
-    ("command", "stored"),
-    [
-        (Command.SUCCESS, ["success"]),
-        (Command.RESIDUAL, ["residual"]),
-        (Command.FAILED_GRASP, ["failed_grasp"]),
-    ],
-)
-def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command, stored: list[str]) -> None:
+@pytest.mark.parametrize("command", VERDICTS)
+def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command) -> None:
     end = go(fake, tmp_path / "data", Script(at(Phase.RUNNING, 6, command)), episode_s=30.0)
-    assert end.exit_code == 0 and labels(tmp_path / "data") == stored
+    assert end.exit_code == 0 and labels(tmp_path / "data") == [VERDICTS[command]]
     assert read_source(tmp_path / "data").num_frames == 6
 
 
@@ -295,13 +286,6 @@ def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
     end = go(fake, tmp_path / "data", Unattended("residual"), teleop, episode_s=5.0)
     assert end.exit_code == 0 and labels(tmp_path / "data") == ["residual"]
     assert read_source(tmp_path / "data").num_frames == 7
-
-
-@pytest.mark.slow
-def test_the_whole_through_the_storing_process(fake: FakeRig, tmp_path: Path) -> None:
-    end = go(fake, tmp_path / "data", Unattended("success"), own_process=True)
-    assert end.exit_code == 0 and labels(tmp_path / "data")[-1] == "success"
-    assert open_dataset(tmp_path / "data").num_episodes >= 1
 
 
 def test_another_sensor_than_configured_is_refused_before_anything_moves(
