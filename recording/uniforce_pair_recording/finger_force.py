@@ -1,6 +1,6 @@
 """Force on one pad from its touch field: a small network per kind of sensor, trained in simulation on many units.
 
-It reads marker motion, not the tokenizer's latents, because a tenth of the force must be told apart: on simulated
+It reads marker motion, not the tokenizer's latents, because a tenth of the force must be distinguished: on simulated
 grasps of units it has not seen its shear is off by less than 0.1 N, where heads on latents are off by a sixth of the
 force. Its normal force leans on the shape of what is held and is corrected per grasp (see ``pair_judge``).
 """

@@ -21,7 +21,7 @@ class MotionLimits:
         speed_m_s: of the hand; at 30 Hz 0.15 m/s is 5 mm between two frames.
         acceleration_m_s2: of the hand; 0.3 kg × 1 m/s² is 0.3 N, a tenth of a light grip.
         settle_s: how long it must have been slow: the rubber needs some time to come to rest.
-        grip_N: a lighter grip tells nothing of equilibrium.
+        grip_N: a lighter grip says nothing of equilibrium.
     """
 
     speed_m_s: float = 0.15

@@ -120,7 +120,7 @@ class PairStore:
     ) -> None:
         self.root, self.indenters = Path(root), indenters
         self.dataset, self.layout = self.root / DATASET, self.root / LAYOUT
-        # the layout tells left from right by folder names, which two sensors of one kind would share
+        # the layout names left and right by folders, which two sensors of one kind would share
         same = left_sensor == right_sensor
         self.names = (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
         self._recorder = EpisodeRecorder(
@@ -136,7 +136,7 @@ class PairStore:
         """Store pairs of one indenter and one session durably.
 
         Raises:
-            ContractError: an indenter nobody named, or fewer than two pairs.
+            ContractError: an unknown indenter, or fewer than two pairs.
             DatasetError: the disk is full, or a frame could not be stored; what was saved before is intact.
         """
         if not 0 <= indenter < len(self.indenters) or len(pairs) < MIN_CHUNK:

@@ -1,6 +1,6 @@
 """What can break while an episode runs: how it is broken and mended, and what has to come of it.
 
-In one attended session again and again, and once with nobody there.
+In one attended session again and again, and once unattended.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ WAITING, STORED, REFUSED = r"is next: ", r"^(not )?stored", r"^can't begin"
 UNDER_WAY_s = (0.7, 1.3)  # into an episode, before it is broken
 UNWELL_s = 3.0  # then an unattended session gives up
 FAULT = 3  # exit code
-Hand = Callable[[Rig], object]
+Action = Callable[[Rig], object]
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Breakage:
         clears: whether a person has to press ``v`` before the next episode.
     """
 
-    breaks: Hand
-    mends: Hand
+    breaks: Action
+    mends: Action
     labels: tuple[str, ...]
     clears: bool = False
 
@@ -141,8 +141,8 @@ def finding(fault: Breakage, root: Path, said: Line, broken_s: float, held: dict
 
 
 def unattended(name: str, fault: Breakage, rig: Rig) -> dict[str, Any]:
-    """Inject it once and leave it: nobody waits until the sensor is well, the exit code says that it wasn't."""
-    root = rig.plan.work / "faults" / f"{name}_nobody{time.time_ns()}"
+    """Inject it once and leave it: the session gives up, and its exit code says why."""
+    root = rig.plan.work / "faults" / f"{name}_unattended{time.time_ns()}"
     rig.new_arm()
     with rig.session(root, episodes=1, episode_s=LONG_s, unwell_s=UNWELL_s) as session:
         at, _ = session.wait_for(BEGUN, START_s + NOTICE_s)

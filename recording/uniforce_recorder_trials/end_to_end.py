@@ -74,7 +74,7 @@ def record(rig: Rig, root: Path) -> dict[str, Any]:
             session.wait_for(rf"{plan.episodes}/{plan.episodes} episodes", wanted_s)
             cores_used = meter.read()
         except TrialError as error:
-            log.warning("%s", error)  # what it stored counts, and the exit code tells
+            log.warning("%s", error)  # what it stored counts, and the exit code says how it ended
         code = session.wait_end(START_s)
         spans_s = spans(session.lines, plan.episode_s)
         beat_s, late_ms = idle.stop()

@@ -52,7 +52,7 @@ class Bench:
 
 
 def server_death(bench: Bench) -> dict[str, Any]:
-    """The arm's process vanishes; with it its log, so the hold is told by the rows: the tick that failed, and held."""
+    """The arm's process vanishes; with it its log, so the rows say when it was held: the tick that failed, and held."""
     bench.rig.new_arm()
     with bench.session(episodes=1, episode_s=LONG_s) as session:
         bench.into_an_episode(session)
@@ -76,7 +76,7 @@ def wrong_version(bench: Bench) -> dict[str, Any]:
 
 
 def disk_full_guard(bench: Bench) -> dict[str, Any]:
-    """Somebody else fills the disk up below the reserve: the next tick stops, and the episode still fits."""
+    """Another program fills the disk up below the reserve: the next tick stops, and the episode still fits."""
     with SmallDisk(bench.root, DISK_MB) as disk:
         bench.rig.new_arm()
         settings = {"episodes": 1, "episode_s": FEW_s, "reserve_MB": disk.reserve_MB(RESERVE_MB)}
@@ -142,13 +142,13 @@ def _refused(bench: Bench, flags: tuple[str, ...], says: str) -> dict[str, Any]:
     bench.rig.new_arm(*flags)
     with bench.session(episodes=1, episode_s=SHORT_s) as session:
         code = session.wait_end(START_s)
-        told = session.said(r"^record: ")
+        refusals = session.said(r"^record: ")
         loaded = session.said("client loaded")
         named = session.said(says)
-    took_s = told[-1].time_s - loaded[0].time_s if told and loaded else None
+    took_s = refusals[-1].time_s - loaded[0].time_s if refusals and loaded else None
     right = code == COULD_NOT_START and bool(named) and took_s is not None
     took = {} if took_s is None else {"hold_s": round(took_s, 3)}
-    return _found(right, code, "no episode", told[-1].text if told else "") | took
+    return _found(right, code, "no episode", refusals[-1].text if refusals else "") | took
 
 
 def _found(right: bool, code: int, label: str, message: str) -> dict[str, Any]:
@@ -160,7 +160,7 @@ def _last_card(root: Path) -> dict[str, Any]:
 
 
 def _held_at(root: Path, card: dict[str, Any]) -> float:
-    """Return when the rig was told to hold, ``time.time``: the first tick without a row, and how long that one took."""
+    """Return when the rig was held, ``time.time``: the first tick without a row, and how long that one took."""
     source = read_source(root)
     last_tick_s = float(np.atleast_2d(source.columns((STAMPS,))[STAMPS])[-1, 0])
     return datetime.fromisoformat(card["begun"]).timestamp() + last_tick_s + 1 / source.fps + card["held_s"]

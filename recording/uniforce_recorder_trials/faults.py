@@ -32,7 +32,7 @@ def run(plan: Plan, ledger: Ledger, names: tuple[str, ...] = NAMES) -> dict[str,
 
 
 def _break_devices(faults: dict[str, Breakage], ledger: Ledger, rig: Rig) -> None:
-    """All but the last injection of each in one session, the last one in a session with nobody there."""
+    """All but the last injection of each in one session, the last one in an unattended session."""
     root, by_hand = rig.plan.work / "faults" / "attended", max(rig.plan.times - 1, 1)
     while any(len(ledger.read(name)) < by_hand for name in faults):
         rig.new_arm()

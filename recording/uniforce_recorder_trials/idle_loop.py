@@ -63,7 +63,7 @@ def _wait_for_the_end(over: threading.Event) -> None:
 
 
 def main() -> int:
-    """Tick until nobody listens."""
+    """Tick until standard input ends."""
     over = threading.Event()
     threading.Thread(target=_wait_for_the_end, args=(over,), daemon=True).start()
     ticker, time_s, late_ms = Ticker(float(sys.argv[1])), [], []

@@ -1,4 +1,4 @@
-"""What was recorded, in LeRobot's own hands: its stock dataset class reads it, its trainer trains on it."""
+"""What was recorded, as LeRobot takes it: its stock dataset class reads it, its trainer trains on it."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def make_operator(kind: str, verdict: str, quick_notes: Sequence[str], teleop: T
 
     Args:
         kind: ``keys`` or ``nobody``.
-        verdict: what every episode is called where nobody is there.
+        verdict: what every episode is called in an unattended session.
         quick_notes: what digits mean.
         teleop: where it reads the terminal itself, its other keys are used.
 

@@ -34,7 +34,7 @@ class Parts:
     interrupts: Interrupts
 
     def refuse_interrupted(self) -> None:
-        """Raise StopRequestedError once somebody asked the program to end."""
+        """Raise StopRequestedError once the program is to end."""
         if self.interrupts.count:
             raise StopRequestedError("interrupted by Ctrl-C")
 
@@ -112,7 +112,7 @@ class EpisodeLoop:
         self._tick_begun_s = time.perf_counter()
 
     def run(self) -> Ending:
-        """Record until somebody or something ends it; never raises what an ``Ending`` can say."""
+        """Record until a person or a fault ends it; never raises what an ``Ending`` can say."""
         ending: dict[str, Any] = {}
         fault: UniForceError | None = None
         try:

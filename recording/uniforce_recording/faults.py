@@ -34,7 +34,7 @@ class DeviceError(UniForceError):
 
 
 class StopRequestedError(UniForceError):
-    """Somebody asked the program to end."""
+    """Ctrl-C or SIGTERM: the program is to end."""
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What begins an episode and says how it went: a person at the keys, or nobody."""
+"""What begins an episode and says how it went: a person at the keys, or a rule."""
 
 from __future__ import annotations
 
