@@ -16,13 +16,14 @@ from lerobot_camera_uniforce.faults import WrongSensorError
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.raw_video import raw_path
+from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_recording import disk_guard
 from uniforce_recording.assemble import run_session
 from uniforce_recording.operators import VERDICTS, Command, Event, Operator, Phase, Unattended
 from uniforce_recording.session import SessionEnd, SessionSettings
 from uniforce_recording.store import StoreSettings, open_recorder
-from uniforce_vtla.errors import TeleoperatorError
+from uniforce_vtla.errors import ContractError, TeleoperatorError
 from uniforce_vtla.keys import (
     ABORT_CAUSES,
     ACTION,
@@ -271,6 +272,17 @@ def test_a_person_clears_a_reflex_and_goes_on(fake: FakeRig, tmp_path: Path) -> 
 
     end = go(fake, tmp_path / "data", Script(say), episode_s=5.0, drive_between=False)
     assert [e.label for e in end.endings] == ["aborted:robot_reflex", "success"] and end.exit_code == 0
+
+
+def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
+    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise ContractError("state: expected finite numbers")
+
+    monkeypatch.setattr(EpisodeRecorder, "save", refuse)
+    end = go(fake, tmp_path / "data", Unattended("success"))
+    assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
 
 
 def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
