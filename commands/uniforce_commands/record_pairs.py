@@ -136,9 +136,9 @@ def _content(config: RecordPairsConfig, store: PairStore, report: SessionReport)
 
 def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
     """How good the pairs kept in this session are: only a rehearsal can tell."""
-    from uniforce_pair_recording.truth import LIMIT
+    from uniforce_pair_recording.rehearsal import LIMIT
 
-    error = np.array([rig.truth_of(grasp).error[k] for grasp, k in report.kept])
+    error = np.array([rig.truths[grasp].error[k] for grasp, k in report.kept])
     if not len(error):
         return {"kept": 0}
     bad, median = float((error > LIMIT).mean()), float(np.median(error))

@@ -88,18 +88,9 @@ def _parts(config: TrialsConfig) -> dict[str, Callable[[Plan, Ledger], dict[str,
 
 def _plan(config: TrialsConfig) -> Plan:
     from uniforce_recorder_trials.plan import Plan
-    from uniforce_recorder_trials.rig import RigOptions
 
-    return Plan(
-        Path(config.work).resolve(),
-        config.episodes,
-        config.episode_s,
-        config.kills,
-        config.times,
-        config.overhead_s,
-        config.uskin_s,
-        RigOptions(config.fps, config.patience, config.uskin_hz),
-    )
+    settings = {f.name: getattr(config, f.name) for f in dataclasses.fields(Plan) if hasattr(config, f.name)}
+    return Plan(**settings | {"work": Path(config.work).resolve()})
 
 
 def _settings(config: TrialsConfig) -> dict[str, Any]:

@@ -197,12 +197,12 @@ class EpisodeRecorder:
 
     def close(self) -> None:
         """Drop an unfinished episode, pool the statistics over all data, let others record here."""
-        if self._lock.closed:
+        if not self._lock.is_locked:
             return
         self._abandon()
         if (self.root / INFO).exists():
             self._pool()
-        self._lock.close()
+        self._lock.release()
 
     def _pool(self) -> None:
         try:

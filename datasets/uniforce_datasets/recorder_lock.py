@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import tempfile
-import time
 from pathlib import Path
-from typing import IO
+
+from filelock import FileLock, Timeout
 
 from uniforce_datasets.staging import COMMIT
 from uniforce_vtla.errors import DatasetError, expected
-
-POLL_s = 0.05
 
 
 def claim(root: str | Path) -> Path:
@@ -36,8 +33,8 @@ def claim(root: str | Path) -> Path:
     return folder
 
 
-def lock(root: Path, wait_s: float) -> IO[str]:
-    """Return the open lock file of a dataset's folder; closing it lets others record.
+def lock(root: Path, wait_s: float) -> FileLock:
+    """Return the held lock of a dataset's folder; releasing it lets others record.
 
     Args:
         root: the folder.
@@ -46,20 +43,10 @@ def lock(root: Path, wait_s: float) -> IO[str]:
     Raises:
         DatasetError: another recorder holds it.
     """
-    handle = open(root / ".recorder.lock", "w")  # noqa: SIM115  held until close()
-    deadline_s = time.monotonic() + wait_s
-    while not _locked(handle):
-        if time.monotonic() > deadline_s:
-            handle.close()
-            do = "Wait, or use another root."
-            raise DatasetError(expected(str(root), "one recorder at a time", "another one", do))
-        time.sleep(POLL_s)
-    return handle
-
-
-def _locked(handle: IO[str]) -> bool:
+    held = FileLock(root / ".recorder.lock")
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+        held.acquire(timeout=wait_s)
+    except Timeout as error:
+        do = "Wait, or use another root."
+        raise DatasetError(expected(str(root), "one recorder at a time", "another one", do)) from error
+    return held

@@ -5,8 +5,6 @@ Forces and places are estimates of the same readers that score the pairs: the ma
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from uniforce_pair_recording.touch_field import CHANNELS, GRID
@@ -36,23 +34,17 @@ def contact_place(field: np.ndarray) -> np.ndarray:
     return np.column_stack([share @ x.ravel(), share @ y.ravel()])
 
 
-@dataclass
 class Coverage:
-    """Counts of kept pairs.
+    """Counts of kept pairs; empty at first.
 
     Attributes:
         force: (normal, shear) counts.
         place: (rows, columns) counts over the pad.
     """
 
-    force: np.ndarray
-    place: np.ndarray
-
-    @classmethod
-    def empty(cls) -> Coverage:
-        """Return a map of nothing."""
-        shape = (len(NORMAL_EDGES_N) - 1, len(SHEAR_EDGES_N) - 1)
-        return cls(np.zeros(shape, int), np.zeros((PLACE_CELLS, PLACE_CELLS), int))
+    def __init__(self) -> None:
+        self.force = np.zeros((len(NORMAL_EDGES_N) - 1, len(SHEAR_EDGES_N) - 1), int)
+        self.place = np.zeros((PLACE_CELLS, PLACE_CELLS), int)
 
     def add(self, force_N: np.ndarray, place: np.ndarray) -> None:
         """Count pairs: (N, 3) forces and (N, 2) places; what lies beyond an edge counts in the last cell."""

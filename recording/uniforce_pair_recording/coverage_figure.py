@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from uniforce_pair_recording.coverage import NORMAL_EDGES_N, SHEAR_EDGES_N, Coverage
+from uniforce_vtla.figure_file import save_figure
 
 
 def draw_coverage(names: Sequence[str], coverage: Sequence[Coverage], path: Path) -> Path:
@@ -23,10 +23,7 @@ def draw_coverage(names: Sequence[str], coverage: Sequence[Coverage], path: Path
     axes[0][0].set_ylabel("normal force, N")
     axes[1][0].set_ylabel("place on the left pad")
     figure.suptitle("Kept pairs per cell; forces and places are estimates")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)
 
 
 def _draw_force(axis: Axes, covered: Coverage, name: str) -> None:

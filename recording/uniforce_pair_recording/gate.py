@@ -21,7 +21,7 @@ class MotionLimits:
         speed_m_s: of the hand; at 30 Hz 0.15 m/s is 5 mm between two frames.
         acceleration_m_s2: of the hand; 0.3 kg × 1 m/s² is 0.3 N, a tenth of a light grip.
         settle_s: how long it must have been slow: the rubber needs some time to come to rest.
-        grip_N: a lighter grip tells nothing of equilibrium.
+        grip_N: a lighter grip says nothing of equilibrium.
     """
 
     speed_m_s: float = 0.15
@@ -34,27 +34,16 @@ class MotionLimits:
             raise ContractError(expected("motion limits", "positive", self, "Check the config."))
 
 
-@dataclass(frozen=True)
-class GateReading:
-    """Why each of T frames counts or not.
-
-    Attributes:
-        is_open: (T,) bool.
-        reasons: (T,) "", "fast", "jerked", "settling" or "no contact".
-    """
-
-    is_open: np.ndarray
-    reasons: tuple[str, ...]
-
-
 def quasi_static(
     velocity_m_s: np.ndarray,
     acceleration_m_s2: np.ndarray,
     contact_N: np.ndarray,
     rate_hz: float,
-    limits: MotionLimits | None = None,
-) -> GateReading:
-    """Judge T frames in order; causal, so that it can be asked anew as frames come.
+    limits: MotionLimits,
+) -> np.ndarray:
+    """Return why each of T frames doesn't count: (T,) of "fast", "jerked", "settling", "no contact"; "" where it does.
+
+    Causal, so that it can be asked anew as frames come.
 
     Args:
         velocity_m_s: (T, 3) of the hand.
@@ -63,16 +52,13 @@ def quasi_static(
         rate_hz: of the frames.
         limits: what counts as slow.
     """
-    limits = limits or MotionLimits()
     fast = np.linalg.norm(velocity_m_s, axis=1) > limits.speed_m_s
     jerked = np.linalg.norm(acceleration_m_s2, axis=1) > limits.acceleration_m_s2
     light = contact_N < limits.grip_N
     settle = round(limits.settle_s * rate_hz)
     since = _frames_since(fast | jerked)
-    reasons = np.select(
-        [fast, jerked, since <= settle, light], ["fast", "jerked", "settling", "no contact"], default=""
-    )
-    return GateReading(reasons == "", tuple(str(reason) for reason in reasons))
+    names = ["fast", "jerked", "settling", "no contact"]
+    return np.select([fast, jerked, since <= settle, light], names, default="")
 
 
 def _frames_since(event: np.ndarray) -> np.ndarray:

@@ -19,8 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-CLOSING = 0  # index of the closing axis in the hand's velocities and accelerations
+from uniforce_pair_recording.rig import CLOSING
+
 FAULTS = ("jerked", "free", "slipping", "one_finger", "pushed")
+GRIP_N = (2.0, 12.0)  # range of the firmest grip; while guided it varies below that
+SHEAR_SHARE = 0.6  # largest load pulled through the object, as a share of what friction would hold
+SLOW_m_s2 = 0.10  # root mean square acceleration of a hand that is led slowly
+RESIDUAL = 0.01  # root mean square of the small differences no grasp is free of, share of the force
+SPEED_NOISE_m_s, ACCELERATION_NOISE_m_s2 = 0.002, 0.10  # of what the robot measures
+GRIP_NOISE = 0.08  # relative standard deviation of the gripper's force estimate, one bias per grasp
 
 
 @dataclass(frozen=True)
@@ -32,57 +39,38 @@ class GraspSettings:
         frames: per grasp.
         rest_s: at first the hand rests while the fingers close to their firmest grip: nothing else loads the pads
             then, so that each grasp shows how its two fingers compare.
-        grip_N: range of the firmest grip; while guided it varies below that.
-        shear_share: largest load pulled through the object, as a share of what friction would hold.
-        slow_m_s2: root mean square acceleration of a hand that is led slowly.
         fault_share: share of the grasps in which something goes wrong, the faults taking equal parts.
-        residual: root mean square of the small differences no grasp is free of, share of the force.
-        speed_noise_m_s, acceleration_noise_m_s2: of what the robot measures.
-        grip_noise: relative standard deviation of the gripper's force estimate, one bias per session and grasp.
+        faults: those that may be drawn.
     """
 
     rate_hz: float = 15.0
     frames: int = 45
     rest_s: float = 1.0
-    grip_N: tuple[float, float] = (2.0, 12.0)
-    shear_share: float = 0.6
-    slow_m_s2: float = 0.10
     fault_share: float = 0.5
     faults: tuple[str, ...] = FAULTS
-    residual: float = 0.01
-    speed_noise_m_s: float = 0.002
-    acceleration_noise_m_s2: float = 0.10
-    grip_noise: float = 0.08
 
-
-@dataclass(frozen=True)
-class RobotReadings:
-    """What a rig measures beside the tactile images, T frames.
-
-    Attributes:
-        velocity_m_s: (T, 3) of the hand in its own frame; x is the closing axis.
-        acceleration_m_s2: (T, 3) likewise.
-        grip_N: (T,) the gripper's own estimate.
-    """
-
-    velocity_m_s: np.ndarray
-    acceleration_m_s2: np.ndarray
-    grip_N: np.ndarray
+    @property
+    def times_s(self) -> np.ndarray:
+        """(T,) of the frames."""
+        return np.arange(self.frames) / self.rate_hz
 
 
 @dataclass(frozen=True)
 class GuidedGrasp:
-    """One grasp.
+    """One grasp of T frames.
 
     Attributes:
         left_N, right_N: (T, 3) what either pad is asked to carry, canonical frame.
-        readings: what the robot measured.
+        velocity_m_s, acceleration_m_s2: (T, 3) of the hand in its own frame, as measured.
+        grip_N: (T,) the gripper's own estimate.
         fault: one of ``FAULTS``, or "none".
     """
 
     left_N: np.ndarray
     right_N: np.ndarray
-    readings: RobotReadings
+    velocity_m_s: np.ndarray
+    acceleration_m_s2: np.ndarray
+    grip_N: np.ndarray
     fault: str = "none"
 
 
@@ -98,26 +86,27 @@ def draw_grasp(
         friction: of the pads; the loads asked for stay below it.
     """
     fault = str(rng.choice(settings.faults)) if rng.random() < settings.fault_share else "none"
-    T, dt = settings.frames, 1 / settings.rate_hz
-    led = _after_rest(settings)
+    T, dt, led = settings.frames, 1 / settings.rate_hz, _after_rest(settings)
     grip = _grip(rng, settings)
-    acceleration = settings.slow_m_s2 * _wander(rng, T, 3, 4) * led[:, None]
+    acceleration = SLOW_m_s2 * _wander(rng, T, 3, 4) * led[:, None]
     if fault == "jerked":
         acceleration[:, CLOSING] += _jerk(rng, settings)
-    shear = _shear(rng, settings, grip, friction) * led[:, None]
-    difference = settings.residual * grip[:, None] * _wander(rng, T, 3, 8)
+    shear = _shear(rng, grip, friction) * led[:, None]
+    difference = RESIDUAL * grip[:, None] * _wander(rng, T, 3, 8)
     difference[:, 2] += mass_kg * acceleration[:, CLOSING]
     left, right = _faulty(rng, settings, fault, grip, shear, difference, friction)
     velocity = np.cumsum(acceleration, axis=0) * dt
     velocity += (
         0.03 * _wander(rng, T, 3, 6) * led[:, None]
-    )  # slow leading, whose acceleration is in slow_m_s2
-    readings = RobotReadings(
-        velocity + settings.speed_noise_m_s * rng.standard_normal((T, 3)),
-        acceleration + settings.acceleration_noise_m_s2 * rng.standard_normal((T, 3)),
-        grip * (1 + settings.grip_noise * rng.standard_normal()) + 0.1 * rng.standard_normal(T),
+    )  # slow leading, whose acceleration is in SLOW_m_s2
+    return GuidedGrasp(
+        left,
+        right,
+        velocity + SPEED_NOISE_m_s * rng.standard_normal((T, 3)),
+        acceleration + ACCELERATION_NOISE_m_s2 * rng.standard_normal((T, 3)),
+        grip * (1 + GRIP_NOISE * rng.standard_normal()) + 0.1 * rng.standard_normal(T),
+        fault,
     )
-    return GuidedGrasp(left, right, readings, fault)
 
 
 def _faulty(
@@ -129,7 +118,7 @@ def _faulty(
     difference: np.ndarray,
     friction: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return what left and right carry once the fault has had its say."""
+    """Return what left and right carry with the fault in it."""
     window = _window(rng, settings)
     side = 1 if rng.random() < 0.5 else -1
     mean = np.column_stack([shear, grip])
@@ -170,17 +159,15 @@ def _at_least(rng: np.random.Generator, shear: np.ndarray, least: np.ndarray) ->
 def _grip(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
     """(T,) normal force: closing gently to the firmest grip, then slowly looser and tighter below it."""
     T = settings.frames
-    peak = np.exp(rng.uniform(*np.log(settings.grip_N)))
+    peak = np.exp(rng.uniform(*np.log(GRIP_N)))
     closing = np.clip((np.arange(T) + 1) / (0.8 * settings.rest_s * settings.rate_hz), 0, 1)
     looser = 0.3 * (1 + np.tanh(_wander(rng, T, 1, 3)[:, 0])) * _after_rest(settings)
     return peak * closing * (1 - looser)
 
 
-def _shear(
-    rng: np.random.Generator, settings: GraspSettings, grip: np.ndarray, friction: float
-) -> np.ndarray:
+def _shear(rng: np.random.Generator, grip: np.ndarray, friction: float) -> np.ndarray:
     """(T, 2) load per finger that the holder pulls through the object, slowly turning."""
-    share = settings.shear_share * friction * rng.random()
+    share = SHEAR_SHARE * friction * rng.random()
     way = _wander(rng, len(grip), 2, 3)
     return share * grip[:, None] * way / np.maximum(1, np.abs(way).max())
 
@@ -191,24 +178,21 @@ def _wander(rng: np.random.Generator, frames: int, axes: int, knots: int) -> np.
     return CubicSpline(at, rng.standard_normal((knots + 2, axes)))(np.linspace(0, 1, frames))
 
 
-def _after_rest(settings: GraspSettings, soft: float = 0.2) -> np.ndarray:
-    """(T,) 0 while the hand rests, then rising to 1 within ``soft`` s."""
-    time = np.arange(settings.frames) / settings.rate_hz
-    return np.clip((time - settings.rest_s) / soft, 0, 1)
+def _after_rest(settings: GraspSettings) -> np.ndarray:
+    """(T,) 0 while the hand rests, then rising to 1 within 0.2 s."""
+    return np.clip((settings.times_s - settings.rest_s) / 0.2, 0, 1)
 
 
 def _window(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
     """(T,) a stretch of the led part with soft ends, 1 inside."""
-    time = np.arange(settings.frames) / settings.rate_hz
-    end = settings.frames / settings.rate_hz
-    start = rng.uniform(settings.rest_s + 0.1, 0.6 * end)
+    start = rng.uniform(settings.rest_s + 0.1, 0.6 * settings.frames / settings.rate_hz)
     stop = start + rng.uniform(0.3, 0.9)
-    return np.clip(np.minimum((time - start) / 0.1, (stop - time) / 0.1), 0, 1)
+    return np.clip(np.minimum((settings.times_s - start) / 0.1, (stop - settings.times_s) / 0.1), 0, 1)
 
 
 def _jerk(rng: np.random.Generator, settings: GraspSettings) -> np.ndarray:
     """(T,) m/s² of two to four jerks there and back."""
-    time = np.arange(settings.frames) / settings.rate_hz
+    time = settings.times_s
     jerk = np.zeros_like(time)
     for _ in range(rng.integers(2, 5)):
         at, width = rng.uniform(settings.rest_s + 0.2, time[-1]), rng.uniform(0.08, 0.2)

@@ -10,6 +10,8 @@ import numpy as np
 
 from uniforce_vtla.contracts import Finger
 
+CLOSING = 0  # index of the closing axis in the hand's velocities and accelerations
+
 
 @dataclass(frozen=True)
 class RigFrame:

@@ -1,8 +1,8 @@
 """The real rig: a Franka led by hand, two tactile fingers. Never run on hardware.
 
 The hand's velocity and acceleration come from its measured poses, by a polynomial through the last moments; the robot
-must be soft (``HAND_GUIDED`` gains). A Franka Hand measures its width, not its force: the grip is the force it was
-told to hold with.
+must be soft (``HAND_GUIDED`` gains). A Franka Hand measures its width, not its force: the grip is the force it is
+commanded to hold with.
 """
 
 from __future__ import annotations
@@ -10,10 +10,11 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from typing import Protocol
 
 import numpy as np
 
+from lerobot_camera_uniforce.finger import TactileFinger
+from lerobot_robot_uniforce_franka import UniforceFranka
 from uniforce_pair_recording.rig import RigFrame
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
@@ -22,32 +23,12 @@ POSES = 7  # of the fit: a quarter of a second at 30 Hz
 OPENED_m = 0.003  # fingers that open by so much have let go
 
 
-class MeasuresPose(Protocol):
-    """What of ``UniforceFranka`` is used."""
-
-    def measured(self) -> np.ndarray:
-        """(5,) x, y, z m, yaw rad, width m in the base frame."""
-        ...
-
-
-class TactileImages(Protocol):
-    """What of ``TactileFinger`` is used."""
-
-    def reference_image(self) -> np.ndarray:
-        """Return the free-air image (480, 640, 3) taken when it was opened."""
-        ...
-
-    def async_read(self, timeout_ms: float = 200.0) -> np.ndarray:
-        """Return the next (480, 640, 3)."""
-        ...
-
-
 class HandMotion:
     """Velocity and acceleration (3,) of the hand in its own frame: a parabola through the last measured poses."""
 
-    def __init__(self, poses: int = POSES) -> None:
-        self._times: deque[float] = deque(maxlen=poses)
-        self._positions: deque[np.ndarray] = deque(maxlen=poses)
+    def __init__(self) -> None:
+        self._times: deque[float] = deque(maxlen=POSES)
+        self._positions: deque[np.ndarray] = deque(maxlen=POSES)
 
     def __call__(self, time_s: float, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Take a measured pose (5,) and return both; zeros before there are enough poses.
@@ -82,15 +63,15 @@ class RobotRig:
         sensors: finger → registry name.
         rate_hz: frames per second.
         mass_kg: of the object and what moves of its holder: weigh it.
-        grip_N: force the gripper was told to hold with.
+        grip_N: force the gripper is commanded to hold with.
         steer: called with each measured pose (5,); lets a soft arm follow the hand that leads it.
         clock: seconds; tests put their own.
     """
 
     def __init__(
         self,
-        robot: MeasuresPose,
-        fingers: Mapping[Finger, TactileImages],
+        robot: UniforceFranka,
+        fingers: Mapping[Finger, TactileFinger],
         sensors: dict[Finger, str],
         rate_hz: float,
         mass_kg: float,

@@ -7,6 +7,7 @@ opens.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -14,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_datasets.features import MARKER_VIDEO_SHAPE
+from uniforce_datasets.features import MARKER_VIDEO_SHAPE, flat_column, scalar_column, vector_column
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_pair_recording.coverage import Coverage
+from uniforce_pair_recording.rig import RigFrame
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import (
@@ -43,67 +45,57 @@ MIN_CHUNK = 2  # LeRobot computes no statistics of fewer frames
 
 
 @dataclass(frozen=True)
-class PairChunk:
-    """Pairs of one indenter and one pair of references, n of them.
+class Session:
+    """A number that counts reference captures, and the references: finger → (480, 640) uint8."""
+
+    number: int
+    references: dict[Finger, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A kept pair.
 
     Attributes:
-        indenter: index into the recording's indenters.
-        session: counts reference captures.
-        references: finger → (480, 640) uint8.
-        images: finger → (n, 480, 640) uint8, as each sensor saw them.
-        force_N: finger → (n, 3) estimates, canonical frame.
-        place: (n, 2) estimated, see ``coverage.contact_place``.
-        error: (n,) estimated equilibrium error.
-        velocity_m_s, acceleration_m_s2: (n, 3) of the hand.
-        grip_N: (n,) the gripper's estimate.
+        frame: images and motion.
+        force_N: finger → (3,) estimates, canonical frame.
+        place: (2,) estimated, see ``coverage.contact_place``.
+        error: estimated equilibrium error.
     """
 
-    indenter: int
-    session: int
-    references: dict[Finger, np.ndarray]
-    images: dict[Finger, np.ndarray]
+    frame: RigFrame
     force_N: dict[Finger, np.ndarray]
     place: np.ndarray
-    error: np.ndarray
-    velocity_m_s: np.ndarray
-    acceleration_m_s2: np.ndarray
-    grip_N: np.ndarray
+    error: float
 
-    def __len__(self) -> int:
-        return len(self.error)
+    @property
+    def mean_force_N(self) -> np.ndarray:  # noqa: N802  a unit
+        """(3,) of both fingers."""
+        return (self.force_N["left"] + self.force_N["right"]) / 2
 
-    def rows(self) -> list[dict[str, Any]]:
-        """Return the chunk's frames with the dataset's keys."""
-        fixed: dict[str, Any] = {tactile_key(f, reference=True): self.references[f] for f in FINGERS}
-        fixed |= {PAIR_INDENTER: np.array([self.indenter]), PAIR_SESSION: np.array([self.session])}
-        return [fixed | self._row(k) for k in range(len(self))]
-
-    def _row(self, k: int) -> dict[str, Any]:
-        row: dict[str, Any] = {tactile_key(f): self.images[f][k] for f in FINGERS}
-        row |= {pair_force_key(f): self.force_N[f][k].astype(np.float32) for f in FINGERS}
-        return row | {
-            PAIR_PLACE: self.place[k].astype(np.float32),
-            PAIR_ERROR: np.array([self.error[k]], np.float32),
-            PAIR_VELOCITY: self.velocity_m_s[k].astype(np.float32),
-            PAIR_ACCELERATION: self.acceleration_m_s2[k].astype(np.float32),
-            PAIR_GRIP: np.array([self.grip_N[k]], np.float32),
+    def row(self) -> dict[str, Any]:
+        """Return the frame with the dataset's keys, all but the chunk's own."""
+        row: dict[str, Any] = {tactile_key(f): self.frame.images[f] for f in FINGERS}
+        numbers = {pair_force_key(f): self.force_N[f] for f in FINGERS} | {
+            PAIR_PLACE: self.place,
+            PAIR_ERROR: [self.error],
+            PAIR_VELOCITY: self.frame.velocity_m_s,
+            PAIR_ACCELERATION: self.frame.acceleration_m_s2,
+            PAIR_GRIP: [self.frame.grip_N],
         }
+        return row | {key: np.asarray(value, np.float32) for key, value in numbers.items()}
 
 
 def pair_features() -> dict[str, dict]:
     """Return LeRobot's features dict of recorded pairs."""
-
-    def column(size: int, dtype: str = "float32", names: list[str] | None = None) -> dict[str, Any]:
-        return {"dtype": dtype, "shape": (size,), "names": names}
-
     video = {"dtype": "video", "shape": MARKER_VIDEO_SHAPE, "names": ["height", "width", "channels"]}
     features: dict[str, dict] = {key: dict(video) for key in TACTILE_KEYS}
-    features |= {pair_force_key(f): column(3, names=["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
-    features |= {sensor_key(f): column(1, "int64") for f in FINGERS}
-    features |= {key: column(3, names=["x", "y", "z"]) for key in (PAIR_VELOCITY, PAIR_ACCELERATION)}
-    features[PAIR_PLACE] = column(2, names=["x", "y"])
-    features |= {key: column(1) for key in (PAIR_ERROR, PAIR_GRIP)}
-    return features | {key: column(1, "int64") for key in (PAIR_INDENTER, PAIR_SESSION)}
+    features |= {pair_force_key(f): vector_column(["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
+    features |= {key: vector_column(["x", "y", "z"]) for key in (PAIR_VELOCITY, PAIR_ACCELERATION)}
+    features[PAIR_PLACE] = vector_column(["x", "y"])
+    features |= {key: scalar_column("float32") for key in (PAIR_ERROR, PAIR_GRIP)}
+    integers = (PAIR_INDENTER, PAIR_SESSION, *(sensor_key(f) for f in FINGERS))
+    return features | {key: flat_column(1, "int64") for key in integers}
 
 
 class PairStore:
@@ -115,6 +107,11 @@ class PairStore:
         indenters: names, in the order of their indices.
         rate_hz: frames per second, a whole number.
         verify: how a dataset to go on with is checked, see ``check_dataset``.
+
+    Attributes:
+        counts: saved pairs of each indenter.
+        coverage: of each indenter.
+        next_session: number of a session that begins now.
 
     Raises:
         DatasetError: another recorder writes here, or other sensors, rates or features are there.
@@ -129,51 +126,43 @@ class PairStore:
         rate_hz: int,
         verify: str = "quick",
     ) -> None:
-        self.root = Path(root)
-        self.indenters = indenters
-        # the layout tells left from right by folder names, which two sensors of one kind would share
+        self.root, self.indenters = Path(root), indenters
+        self.dataset, self.layout = self.root / DATASET, self.root / LAYOUT
+        # the layout names left and right by folders, which two sensors of one kind would share
         same = left_sensor == right_sensor
         self.names = (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
         self._recorder = EpisodeRecorder(
-            self.root / DATASET,
-            "local/uniforce_pairs",
-            left_sensor,
-            right_sensor,
-            rate_hz,
-            features=pair_features(),
+            self.dataset, "local/uniforce_pairs", left_sensor, right_sensor, rate_hz, features=pair_features()
         )
         self.counts = np.zeros(len(indenters), int)
-        self.coverage = [Coverage.empty() for _ in indenters]
+        self.coverage = [Coverage() for _ in indenters]
         self.next_session = 0
-        self._go_on(verify)
+        if self._recorder.num_episodes:
+            self._go_on(verify)
 
-    @property
-    def layout(self) -> Path:
-        """Folder of the UniForce-pair layout."""
-        return self.root / LAYOUT
-
-    @property
-    def dataset(self) -> Path:
-        """Folder of the LeRobot dataset."""
-        return self.root / DATASET
-
-    def add(self, chunk: PairChunk) -> None:
-        """Store a chunk durably.
+    def add(self, indenter: int, session: Session, pairs: Sequence[Pair]) -> None:
+        """Store pairs of one indenter and one session durably.
 
         Raises:
-            ContractError: an indenter nobody named, or fewer than two pairs.
+            ContractError: an unknown indenter, or fewer than two pairs.
             DatasetError: the disk is full, or a frame could not be stored; what was saved before is intact.
         """
-        if not 0 <= chunk.indenter < len(self.indenters) or len(chunk) < MIN_CHUNK:
-            came = f"indenter {chunk.indenter}, {len(chunk)} pairs"
+        if not 0 <= indenter < len(self.indenters) or len(pairs) < MIN_CHUNK:
+            came = f"indenter {indenter}, {len(pairs)} pairs"
             wanted = f"one of {len(self.indenters)} indenters and ≥ {MIN_CHUNK} pairs"
             raise ContractError(expected("chunk", wanted, came, "Collect more before saving."))
-        for row in chunk.rows():
-            self._recorder.add(row, f"hold the {self.indenters[chunk.indenter]}")
+        fixed = {tactile_key(f, reference=True): session.references[f] for f in FINGERS}
+        fixed |= {PAIR_INDENTER: np.array([indenter]), PAIR_SESSION: np.array([session.number])}
+        for pair in pairs:
+            self._recorder.add(fixed | pair.row(), f"hold the {self.indenters[indenter]}")
         self._recorder.save(success=True, outcome="success", seed=0)  # a pair dataset has no such columns
-        self._count(chunk.indenter, (chunk.force_N["left"] + chunk.force_N["right"]) / 2, chunk.place)
-        self.next_session = max(self.next_session, chunk.session + 1)
-        self._write_layout(chunk.indenter, chunk.session, chunk.references, chunk.images)
+        forces, places = (
+            np.array(part) for part in zip(*((p.mean_force_N, p.place) for p in pairs), strict=True)
+        )
+        self._count(indenter, forces, places)
+        self.next_session = max(self.next_session, session.number + 1)
+        images = {f: np.stack([pair.frame.images[f] for pair in pairs]) for f in FINGERS}
+        self._write_layout(indenter, session, images)
 
     def close(self) -> None:
         """Let others write here."""
@@ -195,8 +184,6 @@ class PairStore:
 
     def _go_on(self, verify: str) -> None:
         """Count what is there and bring the layout up to it."""
-        if not self._recorder.num_episodes:
-            return
         source = check_dataset(self.dataset, verify)
         forces = tuple(pair_force_key(f) for f in FINGERS)
         columns = source.columns((PAIR_INDENTER, PAIR_SESSION, PAIR_PLACE, *forces))
@@ -214,14 +201,13 @@ class PairStore:
 
     def _catch_up(self, source: Source, indenter: int, session: int, rows: np.ndarray) -> None:
         """Write the layout's images that a kill left out; drop those the dataset does not know."""
-        stored = [sorted(self._folder(indenter, session, f).glob("[0-9]*.jpg")) for f in FINGERS]
+        pairs = self.layout / PATTERN / _date(session) / "_".join(self.names) / "marker"
+        stored = [sorted((pairs / name / self.indenters[indenter]).glob("[0-9]*.jpg")) for name in self.names]
         have = min(int(rows.sum()), *map(len, stored))
         for image in (image for images in stored for image in images[have:]):
             image.unlink()
         seen = 0
-        for episode in source.episodes:
-            if not rows[episode.start]:
-                continue
+        for episode in (episode for episode in source.episodes if rows[episode.start]):
             if seen + episode.length > have:
                 self._write_episode(source, episode, indenter, session, max(have - seen, 0))
             seen += episode.length
@@ -235,30 +221,16 @@ class PairStore:
 
         references = {f: frames(f, True, 1)[0] for f in FINGERS}
         images = {f: frames(f, False, episode.length)[skip:] for f in FINGERS}
-        self._write_layout(indenter, session, references, images)
+        self._write_layout(indenter, Session(session, references), images)
 
-    def _write_layout(
-        self,
-        indenter: int,
-        session: int,
-        references: dict[Finger, np.ndarray],
-        images: dict[Finger, np.ndarray],
-    ) -> None:
+    def _write_layout(self, indenter: int, session: Session, images: dict[Finger, np.ndarray]) -> None:
+        references = session.references["left"], session.references["right"]
         recording = PairRecording(
-            sensors=self.names,
-            indenter=self.indenters[indenter],
-            name="",
-            left_reference=references["left"],
-            right_reference=references["right"],
-            left_frames=images["left"],
-            right_frames=images["right"],
+            self.names, self.indenters[indenter], "", *references, images["left"], images["right"]
         )
-        write_uniforce_pairs(self.layout, recording, PATTERN, self._date(session))
+        write_uniforce_pairs(self.layout, recording, PATTERN, _date(session.number))
 
-    def _date(self, session: int) -> str:
-        """The layout's second level: a new session has new references, which may not share a folder."""
-        return f"session_{session:03d}"
 
-    def _folder(self, indenter: int, session: int, finger: Finger) -> Path:
-        pairs = self.layout / PATTERN / self._date(session) / "_".join(self.names)
-        return pairs / "marker" / self.names[FINGERS.index(finger)] / self.indenters[indenter]
+def _date(session: int) -> str:
+    """The layout's second level: a new session has new references, which may not share a folder."""
+    return f"session_{session:03d}"

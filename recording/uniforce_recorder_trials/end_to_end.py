@@ -17,16 +17,15 @@ from uniforce_recorder_trials.cpu import CpuMeter, machine_facts
 from uniforce_recorder_trials.idle_loop import IdleLoop
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.loading import load_in_stock_lerobot, train_a_little
-from uniforce_recorder_trials.plan import Plan
+from uniforce_recorder_trials.plan import Plan, START_s
 from uniforce_recorder_trials.rig import Rig
-from uniforce_recorder_trials.session import Line, Program, Session, TrialError
+from uniforce_recorder_trials.session import Line, Session, TrialError
 from uniforce_recording.assemble import judged_episodes
 from uniforce_vtla.errors import expected
 from uniforce_vtla.keys import STAMPS
 
 log = logging.getLogger(__name__)
 BEGUN = r"^episode \d+/\d+: "
-START_s = 120.0
 SESSIONS = 5  # on a machine that starves it a session may end before its time
 EPISODE_MAX = 4.0  # times its length: waiting for references and storing included
 
@@ -39,15 +38,16 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     """
     root = plan.work / "end_to_end" / "data"
     if _judged(root) < plan.episodes:
-        with Rig(plan.work / "end_to_end", plan.options) as rig, Program(plan.log) as program:
+        with Rig(plan, plan.work / "end_to_end") as rig:
             for _ in range(SESSIONS):
-                ledger.add("end_to_end", record(plan, rig, program, root))
+                ledger.add("end_to_end", record(rig, root))
                 if _judged(root) >= plan.episodes:
                     break
                 rig.new_arm()
     if _judged(root) < plan.episodes:
         came = f"{_judged(root)} after {SESSIONS} sessions"
-        raise TrialError(expected("end to end", f"{plan.episodes} episodes", came, f"See {plan.log}."))
+        do = f"See {plan.work}/sessions.log."
+        raise TrialError(expected("end to end", f"{plan.episodes} episodes", came, do))
     sessions = ledger.read("end_to_end")
     found = rate_and_jitter(root, sessions) | {
         "sessions": len(sessions),
@@ -62,20 +62,20 @@ def _judged(root: Path) -> int:
     return judged_episodes(root, len(read_source(root).episodes)) if is_there else 0
 
 
-def record(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]:
+def record(rig: Rig, root: Path) -> dict[str, Any]:
     """Record until all episodes are there, an idle loop beside it; return what can't be read from the dataset."""
-    argv = plan.argv(rig, root, episodes=plan.episodes, episode_s=plan.episode_s)
-    cores_used: dict[str, float] = {}
-    with IdleLoop(plan.options.fps) as idle, Session(program, argv) as session:
+    plan, cores_used = rig.plan, dict[str, float]()
+    settings = {"episodes": plan.episodes, "episode_s": plan.episode_s}
+    with IdleLoop(plan.fps) as idle, rig.session(root, **settings) as session:
         try:
-            session.wait_for(BEGUN, START_s * plan.patience)
+            session.wait_for(BEGUN, START_s)
             meter = CpuMeter(_who(session, rig, idle))
-            wanted_s = plan.episodes * plan.episode_s * EPISODE_MAX * plan.patience
+            wanted_s = plan.episodes * plan.episode_s * EPISODE_MAX
             session.wait_for(rf"{plan.episodes}/{plan.episodes} episodes", wanted_s)
             cores_used = meter.read()
         except TrialError as error:
-            log.warning("%s", error)  # what it stored counts, and the exit code tells
-        code = session.wait_end(START_s * plan.patience)
+            log.warning("%s", error)  # what it stored counts, and the exit code says how it ended
+        code = session.wait_end(START_s)
         spans_s = spans(session.lines, plan.episode_s)
         beat_s, late_ms = idle.stop()
     recorded = np.any([(beat_s >= a) & (beat_s <= b) for a, b in [*spans_s, (0.0, 0.0)]], axis=0)

@@ -15,22 +15,17 @@ import numpy as np
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.source import read_source
-from uniforce_recorder_trials.end_to_end import BEGUN, START_s
+from uniforce_recorder_trials.device_faults import UNDER_WAY_s
+from uniforce_recorder_trials.end_to_end import BEGUN
 from uniforce_recorder_trials.kill9 import STORED
-from uniforce_recorder_trials.plan import LONG_s, Plan
+from uniforce_recorder_trials.plan import LONG_s, NOTICE_s, START_s
 from uniforce_recorder_trials.rig import Rig
-from uniforce_recorder_trials.running_faults import NOTICE_s, UNDER_WAY_s
-from uniforce_recorder_trials.session import Program, Session
+from uniforce_recorder_trials.session import Session
 from uniforce_recorder_trials.small_disk import SmallDisk
 from uniforce_vtla.keys import STAMPS
 
 COULD_NOT_START, FAULT, DISK_FULL, INTERRUPTED = 2, 3, 4, 130
-GONE = (
-    "aborted:robot_connection",
-    "aborted:robot_hand_connection",
-    "aborted:robot_stale",
-    "aborted:robot_ended",
-)
+GONE = tuple(f"aborted:robot_{how}" for how in ("connection", "hand_connection", "stale", "ended"))
 TWICE_s = (0.02, 0.6)  # between the two Ctrl-C
 DISK_MB, RESERVE_MB, LEFT_MB = 250, 50, 30  # of the small disk; kept free; left free by what fills it up
 SHORT_s = 1.5  # time limit of an episode that ends by itself
@@ -41,35 +36,29 @@ FEW_s = 10.0  # of one that fits on the small disk
 class Bench:
     """What a trial needs."""
 
-    plan: Plan
     rig: Rig
-    program: Program
     root: Path
     rng: random.Random
 
     def session(self, **settings: object) -> Session:
         """Return a session into a fresh folder."""
-        return Session(self.program, self.plan.argv(self.rig, self.root, **settings))
+        return self.rig.session(self.root, **settings)
 
     def into_an_episode(self, session: Session, after: int = 0) -> int:
         """Wait until an episode is under way; return the number of the line that says so."""
-        at, _ = session.wait_for(BEGUN, (START_s + NOTICE_s) * self.plan.patience, after)
+        at, _ = session.wait_for(BEGUN, START_s + NOTICE_s, after)
         time.sleep(self.rng.uniform(*UNDER_WAY_s))
         return at
 
-    def end_of(self, session: Session) -> int:
-        """Return the exit code."""
-        return session.wait_end(START_s * self.plan.patience)
-
 
 def server_death(bench: Bench) -> dict[str, Any]:
-    """The arm's process vanishes; with it its log, so the hold is told by the rows: the tick that failed, and held."""
+    """The arm's process vanishes; with it its log, so the rows say when it was held: the tick that failed, and held."""
     bench.rig.new_arm()
     with bench.session(episodes=1, episode_s=LONG_s) as session:
         bench.into_an_episode(session)
         died = time.time()
         bench.rig.arm.die()
-        code = bench.end_of(session)
+        code = session.wait_end(START_s)
     card = _last_card(bench.root)
     held_s = _held_at(bench.root, card) - died
     right = code == FAULT and card["label"] in GONE
@@ -87,7 +76,7 @@ def wrong_version(bench: Bench) -> dict[str, Any]:
 
 
 def disk_full_guard(bench: Bench) -> dict[str, Any]:
-    """Somebody else fills the disk up below the reserve: the next tick stops, and the episode still fits."""
+    """Another program fills the disk up below the reserve: the next tick stops, and the episode still fits."""
     with SmallDisk(bench.root, DISK_MB) as disk:
         bench.rig.new_arm()
         settings = {"episodes": 1, "episode_s": FEW_s, "reserve_MB": disk.reserve_MB(RESERVE_MB)}
@@ -95,7 +84,7 @@ def disk_full_guard(bench: Bench) -> dict[str, Any]:
             bench.into_an_episode(session)
             mark, full_s = bench.rig.mark(), time.monotonic()
             disk.fill(LEFT_MB, RESERVE_MB)
-            code = bench.end_of(session)
+            code = session.wait_end(START_s)
             held = bench.rig.rest(mark, full_s)
         card = _last_card(bench.root)
         right = code == DISK_FULL and card["label"] == "aborted:disk_full" and "hold_s" in held
@@ -110,18 +99,15 @@ def disk_full_for_real(bench: Bench) -> dict[str, Any]:
             return {"right_outcome": None, "message": "needs a disk of its own: mount -t tmpfs was refused"}
         bench.rig.new_arm()
         with bench.session(episodes=9, episode_s=SHORT_s, reserve_MB=0.0) as session:
-            at, _ = session.wait_for(STORED, (START_s + NOTICE_s) * bench.plan.patience)
+            at, _ = session.wait_for(STORED, START_s + NOTICE_s)
             at = bench.into_an_episode(session, at)
             disk.fill(0, 0)
-            code = bench.end_of(session)
+            code = session.wait_end(START_s)
             said = [line.text for line in session.lines[at:] if "stored" in line.text]
         saved = len(check_dataset(bench.root).episodes)
-        return _found(
-            code == DISK_FULL and saved >= 1,
-            code,
-            said[-1].partition(":")[0] if said else "",
-            said[-1] if said else "",
-        ) | {"saved": saved}
+        last = said[-1] if said else ""
+        right = code == DISK_FULL and saved >= 1
+        return _found(right, code, last.partition(":")[0], last) | {"saved": saved}
 
 
 def ctrl_c_twice(bench: Bench) -> dict[str, Any]:
@@ -133,7 +119,7 @@ def ctrl_c_twice(bench: Bench) -> dict[str, Any]:
         session.press("\x03")
         time.sleep(bench.rng.uniform(*TWICE_s))
         session.press("\x03")
-        code = bench.end_of(session)
+        code = session.wait_end(START_s)
         last = session.lines[-1].text if session.lines else ""
     held = bench.rig.rest(mark, first_s)
     is_stored = (bench.root / "meta" / "info.json").is_file() and check_dataset(bench.root).episodes
@@ -155,23 +141,18 @@ ENDINGS: dict[str, Callable[[Bench], dict[str, Any]]] = {
 def _refused(bench: Bench, flags: tuple[str, ...], says: str) -> dict[str, Any]:
     bench.rig.new_arm(*flags)
     with bench.session(episodes=1, episode_s=SHORT_s) as session:
-        code = bench.end_of(session)
-        told = session.said(r"^record: ")
+        code = session.wait_end(START_s)
+        refusals = session.said(r"^record: ")
         loaded = session.said("client loaded")
         named = session.said(says)
-    took_s = told[-1].time_s - loaded[0].time_s if told and loaded else None
+    took_s = refusals[-1].time_s - loaded[0].time_s if refusals and loaded else None
     right = code == COULD_NOT_START and bool(named) and took_s is not None
     took = {} if took_s is None else {"hold_s": round(took_s, 3)}
-    return _found(right, code, "no episode", told[-1].text if told else "") | took
+    return _found(right, code, "no episode", refusals[-1].text if refusals else "") | took
 
 
 def _found(right: bool, code: int, label: str, message: str) -> dict[str, Any]:
-    return {
-        "right_outcome": right,
-        "exit_code": code,
-        "label": label,
-        "message": message,
-    }
+    return {"right_outcome": right, "exit_code": code, "label": label, "message": message}
 
 
 def _last_card(root: Path) -> dict[str, Any]:
@@ -179,7 +160,7 @@ def _last_card(root: Path) -> dict[str, Any]:
 
 
 def _held_at(root: Path, card: dict[str, Any]) -> float:
-    """Return when the rig was told to hold, ``time.time``: the first tick without a row, and how long that one took."""
+    """Return when the rig was held, ``time.time``: the first tick without a row, and how long that one took."""
     source = read_source(root)
     last_tick_s = float(np.atleast_2d(source.columns((STAMPS,))[STAMPS])[-1, 0])
     return datetime.fromisoformat(card["begun"]).timestamp() + last_tick_s + 1 / source.fps + card["held_s"]

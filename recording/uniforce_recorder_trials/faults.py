@@ -9,13 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from uniforce_recorder_trials.device_faults import BREAKAGES, Breakage, attended, unattended
 from uniforce_recorder_trials.ending_faults import ENDINGS, Bench
-from uniforce_recorder_trials.fault_table import BREAKAGES, Breakage
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.plan import Plan
 from uniforce_recorder_trials.rig import Rig
-from uniforce_recorder_trials.running_faults import attended, unattended
-from uniforce_recorder_trials.session import Program
 from uniforce_vtla.errors import UniForceError
 
 NAMES = (*BREAKAGES, *ENDINGS)
@@ -25,40 +23,33 @@ def run(plan: Plan, ledger: Ledger, names: tuple[str, ...] = NAMES) -> dict[str,
     """Inject what is missing of each fault; return the findings of all."""
     left = [name for name in names if len(ledger.read(name)) < plan.times]
     if left:
-        with Rig(plan.work / "faults" / "rig", plan.options) as rig, Program(plan.log) as program:
-            _break_devices({n: BREAKAGES[n] for n in left if n in BREAKAGES}, plan, ledger, rig, program)
+        with Rig(plan, plan.work / "faults" / "rig") as rig:
+            _break_devices({n: BREAKAGES[n] for n in left if n in BREAKAGES}, ledger, rig)
             for name in (n for n in left if n in ENDINGS):
-                _end_sessions(name, plan, ledger, rig, program)
+                while (done := len(ledger.read(name))) < plan.times:
+                    _noted(name, ledger, partial(ENDINGS[name], bench_of(name, done, rig)))
     return {name: summary(ledger.read(name)) for name in NAMES if ledger.read(name)}
 
 
-def _break_devices(
-    faults: dict[str, Breakage], plan: Plan, ledger: Ledger, rig: Rig, program: Program
-) -> None:
-    """All but the last injection of each in one session, the last one in a session with nobody there."""
-    root, by_hand = plan.work / "faults" / "attended", max(plan.times - 1, 1)
+def _break_devices(faults: dict[str, Breakage], ledger: Ledger, rig: Rig) -> None:
+    """All but the last injection of each in one session, the last one in an unattended session."""
+    root, by_hand = rig.plan.work / "faults" / "attended", max(rig.plan.times - 1, 1)
     while any(len(ledger.read(name)) < by_hand for name in faults):
         rig.new_arm()
-        attended(faults, plan, rig, program, ledger, root, by_hand)
+        attended(faults, rig, ledger, root, by_hand)
         for fault in faults.values():
             fault.mends(rig)
     for name, fault in faults.items():
-        while len(ledger.read(name)) < plan.times:
-            _noted(name, ledger, partial(unattended, name, fault, plan, rig, program))
+        while len(ledger.read(name)) < rig.plan.times:
+            _noted(name, ledger, partial(unattended, name, fault, rig))
             fault.mends(rig)
 
 
-def _end_sessions(name: str, plan: Plan, ledger: Ledger, rig: Rig, program: Program) -> None:
-    while (done := len(ledger.read(name))) < plan.times:
-        bench = bench_of(name, done, plan, rig, program)
-        _noted(name, ledger, partial(ENDINGS[name], bench))
-
-
-def bench_of(name: str, number: int, plan: Plan, rig: Rig, program: Program) -> Bench:
+def bench_of(name: str, number: int, rig: Rig) -> Bench:
     """Return what the trial of a number needs, its folder empty."""
-    root = plan.work / "faults" / name / str(number)
+    root = rig.plan.work / "faults" / name / str(number)
     shutil.rmtree(root, ignore_errors=True)  # of a trial that was cut short
-    return Bench(plan, rig, program, root, random.Random(f"{name}{number}{plan.seed}"))
+    return Bench(rig, root, random.Random(f"{name}{number}{rig.plan.seed}"))
 
 
 def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> None:

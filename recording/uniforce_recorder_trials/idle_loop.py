@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import threading
@@ -16,6 +15,7 @@ from types import TracebackType
 
 import numpy as np
 
+from uniforce_recorder_trials.session import environment
 from uniforce_recording.ticker import Ticker
 
 END_s = 60.0
@@ -29,13 +29,12 @@ class IdleLoop:
     """
 
     def __init__(self, rate_hz: float) -> None:
-        paths = os.pathsep.join(path for path in sys.path if path)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "uniforce_recorder_trials.idle_loop", str(rate_hz)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
-            env=os.environ | {"PYTHONPATH": paths},
+            env=environment(),
         )
 
     @property
@@ -64,7 +63,7 @@ def _wait_for_the_end(over: threading.Event) -> None:
 
 
 def main() -> int:
-    """Tick until nobody listens."""
+    """Tick until standard input ends."""
     over = threading.Event()
     threading.Thread(target=_wait_for_the_end, args=(over,), daemon=True).start()
     ticker, time_s, late_ms = Ticker(float(sys.argv[1])), [], []

@@ -11,12 +11,11 @@ from typing import Any
 import psutil
 
 from uniforce_datasets.lossless import check_dataset
-from uniforce_recorder_trials.end_to_end import BEGUN, START_s
+from uniforce_recorder_trials.end_to_end import BEGUN
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.loading import load_in_stock_lerobot
-from uniforce_recorder_trials.plan import EPISODES, Plan
+from uniforce_recorder_trials.plan import EPISODES, Plan, START_s
 from uniforce_recorder_trials.rig import Rig
-from uniforce_recorder_trials.session import Program, Session
 from uniforce_recording.assemble import judged_episodes
 
 MOMENTS = ("tick", "save", "between")
@@ -36,29 +35,29 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     root = plan.work / "kill9" / "data"
     left = plan.kills - len(ledger.read("kill9"))
     if left > 0 or not ledger.read("kill9_last"):
-        with Rig(plan.work / "kill9", plan.options) as rig, Program(plan.log) as program:
+        with Rig(plan, plan.work / "kill9") as rig:
             for _ in range(left):
-                ledger.add("kill9", kill_once(plan, rig, program, root, len(ledger.read("kill9"))))
-            ledger.add("kill9_last", finish(plan, rig, program, root))
+                ledger.add("kill9", kill_once(rig, root, len(ledger.read("kill9"))))
+            ledger.add("kill9_last", finish(rig, root))
     return _sum(ledger.read("kill9"), ledger.read("kill9_last")[-1])
 
 
-def kill_once(plan: Plan, rig: Rig, program: Program, root: Path, number: int) -> dict[str, Any]:
+def kill_once(rig: Rig, root: Path, number: int) -> dict[str, Any]:
     """Resume, let one episode be stored, kill at a random moment of the next, and look at what is left."""
-    rng = random.Random(plan.seed * 1000 + number)
+    rng = random.Random(rig.plan.seed * 1000 + number)
     moment, victim = MOMENTS[number % 3], VICTIMS[number // 3 % 3]
     before = _episodes(root)
     rig.new_arm()
     settings = {"episodes": EPISODES, "episode_s": EPISODE_s} | ({"resume": root} if before else {})
-    with Session(program, plan.argv(rig, root, **settings)) as session:
-        at, _ = session.wait_for(STORED, (START_s + WAIT_s) * plan.patience)
+    with rig.session(root, **settings) as session:
+        at, _ = session.wait_for(STORED, START_s + WAIT_s)
         if moment != "between":
-            at, _ = session.wait_for(BEGUN, WAIT_s * plan.patience, at + 1)
+            at, _ = session.wait_for(BEGUN, WAIT_s, at + 1)
         time.sleep(rng.uniform(*RANDOM_s[moment]))
         family = session.processes()
         _kill(family, victim)
-        code = session.wait_end(WAIT_s * plan.patience)
-        _, alive = psutil.wait_procs(family, WAIT_s * plan.patience)
+        code = session.wait_end(WAIT_s)
+        _, alive = psutil.wait_procs(family, WAIT_s * rig.plan.patience)
         said = len(session.said(STORED))
     has = _load(root, before)
     return {
@@ -91,14 +90,13 @@ def _load(root: Path, first: int = 0) -> int:
     return count
 
 
-def finish(plan: Plan, rig: Rig, program: Program, root: Path) -> dict[str, Any]:
+def finish(rig: Rig, root: Path) -> dict[str, Any]:
     """Resume once more, record one episode, end in order."""
     rig.new_arm()
     before = _episodes(root)
     wanted = judged_episodes(root, before) + 1  # aborted ones don't count
-    argv = plan.argv(rig, root, resume=root, episodes=wanted, episode_s=EPISODE_s)
-    with Session(program, argv) as session:
-        code = session.wait_end((START_s + WAIT_s) * plan.patience)
+    with rig.session(root, resume=root, episodes=wanted, episode_s=EPISODE_s) as session:
+        code = session.wait_end(START_s + WAIT_s)
     return {"exit_code": code, "episodes_before": before, "episodes_after": _load(root)}
 
 

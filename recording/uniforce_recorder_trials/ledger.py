@@ -13,7 +13,7 @@ class Ledger:
 
     Args:
         folder: one ``NAME.jsonl`` each.
-        shows: told of each finding as it comes: its list's name, its number in it from 1, itself.
+        shows: called with each finding as it comes: its list's name, its number in it from 1, itself.
     """
 
     def __init__(self, folder: Path, shows: Callable[[str, int, dict[str, Any]], None] | None = None) -> None:

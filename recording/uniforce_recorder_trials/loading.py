@@ -1,9 +1,8 @@
-"""What was recorded, in LeRobot's own hands: its stock dataset class reads it, its trainer trains on it."""
+"""What was recorded, as LeRobot takes it: its stock dataset class reads it, its trainer trains on it."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from uniforce_datasets.source import read_source
-from uniforce_recorder_trials.session import ONE_THREAD
+from uniforce_recorder_trials.session import environment
 
 STEPS = 20
 STEPS_TAKE_s = 1200.0  # on a starved machine
@@ -64,12 +63,15 @@ def train_a_little(root: Path, out: Path) -> dict[str, Any]:
         f"output_dir={run}",
     ]
     command = [sys.executable, "-c", "from uniforce_commands.train import main; main()", *arguments]
-    paths = os.pathsep.join(path for path in sys.path if path)
-    environment = os.environ | ONE_THREAD | {"PYTHONPATH": paths, "HF_HUB_OFFLINE": "1"}
     out.mkdir(parents=True, exist_ok=True)
     with (out / "train.log").open("w") as log:
         ended = subprocess.run(
-            command, stdout=log, stderr=subprocess.STDOUT, env=environment, timeout=STEPS_TAKE_s, check=False
+            command,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=environment(),
+            timeout=STEPS_TAKE_s,
+            check=False,
         )
     losses = [float(loss) for loss in re.findall(r"loss:([\d.]+)", (out / "train.log").read_text())]
     saved = (run / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").is_file()

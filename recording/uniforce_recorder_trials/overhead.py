@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from uniforce_datasets.source import read_source
 from uniforce_recorder_trials.cpu import CpuMeter, machine_facts
-from uniforce_recorder_trials.end_to_end import BEGUN, START_s, lateness_ms, observe_p95_ms
+from uniforce_recorder_trials.end_to_end import BEGUN, lateness_ms, observe_p95_ms
 from uniforce_recorder_trials.ledger import Ledger
-from uniforce_recorder_trials.plan import Plan
+from uniforce_recorder_trials.plan import Plan, START_s
 from uniforce_recorder_trials.rig import Rig
-from uniforce_recorder_trials.session import ONE_THREAD, Program, Session, TrialError
+from uniforce_recorder_trials.session import TrialError, environment
 from uniforce_recorder_trials.uskin_rate import measure_rate
 from uniforce_vtla.errors import expected
 from uniforce_vtla.keys import STAMPS
@@ -29,11 +30,11 @@ COUNTED = "the loop with its threads and the storing process with its encoders; 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     """Measure what is missing; return the newest of each."""
     plan.work.mkdir(parents=True, exist_ok=True)
-    parts = {
+    parts: dict[str, Callable[[Plan], dict[str, Any]]] = {
         "observation_read": _read,
         "recorder": _recorder,
-        "recorder_without_raw": _without_raw,
-        "uskin": _uskin,
+        "recorder_without_raw": partial(_recorder, keep_raw=False),
+        "uskin": lambda plan: measure_rate(plan.uskin_s),
     }
     for name, measure in parts.items():
         if not ledger.read(name):
@@ -43,16 +44,12 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
 
 def _read(plan: Plan) -> dict[str, Any]:
     folder = plan.work / "overhead" / "read"
-    with Rig(folder, plan.options) as rig:
-        command = [sys.executable, "-m", "uniforce_recorder_trials.observation_read", rig.arm.address]
-        paths = os.pathsep.join(path for path in sys.path if path)
+    with Rig(plan, folder) as rig:
+        program = [sys.executable, "-m", "uniforce_recorder_trials.observation_read"]
+        command = [*program, rig.arm.address, str(plan.overhead_s), str(folder)]
+        wait_s = (START_s + plan.overhead_s) * plan.patience
         ended = subprocess.run(
-            [*command, str(plan.overhead_s), str(folder)],
-            capture_output=True,
-            text=True,
-            env=os.environ | ONE_THREAD | {"PYTHONPATH": paths},
-            timeout=(START_s + plan.overhead_s) * plan.patience,
-            check=False,
+            command, capture_output=True, text=True, env=environment(), timeout=wait_s, check=False
         )
     if ended.returncode:
         raise TrialError(expected("observation_read", "exit code 0", ended.returncode, ended.stderr[-500:]))
@@ -63,16 +60,16 @@ def _read(plan: Plan) -> dict[str, Any]:
 def _recorder(plan: Plan, keep_raw: bool = True) -> dict[str, Any]:
     folder = plan.work / "overhead" / ("recorder" if keep_raw else "recorder_without_raw")
     root = folder / f"data{len(list(folder.glob('data*')))}"
-    with Rig(folder, plan.options) as rig, Program(plan.log) as program:
-        argv = plan.argv(rig, root, episodes=1, episode_s=plan.overhead_s + 2 * SETTLE_s, keep_raw=keep_raw)
-        with Session(program, argv) as session:
-            session.wait_for(BEGUN, START_s * plan.patience)
+    with Rig(plan, folder) as rig:
+        length_s = plan.overhead_s + 2 * SETTLE_s
+        with rig.session(root, episodes=1, episode_s=length_s, keep_raw=keep_raw) as session:
+            session.wait_for(BEGUN, START_s)
             time.sleep(SETTLE_s)
             loop, *children = session.processes()
             meter = CpuMeter({"recording_loop": [loop], "storing_process": children})
             time.sleep(plan.overhead_s)
             cores = meter.read()
-            code = session.wait_end((START_s + plan.overhead_s) * plan.patience)
+            code = session.wait_end(START_s + plan.overhead_s)
     whole = cores["recording_loop"] + cores["storing_process"]
     return {
         "cores": round(whole, 3),
@@ -92,11 +89,3 @@ def _beat(root: Any) -> dict[str, Any]:
         "tick_jitter_p99_ms": round(float(np.percentile(late_ms, 99)), 3),
         "ticks_missed": missed,
     }
-
-
-def _without_raw(plan: Plan) -> dict[str, Any]:
-    return _recorder(plan, keep_raw=False)
-
-
-def _uskin(plan: Plan) -> dict[str, Any]:
-    return measure_rate(plan.uskin_s).as_dict()

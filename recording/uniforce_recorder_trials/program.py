@@ -69,7 +69,7 @@ def record_on(tty: str, argv: list[str]) -> int:
     terminal = os.open(tty, os.O_RDWR)  # a session leader's first one becomes its controlling terminal
     for standard in (0, 1, 2):
         os.dup2(terminal, standard)
-    os.closerange(3, 1024)  # the orders' socket too: a session that is killed may leave nobody listening
+    os.closerange(3, 1024)  # the orders' socket too: a killed session must leave no one listening
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     form = "%(levelname)s %(name)s: %(message)s"
     logging.basicConfig(

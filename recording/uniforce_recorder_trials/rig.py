@@ -7,13 +7,14 @@ import json
 import os
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import psutil
 
+from uniforce_recorder_trials.plan import Plan
+from uniforce_recorder_trials.session import Program, Session
 from uniforce_recorder_trials.stillness import arm_clock, find_hold
 from uniforce_standins.fci.journal import read_journal
 from uniforce_standins.fci.process import StandIn as ArmStandIn
@@ -33,66 +34,67 @@ def new_address() -> str:
     return f"127.{pid % 250 + 1}.{pid // 250 % 250}.{next(_numbers) % 250}"
 
 
-@dataclass(frozen=True)
-class RigOptions:
-    """What the rig is like.
-
-    Attributes:
-        fps: ticks and camera frames per second; below 30 no bar is judged.
-        patience: what limits of age are multiplied by; above 1 no bar is judged.
-        uskin_hz: scans per second.
-        keep_wire: whether the arm writes down every message, 1000 states and commands a second.
-    """
-
-    fps: int = 30
-    patience: float = 1.0
-    uskin_hz: float = 500.0
-    keep_wire: bool = True
-
-
 class Rig:
-    """Stand-ins that run, the rig file for ``uniforce-record``, and hands to break things with.
+    """Stand-ins that run, sessions of ``uniforce-record`` against them, and what breaks them.
 
     Args:
+        plan: what the rig is like.
         folder: for the rig file and the wire's log.
-        options: what it is like.
     """
 
-    def __init__(self, folder: Path, options: RigOptions | None = None) -> None:
-        self.folder, self.options = folder, options or RigOptions()
+    def __init__(self, plan: Plan, folder: Path) -> None:
+        self.plan, self.folder = plan, folder
         folder.mkdir(parents=True, exist_ok=True)
-        self._closing = ExitStack()
+        self._program: Program | None = None
         with ExitStack() as undo:
-            undo.callback(self._closing.close)
+            self._closing = undo
             self._start()
-            undo.pop_all()
+            self._closing = undo.pop_all()
 
     def _start(self) -> None:
-        start, rate = self._closing.enter_context, f"rate_hz={self.options.fps}"
-        cycle = (f"rest_s={FREE_FRAMES / self.options.fps}", "press_s=1")
+        start, rate = self._closing.enter_context, f"rate_hz={self.plan.fps}"
+        cycle = (f"rest_s={FREE_FRAMES / self.plan.fps}", "press_s=1")
         self.cameras = {
             name: start(StandIn("mjpeg", f"sensor={sensor}", rate, f"seed={seed}", *SCENE_CYCLE))
             for seed, (name, sensor) in enumerate(CAMERAS.items())
         }
         self.gelsight = start(StandIn("mjpeg", "sensor=gelsight", "seed=5", rate, *cycle))
-        self.uskin = start(StandIn("slcan", f"rate_hz={self.options.uskin_hz}", *cycle))
-        self.arm = self.new_arm()
+        self.uskin = start(StandIn("slcan", f"rate_hz={self.plan.uskin_hz}", *cycle))
+        self._closing.callback(lambda: self.arm.close())
+        self.arm = ArmStandIn(new_address(), log=self._log)
 
-    def new_arm(self, *flags: str) -> ArmStandIn:
-        """Return a fresh arm at a fresh address, the rig file pointing to it; the one before is let go."""
-        if hasattr(self, "arm"):
-            self.arm.close()
-        self.arm = ArmStandIn(new_address(), *flags, log=self._log if self.options.keep_wire else None)
+    def session(self, root: Path, **settings: object) -> Session:
+        """Begin ``uniforce-record`` into a folder; the program it is forked from is loaded at the first."""
+        if self._program is None:
+            log = self.plan.work / "sessions.log"
+            self._program = self._closing.enter_context(Program(log, self.plan.patience))
         self._write_file()
-        return self.arm
+        plain = {
+            "robot": "franka",
+            "rig": self._file,
+            "teleop": "trial_circle",
+            "operator": "nobody",
+            "root": root,
+            "repo_id": "local/trial",
+            "prompts": "[go round]",
+            "reserve_MB": 50.0,
+            "late_share": 0.1 if self.plan.patience <= 1 else 0.9,
+        } | settings
+        attended = plain["operator"] == "keys"
+        wait = {"drive_between": False} if attended else {"unwell_s": 10.0 * self.plan.patience}
+        return Session(self._program, [f"{name}={value}" for name, value in (wait | plain).items()])
+
+    def new_arm(self, *flags: str) -> None:
+        """Take a fresh arm at a fresh address; the one before is let go."""
+        self.arm.close()
+        self.arm = ArmStandIn(new_address(), *flags, log=self._log)
 
     @property
     def _log(self) -> Path:
         return self.folder / "wire.jsonl"
 
     @property
-    def file(self) -> Path:
-        """What ``rig=`` gets."""
+    def _file(self) -> Path:
         return self.folder / "rig.json"
 
     @property
@@ -103,15 +105,9 @@ class Rig:
         return [pid for pid in pids if psutil.pid_exists(pid)]
 
     def mark(self) -> int:
-        """Return where the arm's log stands now, for ``wire``."""
+        """Return where the arm's log stands now, for ``rest``."""
         self.arm.do("flush")
         return self._log.stat().st_size
-
-    def wire(self, mark: int = 0) -> list[dict]:
-        """Return what the arm wrote down since a mark."""
-        if self.arm.process.poll() is None:
-            self.arm.do("flush")
-        return read_journal(self._log, mark)
 
     def rest(self, mark: int, fault_s: float) -> dict[str, Any]:
         """Wait until the arm rests; return when it was held and how well its own clock ran.
@@ -120,32 +116,26 @@ class Rig:
             mark: where its log stood before the fault.
             fault_s: when it was broken, ``time.monotonic``; no hold is returned where it never rests.
         """
-        deadline_s = time.monotonic() + REST_MAX_s * self.options.patience
+        deadline_s = time.monotonic() + REST_MAX_s * self.plan.patience
         hold = None
         while hold is None and time.monotonic() < deadline_s:
             time.sleep(REST_s)
-            wire = self.wire(mark)
+            if self.arm.process.poll() is None:
+                self.arm.do("flush")
+            wire = read_journal(self._log, mark)
             hold = find_hold(wire, fault_s)
-        return {"arm_clock": arm_clock(wire), **(hold.as_dict() if hold else {})}
-
-    def close(self) -> None:
-        """End every stand-in."""
-        if hasattr(self, "arm"):
-            self.arm.close()
-        self._closing.close()
+        return {"arm_clock": arm_clock(wire), **(hold or {})}
 
     def __enter__(self) -> Rig:
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
+        self._closing.close()
 
     def _write_file(self) -> None:
-        patience = self.options.patience
+        patience = self.plan.patience
         scene = {"type": "uniforce_scene", "width": 640, "height": 480, "max_age_ms": 200.0 * patience}
-        cameras: dict[str, dict] = {
-            name: {**scene, "source": standin.address} for name, standin in self.cameras.items()
-        }
+        cameras: dict[str, dict] = {n: {**scene, "source": s.address} for n, s in self.cameras.items()}
         cameras["tactile_left"] = {
             "type": "uniforce_tactile",
             "sensor": "gelsight",
@@ -167,7 +157,7 @@ class Rig:
             "id": "trial",
             "calibration_dir": str(self.folder),
             "address": self.arm.address,
-            "fps": float(self.options.fps),
+            "fps": float(self.plan.fps),
             "connect_deadline_s": 2.5 * patience,
             "guards": {"low": [0.1, -0.3, 0.1, -3.1416, 0.0], "high": [0.7, 0.3, 0.6, 3.1416, 0.08]},
             # 1 s is the hard limit of each; the hand's is never the first to be met when the controller dies.
@@ -175,5 +165,5 @@ class Rig:
             "gripper": {"reading_age_s": min(0.5 * patience, 1.0)},
             "cameras": cameras,
         }
-        teleop = {"type": "trial_circle", "tick_s": 1 / self.options.fps}
-        self.file.write_text(json.dumps({"robot": robot, "teleop": teleop}))
+        teleop = {"type": "trial_circle", "tick_s": 1 / self.plan.fps}
+        self._file.write_text(json.dumps({"robot": robot, "teleop": teleop}))

@@ -25,6 +25,12 @@ END_s = 60.0
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
+def environment() -> dict[str, str]:
+    """Return the environment of programs beside us: one thread each, and what we can import, they can."""
+    paths = os.pathsep.join(path for path in sys.path if path)
+    return os.environ | ONE_THREAD | {"PYTHONPATH": paths, "HF_HUB_OFFLINE": "1"}
+
+
 class TrialError(UniForceError):
     """A trial didn't come to its point: nothing can be said about the recorder but that."""
 
@@ -46,13 +52,11 @@ class Session:
     """
 
     def __init__(self, program: Program, argv: list[str]) -> None:
-        self._program = program
+        self._program, self._patience = program, program.patience
         self._master, self._slave = os.openpty()
         self._lines: list[Line] = []
         self._new = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
-        self.exit_code: int | None = None
-        self.began_s = time.monotonic()
         self.pid = program.fork(os.ttyname(self._slave), argv)
         self._reader.start()
 
@@ -69,10 +73,12 @@ class Session:
     def wait_for(self, pattern: str, timeout_s: float, after: int = 0) -> tuple[int, Line]:
         """Return (its number, the line) of the first line at or after number ``after`` that holds a pattern.
 
+        Times are multiplied by the plan's patience, here and in ``wait_end``.
+
         Raises:
             TrialError: it ended before, or said nothing of the kind in time.
         """
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = time.monotonic() + timeout_s * self._patience
         while True:
             lines = self.lines
             for number in range(after, len(lines)):
@@ -96,14 +102,12 @@ class Session:
         Raises:
             TrialError: it hangs; it is killed then.
         """
-        self.exit_code = self._program.exit_code(timeout_s)
-        if self.exit_code is None:
-            for process in self.processes():
-                process.kill()
-            self._program.exit_code(END_s)
+        code = self._program.exit_code(timeout_s * self._patience)
+        if code is None:
+            self._kill()
             came = [line.text for line in self.lines[-4:]]
             raise TrialError(expected("session", f"an end within {timeout_s:g} s", came, "It hung."))
-        return self.exit_code
+        return code
 
     def processes(self) -> list[psutil.Process]:
         """The session's process and all its children that run."""
@@ -116,9 +120,7 @@ class Session:
     def close(self) -> None:
         """Let go of the terminal; what still runs is killed."""
         if self._program.exit_code() is None:
-            for process in self.processes():
-                process.kill()
-            self._program.exit_code(END_s)
+            self._kill()
         os.close(self._slave)
         self._reader.join(2.0)
         os.close(self._master)
@@ -128,6 +130,11 @@ class Session:
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
+
+    def _kill(self) -> None:
+        for process in self.processes():
+            process.kill()
+        self._program.exit_code(END_s)
 
     def _read(self) -> None:
         pending = ""
@@ -150,34 +157,21 @@ class Program:
 
     Args:
         log: file that everything they say is added to.
+        patience: what waiting times are multiplied by.
     """
 
-    def __init__(self, log: Path) -> None:
+    def __init__(self, log: Path, patience: float = 1.0) -> None:
+        self.patience = patience
         log.parent.mkdir(parents=True, exist_ok=True)
         self._log = log.open("a")
         ours, theirs = socket.socketpair()
-        command = [
-            sys.executable,
-            "-m",
-            "uniforce_recorder_trials.program",
-            str(theirs.fileno()),
-        ]
-        paths = os.pathsep.join(path for path in sys.path if path)  # what we can import, it can
-        self._process = subprocess.Popen(
-            command,
-            pass_fds=[theirs.fileno()],
-            env=os.environ | ONE_THREAD | {"PYTHONPATH": paths, "HF_HUB_OFFLINE": "1"},
-        )
+        command = [sys.executable, "-m", "uniforce_recorder_trials.program", str(theirs.fileno())]
+        self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], env=environment())
         theirs.close()
         self._socket = ours
         self._exit: int | None = 0
         self._pending = b""
         self._hear("ready", LOAD_s)
-
-    @property
-    def pid(self) -> int:
-        """Of the warm program itself."""
-        return self._process.pid
 
     def fork(self, tty: str, argv: list[str]) -> int:
         """Start a session; return its pid."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,29 +13,10 @@ STILL_m = 5e-4  # how far it may still creep
 WATCHED_s = 0.3  # at the end
 
 
-@dataclass(frozen=True)
-class Hold:
-    """How an arm came to rest after a fault, seconds from the fault.
+def find_hold(wire: Sequence[dict], fault_s: float) -> dict[str, float] | None:
+    """Return {"hold_s": until it began to brake for good, "rest_s": until it was within 1 mm of where it stayed}.
 
-    Attributes:
-        held_s: until it began to brake for good: its target had stopped.
-        rest_s: until it was within 1 mm of where it stayed, braking included.
-    """
-
-    held_s: float
-    rest_s: float
-
-    def after_fault(self) -> Hold:
-        """Return the same, 0 for what was so before the fault."""
-        return Hold(max(self.held_s, 0.0), max(self.rest_s, 0.0))
-
-    def as_dict(self) -> dict[str, float]:
-        """Return the numbers as findings have them."""
-        return {"hold_s": round(self.held_s, 3), "rest_s": round(self.rest_s, 3)}
-
-
-def find_hold(wire: Sequence[dict], fault_s: float) -> Hold | None:
-    """Return when the arm was held; None where it went on moving.
+    Seconds from the fault, 0 for what was so before it; None where the arm went on moving.
 
     Args:
         wire: the arm's log from the fault until well after the rest.
@@ -50,8 +30,9 @@ def find_hold(wire: Sequence[dict], fault_s: float) -> Hold | None:
     away_m = np.linalg.norm(places_m - places_m[-1], axis=1)
     if away_m[times_s > times_s[-1] - WATCHED_s].max() > STILL_m:
         return None
-    fast = _speeds_m_s(times_s, places_m) > SLOW_m_s
-    return Hold(_last(times_s, fast) - fault_s, _last(times_s, away_m > REST_m) - fault_s).after_fault()
+    moments = {"hold_s": _speeds_m_s(times_s, places_m) > SLOW_m_s, "rest_s": away_m > REST_m}
+    lasts_s = {name: times_s[is_so].max(initial=fault_s) for name, is_so in moments.items()}
+    return {name: round(float(last_s) - fault_s, 3) for name, last_s in lasts_s.items()}
 
 
 def _speeds_m_s(times_s: np.ndarray, places_m: np.ndarray) -> np.ndarray:
@@ -59,12 +40,6 @@ def _speeds_m_s(times_s: np.ndarray, places_m: np.ndarray) -> np.ndarray:
     span_s = np.maximum(times_s - times_s[before], SPAN_s / 2)
     speeds: np.ndarray = np.linalg.norm(places_m - places_m[before], axis=1) / span_s
     return speeds
-
-
-def _last(times_s: np.ndarray, is_so: np.ndarray) -> float:
-    """Return the last time something was so; minus infinity where it never was."""
-    moments = np.flatnonzero(is_so)
-    return float(times_s[moments[-1]]) if len(moments) else -np.inf
 
 
 def arm_clock(wire: Sequence[dict]) -> float | None:

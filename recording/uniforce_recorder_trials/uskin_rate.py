@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -15,46 +14,30 @@ FIRST_MS = 30_000  # for the first scan, on a starved machine
 ANY_AGE_MS = 1e4
 
 
-@dataclass(frozen=True)
-class UskinRate:
-    """What was seen in a run at full rate.
+def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
+    """Read a stand-in of its own for some time; every scan it sent is waited for.
 
-    Attributes:
+    Returns:
         seconds: it lasted.
         rate_hz: scans received per second at its end.
         sent, samples, lost, bad: scans sent, received, torn, and lines not understood.
         age_p50_ms, age_p99_ms: of the newest scan, asked for at random times.
     """
-
-    seconds: float
-    rate_hz: float
-    sent: int
-    samples: int
-    lost: int
-    bad: int
-    age_p50_ms: float
-    age_p99_ms: float
-
-    def as_dict(self) -> dict[str, float]:
-        """Return the numbers by name."""
-        return {name: round(value, 3) for name, value in asdict(self).items()}
-
-
-def measure_rate(seconds: float, rate_hz: float = 500.0) -> UskinRate:
-    """Read a stand-in of its own for some time; every scan it sent is waited for."""
     with StandIn("slcan", f"rate_hz={rate_hz}") as stand_in:
         reader = SampleReader(SlcanUSkin(stand_in.address, max_behind_s=1e9), ReaderLimits(frozen_after=50))
         reader.start()
         try:
             reader.wait_newer(-1, FIRST_MS)
-            ages_ms = _ages_ms(reader, seconds)
+            p50_ms, p99_ms = np.percentile(_ages_ms(reader, seconds), (50, 99)).tolist()
             seen_hz = reader.rate_hz()
             stand_in.inject("stall")
             sent = _until_all_arrived(stand_in, reader)
         finally:
             reader.stop()
-    counts, (p50_ms, p99_ms) = reader.counts, np.percentile(ages_ms, (50, 99)).tolist()
-    return UskinRate(seconds, seen_hz, sent, counts.samples, counts.lost, counts.bad, p50_ms, p99_ms)
+    counts = reader.counts
+    numbers = {"samples": counts.samples, "lost": counts.lost, "bad": counts.bad, "sent": sent}
+    rates = {"seconds": seconds, "rate_hz": seen_hz, "age_p50_ms": p50_ms, "age_p99_ms": p99_ms}
+    return numbers | {name: round(value, 3) for name, value in rates.items()}
 
 
 def _ages_ms(reader: SampleReader, seconds: float) -> list[float]:

@@ -38,7 +38,7 @@ def read_devices(flags: Sequence[str], robot: str, teleop: str, file: str = "") 
         file: of LeRobot's form, with ``robot`` and ``teleop``; flags override it.
 
     Raises:
-        ContractError: an unknown name, a file that isn't there, settings nobody knows.
+        ContractError: an unknown name, a file that isn't there, unknown settings.
     """
     names = teleoperator_names()
     if teleop not in names:

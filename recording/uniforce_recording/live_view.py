@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import TextIO
 
 import numpy as np
 
-from uniforce_recording.observation import Observation
+from uniforce_recording.rig import Observation
+from uniforce_vtla.evaluation.episode import ScoreLimits
 
 LINE_EVERY_s = 0.2  # a person reads no faster
 BAR = 20  # characters
-
-
-@dataclass(frozen=True)
-class ForceLimits:
-    """Where a demonstration stops being a good one; scores have the same limits."""
-
-    warn_N: float = 10.0  # mean press above it counts as excess force
-    stop_N: float = 15.0  # any frame above it does
+WARN_N, STOP_N = ScoreLimits.mean_press_N, ScoreLimits.peak_press_N  # above them a score has excess force
 
 
 class LiveView:
@@ -27,24 +20,21 @@ class LiveView:
 
     Args:
         out: where to; None shows nothing.
-        limits: of the force.
-        fps: to tell seconds.
+        fps: of what is shown.
+
+    Attributes:
+        peak_N: largest force of the episode so far.
     """
 
-    def __init__(self, out: TextIO | None, limits: ForceLimits | None = None, fps: int = 30) -> None:
-        self._out, self._limits, self._fps = out, limits or ForceLimits(), fps
+    def __init__(self, out: TextIO | None, fps: int = 30) -> None:
+        self._out, self._fps = out, fps
         self._moves = out is not None and out.isatty()  # a line can be written over
         self._next_s = 0.0
-        self._peak_N = 0.0
-
-    @property
-    def peak_N(self) -> float:  # noqa: N802  a unit
-        """Largest force of the episode so far."""
-        return self._peak_N
+        self.peak_N = 0.0
 
     def begin(self, text: str) -> None:
         """Begin an episode: its peak force is forgotten."""
-        self._peak_N = 0.0
+        self.peak_N = 0.0
         self.say(text)
 
     def say(self, text: str) -> None:
@@ -53,7 +43,7 @@ class LiveView:
 
     def show(self, seen: Observation, frames: int) -> None:
         """Show an observation, five times a second on a terminal, never elsewhere."""
-        self._peak_N = max(self._peak_N, float(np.linalg.norm(seen.force_N)))
+        self.peak_N = max(self.peak_N, float(np.linalg.norm(seen.force_N)))
         now_s = time.perf_counter()
         if self._moves and now_s >= self._next_s:
             self._next_s = now_s + LINE_EVERY_s
@@ -61,13 +51,14 @@ class LiveView:
 
     def line(self, seen: Observation, frames: int) -> str:
         """Return the line: time, force as a bar up to its limit, peak, width, oldest sensor."""
-        force_N, limits = float(np.linalg.norm(seen.force_N)), self._limits
-        filled = min(round(BAR * force_N / limits.stop_N), BAR)
-        mark = "!!" if force_N > limits.stop_N else "! " if force_N > limits.warn_N else "  "
-        oldest, age_ms = _oldest(seen)
+        force_N = float(np.linalg.norm(seen.force_N))
+        filled = min(round(BAR * force_N / STOP_N), BAR)
+        mark = "!!" if force_N > STOP_N else "! " if force_N > WARN_N else "  "
+        oldest, sample = min(seen.samples.items(), key=lambda named: named[1].time_s)
+        age_ms = 1000 * (seen.time_s - sample.time_s)
         return (
             f"{frames / self._fps:5.1f} s  force [{'#' * filled}{'.' * (BAR - filled)}] {force_N:4.1f} N {mark}"
-            f"peak {self._peak_N:4.1f} of {limits.stop_N:g}  width {1000 * seen.axes[4]:4.1f} mm"
+            f"peak {self.peak_N:4.1f} of {STOP_N:g}  width {1000 * seen.axes[4]:4.1f} mm"
             f"  oldest {oldest} {age_ms:.0f} ms"
         )
 
@@ -75,10 +66,3 @@ class LiveView:
         if self._out is not None:
             self._out.write(text)
             self._out.flush()
-
-
-def _oldest(seen: Observation) -> tuple[str, float]:
-    times = {name: picture.time_s for name, picture in seen.cameras.items()}
-    times |= {f"{finger} finger": touch.time_s for finger, touch in seen.fingers.items()}
-    name = min(times, key=lambda source: times[source])
-    return name, 1000 * (seen.time_s - times[name])

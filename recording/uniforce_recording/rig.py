@@ -1,4 +1,7 @@
-"""What the loop needs of whatever is recorded; a robot and the simulated scene look alike from here."""
+"""What the loop needs of whatever is recorded, and what it sees at one tick: of a robot and of the scene alike.
+
+All times of one rig are seconds on one clock: the host's monotonic one on a robot, the scene's own in simulation.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,69 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from uniforce_recording.observation import Observation
 from uniforce_vtla.contracts import Finger
+from uniforce_vtla.evaluation.episode import EpisodeResult
 
 Shape = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """How an episode went: ``outcome`` as in ``keys.OUTCOME_NAMES``, and whether it was a clean success."""
+class Picture:
+    """A scene camera's newest frame: (H, W, 3) uint8 RGB, its number since connecting, when it was taken."""
 
-    outcome: str
-    clean: bool
+    image: np.ndarray
+    index: int
+    time_s: float
+
+
+@dataclass(frozen=True)
+class FingerTouch:
+    """One finger's newest sample.
+
+    Attributes:
+        image: (480, 640) uint8 marker image, as the sensor sees it.
+        reference: the same in free air; one array for the whole episode.
+        index: number of the sample since connecting.
+        time_s: when it was taken.
+        raw: (H, W, 3) uint8 camera frame or (16, 3) counts, upright; None where a rig has no raw signal.
+        window, window_times_s: of taxels only, the newest scans (size, 16, 3), oldest first, the oldest repeated where
+            there were fewer, and when each was taken (size,).
+    """
+
+    image: np.ndarray
+    reference: np.ndarray
+    index: int
+    time_s: float
+    raw: np.ndarray | None = None
+    window: np.ndarray | None = None
+    window_times_s: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One tick.
+
+    Attributes:
+        time_s: when it was taken.
+        axes: (5,) measured x, y, z, yaw, width as in ``keys.AXES``.
+        cameras: by name.
+        fingers: both.
+        measured: further columns by key, dtype and shape as ``RigFacts.measured`` announces.
+        force_N: (3,) force of the world on the hand since the references were taken, base frame; on a robot an
+            estimate.
+    """
+
+    time_s: float
+    axes: np.ndarray
+    cameras: dict[str, Picture]
+    fingers: dict[Finger, FingerTouch]
+    measured: dict[str, np.ndarray] = field(default_factory=dict)
+    force_N: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def samples(self) -> dict[str, Picture | FingerTouch]:
+        """What was seen, by camera and finger."""
+        return dict(self.cameras) | dict(self.fingers)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -35,6 +89,7 @@ class RigFacts:
         measured: LeRobot feature of each further column, by key.
         truth: whether ``measured`` holds the true pad wrenches.
         paced: whether ticks keep to the wall clock; False runs as fast as the scene steps.
+        drives_between: whether ``act`` may be called between episodes; a scene only steps inside one.
     """
 
     name: str
@@ -46,26 +101,24 @@ class RigFacts:
     measured: dict[str, dict[str, Any]] = field(default_factory=dict)
     truth: bool = False
     paced: bool = True
+    drives_between: bool = True
 
 
 class Rig(Protocol):
-    """A robot with its sensors, or the scene. Every method may raise a UniForceError."""
+    """A robot with its sensors, or the scene. Every method but ``hold`` may raise a UniForceError.
 
-    @property
-    def facts(self) -> RigFacts:
-        """What it delivers."""
+    Attributes:
+        facts: what it delivers.
+        is_done: whether the task itself has ended; a robot never knows.
+    """
 
-    @property
-    def is_done(self) -> bool:
-        """Whether the task itself has ended; a robot never knows."""
-
-    @property
-    def can_drive_between(self) -> bool:
-        """Whether ``act`` may be called between episodes; a scene only steps inside one."""
+    facts: RigFacts
+    is_done: bool = False
 
     @property
     def prompt(self) -> str | None:
         """The instruction a scene comes with; None where a person gives it."""
+        return None
 
     def now_s(self) -> float:
         """Return the time on the clock of all its stamps."""
@@ -80,31 +133,25 @@ class Rig(Protocol):
         """(5,) where it is now; works before the first reference."""
 
     def begin_episode(self, seed: int) -> None:
-        """Take the free-air references, or build the scene of ``seed``.
-
-        Raises:
-            SensorError: no free air, or a sensor that isn't well.
-        """
+        """Take the free-air references, refusing them where sensors aren't well, or build the scene of ``seed``."""
 
     def observe(self) -> Observation:
-        """Return the newest of everything.
-
-        Raises:
-            DeviceError: a camera or finger that is lost, stale, frozen or bad.
-            RobotError: a fault of the arm or the hand.
-        """
+        """Return the newest of everything; a camera or finger that is lost, stale, frozen or bad is a DeviceError."""
 
     def act(self, action: np.ndarray) -> np.ndarray:
         """Go to (5,) absolute targets; return what was sent after the guards."""
 
     def hold(self) -> None:
-        """Rest where it is, at once; never raises."""
+        """Rest where it is, at once; never raises. A scene that isn't stepped rests."""
+        return
 
     def recover(self) -> None:
-        """Clear a fault on a person's word; nothing moves."""
+        """Clear a fault on a person's word; nothing moves. A scene has none."""
+        return
 
-    def verdict(self) -> Verdict | None:
+    def verdict(self) -> EpisodeResult | None:
         """Return how the episode went, where the rig knows better than a person."""
+        return None
 
     def summary(self) -> dict[str, Any]:
-        """Return what a card shall tell of the rig: guards that acted, samples lost, settings read back."""
+        """Return what a card says of the rig: guards that acted, samples lost, settings read back."""

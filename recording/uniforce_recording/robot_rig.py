@@ -12,18 +12,17 @@ from lerobot_robot_uniforce_franka import UniforceFranka
 from lerobot_robot_uniforce_franka.arm import ArmState
 from lerobot_robot_uniforce_franka.hand import HandReading
 from uniforce_datasets.features import vector_column
-from uniforce_recording.observation import Observation
-from uniforce_recording.rig import RigFacts, Verdict
+from uniforce_recording.rig import Observation, Rig, RigFacts
 from uniforce_recording.sensing import Sensing
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES, measured_key, tactile_name
 from uniforce_vtla.sensors import get_sensor
 
-JOINTS = 7
+JOINTS = range(1, 8)
 COLUMNS = {
-    "q": [f"q{n}_rad" for n in range(1, JOINTS + 1)],
-    "dq": [f"dq{n}_rad_s" for n in range(1, JOINTS + 1)],
+    "q": [f"q{n}_rad" for n in JOINTS],
+    "dq": [f"dq{n}_rad_s" for n in JOINTS],
     "wrench": [
         "fx_N",
         "fy_N",
@@ -37,7 +36,7 @@ COLUMNS = {
 }
 
 
-class RobotRig:
+class RobotRig(Rig):
     """A connected robot, read and driven through LeRobot's interface and its own readings.
 
     Args:
@@ -52,42 +51,19 @@ class RobotRig:
     def __init__(self, robot: UniforceFranka, window: int = 17, keep_raw: bool = True) -> None:
         self.robot = robot
         self._sensing = Sensing(robot.cameras, window, keep_raw)
-        self._window, self._keep_raw = window, keep_raw
         self._rest_N: np.ndarray = np.zeros(3)
-
-    @property
-    def facts(self) -> RigFacts:
-        """See ``Rig``."""
-        devices = self._sensing.fingers
+        devices = {finger: device.config for finger, device in self._sensing.fingers.items()}
         worn = {tactile_name(finger) for finger in FINGERS}
-        cameras = {n: (c.height, c.width, 3) for n, c in self.robot.config.cameras.items() if n not in worn}
-        taxels = {f for f, d in devices.items() if get_sensor(d.config.sensor).signal == "taxel"}
-        return RigFacts(
-            name=self.robot.name,
-            fps=round(self.robot.config.fps),
-            sensors={finger: device.config.sensor for finger, device in devices.items()},
-            cameras=cameras,
-            raw_frames={
-                f: d.config.raw_shape for f, d in devices.items() if self._keep_raw and f not in taxels
-            },
-            windows={finger: self._window for finger in FINGERS if finger in taxels},
+        taxels = {f for f, config in devices.items() if get_sensor(config.sensor).signal == "taxel"}
+        self.facts = RigFacts(
+            name=robot.name,
+            fps=round(robot.config.fps),
+            sensors={finger: config.sensor for finger, config in devices.items()},
+            cameras={n: (c.height, c.width, 3) for n, c in robot.config.cameras.items() if n not in worn},
+            raw_frames={f: c.raw_shape for f, c in devices.items() if keep_raw and f not in taxels},
+            windows={finger: window for finger in FINGERS if finger in taxels},
             measured={measured_key(name): vector_column(names) for name, names in COLUMNS.items()},
         )
-
-    @property
-    def is_done(self) -> bool:
-        """Never: a person says so."""
-        return False
-
-    @property
-    def can_drive_between(self) -> bool:
-        """Always: somebody has to lead it back."""
-        return True
-
-    @property
-    def prompt(self) -> str | None:
-        """None: a person gives it."""
-        return None
 
     def now_s(self) -> float:
         """Return the host's monotonic clock, which stamps cameras, taxels and arm alike."""
@@ -111,7 +87,6 @@ class RobotRig:
         """Take references, gripper open and fingers still; the force of now counts as none."""
         self.robot.require_open_hand()
         self._sensing.take_references()
-        self._sensing.pictures(), self._sensing.touches()  # every one has to be well
         self._rest_N = np.array(self.robot.reading[0].wrench_N[:3])
 
     def observe(self) -> Observation:
@@ -141,10 +116,6 @@ class RobotRig:
     def recover(self) -> None:
         """Clear a reflex on a person's word."""
         self.robot.recover()
-
-    def verdict(self) -> Verdict | None:
-        """None: a person says so."""
-        return None
 
     def summary(self) -> dict[str, Any]:
         """Guards that acted so far, and how the sensors did."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any, Literal
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from lerobot.cameras import Camera
@@ -14,22 +14,17 @@ from lerobot_camera_uniforce.finger import TactileFinger
 from lerobot_camera_uniforce.sampled_camera import SampledCamera
 from lerobot_camera_uniforce.samples import NS_PER_S
 from lerobot_camera_uniforce.uskin_camera import UniforceUskin
-from uniforce_recording.faults import device_fault
-from uniforce_recording.garbage_watch import GarbageWatch
-from uniforce_recording.observation import FingerTouch, Picture, ScanWindow
+from uniforce_recording.faults import named
 from uniforce_recording.plain_camera import PlainCamera
+from uniforce_recording.rig import FingerTouch, Picture
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.keys import tactile_name
 
-
-@contextmanager
-def named(kind: Literal["camera", "touch"], device: str) -> Iterator[None]:
-    """Turn a sensor's error into the fault of a device with a name."""
-    try:
-        yield
-    except SensorError as error:
-        raise device_fault(kind, device, error) from error
+GARBAGE_OVER_s = 1.0
+GARBAGE_MOST = (
+    5  # bad pieces in that time: a few are a bad plug; a driver drops each, so nothing else shows them
+)
 
 
 class Sensing:
@@ -47,17 +42,18 @@ class Sensing:
     def __init__(self, cameras: Mapping[str, Camera], window: int, keep_raw: bool) -> None:
         self._window, self._keep_raw = window, keep_raw
         self._references: dict[Finger, np.ndarray] = {}
-        self._watches: dict[str, GarbageWatch] = {}
         self.fingers: dict[Finger, TactileFinger] = {f: _finger(cameras, f) for f in FINGERS}
-        worn = {tactile_name(finger) for finger in FINGERS}
-        scene = {name: camera for name, camera in cameras.items() if name not in worn}
-        self._scene = {
+        worn = {tactile_name(finger): device for finger, device in self.fingers.items()}
+        self._scene: dict[str, SampledCamera | PlainCamera] = {
             name: camera if isinstance(camera, SampledCamera) else PlainCamera(name, camera)
-            for name, camera in scene.items()
+            for name, camera in cameras.items()
+            if name not in worn
         }
+        self._sampled = {n: c for n, c in {**self._scene, **worn}.items() if isinstance(c, SampledCamera)}
+        self._watches = {name: GarbageWatch(name) for name in self._sampled}
 
     def take_references(self) -> None:
-        """Take every finger's free-air reference.
+        """Take every finger's free-air reference, and look whether every sensor is well.
 
         Raises:
             DeviceError: in contact as far as can be known, or not well.
@@ -65,42 +61,56 @@ class Sensing:
         for finger, device in self.fingers.items():
             with named("touch", tactile_name(finger)):
                 self._references[finger] = device.take_reference()
+        self.pictures()
+        self.touches()
 
     def pictures(self) -> dict[str, Picture]:
         """Return the newest frame of each scene camera."""
         return {name: self._picture(name, camera) for name, camera in self._scene.items()}
 
     def touches(self) -> dict[Finger, FingerTouch]:
-        """Return what both fingers feel, the marker image of the very sample whose raw signal is beside it."""
+        """Return the newest of both fingers, the marker image of the very sample whose raw signal is beside it."""
         return {finger: self._touch(finger, device) for finger, device in self.fingers.items()}
 
     def summary(self) -> dict[str, Any]:
         """Return counts, rates and settings of every sensor read in the background."""
-        ours = {name: camera for name, camera in self._scene.items() if isinstance(camera, SampledCamera)}
-        ours |= {tactile_name(finger): device for finger, device in self.fingers.items()}
-        return {name: _facts(device) for name, device in ours.items()}
-
-    def _watch(self, name: str, device: SampledCamera) -> None:
-        watch = self._watches.setdefault(name, GarbageWatch(name))
-        watch.look(time.monotonic(), device.counts.bad)
+        return {name: _facts(device) for name, device in self._sampled.items()}
 
     def _picture(self, name: str, camera: SampledCamera | PlainCamera) -> Picture:
         with named("camera", name):
             if isinstance(camera, PlainCamera):
                 return camera.picture()
-            self._watch(name, camera)
+            self._watches[name].look(time.monotonic(), camera.counts.bad)
             sample = camera.latest()
             return Picture(sample.raw, sample.index, sample.stamp_ns / NS_PER_S)
 
     def _touch(self, finger: Finger, device: TactileFinger) -> FingerTouch:
-        with named("touch", tactile_name(finger)):
-            self._watch(tactile_name(finger), device)
+        with named("touch", name := tactile_name(finger)):
+            self._watches[name].look(time.monotonic(), device.counts.bad)
             sample = device.latest()
             image, reference = device.marker_image(sample.raw), self._references[finger]
-            is_taxel = isinstance(device, UniforceUskin)
-            window = _window(device, self._window) if isinstance(device, UniforceUskin) else None
-        raw = sample.raw if is_taxel or self._keep_raw else None
-        return FingerTouch(image, reference, sample.index, sample.stamp_ns / NS_PER_S, raw, window)
+            window = _window(device, self._window) if isinstance(device, UniforceUskin) else ()
+        raw = sample.raw if window or self._keep_raw else None
+        return FingerTouch(image, reference, sample.index, sample.stamp_ns / NS_PER_S, raw, *window)
+
+
+class GarbageWatch:
+    """Watches a driver's count of pieces that it could not understand."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._seen: deque[tuple[float, int]] = deque()
+
+    def look(self, now_s: float, bad: int) -> None:
+        """Take the count so far; raise SensorError where more than ``GARBAGE_MOST`` came within a second."""
+        self._seen.append((now_s, bad))
+        while now_s - self._seen[0][0] > GARBAGE_OVER_s:
+            self._seen.popleft()
+        came = bad - self._seen[0][1]
+        if came > GARBAGE_MOST:
+            wanted = f"≤ {GARBAGE_MOST} bad pieces in {GARBAGE_OVER_s:g} s"
+            do = "Check cable, power and what else is on the bus."
+            raise SensorError(expected(self._name, wanted, came, do))
 
 
 def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:
@@ -113,11 +123,11 @@ def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:
     return device
 
 
-def _window(device: UniforceUskin, size: int) -> ScanWindow:
+def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
     window = device.upright_window(size)
     first_s = window.stamps_ns[size - window.count] / NS_PER_S
     times_s = np.where(window.stamps_ns == 0, first_s, window.stamps_ns / NS_PER_S)
-    return ScanWindow(window.data, times_s)
+    return window.data, times_s
 
 
 def _facts(device: SampledCamera) -> dict[str, Any]:

@@ -7,10 +7,8 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from uniforce_recording.ending import Ending
-from uniforce_recording.episode_loop import EpisodeLoop, Parts
+from uniforce_recording.episode import Ending, EpisodeLoop, Parts, ending_of
 from uniforce_recording.faults import StopRequestedError, cause_of
-from uniforce_recording.judging import judge
 from uniforce_recording.operators import Command, Event, Phase
 from uniforce_recording.ticker import Ticker
 from uniforce_vtla.errors import (
@@ -23,9 +21,7 @@ from uniforce_vtla.errors import (
 )
 
 MIN_FRAMES = 2  # of an aborted episode worth keeping: LeRobot stores no shorter one
-ABORTS_IN_A_ROW = (
-    3  # after which an unattended session gives up: a fault that comes back each time needs a person
-)
+ABORTS_IN_A_ROW = 3  # end an unattended session: a fault that comes back each time needs a person
 RETRY_s = 0.1  # between two tries to begin, unattended
 FAULT, DISK_FULL, INTERRUPTED = 3, 4, 130  # exit codes
 
@@ -84,13 +80,13 @@ class RecordingSession:
     """Record with parts that are connected.
 
     Args:
-        parts: rig, teleoperator, operator, recorder, disk, view.
+        parts: connected.
         settings: what.
         judged: episodes in the dataset that count already.
         seed: of the first attempt; counts up.
     """
 
-    def __init__(self, parts: Parts, settings: SessionSettings, judged: int = 0, seed: int = 0) -> None:
+    def __init__(self, parts: Parts, settings: SessionSettings, judged: int, seed: int) -> None:
         self._parts, self._settings = parts, settings
         self._judged, self._seed = judged, seed
         self._fps = parts.rig.facts.fps
@@ -99,16 +95,16 @@ class RecordingSession:
 
     def run(self) -> SessionEnd:
         """Record what is missing."""
+        code, at_once = 0, False
         try:
-            at_once = False
             while self._judged < self._settings.episodes and not self._quits:
                 at_once = self._attempt(at_once)
+            message = f"{self._judged} of {self._settings.episodes} episodes"
         except StopRequestedError as error:
-            return SessionEnd(INTERRUPTED, str(error), tuple(self._endings))
+            code, message = INTERRUPTED, str(error)
         except _End as end:
-            return SessionEnd(end.exit_code, str(end), tuple(self._endings))
-        done = f"{self._judged} of {self._settings.episodes} episodes"
-        return SessionEnd(0, done, tuple(self._endings))
+            code, message = end.exit_code, str(end)
+        return SessionEnd(code, message, tuple(self._endings))
 
     # --- one attempt -------------------------------------------------------------------------------------------------
 
@@ -121,7 +117,7 @@ class RecordingSession:
             return False
         prompt, begun = self._prompt(), datetime.now(UTC).isoformat(timespec="milliseconds")
         self._parts.view.begin(f"episode {self._judged + 1}/{self._settings.episodes}: {prompt}")
-        ending = judge(self._parts, self._not_late(EpisodeLoop(self._parts, prompt, frames).run()))
+        ending = self._judge(self._not_late(EpisodeLoop(self._parts, prompt, frames).run()))
         self._endings.append(ending)
         self._store(ending, {"begun": begun, "prompt": prompt})
         self._seed += 1
@@ -139,11 +135,9 @@ class RecordingSession:
         return replace(ending, how="aborted", cause="late", message=message)
 
     def _prompt(self) -> str:
-        prompts = self._settings.prompts
-        own = self._parts.rig.prompt
+        prompts, own = self._settings.prompts, self._parts.rig.prompt
         if not prompts and own is None:
-            do = "Give at least one."
-            raise ContractError(expected("prompts", "an instruction", "none", do))
+            raise ContractError(expected("prompts", "an instruction", "none", "Give at least one."))
         return prompts[self._judged % len(prompts)] if prompts else str(own)
 
     # --- waiting and preparing ---------------------------------------------------------------------------------------
@@ -164,20 +158,18 @@ class RecordingSession:
         """Do what was said between episodes; return whether the waiting is over."""
         self._quits = self._quits or event.command is Command.QUIT
         if event.command is Command.RECOVER:
-            self._recover()
+            try:
+                self._parts.rig.recover()
+                self._parts.view.say("recovered; nothing has moved")
+            except RobotError as error:
+                self._parts.view.say(f"not recovered: {error}")
         return event.command in (Command.GO, Command.QUIT)
-
-    def _recover(self) -> None:
-        try:
-            self._parts.rig.recover()
-            self._parts.view.say("recovered; nothing has moved")
-        except RobotError as error:
-            self._parts.view.say(f"not recovered: {error}")
 
     def _drive(self, driving: bool) -> bool:
         """Let a person move the robot between episodes; return whether that worked."""
         rig, steering = self._parts.rig, self._parts.steering
-        if not (self._settings.drive_between and self._parts.operator.is_attended and rig.can_drive_between):
+        attended = self._parts.operator.is_attended
+        if not (self._settings.drive_between and attended and rig.facts.drives_between):
             return False
         try:
             axes = rig.axes()
@@ -185,21 +177,21 @@ class RecordingSession:
                 steering.start_from(axes)
             rig.act(steering.target(axes))
         except UniForceError:
-            return False  # it is told at the next start, where it matters
+            return False  # it is said at the next start, where it matters
         return True
 
     def _prepare(self, frames: int) -> bool:
-        """See to room and references; a refusal is told, and attended it means waiting again."""
+        """See to room and references; a refusal is said, and attended it means waiting again."""
         self._see_to_room(frames)
-        deadline_s, told = time.monotonic() + self._settings.unwell_s, ""
+        deadline_s, said = time.monotonic() + self._settings.unwell_s, ""
         while True:
             self._parts.refuse_interrupted()
             try:
                 self._parts.rig.begin_episode(self._seed)
                 return True
             except UniForceError as error:
-                if str(error) != told:
-                    told = str(error)
+                if str(error) != said:
+                    said = str(error)
                     self._parts.view.say(f"can't begin: {error}")
                 if self._parts.operator.is_attended:
                     return False
@@ -214,7 +206,32 @@ class RecordingSession:
             raise _End(DISK_FULL, str(error)) from error
         self._parts.view.say(f"the episode may take {room}")
 
-    # --- storing ---------------------------------------------------------------------------------------------------
+    # --- judging -----------------------------------------------------------------------------------------------------
+
+    def _judge(self, ending: Ending) -> Ending:
+        """Return the ending with an outcome: the rig's where it knows better than a person, else the operator's."""
+        if ending.how not in ("open", "judged"):
+            return ending
+        verdict = self._parts.rig.verdict()
+        if verdict is not None:
+            return replace(ending, how="judged", outcome=verdict.outcome, clean=verdict.clean)
+        return ending if ending.how == "judged" else self._ask(ending)
+
+    def _ask(self, ending: Ending) -> Ending:
+        """Wait for a word; Ctrl-C is one too."""
+        parts, beat = self._parts, Ticker(self._fps)
+        if parts.operator.is_attended:
+            parts.view.say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
+        while not parts.interrupts.count:
+            for event in parts.operator.poll(Phase.JUDGING):
+                if event.command is Command.NOTE:
+                    ending = replace(ending, notes=(*ending.notes, event.text))
+                elif change := ending_of(event):
+                    return replace(ending, **change)
+            beat.wait()
+        return replace(ending, how="aborted", cause="interrupt", message="interrupted")
+
+    # --- storing -----------------------------------------------------------------------------------------------------
 
     def _store(self, ending: Ending, card: dict[str, Any]) -> None:
         recorder, view = self._parts.recorder, self._parts.view
@@ -223,10 +240,13 @@ class RecordingSession:
             recorder.discard()
             view.say(f"not stored: {ending.label}")
             return
-        seconds = recorder.num_frames / self._fps
+        seconds, whole_card = recorder.num_frames / self._fps, card | self._card(ending)
         try:
-            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card | self._card(ending))
-        except DatasetError as error:
+            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, whole_card)
+        except (
+            DatasetError,
+            ContractError,
+        ) as error:  # ContractError: of a row that the storing process refused
             view.say(f"not stored: {error}")
             raise _End(DISK_FULL if isinstance(error, DiskFullError) else FAULT, str(error)) from error
         self._judged += ending.how == "judged"
@@ -241,7 +261,6 @@ class RecordingSession:
             "held_s": round(ending.held_s, 4),
             "peak_force_N": round(self._parts.view.peak_N, 3),
             "ticks": ending.ticks.as_dict(),
-            "frames": ending.frames,
             "teleop": self._parts.steering.name,
             "rig": self._parts.rig.facts.name,
             **self._parts.rig.summary(),
@@ -257,12 +276,11 @@ class RecordingSession:
             raise StopRequestedError(ending.message)
         if ending.cause == "disk_full":
             raise _End(DISK_FULL, ending.message)
-        attended = self._parts.operator.is_attended
+        attended, said = self._parts.operator.is_attended, f"{ending.label}: {ending.message}"
         recent = [past.how for past in self._endings[-ABORTS_IN_A_ROW:]]
         if not attended and recent == ["aborted"] * ABORTS_IN_A_ROW:
-            raise _End(FAULT, f"{ABORTS_IN_A_ROW} times in a row, {ending.label}: {ending.message}")
+            raise _End(FAULT, f"{ABORTS_IN_A_ROW} times in a row, {said}")
         by_hand = ending.cause.startswith("robot_") or ending.cause in ("teleop", "storage", "other")
         if by_hand and not attended:
-            raise _End(FAULT, f"{ending.label}: {ending.message}")
-        hint = " (v clears it)" if ending.cause.startswith("robot_") else ""
-        self._parts.view.say(f"{ending.label}: {ending.message}{hint}")
+            raise _End(FAULT, said)
+        self._parts.view.say(said + (" (v clears it)" if ending.cause.startswith("robot_") else ""))

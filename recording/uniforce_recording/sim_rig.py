@@ -8,13 +8,13 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.cameras import CAMERA_PX
-from uniforce_recording.observation import FingerTouch, Observation, Picture
-from uniforce_recording.rig import RigFacts, Verdict
+from uniforce_recording.rig import FingerTouch, Observation, Picture, Rig, RigFacts
 from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.evaluation.episode import EpisodeResult
 from uniforce_vtla.keys import CAMERAS, tactile_name, truth_wrench_key
 
 
-class SimRig:
+class SimRig(Rig):
     """A scene at its own clock; sensors are captured at the observation itself.
 
     Args:
@@ -24,34 +24,18 @@ class SimRig:
 
     def __init__(self, env: WipeEnv, paced: bool = True) -> None:
         self.env = env
-        self._fps = int(env.metadata["render_fps"])
-        self._paced = paced
+        self.facts = RigFacts(
+            name="sim",
+            fps=int(env.metadata["render_fps"]),
+            sensors={finger: env.sensors[finger] for finger in FINGERS},
+            cameras=dict.fromkeys(CAMERAS, (CAMERA_PX, CAMERA_PX, 3)),
+            truth=True,
+            paced=paced,
+            drives_between=False,
+        )
         self._step = 0
         self._seen: dict[str, Any] = {}
         self._references: dict[Finger, np.ndarray] = {}
-        self._done = False
-
-    @property
-    def facts(self) -> RigFacts:
-        """See ``Rig``."""
-        return RigFacts(
-            name="sim",
-            fps=self._fps,
-            sensors={finger: self.env.sensors[finger] for finger in FINGERS},
-            cameras=dict.fromkeys(CAMERAS, (CAMERA_PX, CAMERA_PX, 3)),
-            truth=True,
-            paced=self._paced,
-        )
-
-    @property
-    def is_done(self) -> bool:
-        """Whether the board is wiped and the tool lifted, or the time is up."""
-        return self._done
-
-    @property
-    def can_drive_between(self) -> bool:
-        """Never: a new scene is built anyway."""
-        return False
 
     @property
     def prompt(self) -> str | None:
@@ -60,7 +44,7 @@ class SimRig:
 
     def now_s(self) -> float:
         """Seconds since the scene was built."""
-        return self._step / self._fps
+        return self._step / self.facts.fps
 
     def connect(self) -> None:
         """Build a first scene."""
@@ -77,23 +61,20 @@ class SimRig:
     def begin_episode(self, seed: int) -> None:
         """Build the scene of ``seed``; its pads are in free air."""
         self._seen, _ = self.env.reset(seed=seed)
-        self._step, self._done = 0, False
+        self._step, self.is_done = 0, False
         pixels = self._seen["pixels"]
         self._references = {f: pixels[tactile_name(f, reference=True)][..., 0].copy() for f in FINGERS}
 
     def observe(self) -> Observation:
         """Return the scene as it is after the last step."""
-        pixels, now_s = self._seen["pixels"], self.now_s()
-        wrenches = self.env.true_wrench()
+        pixels, now_s, step = self._seen["pixels"], self.now_s(), self._step
+        images = {f: pixels[tactile_name(f)][..., 0] for f in FINGERS}
         return Observation(
             time_s=now_s,
             axes=self._seen["agent_pos"],
-            cameras={name: Picture(pixels[name], self._step, now_s) for name in CAMERAS},
-            fingers={
-                f: FingerTouch(pixels[tactile_name(f)][..., 0], self._references[f], self._step, now_s)
-                for f in FINGERS
-            },
-            measured={truth_wrench_key(f): wrench.astype(np.float32) for f, wrench in wrenches.items()},
+            cameras={name: Picture(pixels[name], step, now_s) for name in CAMERAS},
+            fingers={f: FingerTouch(images[f], self._references[f], step, now_s) for f in FINGERS},
+            measured={truth_wrench_key(f): w.astype(np.float32) for f, w in self.env.true_wrench().items()},
             force_N=np.array([0.0, 0.0, self.env.sim.press_N]),
         )
 
@@ -101,19 +82,12 @@ class SimRig:
         """Take one step; nothing guards a scene but its own refusal of what is not finite."""
         self._seen, _, terminated, truncated, _ = self.env.step(action)
         self._step += 1
-        self._done = terminated or truncated
+        self.is_done = terminated or truncated
         return action
 
-    def hold(self) -> None:
-        """Do nothing: a scene that isn't stepped stands still."""
-
-    def recover(self) -> None:
-        """Do nothing: a scene has no faults."""
-
-    def verdict(self) -> Verdict | None:
+    def verdict(self) -> EpisodeResult:
         """Score the episode from the scene's truth."""
-        result = self.env.result()
-        return Verdict(result.outcome, result.clean)
+        return self.env.result()
 
     def summary(self) -> dict[str, Any]:
         """Name the level."""

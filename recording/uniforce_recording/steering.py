@@ -32,12 +32,8 @@ class Steering:
                 expected(f"teleop {teleop.name}", f"actions {AXES}", f"{missing} missing", do)
             )
         self._teleop: Any = teleop
+        self.name = str(teleop.name)
         self._wants_feedback = all(axis in teleop.feedback_features for axis in AXES)
-
-    @property
-    def name(self) -> str:
-        """Of the teleoperator."""
-        return str(self._teleop.name)
 
     def connect(self) -> None:
         """Open the device."""
@@ -49,16 +45,12 @@ class Steering:
             self._call(self._teleop.disconnect)
 
     def start_from(self, axes: np.ndarray) -> None:
-        """Begin with the target on (5,) measured axes.
-
-        Raises:
-            TeleoperatorError: it can't start from here.
-        """
+        """Begin with the target on (5,) measured axes; raises TeleoperatorError where it can't start from here."""
         if hasattr(self._teleop, "start_from"):
             self._call(self._teleop.start_from, _named(axes))
 
     def target(self, axes: np.ndarray) -> np.ndarray:
-        """Return (5,) absolute targets, told the (5,) measured axes.
+        """Return (5,) absolute targets for the (5,) measured axes.
 
         Raises:
             TeleoperatorError: the device failed, or what it says can't be followed. ``fault`` is ``ended`` where a

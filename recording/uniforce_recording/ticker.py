@@ -38,7 +38,7 @@ class TickStats:
 
 
 class Ticker:
-    """Wait for the beats of ``rate_hz``.
+    """Wait for the beats of ``rate_hz``; the first one is now.
 
     Args:
         rate_hz: beats per second.
@@ -56,11 +56,7 @@ class Ticker:
     ) -> None:
         self._period_s, self._paced = 1 / rate_hz, paced
         self._clock, self._sleep = clock, sleep
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin anew: the next beat is now, and nothing has been counted."""
-        self._due_s = self._clock()
+        self._due_s = clock()
         self._times: list[float] = []
         self._late_s: list[float] = []
         self._paused_s = 0.0

@@ -64,10 +64,9 @@ class TerminalKeys:
 
     def press(self, key: str) -> None:
         """Take one key; called by the listener's thread."""
-        key = key.lower()
         with self._lock:
-            if key in self._meanings:
-                self._until_s[key] = time.monotonic() + PULSE_S
+            if key.lower() in self._meanings:
+                self._until_s[key.lower()] = time.monotonic() + PULSE_S
             else:
                 self._others = [*self._others, key][-OTHERS_KEPT:]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from uniforce_commands.pair_quality import main as pair_quality
+from benchmarks.pair_quality import main as pair_quality
 from uniforce_commands.record_pairs import main
 
 QUICK = ["left_sensor=uskin", "right_sensor=tactip", "indenters=sphere", "chunk=6", "crowded=1"]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from uniforce_pair_recording.pair_judge import GraspSignals
-from uniforce_pair_recording.storage import PairChunk
+from uniforce_pair_recording.rig import RigFrame
+from uniforce_pair_recording.storage import Pair, Session
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
 
 T = 45
@@ -34,29 +35,23 @@ def marker_image(seed: int) -> np.ndarray:
     return image
 
 
+Chunk = tuple[int, Session, list[Pair]]
+
+
 @pytest.fixture
-def make_chunk() -> Callable[..., PairChunk]:
+def make_chunk() -> Callable[..., Chunk]:
     """Return a function of (indenter, session, n, seed)."""
 
-    def make(indenter: int = 0, session: int = 0, n: int = 3, seed: int = 0) -> PairChunk:
+    def make(indenter: int = 0, session: int = 0, n: int = 3, seed: int = 0) -> Chunk:
         rng = np.random.default_rng(seed)
-        images = {
-            f: np.stack([marker_image(seed + k + 3 * i) for k in range(n)]) for i, f in enumerate(FINGERS)
-        }
         references = {f: marker_image(100 * session + i) for i, f in enumerate(FINGERS)}
-        force = {f: rng.uniform(0, 5, (n, 3)) for f in FINGERS}
-        three = rng.standard_normal((2, n, 3))
-        place = rng.uniform(-1, 1, (n, 2))
-        return PairChunk(
-            indenter,
-            session,
-            references,
-            images,
-            force,
-            place,
-            rng.uniform(0, 0.1, n),
-            *three,
-            rng.uniform(1, 9, n),
-        )
+
+        def pair(k: int) -> Pair:
+            images = {f: marker_image(seed + k + 3 * i) for i, f in enumerate(FINGERS)}
+            frame = RigFrame(0, images, *rng.standard_normal((2, 3)), float(rng.uniform(1, 9)))
+            force = {f: rng.uniform(0, 5, 3) for f in FINGERS}
+            return Pair(frame, force, rng.uniform(-1, 1, 2), float(rng.uniform(0, 0.1)))
+
+        return indenter, Session(session, references), [pair(k) for k in range(n)]
 
     return make

@@ -9,15 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.pairs.evaluation import is_bad, precision_recall, score_session
+from benchmarks.pairs.training import ForceTraining, save_finger_force, train_finger_force, training_contacts
 from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
-from uniforce_pair_recording.evaluation import is_bad, precision_recall, score_session
-from uniforce_pair_recording.finger_force import (
-    FingerForce,
-    ForceTraining,
-    save_finger_force,
-    train_finger_force,
-    training_contacts,
-)
+from uniforce_pair_recording.finger_force import FingerForce
 from uniforce_pair_recording.guided_grasp import GraspSettings
 from uniforce_pair_recording.recorder import KEPT, PairRecorder, RecordingPlan, SessionReport, Status
 from uniforce_pair_recording.rehearsal import Rehearsal, SimulatedRig
@@ -90,7 +85,7 @@ def test_hopeless_grasps_are_given_up_with_the_reason(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_flags_are_right_where_the_fault_is_plain() -> None:
-    """Not the bar, which `uniforce-pair-quality` measures on thousands of pairs: that flags mean something at all."""
+    """Not the bar, which `benchmarks.pair_quality` measures on thousands of pairs: that flags mean something at all."""
     settings = GraspSettings(faults=("free", "one_finger"), frames=30)
     scored = score_session(Rehearsal("uskin", "tactip", seed=11, grasps=settings), NAMES, 6)
     found = precision_recall(scored.flagged, is_bad(scored))

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from uniforce_pair_recording.guided_grasp import FAULTS, GraspSettings, draw_grasp
-from uniforce_pair_recording.rehearsal import Rehearsal, SimulatedRig
+from uniforce_pair_recording.rehearsal import LIMIT, Rehearsal, SimulatedRig, equilibrium_error
 from uniforce_pair_recording.robot_rig import HandMotion, RobotRig
-from uniforce_pair_recording.truth import LIMIT, equilibrium_error
 from uniforce_vtla.errors import ContractError
 
 
@@ -42,7 +41,7 @@ def test_the_simulated_rig_carries_what_was_drawn_and_repeats_by_seed() -> None:
     for one, other in zip(*frames, strict=True):
         assert np.array_equal(one.images["left"], other.images["left"]) and one.grasp == other.grasp
     assert [frame.grasp for frame in frames[0]] == [0] * 16 + [1] * 4
-    assert rigs[0].truth_of(0).error.max() < LIMIT
+    assert rigs[0].truths[0].error.max() < LIMIT
 
 
 def test_an_empty_error_is_not_divided_by_nothing() -> None:

@@ -10,13 +10,13 @@ import pytest
 
 from uniforce_datasets.readers.uniforce_pairs import PairConfig, bordered, read_uniforce_pairs
 from uniforce_datasets.source import episode_frames, read_source
-from uniforce_pair_recording.storage import PairChunk, PairStore
+from uniforce_pair_recording.storage import PairStore
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import PAIR_ERROR, pair_force_key, tactile_key
 
 NAMES = ("sphere", "line")
-Make = Callable[..., PairChunk]
+Make = Callable[..., tuple]
 
 
 def opened(root: Path, **changes: object) -> PairStore:
@@ -31,30 +31,31 @@ def layout(root: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def test_both_forms_give_the_images_back(tmp_path: Path, make_chunk: Make) -> None:
     chunk = make_chunk(n=4)
+    pairs = chunk[2]
     with opened(tmp_path) as store:
-        store.add(chunk)
+        store.add(*chunk)
         assert store.counts.tolist() == [4, 0] and store.coverage[0].force.sum() == 4
     [(left, right)] = layout(tmp_path).values()
-    assert np.array_equal(left, bordered(chunk.images["left"])) and np.array_equal(
-        right, bordered(chunk.images["right"])
-    )
+    images = {finger: np.stack([pair.frame.images[finger] for pair in pairs]) for finger in FINGERS}
+    assert np.array_equal(left, bordered(images["left"])) and np.array_equal(right, bordered(images["right"]))
     source = read_source(tmp_path / "lerobot")
     for finger in FINGERS:
         stored = list(episode_frames(source.episodes[0].videos[tactile_key(finger)], 4, 15))
-        assert np.array_equal(np.stack(stored)[..., 0], chunk.images[finger])
-        column = pair_force_key(finger)
-        assert np.allclose(source.columns((column,))[column], chunk.force_N[finger], atol=1e-5)
-    assert np.allclose(source.columns((PAIR_ERROR,))[PAIR_ERROR].ravel(), chunk.error, atol=1e-6)
+        assert np.array_equal(np.stack(stored)[..., 0], images[finger])
+        column, force_N = pair_force_key(finger), [pair.force_N[finger] for pair in pairs]
+        assert np.allclose(source.columns((column,))[column], force_N, atol=1e-5)
+    stored_error = source.columns((PAIR_ERROR,))[PAIR_ERROR].ravel()
+    assert np.allclose(stored_error, [pair.error for pair in pairs], atol=1e-6)
 
 
 def test_it_goes_on_where_it_stopped(tmp_path: Path, make_chunk: Make) -> None:
     with opened(tmp_path) as store:
-        store.add(make_chunk(0, 0, 3))
-        store.add(make_chunk(1, 0, 2, seed=5))
+        store.add(*make_chunk(0, 0, 3))
+        store.add(*make_chunk(1, 0, 2, seed=5))
     with opened(tmp_path) as store:
         assert store.counts.tolist() == [3, 2] and store.next_session == 1
         assert [c.force.sum() for c in store.coverage] == [3, 2]
-        store.add(make_chunk(0, 1, 2, seed=9))  # new references: another session folder
+        store.add(*make_chunk(0, 1, 2, seed=9))  # new references: another session folder
     assert {name.split("/")[1]: len(pair[0]) for name, pair in layout(tmp_path).items() if "sphere" in name} == {
         "session_000": 3, "session_001": 2,
     }  # fmt: skip
@@ -65,8 +66,8 @@ def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
     tmp_path: Path, make_chunk: Make, damage: str
 ) -> None:
     with opened(tmp_path) as store:
-        store.add(make_chunk(n=3))
-        store.add(make_chunk(n=3, seed=7))
+        store.add(*make_chunk(n=3))
+        store.add(*make_chunk(n=3, seed=7))
     wanted = layout(tmp_path)
     images = sorted((tmp_path / "uniforce_pairs").rglob("[0-9]*.jpg"))
     for image in images:
@@ -88,17 +89,17 @@ def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
 
 def test_two_sensors_of_one_kind_are_told_apart(tmp_path: Path, make_chunk: Make) -> None:
     with opened(tmp_path, left_sensor="tactip") as store:
-        store.add(make_chunk())
+        store.add(*make_chunk())
     assert list(layout(tmp_path)) == ["uniforce/session_000/tactip_l_tactip_r/sphere"]
 
 
 def test_what_does_not_fit_is_refused(tmp_path: Path, make_chunk: Make) -> None:
     with opened(tmp_path) as store:
         with pytest.raises(ContractError, match="indenter 2"):
-            store.add(make_chunk(indenter=2))
+            store.add(*make_chunk(indenter=2))
         with pytest.raises(ContractError, match="1 pairs"):
-            store.add(make_chunk(n=1))
-        store.add(make_chunk(indenter=1))
+            store.add(*make_chunk(n=1))
+        store.add(*make_chunk(indenter=1))
         with pytest.raises(DatasetError, match="one recorder"):
             opened(tmp_path)
     with pytest.raises(DatasetError, match="indenters"):

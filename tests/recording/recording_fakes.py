@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -22,6 +22,7 @@ from lerobot_camera_uniforce import (
 from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
 from lerobot_robot_uniforce_franka import robot as robot_module
 from lerobot_robot_uniforce_franka.stream import StreamSettings
+from uniforce_recording.operators import Command, Event, Operator, Phase
 from uniforce_recording.robot_rig import RobotRig
 from uniforce_standins.scene import Scene, frame_cycle
 from uniforce_vtla.keys import AXES
@@ -176,3 +177,17 @@ class Sway(Teleoperator):
 def sway(folder: Path) -> Sway:
     """Return one that leaves nothing in anybody's home."""
     return Sway(SwayConfig(id="test", calibration_dir=folder))
+
+
+class Script(Operator):
+    """Says what a function says: it gets the phase and how often it was asked in this phase's stretch."""
+
+    def __init__(self, say: Callable[[Phase, int], Sequence[Command | Event]]) -> None:
+        self._say = say
+        self._phase: Phase | None = None
+        self._asked = 0
+
+    def poll(self, phase: Phase) -> list[Event]:
+        self._asked = self._asked + 1 if phase == self._phase else 0
+        self._phase = phase
+        return [e if isinstance(e, Event) else Event(e) for e in self._say(phase, self._asked)]

@@ -7,21 +7,14 @@ import time
 
 import pytest
 
-from uniforce_recording.operators import KEYS, Command, Event, KeyOperator, Nobody, Phase, TerminalKeySource
+from lerobot_teleoperator_uniforce.terminal_keys import TerminalKeys
+from uniforce_recording.operators import KEYS, Command, Event, KeyOperator, Phase, Unattended
 from uniforce_vtla.errors import ContractError
 
 
-class Keys:
-    def __init__(self) -> None:
-        self.waiting: list[str] = []
-
-    def take_others(self) -> list[str]:
-        taken, self.waiting = self.waiting, []
-        return taken
-
-
-def typed(operator: KeyOperator, keys: Keys, *pressed: str) -> list[Event]:
-    keys.waiting += pressed
+def typed(operator: KeyOperator, keys: TerminalKeys, *pressed: str) -> list[Event]:
+    for key in pressed:
+        keys.press(key)
     return operator.poll(Phase.RUNNING)
 
 
@@ -30,7 +23,7 @@ def test_every_command_but_notes_has_one_key() -> None:
 
 
 def test_keys_mean_commands_and_unknown_ones_nothing() -> None:
-    keys = Keys()
+    keys = TerminalKeys({"w": (0, 1)})
     operator = KeyOperator(keys, ["slow", "slipped"])
     assert [e.command for e in typed(operator, keys, "space", "w", "up", "y")] == [
         Command.GO,
@@ -41,11 +34,11 @@ def test_keys_mean_commands_and_unknown_ones_nothing() -> None:
 
 
 def test_a_note_is_typed_over_several_polls_and_may_hold_command_keys() -> None:
-    keys = Keys()
+    keys = TerminalKeys({"w": (0, 1)})
     operator = KeyOperator(keys)
-    assert not typed(operator, keys, "t", "y", "x")
+    assert not typed(operator, keys, "t", "Y", "x")
     assert not typed(operator, keys, "space", "z", "backspace", "q", "left")
-    assert typed(operator, keys, "enter", "q") == [Event(Command.NOTE, "yx q"), Event(Command.QUIT)]
+    assert typed(operator, keys, "enter", "q") == [Event(Command.NOTE, "Yx q"), Event(Command.QUIT)]
     assert not typed(operator, keys, "t", "enter"), "an empty note is none"
 
 
@@ -55,20 +48,13 @@ def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         KeyOperator().start()
 
 
-def test_keys_of_a_terminal_wait_until_taken() -> None:
-    source = TerminalKeySource()
-    for key in ("y", "space"):
-        source.press(key)
-    assert source.take_others() == ["y", "space"] and not source.take_others()
-
-
 def test_nobody() -> None:
-    nobody = Nobody("residual")
+    nobody = Unattended("residual")
     said = {phase: [e.command for e in nobody.poll(phase)] for phase in Phase}
     assert said[Phase.WAITING] == [Command.GO] and said[Phase.JUDGING] == [Command.RESIDUAL]
     assert not said[Phase.RUNNING] and not nobody.is_attended
     with pytest.raises(ContractError, match="verdict"):
-        Nobody("great")
+        Unattended("great")
 
 
 def test_a_real_terminal(monkeypatch: pytest.MonkeyPatch) -> None:

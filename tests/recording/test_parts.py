@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
-from lerobot.teleoperators import TeleoperatorConfig
 from recording_fakes import Sway, SwayConfig, sway
 
 from lerobot_camera_uniforce.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_datasets.features import dataset_features
-from uniforce_recording.build import make_teleoperator, read_devices, teleoperator_names
+from uniforce_recording import disk_guard
+from uniforce_recording.build import read_devices, teleoperator_names
 from uniforce_recording.disk_guard import DiskGuard
-from uniforce_recording.faults import StopRequestedError, cause_of, device_fault
-from uniforce_recording.frame_count import FrameCount
-from uniforce_recording.garbage_watch import GarbageWatch
+from uniforce_recording.faults import DeviceError, StopRequestedError, cause_of, named
 from uniforce_recording.live_view import LiveView
-from uniforce_recording.observation import FingerTouch, Observation, Picture, ScanWindow
-from uniforce_recording.plain_camera import PlainCamera
+from uniforce_recording.plain_camera import FROZEN_AFTER, PlainCamera
+from uniforce_recording.rig import FingerTouch, Observation, Picture
+from uniforce_recording.sensing import GarbageWatch
 from uniforce_recording.steering import Steering
 from uniforce_vtla.errors import (
     ContractError,
@@ -30,37 +30,49 @@ from uniforce_vtla.errors import (
     RobotError,
     SensorError,
     TeleoperatorError,
+    UniForceError,
 )
 from uniforce_vtla.keys import ABORT_CAUSES, AXES
 
 MB = 10**6
 
 
-def guard(root: Path, free_MB: float, reserve_MB: float = 100) -> DiskGuard:
-    return DiskGuard(root, dataset_features(), 0, reserve_MB, lambda path: int(free_MB * MB))
+@pytest.fixture
+def guard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], DiskGuard]:
+    def make(free_MB: float) -> DiskGuard:
+        monkeypatch.setattr(disk_guard, "free_bytes", lambda path: int(free_MB * MB))
+        return DiskGuard(tmp_path, dataset_features(), 0, 100)
+
+    return make
 
 
-def test_an_episode_needs_room_and_a_reserve(tmp_path: Path) -> None:
-    assert "GB free" in guard(tmp_path, 9000).before_episode(900, 0)
+def test_an_episode_needs_room_and_a_reserve(guard: Callable[[float], DiskGuard]) -> None:
+    assert "GB free" in guard(9000).before_episode(900, 0)
     with pytest.raises(DiskFullError, match="reserve"):
-        guard(tmp_path, 101).before_episode(900, 0)
-    guard(tmp_path, 101).check()
+        guard(101).before_episode(900, 0)
+    guard(101).check()
     with pytest.raises(DiskFullError, match="100 MB free"):
-        guard(tmp_path, 99).check()
+        guard(99).check()
 
 
-def test_what_was_recorded_is_the_best_estimate(tmp_path: Path) -> None:
+def test_what_was_recorded_is_the_best_estimate(tmp_path: Path, guard: Callable[[float], DiskGuard]) -> None:
     (tmp_path / "video.mp4").write_bytes(b"0" * 3 * MB)
-    assert guard(tmp_path, 9000).estimate_MB(200, 100) == pytest.approx(6.0)
-    assert 5 < guard(tmp_path, 9000).estimate_MB(900, 0) < 100
+    assert guard(9000).estimate_MB(200, 100) == pytest.approx(6.0)
+    assert 5 < guard(9000).estimate_MB(900, 0) < 100
+
+
+def fault(kind: Literal["camera", "touch"], device: str, error: SensorError) -> UniForceError:
+    with pytest.raises(DeviceError, match=device) as caught, named(kind, device):
+        raise error
+    return caught.value
 
 
 def test_every_fault_has_a_name_that_datasets_know() -> None:
     errors = {
-        "lost_camera": device_fault("camera", "front", LostSensorError("x")),
-        "stale_touch": device_fault("touch", "tactile_left", StaleSensorError("x")),
-        "frozen_touch": device_fault("touch", "tactile_left", FrozenSensorError("x")),
-        "bad_touch": device_fault("touch", "tactile_left", SensorError("x")),
+        "lost_camera": fault("camera", "front", LostSensorError("x")),
+        "stale_touch": fault("touch", "tactile_left", StaleSensorError("x")),
+        "frozen_touch": fault("touch", "tactile_left", FrozenSensorError("x")),
+        "bad_touch": fault("touch", "tactile_left", SensorError("x")),
         "robot_reflex": RobotError("x", "reflex"),
         "robot_other": RobotError("x", "none of ours"),
         "teleop": TeleoperatorError("x"),
@@ -144,13 +156,13 @@ class Lerobots:
 
 def test_an_ordinary_camera_is_stamped_counted_and_watched() -> None:
     camera = Lerobots()
-    plain = PlainCamera("front", camera, frozen_after=3)  # type: ignore[arg-type]
+    plain = PlainCamera("front", camera)  # type: ignore[arg-type]
     assert (plain.picture().index, plain.picture().index) == (0, 0), "the same frame again"
     camera.latest_timestamp, camera.frame = 2.0, camera.frame + 1
     picture = plain.picture()
     assert (picture.index, picture.time_s) == (1, 2.0)
     with pytest.raises(FrozenSensorError, match="front"):
-        for stamp in range(3, 9):
+        for stamp in range(3, 4 + FROZEN_AFTER):
             camera.latest_timestamp = float(stamp)
             plain.picture()
 
@@ -215,36 +227,6 @@ def test_every_teleoperator_can_be_named() -> None:
             assert read_devices([], "", name).teleop.type == registered
         except ContractError as error:
             assert not registered.startswith("uniforce_") and "required field" in str(error)
-
-
-def test_a_teleoperator_is_built_from_its_settings(tmp_path: Path) -> None:
-    flags = [f"--teleop.calibration_dir={tmp_path}", "--teleop.id=a", "--teleop.width_m=0.05"]
-    teleop = make_teleoperator(read_devices(flags, "", "recording_test").teleop)
-    assert isinstance(teleop, Sway) and teleop.width_m == 0.05
-
-
-def test_what_cant_be_built_is_told() -> None:
-    @TeleoperatorConfig.register_subclass("recording_nothing")
-    @dataclass
-    class NothingConfig(TeleoperatorConfig):
-        pass
-
-    with pytest.raises(ContractError, match="teleop"):
-        make_teleoperator(NothingConfig())
-
-
-def test_samples_repeated_and_skipped_are_counted() -> None:
-    count = FrameCount()
-    window = ScanWindow(np.zeros((3, 16, 3)), np.zeros(3))
-    for camera, finger in ((10, 100), (11, 103), (11, 108), (14, 111)):
-        observation = seen(0.0)
-        observation.cameras["front"] = replace(observation.cameras["front"], index=camera)
-        touch = replace(observation.fingers["left"], index=finger, window=window)
-        observation.fingers.update(left=touch)
-        count.add(observation)
-    told = count.as_dict()
-    assert told["front"] == {"repeated": 1, "skipped": 2}
-    assert told["left"] == {"repeated": 0, "skipped": 2} and told["right"]["repeated"] == 3
 
 
 def test_a_little_garbage_is_borne_and_much_is_not() -> None:

@@ -11,16 +11,14 @@ from collections.abc import Iterator
 import pytest
 
 from uniforce_recorder_trials import kill9
+from uniforce_recorder_trials.device_faults import BREAKAGES, attended
 from uniforce_recorder_trials.end_to_end import rate_and_jitter, record
 from uniforce_recorder_trials.ending_faults import server_death
-from uniforce_recorder_trials.fault_table import BREAKAGES
 from uniforce_recorder_trials.faults import bench_of
 from uniforce_recorder_trials.ledger import Ledger
 from uniforce_recorder_trials.loading import load_in_stock_lerobot
 from uniforce_recorder_trials.plan import Plan
-from uniforce_recorder_trials.rig import Rig, RigOptions
-from uniforce_recorder_trials.running_faults import attended
-from uniforce_recorder_trials.session import Program
+from uniforce_recorder_trials.rig import Rig
 
 pytestmark = [
     pytest.mark.slow,
@@ -30,7 +28,6 @@ pytestmark = [
         reason="franky is not installed: pip install '.[franka]' to run the real client",
     ),
 ]
-GENTLE = RigOptions(fps=5, patience=20.0, uskin_hz=50.0)  # any machine keeps up with it
 INJECTED = (
     "arm_reflex",
     "camera_stops",
@@ -40,25 +37,18 @@ INJECTED = (
 
 
 @pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    return Plan(tmp_path_factory.mktemp("trials"), episodes=2, episode_s=2.0, options=GENTLE)
-
-
-@pytest.fixture(scope="module")
-def rig(plan: Plan) -> Iterator[Rig]:
-    with Rig(plan.work / "rig", plan.options) as rig:
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    work = tmp_path_factory.mktemp("trials")
+    gentle = Plan(
+        work, episodes=2, episode_s=2.0, fps=5, patience=20.0, uskin_hz=50.0
+    )  # any machine keeps up with it
+    with Rig(gentle, work / "rig") as rig:
         yield rig
 
 
-@pytest.fixture(scope="module")
-def program(plan: Plan) -> Iterator[Program]:
-    with Program(plan.log) as program:
-        yield program
-
-
-def test_two_episodes_end_to_end(plan: Plan, rig: Rig, program: Program) -> None:
-    root = plan.work / "two"
-    found = record(plan, rig, program, root)
+def test_two_episodes_end_to_end(rig: Rig) -> None:
+    root = rig.plan.work / "two"
+    found = record(rig, root)
     assert found["exit_code"] == 0
     seen = rate_and_jitter(root, [found])
     assert seen["labels"] == {"success": 2} and seen["frames"] == 20
@@ -66,30 +56,22 @@ def test_two_episodes_end_to_end(plan: Plan, rig: Rig, program: Program) -> None
     assert load_in_stock_lerobot(root)["loads_in_stock_lerobot"]
 
 
-def test_three_kills_cost_no_saved_episode(plan: Plan, rig: Rig, program: Program) -> None:
+def test_three_kills_cost_no_saved_episode(rig: Rig) -> None:
     for number in (0, 4, 8):  # all of it mid-tick, the loop mid-save, the storing process in between
-        seen = kill9.kill_once(plan, rig, program, plan.work / "killed", number)
+        seen = kill9.kill_once(rig, rig.plan.work / "killed", number)
         assert seen["said_stored"] and not seen["saved_lost"] and not seen["processes_left"], seen
-    assert kill9.finish(plan, rig, program, plan.work / "killed")["exit_code"] == 0
+    assert kill9.finish(rig, rig.plan.work / "killed")["exit_code"] == 0
 
 
-def test_faults_hold_the_arm_and_are_labelled(plan: Plan, rig: Rig, program: Program) -> None:
+def test_faults_hold_the_arm_and_are_labelled(rig: Rig) -> None:
     """One session: a person goes on after each fault."""
-    ledger = Ledger(plan.work / "found")
+    ledger = Ledger(rig.plan.work / "found")
     rig.new_arm()
-    attended(
-        {name: BREAKAGES[name] for name in INJECTED},
-        plan,
-        rig,
-        program,
-        ledger,
-        plan.work / "broken",
-        times=1,
-    )
+    attended({name: BREAKAGES[name] for name in INJECTED}, rig, ledger, rig.plan.work / "broken", times=1)
     for name in INJECTED:
         assert ledger.read(name)[0]["right_outcome"], (name, ledger.read(name))
 
 
-def test_an_arm_that_is_gone_ends_the_session(plan: Plan, rig: Rig, program: Program) -> None:
-    seen = server_death(bench_of("server_death", 0, plan, rig, program))
+def test_an_arm_that_is_gone_ends_the_session(rig: Rig) -> None:
+    seen = server_death(bench_of("server_death", 0, rig))
     assert seen["right_outcome"], seen

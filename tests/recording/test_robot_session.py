@@ -12,19 +12,20 @@ from typing import TextIO
 
 import numpy as np
 import pytest
-from recording_fakes import FakeRig, Sway, SwayConfig, sway
+from recording_fakes import FakeRig, Script, Sway, SwayConfig, sway
 
 from lerobot_camera_uniforce.faults import WrongSensorError
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.raw_video import raw_path
+from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source, stored_frames
+from uniforce_recording import disk_guard
 from uniforce_recording.assemble import run_session
-from uniforce_recording.disk_guard import DiskGuard
-from uniforce_recording.operators import Command, Event, Nobody, Operator, Phase, Script
+from uniforce_recording.operators import VERDICTS, Command, Event, Operator, Phase, Unattended
 from uniforce_recording.session import SessionEnd, SessionSettings
-from uniforce_recording.store import StoreSettings
-from uniforce_vtla.errors import TeleoperatorError
+from uniforce_recording.store import StoreSettings, open_recorder
+from uniforce_vtla.errors import ContractError, TeleoperatorError
 from uniforce_vtla.keys import (
     ABORT_CAUSES,
     ACTION,
@@ -53,14 +54,21 @@ def go(
     root: Path,
     operator: Operator,
     teleop: Sway | None = None,
-    own_process: bool = False,
     out: TextIO | None = None,
     **settings: object,
 ) -> SessionEnd:
     plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
     teleop = teleop or sway(root.parent)
-    store = StoreSettings(root, "local/test", reserve_MB=1.0, own_process=own_process)
-    end = run_session(fake.rig, teleop, operator, store, SessionSettings(**(plain | settings)), out=out)  # type: ignore[arg-type]
+    store = StoreSettings(root, "local/test", reserve_MB=1.0)
+    end = run_session(
+        fake.rig,
+        teleop,
+        operator,
+        store,
+        SessionSettings(**(plain | settings)),  # type: ignore[arg-type]
+        out=out,
+        open_store=open_recorder,
+    )
     assert not fake.robot.is_connected and not teleop.is_connected
     assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
     return end
@@ -68,9 +76,9 @@ def go(
 
 def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
     root = tmp_path / "data"
-    end = go(fake, root, Nobody("success"), episodes=2, prompts=("wipe", "clean the board"))
+    end = go(fake, root, Unattended("success"), episodes=2, prompts=("wipe", "clean the board"))
     assert end.exit_code == 0 and [e.label for e in end.endings] == ["success"] * 2
-    assert go(fake, root, Nobody("success"), episodes=3).message == "3 of 3 episodes"
+    assert go(fake, root, Unattended("success"), episodes=3).message == "3 of 3 episodes"
     dataset = open_dataset(root, return_uint8=True)
     assert dataset.num_episodes == 3 and len(dataset) == 45
     assert {dataset[i]["task"] for i in (0, 15)} == {"wipe", "clean the board"}
@@ -82,7 +90,7 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
 
 
 def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
-    go(fake, tmp_path / "data", Nobody("success"))
+    go(fake, tmp_path / "data", Unattended("success"))
     times = tuple(key(source) for key in (time_key, age_key, index_key) for source in ("front", "left"))
     keys = (STATE, ACTION, STAMPS, *times)
     columns = read_source(tmp_path / "data").columns((*keys, measured_key("wrench"), measured_key("hand")))
@@ -110,7 +118,7 @@ def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
 
     monkeypatch.setattr(teleop, "get_action", slow)
     console = io.StringIO()
-    end = go(fake, tmp_path / "data", Nobody("success"), teleop, out=console, late_share=0.1)
+    end = go(fake, tmp_path / "data", Unattended("success"), teleop, out=console, late_share=0.1)
     assert end.exit_code == 3 and "missed" in end.message
     assert "stored aborted:late" in console.getvalue() and "0/1 episodes" in console.getvalue()
     assert labels(tmp_path / "data") == ["aborted:late"] * 3
@@ -131,17 +139,10 @@ def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], lis
     return lambda now, n: [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
 
 
-@pytest.mark.parametrize(
-    ("command", "stored"),
-    [
-        (Command.SUCCESS, ["success"]),
-        (Command.RESIDUAL, ["residual"]),
-        (Command.FAILED_GRASP, ["failed_grasp"]),
-    ],
-)
-def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command, stored: list[str]) -> None:
+@pytest.mark.parametrize("command", VERDICTS)
+def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command) -> None:
     end = go(fake, tmp_path / "data", Script(at(Phase.RUNNING, 6, command)), episode_s=30.0)
-    assert end.exit_code == 0 and labels(tmp_path / "data") == stored
+    assert end.exit_code == 0 and labels(tmp_path / "data") == [VERDICTS[command]]
     assert read_source(tmp_path / "data").num_frames == 6
 
 
@@ -214,7 +215,7 @@ def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None
 
 def test_nothing_begins_out_of_free_air(fake: FakeRig, tmp_path: Path) -> None:
     fake.hand.width_m = 0.03
-    end = go(fake, tmp_path / "data", Nobody("success"), unwell_s=0.3)
+    end = go(fake, tmp_path / "data", Unattended("success"), unwell_s=0.3)
     assert end.exit_code == 3 and "Open the gripper" in end.message and not end.endings
     asked: list[Phase] = []
 
@@ -230,7 +231,7 @@ def test_nothing_begins_out_of_free_air(fake: FakeRig, tmp_path: Path) -> None:
 def test_a_moving_gel_is_no_reference(fake: FakeRig, tmp_path: Path) -> None:
     frames = fake.captures["tactile_left"].frames
     fake.captures["tactile_left"].frames = tuple(np.roll(f, 12 * n, axis=1) for n, f in enumerate(frames))
-    end = go(fake, tmp_path / "data", Nobody("success"), unwell_s=0.2)
+    end = go(fake, tmp_path / "data", Unattended("success"), unwell_s=0.2)
     assert end.exit_code == 3 and "bad_touch" in end.message and "contact" in end.message
 
 
@@ -238,17 +239,13 @@ def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
     fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = tmp_path / "data"
-    go(fake, root, Nobody("success"))
+    go(fake, root, Unattended("success"))
     room = iter([10**12] * 8)
-    monkeypatch.setattr(
-        DiskGuard.__init__,
-        "__defaults__",
-        (*DiskGuard.__init__.__defaults__[:-1], lambda path: next(room, 10)),  # type: ignore[index]
-    )
-    end = go(fake, root, Nobody("success"), episodes=2, episode_s=5.0)
+    monkeypatch.setattr(disk_guard, "free_bytes", lambda path: next(room, 10))
+    end = go(fake, root, Unattended("success"), episodes=2, episode_s=5.0)
     assert end.exit_code == 4 and labels(root) == ["success", "aborted:disk_full"]
     assert end.endings[0].held_s < 0.1
-    end = go(fake, root, Nobody("success"), episodes=2)
+    end = go(fake, root, Unattended("success"), episodes=2)
     assert end.exit_code == 4 and not end.endings, "no room for another one"
 
 
@@ -288,6 +285,17 @@ def test_a_person_clears_a_reflex_and_goes_on(fake: FakeRig, tmp_path: Path) -> 
     assert [e.label for e in end.endings] == ["aborted:robot_reflex", "success"] and end.exit_code == 0
 
 
+def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
+    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise ContractError("state: expected finite numbers")
+
+    monkeypatch.setattr(EpisodeRecorder, "save", refuse)
+    end = go(fake, tmp_path / "data", Unattended("success"))
+    assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
+
+
 def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
     teleop = sway(tmp_path)
     real = teleop.get_action
@@ -298,16 +306,9 @@ def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
         return real()
 
     teleop.get_action = get_action  # type: ignore[method-assign]
-    end = go(fake, tmp_path / "data", Nobody("residual"), teleop, episode_s=5.0)
+    end = go(fake, tmp_path / "data", Unattended("residual"), teleop, episode_s=5.0)
     assert end.exit_code == 0 and labels(tmp_path / "data") == ["residual"]
     assert read_source(tmp_path / "data").num_frames == 7
-
-
-@pytest.mark.slow
-def test_the_whole_through_the_storing_process(fake: FakeRig, tmp_path: Path) -> None:
-    end = go(fake, tmp_path / "data", Nobody("success"), own_process=True)
-    assert end.exit_code == 0 and labels(tmp_path / "data")[-1] == "success"
-    assert open_dataset(tmp_path / "data").num_episodes >= 1
 
 
 def test_another_sensor_than_configured_is_refused_before_anything_moves(
@@ -316,7 +317,7 @@ def test_another_sensor_than_configured_is_refused_before_anything_moves(
     captures = fake.captures
     captures["tactile_left"], captures["tactile_right"] = captures["tactile_right"], captures["tactile_left"]
     with pytest.raises(WrongSensorError, match="Another sensor answers"):
-        go(fake, tmp_path / "data", Nobody("success"))
+        go(fake, tmp_path / "data", Unattended("success"))
     assert not fake.arm.targets and not fake.robot.is_connected
 
 
@@ -336,5 +337,5 @@ def test_nobody_gives_up_on_a_fault_that_comes_back(fake: FakeRig, tmp_path: Pat
 
     fake.rig.begin_episode = mended  # type: ignore[method-assign]
     teleop = Flaky(SwayConfig(id="test", calibration_dir=tmp_path))
-    end = go(fake, tmp_path / "data", Nobody("success"), teleop, episode_s=3.0)
+    end = go(fake, tmp_path / "data", Unattended("success"), teleop, episode_s=3.0)
     assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3

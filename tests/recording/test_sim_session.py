@@ -11,10 +11,10 @@ from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.source import read_source
 from uniforce_recording.assemble import run_session
-from uniforce_recording.operators import Nobody
+from uniforce_recording.operators import Unattended
 from uniforce_recording.session import SessionSettings
 from uniforce_recording.sim_rig import SimRig
-from uniforce_recording.store import StoreSettings
+from uniforce_recording.store import StoreSettings, open_recorder
 from uniforce_vtla.keys import (
     ACTION,
     OUTCOME,
@@ -31,9 +31,11 @@ STEPS = 6
 
 def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
     rig, root = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False), tmp_path / "data"
-    store = StoreSettings(root, "local/test", reserve_MB=1.0, own_process=False)
+    store = StoreSettings(root, "local/test", reserve_MB=1.0)
     settings = SessionSettings(episodes=2, episode_s=10.0)
-    end = run_session(rig, sway(tmp_path), Nobody("success"), store, settings, seed=5)
+    end = run_session(
+        rig, sway(tmp_path), Unattended("success"), store, settings, 5, open_store=open_recorder
+    )
     assert end.exit_code == 0 and [e.label for e in end.endings] == ["failed_grasp"] * 2, "the scene judges"
     keys = (STATE, ACTION, OUTCOME, SUCCESS, SEED, truth_wrench_key("left"))
     columns = read_source(root).columns(keys)

@@ -6,18 +6,20 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
 
+from uniforce_datasets.features import dataset_features
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.synthetic import dots
+from uniforce_recording.episode import Store
 from uniforce_recording.rig import RigFacts
-from uniforce_recording.rows import further_columns
-from uniforce_recording.store import Store, StoreSettings, open_recorder
-from uniforce_recording.store_process import StoreProcess
+from uniforce_recording.rows import RECORDERS_OWN, further_columns
+from uniforce_recording.store import StoreProcess, StoreSettings, open_recorder
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import STATE, camera_key, tactile_key
@@ -33,9 +35,6 @@ REFERENCE = dots(0)
 
 def row(step: int, facts: RigFacts = FACTS) -> dict[str, np.ndarray]:
     """Any numbers, of the right shapes."""
-    from uniforce_datasets.features import dataset_features
-    from uniforce_recording.row_slots import RECORDERS_OWN
-
     features = dataset_features(facts.cameras, facts.truth, further_columns(facts))
     plain = {k: f for k, f in features.items() if k not in RECORDERS_OWN and f["dtype"] != "video"}
     numbers = {k: np.full(f["shape"], step + 1, f["dtype"]) for k, f in plain.items()}
@@ -46,7 +45,7 @@ def row(step: int, facts: RigFacts = FACTS) -> dict[str, np.ndarray]:
 
 @pytest.fixture
 def store(tmp_path: Path) -> Iterator[StoreProcess]:
-    with StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test")) as store:
+    with closing(StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test"))) as store:
         yield store
 
 
@@ -98,7 +97,7 @@ def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(
     store.add(row(0), "wipe")
     os.kill(store.pid, signal.SIGKILL)
     psutil.Process(store.pid).wait(20)
-    with pytest.raises(DatasetError, match="has ended"):
+    with pytest.raises(DatasetError, match="that ended"):
         record(store)
     store.close()
     assert open_dataset(tmp_path / "data").num_episodes == 1
@@ -109,7 +108,7 @@ def test_what_is_wrong_at_the_start_is_told(tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").write_text("mine")
     settings = StoreSettings(tmp_path / "full", "local/test")
-    with StoreProcess(FACTS, settings) as store, pytest.raises(DatasetError, match="empty folder"):
+    with closing(StoreProcess(FACTS, settings)) as store, pytest.raises(DatasetError, match="empty folder"):
         assert store.num_episodes
 
 
@@ -121,7 +120,7 @@ def test_one_that_is_not_ready_ends_at_once(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_ctrl_c_while_it_starts_does_not_reach_it(tmp_path: Path) -> None:
-    with StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test")) as store:
+    with closing(StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test"))) as store:
         os.kill(store.pid, signal.SIGINT)
         record(store)
         os.kill(store.pid, signal.SIGINT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import get_sensor
 
 if TYPE_CHECKING:
-    from uniforce_pair_recording.evaluation import ScoredPairs
+    from benchmarks.pairs.evaluation import ScoredPairs
 
 BAR = 0.95  # wanted precision and recall
 SEEN_SEEDS = 2000  # sessions with seeds below were looked at while the score was made; scored ones lie above
@@ -27,8 +28,8 @@ SEEN_SEEDS = 2000  # sessions with seeds below were looked at while the score wa
 class PairQualityConfig:
     """Rehearse sessions with known truth and count right and wrong flags; or train the force readers.
 
-    Example: uniforce-pair-quality rigs=gelsight+tactip,uskin+tactip sessions=1 grasps=2
-    Readers of the shipped sensors: uniforce-pair-quality train=true
+    Example: python -m benchmarks.pair_quality rigs=gelsight+tactip,uskin+tactip sessions=1 grasps=2
+    Readers of the shipped sensors: python -m benchmarks.pair_quality train=true
     """
 
     rigs: str = "gelsight+tactip,uskin+tactip,gelsight+uskin"  # left+right, commas between
@@ -42,10 +43,10 @@ class PairQualityConfig:
 
 def measure(config: PairQualityConfig) -> dict[str, Any]:
     """Return precision and recall over all rehearsed pairs, and by fault, rig, indenter and gate."""
-    from uniforce_pair_recording.evaluation import score_session
-    from uniforce_pair_recording.evaluation_figure import draw_scores
-    from uniforce_pair_recording.evaluation_report import report
-    from uniforce_pair_recording.pair_judge import JudgeSettings
+    from benchmarks.pairs.evaluation import score_session
+    from benchmarks.pairs.figure import draw_scores
+    from benchmarks.pairs.report import report
+    from uniforce_pair_recording import pair_judge
     from uniforce_pair_recording.rehearsal import Rehearsal
 
     rigs, names = _rigs(config), _names(config)
@@ -56,13 +57,14 @@ def measure(config: PairQualityConfig) -> dict[str, Any]:
     for number, ((left, right), _) in enumerate(tqdm(jobs, desc="sessions", unit="session")):
         rehearsal = Rehearsal(left, right, config.seed + number)
         scored.append(score_session(rehearsal, names, config.grasps))
-    content = report(scored) | {"settings": asdict(JudgeSettings()), "config": asdict(config), "bar": BAR}
+    settings = {"limit": pair_judge.LIMIT, "trust": pair_judge.TRUST}
+    content = report(scored) | {"settings": settings, "config": asdict(config), "bar": BAR}
     draw_scores(scored, content, Path(config.out).with_suffix(".png"))
     return content
 
 
 def _train(sensors: list[str]) -> None:
-    from uniforce_pair_recording.finger_force import (
+    from benchmarks.pairs.training import (
         ForceTraining,
         save_finger_force,
         train_finger_force,
@@ -105,7 +107,7 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Entry of ``uniforce-pair-quality``."""
+    """Entry of ``python -m benchmarks.pair_quality``."""
     config = parse(PairQualityConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
@@ -120,3 +122,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{name}: {_line(row)}, {row['bad']} of {row['pairs']} pairs out of balance")
     print(f"written to {path} and {path.with_suffix('.png')}")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from uniforce_pair_recording.evaluation import ScoredPairs
-from uniforce_pair_recording.truth import LIMIT
+from benchmarks.pairs.evaluation import ScoredPairs
+from uniforce_pair_recording.rehearsal import LIMIT
+from uniforce_vtla.figure_file import save_figure
 
 FLOOR = 0.003  # errors are drawn on a logarithmic axis
 COLOURS = {
@@ -28,10 +28,7 @@ def draw_scores(scored: Sequence[ScoredPairs], content: dict[str, Any], path: Pa
     _draw_errors(left, scored, content["settings"]["limit"])
     _draw_thresholds(right, content)
     figure.suptitle("Pair quality against the simulator's truth, sessions the score was not tuned on")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    return path
+    return save_figure(figure, path)
 
 
 def _draw_errors(axis: Axes, scored: Sequence[ScoredPairs], limit: float) -> None:

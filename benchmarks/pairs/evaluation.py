@@ -10,14 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_pair_recording.finger_force import FingerForce
-from uniforce_pair_recording.gate import quasi_static
-from uniforce_pair_recording.pair_judge import JudgeSettings, PairJudge
-from uniforce_pair_recording.rehearsal import Rehearsal, SimulatedRig
+from uniforce_pair_recording.gate import MotionLimits
+from uniforce_pair_recording.pair_judge import PairJudge
+from uniforce_pair_recording.rehearsal import LIMIT, Rehearsal, SimulatedRig
 from uniforce_pair_recording.rig import RigFrame
-from uniforce_pair_recording.track import FingerReader, GraspTrack
-from uniforce_pair_recording.truth import LIMIT
-from uniforce_vtla.contracts import FINGERS
+from uniforce_pair_recording.track import FingerReaders, GraspTrack
 
 
 @dataclass(frozen=True)
@@ -45,15 +42,10 @@ class ScoredPairs:
     grasp: np.ndarray
 
 
-def score_session(
-    rehearsal: Rehearsal, indenters: tuple[str, ...], grasps: int, settings: JudgeSettings | None = None
-) -> ScoredPairs:
+def score_session(rehearsal: Rehearsal, indenters: tuple[str, ...], grasps: int) -> ScoredPairs:
     """Rehearse ``grasps`` grasps of each indenter with one pair of units and score every frame."""
-    rig, judge = SimulatedRig(rehearsal), PairJudge(settings)
-    references = rig.references()
-    readers = {
-        f: FingerReader(references[f], f, FingerForce.from_pretrained(rig.sensors[f])) for f in FINGERS
-    }
+    rig, judge = SimulatedRig(rehearsal), PairJudge()
+    readers = FingerReaders(rig, rig.references())
     parts: list[tuple[np.ndarray, ...]] = []
     for indenter in indenters:
         frames = rig.frames(indenter)
@@ -64,25 +56,19 @@ def score_session(
 
 
 def _score_grasp(
-    rig: SimulatedRig,
-    judge: PairJudge,
-    readers: dict,
-    frames: Iterator[RigFrame],
-    indenter: str,
+    rig: SimulatedRig, judge: PairJudge, readers: FingerReaders, frames: Iterator[RigFrame], indenter: str
 ) -> tuple[np.ndarray, ...]:
     T = rig.rehearsal.grasps.frames
-    track = GraspTrack(rig.mass_kg)
+    track = GraspTrack(rig.mass_kg, readers)
     for _ in range(T):
-        track.add(next(frames), readers)
-    signals = track.signals()
-    quality = judge.judge(signals)
-    judge.learn(signals)
-    contact = np.maximum(signals.left_N[:, 2], signals.right_N[:, 2])
-    gate = quasi_static(signals.velocity_m_s, signals.acceleration_m_s2, contact, rig.rate_hz)
+        track.add(next(frames))
+    quality = judge.judge(track.signals())
+    judge.learn(track.signals())
     number = track.frames[0].grasp
-    truth = rig.truth_of(number)
+    truth = rig.truths[number]
     labels = (np.repeat(label, T) for label in (truth.fault, indenter, number))
-    return quality.error, truth.error, quality.flagged, gate.is_open, *labels
+    gate = track.gate(rig.rate_hz, MotionLimits())
+    return quality.error, truth.error, quality.flagged, gate == "", *labels
 
 
 def precision_recall(flagged: np.ndarray, bad: np.ndarray) -> dict[str, float]:

@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_pair_recording.evaluation import ScoredPairs, is_bad, precision_recall
+from benchmarks.pairs.evaluation import ScoredPairs, is_bad, precision_recall
 
-BEYOND_THE_GOAL = (
-    "pushed"  # a lean along the closing axis: asked for by nobody, but real, and the hardest to feel
-)
+BEYOND_THE_GOAL = "pushed"  # a lean along the closing axis: not asked for, but real, and the hardest to find
 BANDS = ((0.0, 0.05), (0.05, 0.08), (0.08, 0.10), (0.10, 0.12), (0.12, 0.20), (0.20, 0.50), (0.50, 9.0))
 THRESHOLDS = (0.06, 0.08, 0.10, 0.12, 0.14, 0.17, 0.20, 0.30)
 DRAWS = 1000  # of the bootstrap
