@@ -17,6 +17,7 @@ SHARED = {
     "json_file",
     "array_file",
     "arguments",
+    "options",
 }
 MAY_IMPORT = {
     "sensors": set(),

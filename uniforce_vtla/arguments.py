@@ -2,40 +2,224 @@
 
 from __future__ import annotations
 
+import ast
+import dataclasses
+import difflib
+import inspect
+import io
+import math
 import sys
-from collections.abc import Sequence
+import tokenize
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import draccus
 import numpy as np
+import yaml
 
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.options import check_text, shortened, split
+
+KINDS = {int: "a whole number", float: "a number", bool: "true | false", str: "text"}
 
 
-def to_flags(argv: Sequence[str]) -> list[str]:
-    """Turn ``key=value`` into ``--key=value``; leave everything else as it came."""
-    return [f"--{a}" if "=" in a and not a.startswith("-") else a for a in argv]
+@dataclass(frozen=True)
+class Option:
+    """A field of a config: dotted name, type, default, what else its type declares, and its comment."""
+
+    name: str
+    kind: Any
+    default: Any
+    rule: Any = None
+    comment: str = ""
+
+    @property
+    def wanted(self) -> str:
+        """What may be given, in words."""
+        if get_origin(self.kind) is Literal:
+            return " | ".join(str(value) or '""' for value in get_args(self.kind))
+        kind = KINDS.get(self.kind) or f"a list like {self.default or '[…]'}"
+        return f"{kind}, {self.rule}" if self.rule and self.kind is not str else str(self.rule or kind)
+
+
+def options_of(config_class: type, prefix: str = "") -> dict[str, Option]:
+    """Return every option of a config class by its dotted name, nested ones included."""
+    hints, comments = get_type_hints(config_class, include_extras=True), _comments(config_class)
+    found: dict[str, Option] = {}
+    for field in dataclasses.fields(config_class):
+        hint, name = hints[field.name], prefix + field.name
+        kind, rule = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
+        if dataclasses.is_dataclass(kind):
+            found |= options_of(kind, f"{name}.")  # type: ignore[arg-type]
+        elif field.init:
+            factory = field.default_factory
+            default = field.default if factory is dataclasses.MISSING else factory()
+            found[name] = Option(name, kind, default, rule, comments.get(field.name, ""))
+    return found
+
+
+def _comments(config_class: type) -> dict[str, str]:
+    """Return the comment of each field: above it, or beside it."""
+    lines = inspect.getsource(config_class).splitlines()
+    code = inspect.cleandoc("\n" + "\n".join(lines))
+    found = {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO(code).readline)
+        if token.type == tokenize.COMMENT
+    }
+    comments, earlier = {}, 0
+    for node in ast.parse(code).body[0].body:  # type: ignore[attr-defined]
+        last = node.end_lineno
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            comments[node.target.id] = " ".join(found[n] for n in range(earlier + 1, last + 1) if n in found)
+        earlier = last
+    return comments
 
 
 def parse[ConfigT](
     config_class: type[ConfigT], argv: Sequence[str] | None = None, presets: Path | None = None
 ) -> ConfigT:
-    """Parse ``argv`` (the process's own when None) into ``config_class``.
+    """Parse ``argv`` (the process's own when None) into ``config_class`` and try every path it names.
 
     ``--help`` prints the class's docstring (give an example there) and every field with its comment.  Where a
     command has ``presets``, ``preset=NAME`` reads ``NAME.yaml`` there first; what else is given overrides it.
 
     Raises:
-        ContractError: no such preset.
+        ContractError: no such option or preset, a wrong type, a value out of range, a path that can't be used.
+        SystemExit: after ``--help``.
     """
-    args = to_flags(sys.argv[1:] if argv is None else argv)
-    config_path = None if presets is None else _preset_path(args, presets)
-    return draccus.parse(config_class=config_class, config_path=config_path, args=args)
+    words, options = list(sys.argv[1:] if argv is None else argv), options_of(config_class)
+    if {"-h", "--help"} & set(words):
+        sys.stdout.write(f"{help_text(config_class)}\n")
+        raise SystemExit(0)
+    given = split_words(words)
+    refuse_unknown(given, options)
+    nested: dict[str, Any] = {} if presets is None else _preset(given.get("preset", ""), presets)
+    for name, text in given.items():
+        *path, last = name.split(".")
+        inner = nested
+        for key in path:
+            inner = inner.setdefault(key, {})
+        inner[last] = _value(options[name], text)
+    config = _decode(config_class, nested)
+    for option in sorted(options.values(), key=lambda o: o.name not in given):  # what was given comes first
+        check(option, _get(config, option.name))
+    return config
+
+
+def split_words(words: Iterable[str]) -> dict[str, str]:
+    """Return option → text of a command line.
+
+    Raises:
+        ContractError: a word that is no ``key=value``, or an option that comes twice.
+    """
+    given = dict[str, str]()
+    for word in words:
+        name, equals, text = word.removeprefix("--").partition("=")
+        if not equals:
+            raise ContractError(expected("option", "key=value", shortened(word), "No space around the =."))
+        if name in given:
+            raise ContractError(expected(name, "one value", "two", "Give it once."))
+        given[name] = text
+    return given
+
+
+def refuse_unknown(names: Iterable[str], known: Iterable[str]) -> None:
+    """Raise ContractError for an option that isn't known; it names the nearest."""
+    every = list(known)
+    for name in set(names) - set(every):
+        near = difflib.get_close_matches(name, every, 1)
+        do = f"Did you mean {near[0]}=…?" if near else "--help lists them."
+        raise ContractError(expected("option", "one that this command has", shortened(name), do))
+
+
+def _value(option: Option, text: str) -> Any:
+    """Return what the text says, before draccus makes it the field's type; a text stays as it is."""
+    check_text(option.name, text)
+    if not text and option.default != "":
+        raise ContractError(expected(option.name, option.wanted, "nothing", "Give a value, or leave it out."))
+    if option.kind is str or isinstance(option.default, str):
+        value: Any = text
+    else:
+        value = _read(option, text)
+    if get_origin(option.kind) is Literal and value not in get_args(option.kind):
+        raise _wrong(option, text)
+    return value
+
+
+def _read(option: Option, text: str) -> Any:
+    try:
+        if option.kind in (int, float):
+            return option.kind(text)
+        if option.kind is bool:
+            return {"true": True, "false": False}[text.lower()]
+        return yaml.safe_load(text)
+    except (ValueError, KeyError, yaml.YAMLError) as error:
+        raise _wrong(option, text) from error
+
+
+def _wrong(option: Option, came: object) -> ContractError:
+    return ContractError(expected(option.name, option.wanted, shortened(repr(came)), "Correct it."))
+
+
+def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> ConfigT:
+    try:
+        return draccus.decode(config_class, nested)
+    except draccus.utils.DecodingError as error:
+        cause = error.__cause__
+        while cause is not None:  # a config that refused what it was made of has said why
+            if isinstance(cause, UniForceError):
+                raise cause from error
+            cause = cause.__cause__
+        options, name = options_of(config_class), ".".join(error.key_path)
+        option = next((o for o in options.values() if name == o.name or name.startswith(f"{o.name}.")), None)
+        if option is None:
+            raise ContractError(
+                expected(name or "settings", "known ones", error.message, "Correct it.")
+            ) from error
+        raise _wrong(option, _in(nested, option.name.split("."))) from error
+
+
+def _in(nested: Mapping[str, Any], path: Sequence[str]) -> Any:
+    return _in(nested[path[0]], path[1:]) if path else nested
+
+
+def _get(config: Any, name: str) -> Any:
+    for part in name.split("."):
+        config = getattr(config, part)
+    return config
+
+
+def check(option: Option, value: Any) -> None:
+    """Check a value against what its option declares.
+
+    Raises:
+        ContractError: a number that isn't finite, or whatever the option's type refuses.
+    """
+    for part in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(part, float) and not math.isfinite(part):
+            raise _wrong(option, part)
+        if isinstance(part, str):
+            check_text(option.name, part)
+    if option.rule is not None:
+        option.rule.check(option.name, value)
+
+
+def help_text(config_class: type) -> str:
+    """Return the class's docstring and a line or more for each option."""
+    lines = [inspect.cleandoc(config_class.__doc__ or ""), ""]
+    for option in options_of(config_class).values():
+        default = str(option.default).lower() if option.kind is bool else option.default
+        wanted = "" if option.wanted in ("text", KINDS[bool]) else f"  [{option.wanted}]"
+        lines += [f"  {option.name}={default}{wanted}", f"      {option.comment}"]
+    return "\n".join(lines)
 
 
 def names_in(text: str) -> list[str]:
     """Return the names in a text with commas between them."""
-    return [name.strip() for name in text.split(",") if name.strip()]
+    return split(text)
 
 
 def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
@@ -67,12 +251,9 @@ def numbers(name: str, text: str, count: int) -> np.ndarray:
     return values
 
 
-def _preset_path(args: Sequence[str], presets: Path) -> Path | None:
-    names = [a.removeprefix("--preset=") for a in args if a.startswith("--preset=") and a != "--preset="]
-    if not names:
-        return None
+def _preset(name: str, presets: Path) -> dict[str, Any]:
+    """Return the settings of a preset; none where none is named."""
     known = sorted(p.stem for p in presets.glob("*.yaml"))
-    path = presets / f"{names[-1]}.yaml"
-    if names[-1] not in known:  # nor does a name with slashes lead out of the folder
-        raise ContractError(expected("preset", " | ".join(known), names[-1], "Name one, or give none."))
-    return path
+    if name and name not in known:  # nor does a name with slashes lead out of the folder
+        raise ContractError(expected("preset", " | ".join(known), shortened(name), "Name one, or give none."))
+    return yaml.safe_load((presets / f"{name}.yaml").read_text()) if name else {}

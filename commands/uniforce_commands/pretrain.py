@@ -12,6 +12,7 @@ import torch
 import uniforce_vtla.tokenizer
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.options import FileName, OutFolder, Workers
 from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source
 
 PRESETS = Path(uniforce_vtla.tokenizer.__file__).parent / "presets"  # one YAML file each
@@ -26,11 +27,12 @@ class PretrainCommand:
     Example: uniforce-pretrain preset=nano out=outputs/mine run.steps=3000
     """
 
-    preset: str = ""  # nano | small_draw and then small: the shipped checkpoints; what else you give wins
+    # nano | small_draw and then small: the shipped checkpoints; what else you give wins
+    preset: FileName = ""
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
-    cache: str = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
-    out: str = "outputs/pretrain"  # state.safetensors to resume from, log.csv, tokenizer/ to load
-    threads: int = 1  # torch threads; a small model gains little from more
+    cache: OutFolder = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
+    out: OutFolder = "outputs/pretrain"  # state.safetensors to resume from, log.csv, tokenizer/ to load
+    threads: Workers = 1  # torch threads; a small model gains little from more
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -17,10 +17,11 @@ from typing import Any
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
+from uniforce_commands.boundary import command
 from uniforce_commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_commands.score_worker import Job, score_job, video_path
 from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import (
     ArmReport,
     EpisodeRow,
@@ -151,16 +152,13 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     return reports
 
 
-def main(argv: list[str] | None = None) -> int:
+@command
+def main(argv: Sequence[str]) -> int:
     """Entry of ``uniforce-score``."""
     logging.basicConfig(level=logging.WARNING)
     config = parse(ScoreConfig, argv)
     start = time.perf_counter()
-    try:
-        score(config)
-    except UniForceError as error:
-        print(f"score: {error}")
-        return 2
+    score(config)
     print(table(write_report(config)))
     print(f"{config.rollouts} rollouts in {time.perf_counter() - start:.0f} s; results in {config.out}")
     return 0

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from huggingface_hub import HfApi
@@ -15,14 +16,19 @@ from lerobot.policies.factory import make_pre_post_processors
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
+from uniforce_commands.boundary import command
 from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import CheckpointError, UniForceError, expected
+from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.evaluation.checkpoint_scores import scores_of
+from uniforce_vtla.options import Existing, FilePath, HubName, OutFolder, Text
 from uniforce_vtla.results_file import write_json
 
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
 TOKENIZER = "model.tactile_encoder."
 UPLOADED = ["*.safetensors", "*.json", CARD]
+
+
+TrainedPolicy = Annotated[str, Existing("a checkpoint's folder", "config.json")]
 
 
 @dataclass
@@ -33,12 +39,12 @@ class ShareConfig:
     then: uniforce-share … push=your-name/pi05-wiping  (needs `hf auth login`)
     """
 
-    checkpoint: str = "outputs/train/checkpoints/last/pretrained_model"  # what the trainer saved
-    out: str = "outputs/shared"  # folder to hand on; no path of this machine is left in it
-    scores: str = ""  # wiping.json of uniforce-score; "" = the card says "not scored"
+    checkpoint: TrainedPolicy = "outputs/train/checkpoints/last/pretrained_model"  # what the trainer saved
+    out: OutFolder = "outputs/shared"  # folder to hand on; no path of this machine is left in it
+    scores: FilePath = ""  # wiping.json of uniforce-score; "" = the card says "not scored"
     # in a wiping.json of uniforce-benchmark, this checkpoint's own scores: …/seed0/vt as it was scored there; "" = all
-    scored_as: str = ""
-    push: str = ""  # hub repository, name/model; "" = nothing leaves this machine
+    scored_as: Text = ""
+    push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
@@ -124,15 +130,12 @@ def _read(path: Path) -> dict[str, Any] | None:
     return json.loads(path.read_text()) if path.is_file() else None
 
 
-def main(argv: list[str] | None = None) -> int:
+@command
+def main(argv: Sequence[str]) -> int:
     """Entry of ``uniforce-share``."""
     config = parse(ShareConfig, argv)
     torch.set_num_threads(1)
-    try:
-        out = share(config)
-    except UniForceError as error:
-        print(f"share: {error}")
-        return 2
+    out = share(config)
     print(f"everything is in {out}; read {out / CARD} before you hand it on")
     if config.push:
         print(f"pushed to {push(out, config)}")

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 
+from uniforce_commands.boundary import command
 from uniforce_commands.pretrain import PRESETS, PretrainCommand
 from uniforce_commands.tokenizer_report import draw_sets
 from uniforce_vtla.arguments import choose, parse
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import Count, Names, OutFolder
 from uniforce_vtla.probes.options_figure import draw_options
-from uniforce_vtla.probes.report_sets import get_report_set
+from uniforce_vtla.probes.report_sets import REPORT_SETS, get_report_set
 from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, learnt_row, summary, transfer_name
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
@@ -57,6 +60,10 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 }
 
 
+Variants = Annotated[str, Names(tuple(VARIANTS), many=True)]
+ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
+
+
 @dataclass
 class OptionsCommand:
     """Train the nano recipe once per option and read force from it; a killed run continues with what is missing.
@@ -64,12 +71,12 @@ class OptionsCommand:
     Example: uniforce-tokenizer-options steps=800 only="free bits,KL warm-up"
     """
 
-    steps: int = 800  # of each training; the shipped nano takes more
-    set: str = "hetero_hard_v1"  # frozen set that is read
-    only: str = ""  # names of options (comma between them); empty = all
-    out: str = "outputs/options"  # trainings and pair caches
-    results: str = "docs/results"  # pretraining_options.json and its figure
-    cache: str = "outputs/labelled"  # drawn sets
+    steps: Count = 800  # of each training; the shipped nano takes more
+    set: ReportSetName = "hetero_hard_v1"  # frozen set that is read
+    only: Variants = ""  # names of options (comma between them); empty = all
+    out: OutFolder = "outputs/options"  # trainings and pair caches
+    results: OutFolder = "outputs/options"  # pretraining_options.json and its figure
+    cache: OutFolder = "outputs/labelled"  # drawn sets
 
 
 def measure_variant(command: OptionsCommand, table: Table, overrides: tuple[str, ...]) -> dict[str, Any]:
@@ -133,13 +140,10 @@ def _line(name: str, found: dict[str, Any]) -> str:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
+@command
+def main(argv: Sequence[str]) -> int:
     """Entry of ``uniforce-tokenizer-options``."""
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(1)
-    try:
-        print(_run(parse(OptionsCommand, argv)))
-    except UniForceError as error:
-        print(f"tokenizer_options: {error}")
-        return 2
+    print(_run(parse(OptionsCommand, argv)))
     return 0

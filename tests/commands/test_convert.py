@@ -99,7 +99,7 @@ def test_a_conversion_keeps_every_weight_and_trains_on(published: Path, view: Pa
     assert json.loads((out / "config.json").read_text())["token_site"] == "suffix"
     data = ["dataset.repo_id=local/view", f"dataset.root={view}", f"output_dir={tmp_path / 'run'}"]
     run = ["steps=2", "batch_size=2", "num_workers=0", "save_freq=2", "policy.device=cpu"]
-    train.main([f"policy.path={out}", *data, *run])
+    train.train([f"policy.path={out}", *data, *run])
     assert (tmp_path / "run" / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").exists()
 
 
