@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +11,6 @@ import cv2
 import torch
 
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.options import Names, OutFolder, Positive
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -61,10 +60,9 @@ def run(config: BenchConfig) -> dict[str, Any]:
     return results
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(BenchConfig)
+def main(config: BenchConfig) -> int:
     """Entry of ``uniforce-bench``."""
-    config = parse(BenchConfig, argv)
     results = run(config)
     path = write_json(Path(config.out) / "bench.json", results | {"config": asdict(config)} | provenance())
     for name, value in results.items():

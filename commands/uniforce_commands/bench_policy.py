@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +15,7 @@ from lerobot_policy_pi05_uniforce.bench import CASES, bench_case
 from lerobot_policy_pi05_uniforce.bench_memory import bench_memory
 from lerobot_policy_pi05_uniforce.bench_touch import bench_touch
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.options import Count, Names, OutFolder, Pattern, Range
@@ -98,10 +97,9 @@ def draw(content: dict[str, Any], path: Path) -> Path:
     return save_figure(figure, path)
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(BenchPolicyConfig)
+def main(config: BenchPolicyConfig) -> int:
     """Entry of ``uniforce-bench-policy``."""
-    config = parse(BenchPolicyConfig, argv)
     torch.set_num_threads(1)
     content = measure(config)
     path = write_json(Path(config.out) / "policy_latency.json", content | provenance())

@@ -15,7 +15,7 @@ from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
 from uniforce_commands.score import score_arms
 from uniforce_commands.score_config import ScoreConfig
-from uniforce_vtla.arguments import choose, names_in, parse
+from uniforce_vtla.arguments import choose, names_in
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, table
 from uniforce_vtla.evaluation.checkpoint_scores import own_scenes
@@ -167,9 +167,9 @@ def _run(command: BenchmarkConfig) -> str:
     return f"{table(reports)}\ntable, tests and figures: {path}"
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(BenchmarkConfig)
+def main(config: BenchmarkConfig) -> int:
     """Entry of ``uniforce-benchmark``."""
     logging.basicConfig(level=logging.WARNING)
-    print(_run(parse(BenchmarkConfig, argv)))
+    print(_run(config))
     return 0

@@ -20,7 +20,6 @@ from lerobot_env_uniforce_wiping.expert import WipeExpert
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.evaluation.episode import EpisodeResult, ScoreLimits
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, Names, Newtons, OutFile, Seed, Workers
@@ -121,10 +120,9 @@ def run_all(config: BlindConfig) -> dict[str, dict[str, Any]]:
     return {name: summarise([r for job, r in done if job.name == name]) for name in names}
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(BlindConfig)
+def main(config: BlindConfig) -> int:
     """Entry of ``uniforce-blind``: run the sweep, print a table, write the result file."""
-    config = parse(BlindConfig, argv)
     scripts = run_all(config)
     blind = {name: s for name, s in scripts.items() if not name.startswith("expert_")}
     best = max(blind, key=lambda name: blind[name]["clean"], default=None)

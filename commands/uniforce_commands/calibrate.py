@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +13,6 @@ from tqdm import tqdm
 
 from uniforce_commands.boundary import command
 from uniforce_commands.tokenizer_report import draw_sets
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.units import Look
@@ -142,10 +140,9 @@ def _run(command: CalibrateCommand) -> str:
     return f"{command.new} against {command.anchor}: imbalance on held-out grasps {change}; adapter in {path}"
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(CalibrateCommand)
+def main(command: CalibrateCommand) -> int:
     """Entry of ``uniforce-calibrate``."""
-    command = parse(CalibrateCommand, argv)
     torch.set_num_threads(1)
     print(_run(command))
     return 0

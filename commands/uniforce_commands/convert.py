@@ -6,7 +6,6 @@ and its own loader goes on with random weights after an error. Here every tensor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,7 +21,6 @@ from lerobot_policy_pi05_uniforce import (
 )
 from lerobot_policy_pi05_uniforce.published import FRESH, own_names
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.keys import ACTION
 from uniforce_vtla.options import Existing, OutFolder, Pattern, Slots, View
@@ -143,10 +141,9 @@ def _slots(text: str) -> dict[str, str]:
     return dict(pairs)
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(ConvertConfig)
+def main(config: ConvertConfig) -> int:
     """Entry of ``uniforce-convert``."""
-    config = parse(ConvertConfig, argv)
     torch.set_num_threads(1)
     out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(FRESH)}")

@@ -6,13 +6,11 @@ import logging
 import os
 import shutil
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -90,12 +88,11 @@ def _train_arguments(config: DemoConfig, out: Path) -> list[str]:
     ]  # fmt: skip
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(DemoConfig)
+def main(config: DemoConfig) -> int:
     """Entry of ``uniforce-demo``."""
     logging.basicConfig(level=logging.WARNING)
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
-    config = parse(DemoConfig, argv)
     start = time.perf_counter()
     page = run(config)
     out = Path(config.out)

@@ -6,7 +6,7 @@ stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +22,6 @@ from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.leak import FRAMES, Samples, measure, verdict
 from uniforce_vtla.keys import CAMERAS, tactile_name
@@ -95,10 +94,9 @@ def _touch(pixels: dict[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([descriptors(*pair)[0] for pair in pairs])
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(LeakConfig)
+def main(config: LeakConfig) -> int:
     """Entry of ``uniforce-leak-check``."""
-    config = parse(LeakConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     samples = collect(config)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +11,6 @@ import torch
 from tqdm import tqdm
 
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN, SEEN
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed
@@ -112,10 +110,9 @@ def _line(row: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(PairQualityConfig)
+def main(config: PairQualityConfig) -> int:
     """Entry of ``uniforce-pair-quality``."""
-    config = parse(PairQualityConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     content = measure(config)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from lerobot_env_uniforce_wiping.physics_page import draw_page
 from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
 from lerobot_env_uniforce_wiping.solver import SolverSettings
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
@@ -113,10 +112,9 @@ def solvers(settings: list[SolverSettings], repeats: int) -> dict[str, Any]:
     return {"depth_m": list(DEPTHS_m), "settings": found}
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(PhysicsCommand)
+def main(command: PhysicsCommand) -> int:
     """Entry of ``uniforce-physics``."""
-    command = parse(PhysicsCommand, argv)
     panels = measure(command)
     what = "simulated; nothing hidden in the scene, GelSight left, TacTip right"
     path = write_json(Path(command.results) / "physics.json", {"what": what, **panels} | provenance())

@@ -16,7 +16,6 @@ from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_pol
 from uniforce_commands.boundary import command
 from uniforce_datasets.training_view import TrainingView
 from uniforce_datasets.view_marker import read_marker
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, DatasetError, expected
@@ -233,11 +232,10 @@ def read_policy(config: PolicyReadingConfig) -> tuple[dict[str, Any], list[str]]
     return facts, [*lines, *answers]
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(PolicyReadingConfig)
+def main(config: PolicyReadingConfig) -> int:
     """Entry of ``uniforce-policy-reading``."""
     torch.set_num_threads(1)
-    config = parse(PolicyReadingConfig, argv)
     facts, lines = read_policy(config)
     written = write_json(Path(config.out), {"policy": config.policy, **facts} | provenance())
     print("\n".join([*lines, f"written to {written}"]))

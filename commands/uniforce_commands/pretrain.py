@@ -10,8 +10,7 @@ from pathlib import Path
 import torch
 
 import uniforce_vtla.tokenizer
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import UniForceError
+from uniforce_commands.boundary import command
 from uniforce_vtla.options import FileName, OutFolder, Workers
 from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source
 
@@ -35,20 +34,16 @@ class PretrainCommand:
     threads: Workers = 1  # torch threads; a small model gains little from more
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(PretrainCommand, presets=PRESETS)
+def main(settings: PretrainCommand) -> int:
     """Entry of ``uniforce-pretrain``."""
     logging.basicConfig(level=logging.INFO)
-    try:
-        command = parse(PretrainCommand, argv, PRESETS)
-        torch.set_num_threads(command.threads)
-        data = open_source(command.run, Path(command.cache))
-        tokenizer = Pretraining(command.run, Path(command.out), data).run()
-    except UniForceError as error:
-        print(f"pretrain: {error}")
-        return 2
+    torch.set_num_threads(settings.threads)
+    data = open_source(settings.run, Path(settings.cache))
+    tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     print(
-        f"tokenizer {tokenizer.hash[:12]} in {command.out}/tokenizer, log in {command.out}/log.csv; "
+        f"tokenizer {tokenizer.hash[:12]} in {settings.out}/tokenizer, log in {settings.out}/log.csv; "
         f"peak memory {peak_GB:.1f} GB"
     )
     return 0

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level, Sensor
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
     Count,
@@ -200,12 +199,10 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str]) -> None:
         raise ContractError(expected(f"settings with {mode}", "those it uses", came, "Leave them out."))
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(RecordConfig, others=("robot.", "teleop."))
+def main(config: RecordConfig, flags: Sequence[str]) -> int:
     """Entry of ``uniforce-record``."""
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
-    flags, own = split_device_flags(argv)
-    config = parse(RecordConfig, own)
     try:
         end = record(config, flags)
     except KeyboardInterrupt:
@@ -215,13 +212,3 @@ def main(argv: Sequence[str]) -> int:
     print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})")
     print(f"next: uniforce-view roots={config.root} out={Path(config.root).parent / 'view'}")
     return end.exit_code
-
-
-def split_device_flags(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return (``--robot.…`` and ``--teleop.…`` flags, everything else) of a command line."""
-    own: list[str] = []
-    others: list[str] = []
-    for word in arguments:
-        name = word.removeprefix("--").partition("=")[0]
-        (own if name.startswith(("robot.", "teleop.")) else others).append(word)
-    return [f"--{word.removeprefix('--')}" for word in own], others

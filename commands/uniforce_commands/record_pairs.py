@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -16,7 +16,7 @@ from tqdm import tqdm
 import datasets
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Sensor
-from uniforce_vtla.arguments import names_in, parse
+from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Share, Text
@@ -165,10 +165,9 @@ def _check(config: RecordPairsConfig) -> tuple[str, ...]:
     return names
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(RecordPairsConfig)
+def main(config: RecordPairsConfig) -> int:
     """Entry of ``uniforce-record-pairs``."""
-    config = parse(RecordPairsConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     datasets.disable_progress_bars()  # LeRobot's own, one per saved chunk, would tear ours apart

@@ -8,13 +8,13 @@ import json
 import logging
 import shutil
 import signal
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.arguments import choose
 from uniforce_vtla.options import Count, Names, OutFile, OutFolder, Positive, Range, Text
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -120,10 +120,9 @@ def _show(name: str, number: int, finding: dict[str, Any]) -> None:
     print(f"  {datetime.datetime.now():%H:%M:%S} {name} {number}: {said or 'done'}", flush=True)
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(TrialsConfig)
+def main(config: TrialsConfig) -> int:
     """Entry of ``uniforce-recorder-trials``; 0 where every bar asked about is met, 1 where one isn't."""
-    config = parse(TrialsConfig, argv)
     logging.basicConfig(level=logging.WARNING)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # stand-ins and sessions are ended too
     result = try_recorder(config)

@@ -7,7 +7,7 @@ fills the pad looks like far more force.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,7 +23,6 @@ from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.hands import TouchSettings
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.evaluation.episode import (
     WIPING_PHASE,
@@ -164,10 +163,9 @@ def make_gauges(config: SceneGaugeConfig) -> dict[str, Any]:
     }
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(SceneGaugeConfig)
+def main(config: SceneGaugeConfig) -> int:
     """Entry of ``uniforce-scene-gauge``."""
-    config = parse(SceneGaugeConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     report = make_gauges(config)

@@ -20,7 +20,6 @@ from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_commands.boundary import command
 from uniforce_commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_commands.score_worker import Job, score_job, video_path
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import (
     ArmReport,
@@ -152,11 +151,10 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     return reports
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(ScoreConfig)
+def main(config: ScoreConfig) -> int:
     """Entry of ``uniforce-score``."""
     logging.basicConfig(level=logging.WARNING)
-    config = parse(ScoreConfig, argv)
     start = time.perf_counter()
     score(config)
     print(table(write_report(config)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from tqdm import tqdm
 from uniforce_commands.boundary import command
 from uniforce_commands.felt_recording import FeltRecording, gauges
 from uniforce_datasets.source import Episode, Source, episode_frames
-from uniforce_vtla.arguments import numbers, parse
+from uniforce_vtla.arguments import numbers
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.board_camera import estimate_residual
 from uniforce_vtla.evaluation.episode import ScoreLimits
@@ -111,10 +110,9 @@ def _ink(residual: dict[str, Any]) -> str:
     return f", ink left {residual['residual']:.0%}" if "residual" in residual else ", ink not judged"
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(ScoreRecordingConfig)
+def main(config: ScoreRecordingConfig) -> int:
     """Entry of ``uniforce-score-recording``."""
-    config = parse(ScoreRecordingConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     content = score_recording(config)

@@ -6,7 +6,7 @@ separately with and without contact. A policy that ignores touch moves no furthe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level, Sensor
 from uniforce_commands.score_worker import policy_on_rig
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, TACTILE_NAMES, tactile_name
 from uniforce_vtla.options import Count, OutFile, PolicyFolder, Seed, Slots
@@ -160,9 +159,9 @@ def _run(config: SensitivityConfig) -> str:
     return "\n".join([*lines, f"written to {written}"])
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(SensitivityConfig)
+def main(config: SensitivityConfig) -> int:
     """Entry of ``uniforce-sensitivity``."""
     torch.set_num_threads(1)
-    print(_run(parse(SensitivityConfig, argv)))
+    print(_run(config))
     return 0

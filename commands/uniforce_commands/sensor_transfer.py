@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from tqdm import tqdm
 
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Sensors
-from uniforce_vtla.arguments import names_in, parse
+from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contact.pairs import PairSettings
 from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.two_fingers import two_fingers
@@ -82,10 +81,9 @@ def _run(command: SensorTransferCommand) -> str:
     return "\n".join([*lines, f"maps in {Path(path)}"])
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(SensorTransferCommand)
+def main(command: SensorTransferCommand) -> int:
     """Entry of ``uniforce-sensor-transfer``."""
-    command = parse(SensorTransferCommand, argv)
     torch.set_num_threads(1)
     print(_run(command))
     return 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +16,6 @@ from lerobot.policies.factory import make_pre_post_processors
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.evaluation.checkpoint_scores import scores_of
 from uniforce_vtla.options import Existing, FilePath, HubName, OutFolder, Text
@@ -130,10 +128,9 @@ def _read(path: Path) -> dict[str, Any] | None:
     return json.loads(path.read_text()) if path.is_file() else None
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(ShareConfig)
+def main(config: ShareConfig) -> int:
     """Entry of ``uniforce-share``."""
-    config = parse(ShareConfig, argv)
     torch.set_num_threads(1)
     out = share(config)
     print(f"everything is in {out}; read {out / CARD} before you hand it on")

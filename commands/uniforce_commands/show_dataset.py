@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,7 +17,7 @@ from uniforce_commands.dataset_story import tell
 from uniforce_commands.felt_recording import FeltRecording, ForceReader, force_head, gauges, worn
 from uniforce_commands.rerun_viewer import import_rerun, open_viewer
 from uniforce_datasets.source import Episode, Source
-from uniforce_vtla.arguments import names_in, numbers, parse
+from uniforce_vtla.arguments import names_in, numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.episode_story import EpisodeStory
@@ -139,10 +138,9 @@ def _numbers(story: EpisodeStory, facts: dict[str, str]) -> dict[str, object]:
     return content
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(ShowDatasetConfig)
+def main(config: ShowDatasetConfig) -> int:
     """Entry of ``uniforce-show-dataset``."""
-    config = parse(ShowDatasetConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     written = show_dataset(config)

@@ -14,7 +14,7 @@ from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
 from uniforce_commands.score import score_arms
 from uniforce_commands.score_config import ScoreConfig
-from uniforce_vtla.arguments import choose, names_in, parse
+from uniforce_vtla.arguments import choose, names_in
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.arms import ArmReport
 from uniforce_vtla.evaluation.pictures import draw_success_over_demos
@@ -124,11 +124,10 @@ def report(config: SuccessOverDemosConfig, scored: Sequence[tuple[Point, ArmRepo
     return path
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(SuccessOverDemosConfig)
+def main(config: SuccessOverDemosConfig) -> int:
     """Entry of ``uniforce-success-over-demos``."""
     logging.basicConfig(level=logging.WARNING)
-    config = parse(SuccessOverDemosConfig, argv)
     found = points(config)
     reports = score_arms([_scoring(config, point) for point in found], config.workers)
     path = report(config, list(zip(found, reports, strict=True)))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -140,10 +139,10 @@ def _line(name: str, found: dict[str, Any]) -> str:
     )
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(OptionsCommand)
+def main(config: OptionsCommand) -> int:
     """Entry of ``uniforce-tokenizer-options``."""
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(1)
-    print(_run(parse(OptionsCommand, argv)))
+    print(_run(config))
     return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +16,7 @@ from tqdm import tqdm
 from uniforce_commands import peer_rows
 from uniforce_commands import tokenizer_questions as questions
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.options import (
     Count,
@@ -305,11 +305,10 @@ def _numbers(values: dict[str, float]) -> str:
     return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(TokenizerReportCommand)
+def main(command: TokenizerReportCommand) -> int:
     """Entry of ``uniforce-tokenizer-report``."""
     logging.basicConfig(level=logging.INFO)
-    command = parse(TokenizerReportCommand, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     print(_report(command))

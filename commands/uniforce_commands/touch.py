@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -24,7 +24,6 @@ from uniforce_commands.option_types import Sensor
 from uniforce_commands.touch_checks import QUARTERS, check_orientation, check_rate
 from uniforce_commands.touch_live import LiveTouch
 from uniforce_commands.touch_outputs import make_output, save_panel
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder
@@ -157,10 +156,9 @@ def run(config: TouchConfig) -> int:
     return 0
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(TouchConfig)
+def main(config: TouchConfig) -> int:
     """Entry of ``uniforce-touch``."""
-    config = parse(TouchConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:

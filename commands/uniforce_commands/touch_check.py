@@ -7,7 +7,6 @@ out on unseen scenes. Minutes, not hours: run it after any change to the scene, 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -20,7 +19,6 @@ from tqdm import tqdm
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.statistics import mcnemar, wilson
 from uniforce_vtla.options import Count, Names, OutFile
@@ -165,10 +163,9 @@ def run(config: TouchCheckConfig) -> dict[str, dict]:
     return rows
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(TouchCheckConfig)
+def main(config: TouchCheckConfig) -> int:
     """Entry of ``uniforce-touch-check``."""
-    config = parse(TouchCheckConfig, argv)
     torch.set_num_threads(1)
     content = {
         "what": "clean success of cloned MLPs, simulated",

@@ -243,7 +243,7 @@ def train(argv: Sequence[str]) -> None:
         sys.argv = before
 
 
-@command
+@command(None)
 def main(argv: Sequence[str]) -> int:
     """Entry of ``uniforce-train``."""
     if not argv or list(argv) in (["--help"], ["-h"]):

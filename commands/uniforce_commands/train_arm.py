@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from uniforce_commands import train
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.plan import RECIPES, Recipe
 from uniforce_vtla.json_file import read_object
@@ -123,10 +122,9 @@ def train_arm(config: TrainArmConfig) -> Path:
     return done
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(TrainArmConfig)
+def main(config: TrainArmConfig) -> int:
     """Entry of ``uniforce-train-arm``."""
     logging.basicConfig(level=logging.INFO)
-    config = parse(TrainArmConfig, argv)
     print(f"checkpoint in {train_arm(config)}")
     return 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +11,6 @@ import cv2
 import torch
 
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.options import Datasets, OutFolder, Pixels, Range, Slots, TokenizerFolder, Workers
 
 if TYPE_CHECKING:
@@ -63,10 +61,9 @@ def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
     return facts.success or config.keep_failures or (config.keep_events and wiped)
 
 
-@command
-def main(argv: Sequence[str]) -> int:
+@command(ViewConfig)
+def main(config: ViewConfig) -> int:
     """Entry of ``uniforce-view``."""
-    config = parse(ViewConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     out = make_view(config)
