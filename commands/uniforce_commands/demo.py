@@ -11,8 +11,11 @@ from pathlib import Path
 
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
+
+MARKER = "uniforce_demo.json"  # in a folder that the next demo may empty
 
 
 @dataclass
@@ -53,7 +56,7 @@ def run(config: DemoConfig) -> Path:
     from uniforce_vtla.evaluation.arms import table
 
     out = Path(config.out)
-    shutil.rmtree(out, ignore_errors=True)
+    _start_over(out)
     say("1/5", f"recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)")
     recording = RecordConfig(episodes=config.episodes, level=config.level, root=str(out / "demos"))
     record(recording)
@@ -86,6 +89,19 @@ def _train_arguments(config: DemoConfig, out: Path) -> list[str]:
         f"dataset.root={out / 'view'}", f"steps={config.train_steps}", "batch_size=8", "num_workers=0",
         "log_freq=5", f"save_freq={config.train_steps}", f"output_dir={out / 'train'}",
     ]  # fmt: skip
+
+
+def _start_over(out: Path) -> None:
+    """Empty an earlier demo's folder.
+
+    Raises:
+        ContractError: a folder that holds something else.
+    """
+    if out.exists() and any(out.iterdir()) and not (out / MARKER).is_file():
+        do = f"Name a new folder, or remove it yourself: it holds no {MARKER}."
+        raise ContractError(expected("out", "an empty folder or an earlier demo", str(out), do))
+    shutil.rmtree(out, ignore_errors=True)
+    write_json(out / MARKER, provenance())
 
 
 @command(DemoConfig)

@@ -51,7 +51,7 @@ class TrialsConfig:
     uskin_hz: Positive = 500.0  # scans per second of the finger in the rig
     fresh: bool = False  # forget what earlier runs found
     work: OutFolder = "outputs/recorder_trials"  # datasets, logs, findings so far
-    out: OutFile = "outputs/recorder_trials/recorder.json"  # result file; parts not run keep what it says
+    out: OutFile = "outputs/recorder.json"  # result file; parts not run keep what it says
 
 
 def try_recorder(config: TrialsConfig) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def try_recorder(config: TrialsConfig) -> dict[str, Any]:
 
     chosen = choose(_parts(config), config.only)
     work = Path(config.work)
-    if config.fresh:
+    if config.fresh and (work / "found").is_dir():  # never a folder that is something else
         shutil.rmtree(work, ignore_errors=True)
     plan, ledger, out = _plan(config), Ledger(work / "found", _show), Path(config.out)
     for name, part in chosen.items():

@@ -17,6 +17,7 @@ from typing import Any
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
+from lerobot_policy_pi05_uniforce.stored_policy import stored_config
 from uniforce_commands.boundary import command
 from uniforce_commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_commands.score_worker import Job, score_job, video_path
@@ -31,6 +32,7 @@ from uniforce_vtla.evaluation.arms import (
 )
 from uniforce_vtla.evaluation.comparison import paired_clean
 from uniforce_vtla.evaluation.pictures import draw_arms
+from uniforce_vtla.evaluation.plan import SCRIPTS
 from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -47,6 +49,8 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
 
     Each episode is forced to disk when it ends; the next call goes on with what is missing.
     """
+    for policy in {policy for config in configs for policy in config.policies} - {"shipped", *SCRIPTS}:
+        stored_config(Path(policy))  # refuses a damaged one before processes start
     done = [_start(config) for config in configs]
     jobs = _missing(configs, done)
     label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"

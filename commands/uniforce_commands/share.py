@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,6 +17,7 @@ from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from uniforce_commands.boundary import command
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.evaluation.checkpoint_scores import scores_of
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Existing, FilePath, HubName, OutFolder, Text
 from uniforce_vtla.results_file import write_json
 
@@ -125,7 +125,7 @@ def _scores(path: str, scored_as: str) -> dict[str, Any] | None:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    return json.loads(path.read_text()) if path.is_file() else None
+    return read_object(path, CheckpointError) if path.is_file() else None
 
 
 @command(ShareConfig)
