@@ -13,7 +13,8 @@ import tokenize
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import draccus
 import numpy as np
@@ -34,6 +35,7 @@ class Option:
     default: Any
     rule: Any = None
     comment: str = ""
+    optional: bool = False  # whether ``null`` will do
 
     @property
     def wanted(self) -> str:
@@ -51,13 +53,21 @@ def options_of(config_class: type, prefix: str = "") -> dict[str, Option]:
     for field in dataclasses.fields(config_class):
         hint, name = hints[field.name], prefix + field.name
         kind, rule = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
+        kind, optional = _without_none(kind)
         if dataclasses.is_dataclass(kind):
             found |= options_of(kind, f"{name}.")  # type: ignore[arg-type]
         elif field.init:
             factory = field.default_factory
             default = field.default if factory is dataclasses.MISSING else factory()
-            found[name] = Option(name, kind, default, rule, comments.get(field.name, ""))
+            found[name] = Option(name, kind, default, rule, comments.get(field.name, ""), optional)
     return found
+
+
+def _without_none(kind: Any) -> tuple[Any, bool]:
+    """Return T and True for ``T | None``, else the type and False."""
+    parts = get_args(kind) if get_origin(kind) in (Union, UnionType) else ()
+    inner = [part for part in parts if part is not type(None)]
+    return (inner[0], True) if len(inner) == 1 and len(parts) == 2 else (kind, False)
 
 
 def _comments(config_class: type) -> dict[str, str]:
@@ -102,7 +112,7 @@ def parse[ConfigT](
         inner = nested
         for key in path:
             inner = inner.setdefault(key, {})
-        inner[last] = _value(options[name], text)
+        inner[last] = read_value(options[name], text)
     config = _decode(config_class, nested)
     for option in sorted(options.values(), key=lambda o: o.name not in given):  # what was given comes first
         check(option, _get(config, option.name))
@@ -135,11 +145,17 @@ def refuse_unknown(names: Iterable[str], known: Iterable[str]) -> None:
         raise ContractError(expected("option", "one that this command has", shortened(name), do))
 
 
-def _value(option: Option, text: str) -> Any:
-    """Return what the text says, before draccus makes it the field's type; a text stays as it is."""
+def read_value(option: Option, text: str) -> Any:
+    """Return what the text says, before draccus makes it the field's type; a text stays as it is.
+
+    Raises:
+        ContractError: it can't be of the option's type.
+    """
     check_text(option.name, text)
     if not text and option.default != "":
         raise ContractError(expected(option.name, option.wanted, "nothing", "Give a value, or leave it out."))
+    if text == "null" and option.optional:
+        return None
     if option.kind is str or isinstance(option.default, str):
         value: Any = text
     else:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import types
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
-from uniforce_datasets.bench import BlockMeans
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
 from uniforce_vtla.arguments import Option
@@ -49,7 +47,7 @@ class Room:
     def build(self) -> Room:
         """Make everything; return the room."""
         record_synthetic(self.folder / "dataset", 1, 20)
-        build_view(self.folder / "dataset", self.folder / "view", encoder=BlockMeans())
+        build_view(self.folder / "dataset", self.folder / "view")
         (self.folder / "some_folder").mkdir()
         for name, content in (("garbage", GARBAGE), ("empty", b"")):
             (self.folder / name).write_bytes(content)
@@ -93,16 +91,15 @@ def bad_forms(options: Iterable[str]) -> Iterator[BadInput]:
 
 def bad_values(option: Option, room: Room) -> Iterator[tuple[str, str]]:
     """Yield (what is wrong, text) for one option."""
-    kind = _plain(option.kind)
+    kind = option.kind
     if not isinstance(option.default, str | None):
         yield "empty", ""
     if get_origin(kind) is Literal:
         choices = get_args(kind)
-        yield from (
-            ("choice", text) for text in ("nosuch", f"{choices[-1]}x", str(choices[-1]).upper() + " ")
-        )
+        yield from (("choice", text) for text in ("nosuch", f"{choices[-1]}x", f"../{choices[-1]}"))
         return
-    yield from (("type", text) for text in WRONG_TYPE.get(get_origin(kind) or kind, ()))
+    wrong = WRONG_TYPE.get(get_origin(kind) or kind, ())
+    yield from (("type", text) for text in wrong if text != "null" or not option.optional)
     if isinstance(option.rule, Range):
         yield from (("range", _listed(kind, number)) for number in _outside(option.rule, kind))
     if kind is str:
@@ -112,14 +109,6 @@ def bad_values(option: Option, room: Room) -> Iterator[tuple[str, str]]:
         yield from _bad_texts(option.rule, room)
     if isinstance(option.rule, Names) and kind is not str:
         yield "choice", "[nosuch]"
-
-
-def _plain(kind: Any) -> Any:
-    """Return T for ``T | None``."""
-    if get_origin(kind) in (Union, types.UnionType):
-        inner = [part for part in get_args(kind) if part is not type(None)]
-        return inner[0] if len(inner) == 1 else kind
-    return kind
 
 
 def _outside(allowed: Range, kind: Any) -> Iterator[float]:

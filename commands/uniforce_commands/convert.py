@@ -54,7 +54,7 @@ NOT_TAKEN = (  # what the new policy decides for itself, or what its own data sa
 
 
 Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
-Revision = Annotated[str, Pattern("a branch, tag or commit", r"[\w./-]{1,100}", "main")]
+Revision = Annotated[str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")]
 
 
 @dataclass
@@ -90,6 +90,8 @@ def convert(config: ConvertConfig) -> Path:
     """
     from uniforce_datasets.training_view import TrainingView
 
+    if config.revision and Path(config.source).exists():
+        raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
     revision = config.revision or None
     source = weights.read_config(weights.find(config.source, weights.CONFIG, revision))
     slots = _slots(config.touch_slots)

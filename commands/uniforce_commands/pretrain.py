@@ -12,7 +12,7 @@ import torch
 import uniforce_vtla.tokenizer
 from uniforce_commands.boundary import command
 from uniforce_vtla.options import FileName, OutFolder, Workers
-from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source
+from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source, starting_model
 
 PRESETS = Path(uniforce_vtla.tokenizer.__file__).parent / "presets"  # one YAML file each
 
@@ -39,6 +39,7 @@ def main(settings: PretrainCommand) -> int:
     """Entry of ``uniforce-pretrain``."""
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(settings.threads)
+    starting_model(settings.run)  # refuses what does not fit before pairs are drawn
     data = open_source(settings.run, Path(settings.cache))
     tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB

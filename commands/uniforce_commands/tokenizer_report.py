@@ -17,7 +17,7 @@ from uniforce_commands import peer_rows
 from uniforce_commands import tokenizer_questions as questions
 from uniforce_commands.boundary import command
 from uniforce_vtla.arguments import choose
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.options import (
     Count,
     CountOrZero,
@@ -30,6 +30,7 @@ from uniforce_vtla.options import (
     Text,
     TokenizerFolder,
 )
+from uniforce_vtla.peers.checkpoint import read_tensors
 from uniforce_vtla.probes.labelled_set import LabelledSet
 from uniforce_vtla.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
 from uniforce_vtla.probes.zero_shot import (
@@ -61,6 +62,7 @@ SHIPPED_HEADS_SET = (
 )
 
 
+OF_PEERS = ("pairs", "anytouch", "t3", "t3_encoder", "unit")
 Heads = Annotated[int, Range(1, 100)]
 ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
 
@@ -262,9 +264,19 @@ def _say_if_redrawn(
         print(f"note: {error}")
 
 
+def _check_peers(command: TokenizerReportCommand) -> None:
+    """Refuse other people's weights that are damaged, or not asked about, before hours of work."""
+    given = [name for name in OF_PEERS if getattr(command, name)]
+    if given and not command.peers:
+        raise ContractError(expected(", ".join(given), "peers=true beside it", "peers=false", "Add it."))
+    for file in filter(None, (command.anytouch, command.unit)):
+        read_tensors(Path(file))
+
+
 def _report(command: TokenizerReportCommand) -> str:
     results, report_set = Path(command.results), get_report_set(command.set)
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
+    _check_peers(command)
     if command.freeze:
         return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
     if command.replay:

@@ -125,10 +125,15 @@ def _start_stand_in(stack: contextlib.ExitStack, sensor: str) -> str:
     return stack.enter_context(StandIn(*options, "rest_s=2")).address
 
 
-def show(config: TouchConfig, finger: TactileFinger) -> None:
-    """Show the live view until ``config.seconds`` are over."""
+def show(config: TouchConfig) -> None:
+    """Show the live view until ``config.seconds`` are over; what reads images is loaded before a device is opened."""
     tokenizer = Tokenizer.from_pretrained(config.tokenizer)
     head = ForceHead.from_pretrained(config.head, config.tokenizer) if config.head != "none" else None
+    with opened(config) as finger:
+        _show(config, finger, tokenizer, head)
+
+
+def _show(config: TouchConfig, finger: TactileFinger, tokenizer: Tokenizer, head: ForceHead | None) -> None:
     label = finger.config.label + (" (stand-in)" if config.source == STAND_IN else "")
     live = LiveTouch(finger, check_finger(config.finger), tokenizer, head, label)
     end_s = time.monotonic() + (config.seconds or math.inf)
@@ -147,13 +152,13 @@ def run(config: TouchConfig) -> int:
     if not config.source:
         do = "Set source=DEVICE, or source=standin to try without hardware."
         raise ContractError(expected("source", "a device", "nothing", do))
+    if not config.check:
+        show(config)
+        return 0
     with opened(config) as finger:
         if config.check == "rate":
             return check_rate(finger, config.seconds or 5.0)
-        if config.check == "orientation":
-            return check_orientation(finger, config.quarters.split(","), config.seconds or 60.0)
-        show(config, finger)
-    return 0
+        return check_orientation(finger, config.quarters.split(","), config.seconds or 60.0)
 
 
 @command(TouchConfig)
