@@ -12,6 +12,7 @@ import sys
 import tokenize
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -70,6 +71,7 @@ def _without_none(kind: Any) -> tuple[Any, bool]:
     return (inner[0], True) if len(inner) == 1 and len(parts) == 2 else (kind, False)
 
 
+@cache
 def _comments(config_class: type) -> dict[str, str]:
     """Return the comment of each field: above it, or beside it."""
     lines = inspect.getsource(config_class).splitlines()
@@ -171,9 +173,18 @@ def _read(option: Option, text: str) -> Any:
             return option.kind(text)
         if option.kind is bool:
             return {"true": True, "false": False}[text.lower()]
-        return yaml.safe_load(text)
+        value = yaml.safe_load(text)
+        if get_origin(option.kind) in (list, tuple) and not _is_list(value, get_args(option.kind)[0]):
+            raise ValueError(text)
+        return value
     except (ValueError, KeyError, yaml.YAMLError) as error:
         raise _wrong(option, text) from error
+
+
+def _is_list(value: Any, kind: Any) -> bool:
+    """Return whether it is a list, of plain entries where such are wanted: YAML takes ``a: b`` for a mapping."""
+    plain = kind in (int, float, str)
+    return isinstance(value, list) and not (plain and any(isinstance(v, dict | bool | None) for v in value))
 
 
 def _wrong(option: Option, came: object) -> ContractError:

@@ -15,7 +15,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -99,15 +99,11 @@ def _sound(options: Mapping[str, Option], room: Room) -> tuple[str, ...]:
 
 def _train_trials(room: Room) -> list[Trial]:
     """Return bad inputs for a sample of LeRobot's and the policy's settings."""
-    from lerobot.configs.train import TrainPipelineConfig
+    from uniforce_commands.train import RANGES, settings_known
 
-    from lerobot_policy_pi05_uniforce import PI05UniforceConfig
-    from uniforce_commands.train import RANGES
-
-    own, policy = options_of(TrainPipelineConfig), options_of(PI05UniforceConfig, "policy.")
-    checked = {name: replace(own[name], rule=rule) for name, rule in RANGES.items()}
-    rest = {name: o for name, o in own.items() if name not in checked and not name.startswith("job.")}
-    options = dict(list(rest.items())[::2]) | checked | dict(list(policy.items())[::3])
+    known = settings_known()
+    rest = [name for name in known if name not in RANGES and not name.startswith("job.")]
+    options = {name: known[name] for name in (*RANGES, *rest[::3])}
     paths = {"dataset.root": "nothing", "policy.path": "nothing", "output_dir": "/proc/nothing/run"}
     data = ("dataset.repo_id=local/view", f"dataset.root={room.folder / 'view'}")
     sound = (

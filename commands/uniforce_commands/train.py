@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import difflib
 import io
-import json
+import logging
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,11 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
 from uniforce_commands.boundary import command
-from uniforce_vtla.arguments import options_of, split_words
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.arguments import Option, check, options_of, read_value, split_words
+from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
-from uniforce_vtla.options import Range, Writable, shortened
+from uniforce_vtla.options import Range, Writable, check_text, shortened
 
 HELP = """\
 Train a policy with LeRobot's trainer; everything after the script's name is a setting of lerobot-train.
@@ -161,7 +163,7 @@ def trains_ours(flags: Sequence[str]) -> bool:
     resumed = Path(given.get("config_path", "")).parent / "config.json"
     for key, config in (("policy.path", started), ("config_path", resumed)):
         if key in given and config.is_file():
-            return json.loads(config.read_text()).get("type") == OURS
+            return read_object(config, CheckpointError).get("type") == OURS
     return given.get("policy.type") == OURS
 
 
@@ -172,10 +174,11 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
         ContractError: a setting LeRobot doesn't have, of a wrong type or out of range, a path that can't be used.
     """
     said = io.StringIO()
+    logging.disable(logging.WARNING)  # what LeRobot warns of here, it does again when the work begins
     try:
+        _check(split_words(flags), trains_ours(flags))
         with redirect_stderr(said):
             settings: TrainPipelineConfig = parser.wrap()(_settings)()
-        _check(settings, split_words(flags))
         settings.validate()
     except UniForceError as error:
         raise _with_nearest(error) from error
@@ -195,28 +198,31 @@ def _settings(cfg: TrainPipelineConfig) -> TrainPipelineConfig:
 _settings.__annotations__["cfg"] = TrainPipelineConfig  # LeRobot's parser reads the class, not its name
 
 
-def _check(settings: TrainPipelineConfig, given: Mapping[str, str]) -> None:
-    for name, allowed in RANGES.items():
-        value = getattr(settings, name)
-        if value is not None:
-            allowed.check(name, value)
+def settings_known() -> dict[str, Option]:
+    """Return LeRobot's settings and our policy's, with the ranges that we add."""
+    known = options_of(TrainPipelineConfig) | options_of(PI05UniforceConfig, "policy.")
+    return known | {name: replace(known[name], rule=allowed) for name, allowed in RANGES.items()}
+
+
+def _check(given: Mapping[str, str], ours: bool) -> None:
+    known = settings_known()
     for name, text in given.items():
-        if text.lower().strip("+-.") in ("nan", "inf", "infinity") or not text:
-            raise ContractError(expected(name, "a value", repr(text), "Give one, or leave it out."))
-    root = settings.dataset.root
+        check_text(name, text)
+        if name in known and (ours or not name.startswith("policy.")):
+            check(known[name], read_value(known[name], text))
+    root, out = given.get("dataset.root"), given.get("output_dir")
     if root is not None and not any(
         (Path(root) / name).is_file() for name in (VIEW_MARKER, "meta/info.json")
     ):
         raise ContractError(expected("dataset.root", "a dataset or a training view", root, "Check the path."))
-    if settings.output_dir is not None and not settings.resume:
-        Writable().check("output_dir", str(settings.output_dir))
+    if out is not None:
+        Writable().check("output_dir", out)
 
 
 def _with_nearest(error: UniForceError) -> UniForceError:
     """Add the nearest known name to what argparse says of an unknown one."""
     _, unknown, words = str(error).partition("unrecognized arguments: ")
-    known = [*options_of(TrainPipelineConfig), *options_of(PI05UniforceConfig, "policy.")]
-    near = difflib.get_close_matches(words.partition("=")[0].removeprefix("--"), known, 1)
+    near = difflib.get_close_matches(words.partition("=")[0].removeprefix("--"), settings_known(), 1)
     return ContractError(f"{error} Did you mean {near[0]}=…?") if unknown and near else error
 
 
@@ -235,7 +241,6 @@ def train(argv: Sequence[str]) -> None:
     before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
         if "--help" not in flags:
-            split_words(argv)
             read_settings(flags)
         with training_views(), every_weight_used(flags), process_group_kept():
             lerobot_train.main()

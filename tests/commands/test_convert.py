@@ -118,10 +118,10 @@ def test_missing_and_strange_tensors_are_named(
     (tmp_path / "config.json").write_text((published / "config.json").read_text())
     save_file(tensors, tmp_path / "model.safetensors")
     assert convert(tmp_path, view, tmp_path / "out", "touch_input=wrench") == 2
-    assert says in capsys.readouterr().out and not (tmp_path / "out").exists()
+    assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_another_policy_is_refused(view: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "config.json").write_text('{"type": "act"}')
     assert convert(tmp_path, view, tmp_path / "out") == 2
-    assert "pi05" in capsys.readouterr().out
+    assert "pi05" in capsys.readouterr().err

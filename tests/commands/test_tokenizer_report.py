@@ -32,12 +32,12 @@ def test_bad_input_is_a_plain_message(
     arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*arguments, f"results={tmp_path}", f"cache={tmp_path}"]) == 2
-    assert says in capsys.readouterr().out
+    assert says in capsys.readouterr().err
 
 
 def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["set=hetero_hard_v1", f"results={tmp_path}", f"cache={tmp_path}"]) == 2
-    assert "freeze=true" in capsys.readouterr().out
+    assert "freeze=true" in capsys.readouterr().err
 
 
 def test_every_row_can_be_named_on_the_command_line() -> None:

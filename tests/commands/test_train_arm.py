@@ -77,4 +77,4 @@ def test_bad_input_is_a_plain_message(
     given: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*given, f"out={tmp_path}"]) == 2
-    assert says in capsys.readouterr().out
+    assert says in capsys.readouterr().err
