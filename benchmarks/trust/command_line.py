@@ -104,7 +104,12 @@ def _train_trials(room: Room) -> list[Trial]:
     known = settings_known()
     rest = [name for name in known if name not in RANGES and not name.startswith("job.")]
     options = {name: known[name] for name in (*RANGES, *rest[::3])}
-    paths = {"dataset.root": "nothing", "policy.path": "nothing", "output_dir": "/proc/nothing/run"}
+    paths = {
+        "dataset.root": "nothing",
+        "policy.path": "nothing",
+        "config_path": "nothing/train_config.json",
+        "output_dir": "/proc/nothing/run",
+    }
     data = ("dataset.repo_id=local/view", f"dataset.root={room.folder / 'view'}")
     sound = (
         "policy=pi05_uniforce",

@@ -6,6 +6,7 @@ import difflib
 import io
 import logging
 import sys
+from argparse import ArgumentError
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
@@ -184,7 +185,15 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
         raise _with_nearest(error) from error
     except SystemExit as error:  # LeRobot's way to end after a wrong type; it printed why
         raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, NotImplementedError) as error:
+    except (
+        ArgumentError,
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        NotImplementedError,
+    ) as error:
         raise ContractError(
             expected("settings", "what LeRobot takes", _said(error), "See --help.")
         ) from error

@@ -156,7 +156,7 @@ def _refused(bench: Bench, flags: tuple[str, ...], says: str) -> dict[str, Any]:
     bench.rig.new_arm(*flags)
     with bench.session(episodes=1, episode_s=SHORT_s) as session:
         code = bench.end_of(session)
-        told = session.said(r"^record: ")
+        told = session.said(r"^(uniforce-)?record: ")
         loaded = session.said("client loaded")
         named = session.said(says)
     took_s = told[-1].time_s - loaded[0].time_s if told and loaded else None

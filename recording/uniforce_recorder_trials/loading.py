@@ -63,7 +63,12 @@ def train_a_little(root: Path, out: Path) -> dict[str, Any]:
         f"save_freq={STEPS}",
         f"output_dir={run}",
     ]
-    command = [sys.executable, "-c", "from uniforce_commands.train import main; main()", *arguments]
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from uniforce_commands.train import main; sys.exit(main())",
+        *arguments,
+    ]
     paths = os.pathsep.join(path for path in sys.path if path)
     environment = os.environ | ONE_THREAD | {"PYTHONPATH": paths, "HF_HUB_OFFLINE": "1"}
     out.mkdir(parents=True, exist_ok=True)
