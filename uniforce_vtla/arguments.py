@@ -102,11 +102,25 @@ def parse[ConfigT](
         ContractError: no such option or preset, a wrong type, a value out of range, a path that can't be used.
         SystemExit: after ``--help``.
     """
-    words, options = list(sys.argv[1:] if argv is None else argv), options_of(config_class)
+    words = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(words):
         sys.stdout.write(f"{help_text(config_class)}\n")
         raise SystemExit(0)
-    given = split_words(words)
+    config, given = read(config_class, words, presets)
+    for option in sorted(options_of(config_class).values(), key=lambda o: o.name not in given):
+        check(option, _get(config, option.name))  # what was given comes first
+    return config
+
+
+def read[ConfigT](
+    config_class: type[ConfigT], words: Sequence[str], presets: Path | None = None
+) -> tuple[ConfigT, dict[str, str]]:
+    """Return the config and option → text of what was given; ranges and paths are not checked.
+
+    Raises:
+        ContractError: no such option or preset, a wrong type.
+    """
+    given, options = split_words(words), options_of(config_class)
     refuse_unknown(given, options)
     nested: dict[str, Any] = {} if presets is None else _preset(given.get("preset", ""), presets)
     for name, text in given.items():
@@ -115,10 +129,7 @@ def parse[ConfigT](
         for key in path:
             inner = inner.setdefault(key, {})
         inner[last] = read_value(options[name], text)
-    config = _decode(config_class, nested)
-    for option in sorted(options.values(), key=lambda o: o.name not in given):  # what was given comes first
-        check(option, _get(config, option.name))
-    return config
+    return _decode(config_class, nested), given
 
 
 def split_words(words: Iterable[str]) -> dict[str, str]:

@@ -16,7 +16,6 @@ from draccus.utils import DraccusException
 
 from uniforce_vtla.arguments import parse, split_words
 from uniforce_vtla.errors import ContractError, UniForceError, without_credentials
-from uniforce_vtla.options import shortened
 
 REFUSED, FAULT, STOPPED = 2, 70, 130
 DEBUG = "--debug"
@@ -103,7 +102,10 @@ def guarded(name: str, run: Callable[[], int]) -> int:
 
 
 def _end(name: str, text: str, code: int) -> int:
-    print(f"{name}: {without_credentials(shortened(text, LONGEST_LINE))}", file=sys.stderr)
+    line = without_credentials(" ".join(text.split()))
+    if len(line) > LONGEST_LINE:  # what to do stands at the end
+        line = f"{line[: LONGEST_LINE // 2]} … {line[-LONGEST_LINE // 2 :]}"
+    print(f"{name}: {line}", file=sys.stderr)
     return code
 
 

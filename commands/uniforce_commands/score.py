@@ -41,6 +41,8 @@ ROWS = "episodes.jsonl"
 
 def score(config: ScoreConfig) -> ArmReport:
     """Score ``config.rollouts`` seeds; finished episodes survive a kill and are not repeated."""
+    for policy in {*config.policies} - {"shipped", *SCRIPTS}:
+        stored_config(Path(policy))  # refuses a damaged one before processes start
     return score_arms([config], config.workers)[0]
 
 
@@ -49,8 +51,6 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
 
     Each episode is forced to disk when it ends; the next call goes on with what is missing.
     """
-    for policy in {policy for config in configs for policy in config.policies} - {"shipped", *SCRIPTS}:
-        stored_config(Path(policy))  # refuses a damaged one before processes start
     done = [_start(config) for config in configs]
     jobs = _missing(configs, done)
     label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"

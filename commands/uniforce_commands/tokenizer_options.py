@@ -14,7 +14,7 @@ import torch
 from uniforce_commands.boundary import command
 from uniforce_commands.pretrain import PRESETS, PretrainCommand
 from uniforce_commands.tokenizer_report import draw_sets
-from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.arguments import choose, read
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, Names, OutFolder
 from uniforce_vtla.probes.options_figure import draw_options
@@ -83,7 +83,7 @@ def measure_variant(command: OptionsCommand, table: Table, overrides: tuple[str,
     pairs = "pairs_" + ("_".join(o.removeprefix("run.data.") for o in overrides if ".data." in o) or "nano")
     short = [f"run.steps={command.steps}", f"cache={command.out}/{pairs}", "preset=nano"]
     warmup = f"run.loss.equilibrium_warmup_steps={command.steps // 4}"
-    variant = parse(PretrainCommand, [*short, warmup, *overrides], PRESETS)
+    variant, _ = read(PretrainCommand, [*short, warmup, *overrides], PRESETS)
     name = "_".join(_short(override) for override in overrides) or "nano"
     folder = Path(command.out) / name
     tokenizer = Pretraining(variant.run, folder, open_source(variant.run, Path(variant.cache))).run()
@@ -116,7 +116,7 @@ def _run(command: OptionsCommand) -> str:
             raise ContractError(expected(str(path), wanted, came, do))
         done = before["options"]
     chosen = choose(VARIANTS, command.only)
-    nano = parse(PretrainCommand, ["preset=nano"], PRESETS).run
+    nano = read(PretrainCommand, ["preset=nano"], PRESETS)[0].run
     table = replace(draw_sets(report_set, nano.model.side, Path(command.cache)), head=HEADS)
     for name, overrides in chosen.items():
         if name in done:

@@ -83,7 +83,7 @@ def test_unknown_episodes_and_forms_are_refused(
 ) -> None:
     for words, said in (
         (["episode=7"], "from 0 to 1"),
-        (["episode=last"], "from 0 to 1"),
+        (["episode=last"], "all, or numbers"),
         (["form=gif"], "sheet | rerun"),
         (["pad_friction=0.6"], "2 numbers"),
     ):

@@ -40,7 +40,7 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["resume=/nowhere"], "recorded dataset"),
         (["episodes=0"], "episodes"),
         (["teleop=recording_test", "episode_s=0"], "episode_s"),
-        (["rig=nosuch"], "got rig"),
+        (["rig=nosuch"], "rig: expected a file"),
         (["robot.foo=1"], "got --robot.foo=1"),
         (["teleop=recording_test", "robot.foo=1"], "got --robot.foo=1"),
         (["episode_s=9", "prompts=[tidy]"], "prompts, episode_s"),
