@@ -141,7 +141,7 @@ def split_words(words: Iterable[str]) -> dict[str, str]:
     given = dict[str, str]()
     for word in words:
         name, equals, text = word.removeprefix("--").partition("=")
-        if not equals:
+        if not equals or not name:
             raise ContractError(expected("option", "key=value", shortened(word), "No space around the =."))
         if name in given:
             raise ContractError(expected(name, "one value", "two", "Give it once."))
@@ -185,17 +185,27 @@ def _read(option: Option, text: str) -> Any:
         if option.kind is bool:
             return {"true": True, "false": False}[text.lower()]
         value = yaml.safe_load(text)
-        if get_origin(option.kind) in (list, tuple) and not _is_list(value, get_args(option.kind)[0]):
+        if get_origin(option.kind) in (list, tuple) and not _is_list(value, get_args(option.kind)):
             raise ValueError(text)
         return value
     except (ValueError, KeyError, yaml.YAMLError) as error:
         raise _wrong(option, text) from error
 
 
-def _is_list(value: Any, kind: Any) -> bool:
-    """Return whether it is a list, of plain entries where such are wanted: YAML takes ``a: b`` for a mapping."""
-    plain = kind in (int, float, str)
-    return isinstance(value, list) and not (plain and any(isinstance(v, dict | bool | None) for v in value))
+def _is_list(value: Any, kinds: tuple[Any, ...]) -> bool:
+    """Return whether it is a list of such entries: YAML takes ``a: b`` for a mapping, and ``yes`` for true."""
+    if not isinstance(value, list) or (Ellipsis not in kinds and len(kinds) > 1 and len(value) != len(kinds)):
+        return False
+    if kinds[0] in (int, float):
+        return all(_is_number(entry) for entry in value)
+    return kinds[0] is not str or not any(isinstance(entry, dict | list | bool | None) for entry in value)
+
+
+def _is_number(entry: Any) -> bool:
+    try:
+        return not isinstance(entry, bool) and float(entry) is not None
+    except (TypeError, ValueError):
+        return False
 
 
 def _wrong(option: Option, came: object) -> ContractError:
@@ -206,11 +216,9 @@ def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> Con
     try:
         return draccus.decode(config_class, nested)
     except draccus.utils.DecodingError as error:
-        cause = error.__cause__
-        while cause is not None:  # a config that refused what it was made of has said why
-            if isinstance(cause, UniForceError):
-                raise cause from error
-            cause = cause.__cause__
+        own = own_cause(error)
+        if own is not None:
+            raise own from error
         options, name = options_of(config_class), ".".join(error.key_path)
         option = next((o for o in options.values() if name == o.name or name.startswith(f"{o.name}.")), None)
         if option is None:
@@ -218,6 +226,14 @@ def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> Con
                 expected(name or "settings", "known ones", error.message, "Correct it.")
             ) from error
         raise _wrong(option, _in(nested, option.name.split("."))) from error
+
+
+def own_cause(error: BaseException) -> UniForceError | None:
+    """Return the error of ours that draccus wrapped: a config that refused what it was made of has said why."""
+    cause = error.__cause__
+    while cause is not None and not isinstance(cause, UniForceError):
+        cause = cause.__cause__
+    return cause
 
 
 def _in(nested: Mapping[str, Any], path: Sequence[str]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,10 +33,18 @@ class BadInput:
     words: tuple[str, ...]
     option: str
 
-    @property
-    def mentions(self) -> tuple[str, ...]:
-        """What a refusal may call it: the option, its last part, or what was given."""
-        return self.option, self.option.rpartition(".")[2], self.words[0].partition("=")[2] or self.option
+    def is_named_in(self, line: str) -> bool:
+        """Return whether a refusal is of this: said at its beginning, as what came, in backticks, as what was meant.
+
+        A long word counts anywhere: ``out`` or ``1`` stand in many a line about something else.
+        """
+        reason, names = line.partition(": ")[2], {self.option, self.option.rpartition(".")[2]}
+        given = {word.removeprefix("--").partition("=")[2] for word in self.words}
+        places = r"(^|got (--)?|mean |`)([\w.]*\.)?"
+        if any(re.search(rf"{places}{re.escape(name)}(?!\w| of)", reason) for name in names):
+            return True
+        held = {text for text in names if len(text) > 4} | {text for text in given if len(text) > 5}
+        return any(re.search(rf"(?<!\w){re.escape(text)}", reason) for text in held)
 
 
 @dataclass(frozen=True)

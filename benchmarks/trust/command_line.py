@@ -39,6 +39,7 @@ SOUND = {  # what a command needs besides sound folders, to begin its work
     "calibrate": ("grasps=60",),
 }
 ROBOT = ("robot=franka", "teleop=keyboard", "prompts=[wipe]")
+CONTROL_S = 12.0  # the sound words alone: whoever refuses those refuses anything
 VERDICTS = ("one_line", "tracebacks", "silent", "long_or_beside_the_point")
 
 
@@ -139,8 +140,7 @@ def judge(trial: Trial, ended: Ended) -> str:
     if ended.code != REFUSED:
         return "silent"
     lines = [line for line in ended.said.splitlines() if line.strip()]
-    mentions = any(name in ended.said for name in trial.bad.mentions)
-    return "one_line" if len(lines) == 1 and mentions else "long_or_beside_the_point"
+    return "one_line" if len(lines) == 1 and trial.bad.is_named_in(lines[0]) else "long_or_beside_the_point"
 
 
 def try_command(
@@ -151,6 +151,7 @@ def try_command(
     chosen = every if most is None else every[:: max(1, len(every) // most)][:most]
     worker, failures, counts = CommandWorker(COMMANDS[f"uniforce-{command}"], folder), [], Counter[str]()
     try:
+        control = {sound: worker.run(sound, CONTROL_S) for sound in sorted({trial.sound for trial in chosen})}
         for trial in tqdm(chosen, desc=command, leave=False):
             ended = worker.run(trial.words, limit_s)
             verdict = judge(trial, ended)
@@ -161,7 +162,14 @@ def try_command(
                 tqdm.write(failures[-1])
     finally:
         worker.close()
-    return {"inputs": len(chosen), **{v: counts[v] for v in VERDICTS}, "failures": failures}
+    counted = {"inputs": len(chosen), **{verdict: counts[verdict] for verdict in VERDICTS}}
+    sound = {" ".join(words): _how(ended) for words, ended in control.items()}
+    return counted | {"failures": failures, "sound_words": sound}
+
+
+def _how(ended: Ended) -> str:
+    """Return how sound words ended; where they are refused, only a refusal that names the bad ones counts for much."""
+    return "at work" if ended.code is None else f"{ended.code}: {ended.said[-300:]}"
 
 
 def hashes(folder: Path) -> dict[str, str]:

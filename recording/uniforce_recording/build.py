@@ -14,7 +14,7 @@ from lerobot.robots import RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
 
 from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
-from uniforce_vtla.arguments import Option, check, options_of, read_value
+from uniforce_vtla.arguments import Option, check, options_of, own_cause, read_value, refuse_unknown
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import check_text
 
@@ -78,6 +78,8 @@ def _with_flags(settings: dict[str, Any], flags: Sequence[str], options: Mapping
 
     Not through draccus' own parser, which stumbles over unrelated classes.
     """
+    names = [flag.removeprefix("--").partition("=")[0] for flag in flags]
+    refuse_unknown([name for name in names if not any(name.startswith(f"{o}.") for o in options)], options)
     for flag in flags:
         name, _, text = flag.removeprefix("--").partition("=")
         check_text(name, text)
@@ -95,7 +97,9 @@ def _decode[ConfigT](config_class: type[ConfigT], part: str, settings: dict[str,
         decoded: ConfigT = draccus.decode(config_class, settings[part])
     except (draccus.utils.DecodingError, ValueError, TypeError) as error:
         do = "See docs/franka.md and docs/tactile_devices.md."
-        raise ContractError(expected(f"{part}.…", "settings it has", error, do)) from error
+        raise ContractError(
+            expected(f"{part}.…", "settings it has", own_cause(error) or error, do)
+        ) from error
     return decoded
 
 

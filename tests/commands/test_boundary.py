@@ -22,7 +22,9 @@ from uniforce_vtla.options import (
     Positive,
     Seeds,
     Share,
+    Sizes,
     Text,
+    Texts,
     try_to_write,
 )
 
@@ -47,6 +49,8 @@ class Config:
     kind: Literal["one", "other"] = "one"
     names: Annotated[str, Names(("a", "b"), many=True)] = ""
     seeds: Seeds = field(default_factory=list)  # of scenes
+    sides: Sizes = (1.0, 2.0)
+    words: Texts = field(default_factory=list)
     note: Text = ""
     data: Dataset = ""
     inner: Inner = field(default_factory=Inner)
@@ -82,6 +86,10 @@ def test_what_is_given_reaches_the_config(here: Path) -> None:
         ("names=a,c", "got c"),
         ("seeds=[1, -1]", "got -1"),
         ("seeds=3", "a list"),
+        ("seeds=[x]", "seeds: expected a list"),
+        ("sides=[1]", "sides: expected a list"),
+        ("sides=[1, a: 2]", "sides: expected a list"),
+        ("words=[a: 1]", "words: expected a list"),
         ("flag=yes", "true | false"),
         ("note=a\x07", "printable"),
         ("inner.share=2", "inner.share"),
@@ -93,6 +101,7 @@ def test_what_is_given_reaches_the_config(here: Path) -> None:
         ("file=.", "a folder"),
         ("conut=3", "Did you mean count"),
         ("count", "key=value"),
+        ("=3", "key=value"),
     ],
 )
 def test_what_is_wrong_is_named(word: str, reason: str) -> None:
