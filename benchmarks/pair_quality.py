@@ -5,15 +5,16 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import cv2
 import torch
 from tqdm import tqdm
 
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.contact.indenters import PRETRAIN, SEEN
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_commands.boundary import command
+from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN, SEEN
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import get_sensor
 
@@ -24,6 +25,11 @@ BAR = 0.95  # wanted precision and recall
 SEEN_SEEDS = 2000  # sessions with seeds below were looked at while the score was made; scored ones lie above
 
 
+ALL_INDENTERS = ",".join(PRETRAIN)
+Indenters = Annotated[str, Names(tuple(HEIGHTS), many=True)]
+Rigs = Annotated[str, Pattern("left+right sensors", r"\w+\+\w+(,\s*\w+\+\w+)*", "gelsight+tactip")]
+
+
 @dataclass
 class PairQualityConfig:
     """Rehearse sessions with known truth and count right and wrong flags; or train the force readers.
@@ -32,13 +38,13 @@ class PairQualityConfig:
     Readers of the shipped sensors: python -m benchmarks.pair_quality train=true
     """
 
-    rigs: str = "gelsight+tactip,uskin+tactip,gelsight+uskin"  # left+right, commas between
-    sessions: int = 3  # pairs of units per rig
-    grasps: int = 3  # per indenter and session
-    indenters: str = ",".join(PRETRAIN)  # names
-    seed: int = SEEN_SEEDS  # of the first session; the next ones count up
+    rigs: Rigs = "gelsight+tactip,uskin+tactip,gelsight+uskin"  # left+right, commas between
+    sessions: Count = 3  # pairs of units per rig
+    grasps: Count = 3  # per indenter and session
+    indenters: Indenters = ALL_INDENTERS  # names
+    seed: Seed = SEEN_SEEDS  # of the first session; the next ones count up
     train: bool = False  # train the force readers of the rigs' sensors first, into the package
-    out: str = "docs/results/pair_recorder.json"  # the figure lies beside it
+    out: OutFile = "outputs/pair_quality/pair_recorder.json"  # the figure lies beside it
 
 
 def measure(config: PairQualityConfig) -> dict[str, Any]:
@@ -106,16 +112,12 @@ def _line(row: dict[str, Any]) -> str:
     return ", ".join(parts)
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(PairQualityConfig)
+def main(config: PairQualityConfig) -> int:
     """Entry of ``python -m benchmarks.pair_quality``."""
-    config = parse(PairQualityConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    try:
-        content = measure(config)
-    except UniForceError as error:
-        print(f"pair_quality: {error}")
-        return 2
+    content = measure(config)
     path = write_json(Path(config.out), content | provenance())
     for name in ("goal_faults", "all_faults"):
         row = content[name]

@@ -9,6 +9,7 @@ on either rig and is rolled out on one (``tests/envs/test_touch.py``).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.evaluation.comparison import AtMostWorse
@@ -26,7 +27,7 @@ class Arm:
     left: str
     right: str = "tactip"
     swap: str = ""
-    control: str = ""
+    control: Literal["", "masked", "shuffled"] = ""
 
 
 @dataclass(frozen=True)

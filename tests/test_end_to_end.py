@@ -17,7 +17,7 @@ from uniforce_commands.score import score
 from uniforce_commands.score_config import ScoreConfig
 from uniforce_commands.score_recording import ScoreRecordingConfig, score_recording
 from uniforce_commands.score_recording import main as score_recording_main
-from uniforce_commands.train import main as train
+from uniforce_commands.train import train
 from uniforce_commands.view import ViewConfig, make_view
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]

@@ -18,6 +18,7 @@ SHARED = {
     "file_hashes",
     "array_file",
     "arguments",
+    "options",
 }
 MAY_IMPORT = {
     "sensors": set(),
@@ -64,7 +65,7 @@ def foreign_imports(folder: Path, forbidden: tuple[str, ...]) -> list[str]:
 
 
 def test_nothing_but_scripts_and_trials_of_whole_sessions_knows_the_commands() -> None:
-    may = ("commands", "scripts", "tests", "uniforce_recorder_trials")
+    may = ("commands", "scripts", "tests", "benchmarks", "uniforce_recorder_trials")
     for folder in {p.parent for p in ROOT.glob("*/*/__init__.py")}:
         if folder.parent.name not in may and folder.name not in may:
             assert not foreign_imports(folder, ("uniforce_commands",)), f"{folder.name} imports a command"

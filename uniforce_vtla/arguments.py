@@ -2,40 +2,278 @@
 
 from __future__ import annotations
 
+import ast
+import dataclasses
+import difflib
+import inspect
+import io
+import math
 import sys
-from collections.abc import Sequence
+import tokenize
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import draccus
 import numpy as np
+import yaml
 
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.options import check_text, shortened, split
+
+KINDS = {int: "a whole number", float: "a number", bool: "true | false", str: "text"}
 
 
-def to_flags(argv: Sequence[str]) -> list[str]:
-    """Turn ``key=value`` into ``--key=value``; leave everything else as it came."""
-    return [f"--{a}" if "=" in a and not a.startswith("-") else a for a in argv]
+@dataclass(frozen=True)
+class Option:
+    """A field of a config: dotted name, type, default, what else its type declares, and its comment."""
+
+    name: str
+    kind: Any
+    default: Any
+    rule: Any = None
+    comment: str = ""
+    optional: bool = False  # whether ``null`` will do
+
+    @property
+    def wanted(self) -> str:
+        """What may be given, in words."""
+        if get_origin(self.kind) is Literal:
+            return " | ".join(str(value) or '""' for value in get_args(self.kind))
+        kind = KINDS.get(self.kind) or f"a list like {self.default or '[…]'}"
+        return f"{kind}, {self.rule}" if self.rule and self.kind is not str else str(self.rule or kind)
+
+
+def options_of(config_class: type, prefix: str = "") -> dict[str, Option]:
+    """Return every option of a config class by its dotted name, nested ones included."""
+    hints, comments = get_type_hints(config_class, include_extras=True), _comments(config_class)
+    found: dict[str, Option] = {}
+    for field in dataclasses.fields(config_class):
+        hint, name = hints[field.name], prefix + field.name
+        kind, rule = get_args(hint)[:2] if get_origin(hint) is Annotated else (hint, None)
+        kind, optional = _without_none(kind)
+        if dataclasses.is_dataclass(kind):
+            found |= options_of(kind, f"{name}.")  # type: ignore[arg-type]
+        elif field.init:
+            factory = field.default_factory
+            default = field.default if factory is dataclasses.MISSING else factory()
+            found[name] = Option(name, kind, default, rule, comments.get(field.name, ""), optional)
+    return found
+
+
+def _without_none(kind: Any) -> tuple[Any, bool]:
+    """Return T and True for ``T | None``, else the type and False."""
+    parts = get_args(kind) if get_origin(kind) in (Union, UnionType) else ()
+    inner = [part for part in parts if part is not type(None)]
+    return (inner[0], True) if len(inner) == 1 and len(parts) == 2 else (kind, False)
+
+
+@cache
+def _comments(config_class: type) -> dict[str, str]:
+    """Return the comment of each field: above it, or beside it."""
+    lines = inspect.getsource(config_class).splitlines()
+    code = inspect.cleandoc("\n" + "\n".join(lines))
+    found = {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO(code).readline)
+        if token.type == tokenize.COMMENT
+    }
+    comments, earlier = {}, 0
+    for node in ast.parse(code).body[0].body:  # type: ignore[attr-defined]
+        last = node.end_lineno
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            comments[node.target.id] = " ".join(found[n] for n in range(earlier + 1, last + 1) if n in found)
+        earlier = last
+    return comments
 
 
 def parse[ConfigT](
     config_class: type[ConfigT], argv: Sequence[str] | None = None, presets: Path | None = None
 ) -> ConfigT:
-    """Parse ``argv`` (the process's own when None) into ``config_class``.
+    """Parse ``argv`` (the process's own when None) into ``config_class`` and try every path it names.
 
     ``--help`` prints the class's docstring (give an example there) and every field with its comment.  Where a
     command has ``presets``, ``preset=NAME`` reads ``NAME.yaml`` there first; what else is given overrides it.
 
     Raises:
-        ContractError: no such preset.
+        ContractError: no such option or preset, a wrong type, a value out of range, a path that can't be used.
+        SystemExit: after ``--help``.
     """
-    args = to_flags(sys.argv[1:] if argv is None else argv)
-    config_path = None if presets is None else _preset_path(args, presets)
-    return draccus.parse(config_class=config_class, config_path=config_path, args=args)
+    words = list(sys.argv[1:] if argv is None else argv)
+    if {"-h", "--help"} & set(words):
+        sys.stdout.write(f"{help_text(config_class)}\n")
+        raise SystemExit(0)
+    config, given = read(config_class, words, presets)
+    for option in sorted(options_of(config_class).values(), key=lambda o: o.name not in given):
+        check(option, _get(config, option.name))  # what was given comes first
+    return config
+
+
+def read[ConfigT](
+    config_class: type[ConfigT], words: Sequence[str], presets: Path | None = None
+) -> tuple[ConfigT, dict[str, str]]:
+    """Return the config and option → text of what was given; ranges and paths are not checked.
+
+    Raises:
+        ContractError: no such option or preset, a wrong type.
+    """
+    given, options = split_words(words), options_of(config_class)
+    refuse_unknown(given, options)
+    nested: dict[str, Any] = {} if presets is None else _preset(given.get("preset", ""), presets)
+    for name, text in given.items():
+        *path, last = name.split(".")
+        inner = nested
+        for key in path:
+            inner = inner.setdefault(key, {})
+        inner[last] = read_value(options[name], text)
+    return _decode(config_class, nested), given
+
+
+def split_words(words: Iterable[str]) -> dict[str, str]:
+    """Return option → text of a command line.
+
+    Raises:
+        ContractError: a word that is no ``key=value``, or an option that comes twice.
+    """
+    given = dict[str, str]()
+    for word in words:
+        name, equals, text = word.removeprefix("--").partition("=")
+        if not equals or not name:
+            raise ContractError(expected("option", "key=value", shortened(word), "No space around the =."))
+        if name in given:
+            raise ContractError(expected(name, "one value", "two", "Give it once."))
+        given[name] = text
+    return given
+
+
+def refuse_unknown(names: Iterable[str], known: Iterable[str]) -> None:
+    """Raise ContractError for an option that isn't known; it names the nearest."""
+    every = list(known)
+    for name in set(names) - set(every):
+        near = difflib.get_close_matches(name, every, 1)
+        do = f"Did you mean {near[0]}=…?" if near else "--help lists them."
+        raise ContractError(expected("option", "one that this command has", shortened(name), do))
+
+
+def read_value(option: Option, text: str) -> Any:
+    """Return what the text says, before draccus makes it the field's type; a text stays as it is.
+
+    Raises:
+        ContractError: it can't be of the option's type.
+    """
+    check_text(option.name, text)
+    if not text and option.default != "":
+        raise ContractError(expected(option.name, option.wanted, "nothing", "Give a value, or leave it out."))
+    if text == "null" and option.optional:
+        return None
+    if option.kind is str or isinstance(option.default, str):
+        value: Any = text
+    else:
+        value = _read(option, text)
+    if get_origin(option.kind) is Literal and value not in get_args(option.kind):
+        raise _wrong(option, text)
+    return value
+
+
+def _read(option: Option, text: str) -> Any:
+    try:
+        if option.kind in (int, float):
+            return option.kind(text)
+        if option.kind is bool:
+            return {"true": True, "false": False}[text.lower()]
+        value = yaml.safe_load(text)
+        if get_origin(option.kind) in (list, tuple) and not _is_list(value, get_args(option.kind)):
+            raise ValueError(text)
+        return value
+    except (ValueError, KeyError, yaml.YAMLError) as error:
+        raise _wrong(option, text) from error
+
+
+def _is_list(value: Any, kinds: tuple[Any, ...]) -> bool:
+    """Return whether it is a list of such entries: YAML takes ``a: b`` for a mapping, and ``yes`` for true."""
+    if not isinstance(value, list) or (Ellipsis not in kinds and len(kinds) > 1 and len(value) != len(kinds)):
+        return False
+    if kinds[0] in (int, float):
+        return all(_is_number(entry) for entry in value)
+    return kinds[0] is not str or not any(isinstance(entry, dict | list | bool | None) for entry in value)
+
+
+def _is_number(entry: Any) -> bool:
+    try:
+        return not isinstance(entry, bool) and float(entry) is not None
+    except (TypeError, ValueError):
+        return False
+
+
+def _wrong(option: Option, came: object) -> ContractError:
+    return ContractError(expected(option.name, option.wanted, shortened(repr(came)), "Correct it."))
+
+
+def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> ConfigT:
+    try:
+        return draccus.decode(config_class, nested)
+    except draccus.utils.DecodingError as error:
+        own = own_cause(error)
+        if own is not None:
+            raise own from error
+        options, name = options_of(config_class), ".".join(error.key_path)
+        option = next((o for o in options.values() if name == o.name or name.startswith(f"{o.name}.")), None)
+        if option is None:
+            raise ContractError(
+                expected(name or "settings", "known ones", error.message, "Correct it.")
+            ) from error
+        raise _wrong(option, _in(nested, option.name.split("."))) from error
+
+
+def own_cause(error: BaseException) -> UniForceError | None:
+    """Return the error of ours that draccus wrapped: a config that refused what it was made of has said why."""
+    cause = error.__cause__
+    while cause is not None and not isinstance(cause, UniForceError):
+        cause = cause.__cause__
+    return cause
+
+
+def _in(nested: Mapping[str, Any], path: Sequence[str]) -> Any:
+    return _in(nested[path[0]], path[1:]) if path else nested
+
+
+def _get(config: Any, name: str) -> Any:
+    for part in name.split("."):
+        config = getattr(config, part)
+    return config
+
+
+def check(option: Option, value: Any) -> None:
+    """Check a value against what its option declares.
+
+    Raises:
+        ContractError: a number that isn't finite, or whatever the option's type refuses.
+    """
+    for part in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(part, float) and not math.isfinite(part):
+            raise _wrong(option, part)
+        if isinstance(part, str):
+            check_text(option.name, part)
+    if option.rule is not None:
+        option.rule.check(option.name, value)
+
+
+def help_text(config_class: type) -> str:
+    """Return the class's docstring and a line or more for each option."""
+    lines = [inspect.cleandoc(config_class.__doc__ or ""), ""]
+    for option in options_of(config_class).values():
+        default = str(option.default).lower() if option.kind is bool else option.default
+        wanted = "" if option.wanted in ("text", KINDS[bool]) else f"  [{option.wanted}]"
+        lines += [f"  {option.name}={default}{wanted}", f"      {option.comment}"]
+    return "\n".join(lines)
 
 
 def names_in(text: str) -> list[str]:
     """Return the names in a text with commas between them."""
-    return [name.strip() for name in text.split(",") if name.strip()]
+    return split(text)
 
 
 def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
@@ -67,12 +305,9 @@ def numbers(name: str, text: str, count: int) -> np.ndarray:
     return values
 
 
-def _preset_path(args: Sequence[str], presets: Path) -> Path | None:
-    names = [a.removeprefix("--preset=") for a in args if a.startswith("--preset=") and a != "--preset="]
-    if not names:
-        return None
+def _preset(name: str, presets: Path) -> dict[str, Any]:
+    """Return the settings of a preset; none where none is named."""
     known = sorted(p.stem for p in presets.glob("*.yaml"))
-    path = presets / f"{names[-1]}.yaml"
-    if names[-1] not in known:  # nor does a name with slashes lead out of the folder
-        raise ContractError(expected("preset", " | ".join(known), names[-1], "Name one, or give none."))
-    return path
+    if name and name not in known:  # nor does a name with slashes lead out of the folder
+        raise ContractError(expected("preset", " | ".join(known), shortened(name), "Name one, or give none."))
+    return yaml.safe_load((presets / f"{name}.yaml").read_text()) if name else {}

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import torch
 
-from uniforce_vtla.arguments import parse
+from uniforce_commands.boundary import command
+from uniforce_vtla.options import Names, OutFolder, Positive
 from uniforce_vtla.results_file import provenance, write_json
+
+Stage = Annotated[str, Names(("canonicalize", "contact", "encode", "cached", "stream", "env", "loader"))]
 
 
 @dataclass
@@ -21,9 +24,9 @@ class BenchConfig:
     Example: uniforce-bench seconds=2 only=contact
     """
 
-    seconds: float = 2.0  # per measurement; timings on shared machines are noisy, longer is steadier
-    only: str = ""  # canonicalize | contact | encode | cached | stream | env | loader; empty = all
-    out: str = "outputs/bench"  # bench.json goes here
+    seconds: Positive = 2.0  # per measurement; timings on shared machines are noisy, longer is steadier
+    only: Stage = ""  # canonicalize | contact | encode | cached | stream | env | loader; empty = all
+    out: OutFolder = "outputs/bench"  # bench.json goes here
 
 
 def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
@@ -57,9 +60,9 @@ def run(config: BenchConfig) -> dict[str, Any]:
     return results
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(BenchConfig)
+def main(config: BenchConfig) -> int:
     """Entry of ``uniforce-bench``."""
-    config = parse(BenchConfig, argv)
     results = run(config)
     path = write_json(Path(config.out) / "bench.json", results | {"config": asdict(config)} | provenance())
     for name, value in results.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
 from matplotlib.figure import Figure
@@ -14,13 +14,21 @@ from tqdm import tqdm
 from lerobot_policy_pi05_uniforce.bench import CASES, bench_case
 from lerobot_policy_pi05_uniforce.bench_memory import bench_memory
 from lerobot_policy_pi05_uniforce.bench_touch import bench_touch
-from uniforce_vtla.arguments import choose, parse
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_commands.boundary import command
+from uniforce_vtla.arguments import choose
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.figure_file import save_figure
+from uniforce_vtla.options import Count, Names, OutFolder, Pattern, Range
 from uniforce_vtla.results_file import provenance, write_json
 
 CPU_CASES, GPU_CASES = "tiny,mid_3_cameras,mid_2_of_3_cameras", "base_3_cameras"
 BAR_CASE = "mid_2_of_3_cameras"  # whose numbers stand at the top of the file
+
+
+Case = Annotated[str, Names(tuple(CASES))]
+Cases = Annotated[str, Names(tuple(CASES), many=True)]
+Device = Annotated[str, Pattern("cpu | cuda", r"cpu|cuda(:\d)?", "cpu")]
+FlowSteps = Annotated[int, Range(1, 1000)]
 
 
 @dataclass
@@ -32,16 +40,16 @@ class BenchPolicyConfig:
     On a GPU: uniforce-bench-policy device=cuda rounds=30 touch=base_3_cameras touch_train=false
     """
 
-    device: str = "cpu"  # cpu (one thread) | cuda
-    only: str = ""  # cases, comma between them; empty = all that fit the device
-    rounds: int = 9  # stock and fast once each per round; medians and the median of the ratios are reported
-    steps: int = 10  # flow steps
-    touch: str = ""  # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not
-    touch_train: bool = (
-        True  # a training step too: three networks with their optimisers at once, 94 GB for base
-    )
-    memory: str = ""  # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
-    out: str = "docs/results"  # policy_latency.json and .png
+    device: Device = "cpu"  # cpu (one thread) | cuda
+    only: Cases = ""  # cases, comma between them; empty = all that fit the device
+    rounds: Count = 9  # stock and fast once each per round; medians and the median of the ratios are reported
+    steps: FlowSteps = 10  # flow steps
+    touch: Case = ""  # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not
+    # a training step too: three networks with their optimisers at once, 94 GB for base
+    touch_train: bool = True
+    # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
+    memory: Literal["", "base"] = ""
+    out: OutFolder = "outputs/bench_policy"  # policy_latency.json and .png
 
 
 def measure(config: BenchPolicyConfig) -> dict[str, Any]:
@@ -89,15 +97,11 @@ def draw(content: dict[str, Any], path: Path) -> Path:
     return save_figure(figure, path)
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(BenchPolicyConfig)
+def main(config: BenchPolicyConfig) -> int:
     """Entry of ``uniforce-bench-policy``."""
-    config = parse(BenchPolicyConfig, argv)
     torch.set_num_threads(1)
-    try:
-        content = measure(config)
-    except UniForceError as error:
-        print(f"bench_policy: {error}")
-        return 2
+    content = measure(config)
     path = write_json(Path(config.out) / "policy_latency.json", content | provenance())
     draw(content, path.with_suffix(".png"))
     for name, r in content["cases"].items():

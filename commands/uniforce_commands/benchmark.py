@@ -8,19 +8,24 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from benchmarks.wiping_figures import draw_z_profiles
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level
 from uniforce_commands.score import score_arms
 from uniforce_commands.score_config import SCRIPTS, ScoreConfig
-from uniforce_vtla.arguments import choose, names_in, parse
-from uniforce_vtla.errors import DatasetError, UniForceError, expected
+from uniforce_vtla.arguments import choose, names_in
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, own_scenes, table
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms
+from uniforce_vtla.options import Count, CountOrZero, FolderPaths, Names, OutFolder, Seed, Seeds, Workers
 from uniforce_vtla.results_file import provenance, write_json
+
+PlanArms = Annotated[str, Names(tuple(arm.name for arm in ARMS), many=True)]
 
 
 @dataclass
@@ -28,25 +33,25 @@ class BenchmarkConfig:
     """Score every arm of the plan whose checkpoint is there; a killed run goes on with what is missing.
 
     Example: uniforce-benchmark rollouts=200
+    or, against the published table: uniforce-benchmark replay=5 results=docs/results
     or, of arms you trained: uniforce-benchmark checkpoints=outputs/arms/seed0 results=outputs/benchmark_results
     """
 
     # holds a folder per checkpoint of wiping_plan.py; these come with the source. Several (comma between them), one for
     # each training seed, take turns from scene to scene, the same for all arms
-    checkpoints: str = "checkpoints/wiping/seed0"
-    level: str = "paper"  # locked level
-    only: str = ""  # names of arms (comma between them); empty = all that have a checkpoint
-    rollouts: int = 200  # paired seeds per arm; ≥ 200 for claims
+    checkpoints: FolderPaths = "checkpoints/wiping/seed0"
+    level: Level = "paper"  # locked level
+    only: PlanArms = ""  # names of arms (comma between them); empty = all that have a checkpoint
+    rollouts: Count = 200  # paired seeds per arm; ≥ 200 for claims
     # never recorded from, nor looked at while settings were chosen, as some from 10,000 and 20,000 on
-    first_seed: int = 30_000
-    workers: int = 2  # processes, one torch thread each
-    videos: int = 1  # episodes filmed per arm, the first ones
-    film: list[int] = field(
-        default_factory=list
-    )  # seeds filmed besides; rolled out again where scored unfilmed
-    out: str = "outputs/benchmark"  # an episode per line and arm, sheets and videos
-    results: str = "docs/results"  # wiping.json and its pictures
-    replay: int = 0  # only roll so many seeds out again and compare them with the committed table
+    first_seed: Seed = 30_000
+    workers: Workers = 2  # processes, one torch thread each
+    videos: CountOrZero = 1  # episodes filmed per arm, the first ones
+    film: Seeds = field(default_factory=list)  # seeds filmed besides; rolled out again where scored unfilmed
+    out: OutFolder = "outputs/benchmark"  # an episode per line and arm, sheets and videos
+    # wiping.json and its pictures; of replay: where the table is read
+    results: OutFolder = "outputs/benchmark"
+    replay: CountOrZero = 0  # only roll so many seeds out again and compare them with the committed table
 
 
 def configs(command: BenchmarkConfig, rollouts: int) -> list[ScoreConfig]:
@@ -164,12 +169,9 @@ def _run(command: BenchmarkConfig) -> str:
     return f"{table(reports)}\ntable, tests and figures: {path}"
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(BenchmarkConfig)
+def main(config: BenchmarkConfig) -> int:
     """Entry of ``uniforce-benchmark``."""
     logging.basicConfig(level=logging.WARNING)
-    try:
-        print(_run(parse(BenchmarkConfig, argv)))
-    except UniForceError as error:
-        print(f"benchmark: {error}")
-        return 2
+    print(_run(config))
     return 0

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from tqdm import tqdm
 
@@ -18,31 +18,36 @@ from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.expert import WipeExpert
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
-from uniforce_vtla.arguments import parse
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level
 from uniforce_vtla.evaluation.episode import EpisodeResult, ScoreLimits
 from uniforce_vtla.evaluation.statistics import wilson
+from uniforce_vtla.options import Count, Names, Newtons, OutFile, Seed, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
 EXPERTS = ("both", "left", "right", "none")
 
 
+Experts = Annotated[list[str], Names(EXPERTS)]
+
+
 @dataclass
 class BlindConfig:
-    """Roll out the expert and the blind scripts; write docs/results/blind_scripts.json.
+    """Roll out the expert and the blind scripts; write blind_scripts.json.
 
-    Example: python scripts/blind.py level=paper episodes=100 workers=2
+    Example: uniforce-blind level=paper episodes=100 workers=2
     """
 
-    level: str = "paper"  # name of a locked level
-    episodes: int = 100  # seeds 0 … n − 1, the same for every script
-    first_seed: int = 0  # where the seeds start
-    press_N: list[float] = field(default_factory=lambda: [4.0, 5.0, 6.0, 7.0])  # blind press set points
+    level: Level = "paper"  # name of a locked level
+    episodes: Count = 100  # seeds 0 … n − 1, the same for every script
+    first_seed: Seed = 0  # where the seeds start
+    press_N: Newtons = field(default_factory=lambda: [4.0, 5.0, 6.0, 7.0])  # blind press set points
     # a nominal width: pads yield, so more
-    grip_open_N: list[float] = field(default_factory=lambda: [11.0, 13.0])
-    grip_relative_N: list[float] = field(default_factory=lambda: [6.5, 7.5])  # inside the measured width
-    experts: list[str] = field(default_factory=lambda: list(EXPERTS))  # which fingers the expert feels
-    workers: int = 2  # processes
-    out: str = "docs/results/blind_scripts.json"  # the result file
+    grip_open_N: Newtons = field(default_factory=lambda: [11.0, 13.0])
+    grip_relative_N: Newtons = field(default_factory=lambda: [6.5, 7.5])  # inside the measured width
+    experts: Experts = field(default_factory=lambda: list(EXPERTS))  # which fingers the expert feels
+    workers: Workers = 2  # processes
+    out: OutFile = "outputs/blind/blind_scripts.json"  # the result file
 
 
 @dataclass(frozen=True)
@@ -115,9 +120,9 @@ def run_all(config: BlindConfig) -> dict[str, dict[str, Any]]:
     return {name: summarise([r for job, r in done if job.name == name]) for name in names}
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(BlindConfig)
+def main(config: BlindConfig) -> int:
     """Entry of ``uniforce-blind``: run the sweep, print a table, write the result file."""
-    config = parse(BlindConfig, argv)
     scripts = run_all(config)
     blind = {name: s for name, s in scripts.items() if not name.startswith("expert_")}
     best = max(blind, key=lambda name: blind[name]["clean"], default=None)

@@ -5,23 +5,24 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
+from uniforce_commands.boundary import command
 from uniforce_commands.tokenizer_report import draw_sets
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.units import Look
-from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
-from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual
+from uniforce_vtla.options import Count, FolderPath, Names, OutFolder, Seed, TokenizerFolder
 from uniforce_vtla.probes.hard_sets import hidden_sensors
 from uniforce_vtla.probes.report_sets import get_report_set
 from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, predict, score, sized_head
 from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration, CalibrationConfig, calibrate, calibration_facts
 from uniforce_vtla.tokenizer.head_training import train_head
@@ -29,6 +30,9 @@ from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.pooling import pool_latent
 
 RESULT = "heldout_hidden.json"
+
+
+VirtualSensorName = Annotated[str, Names((*hidden_sensors(), GELSIGHT_D.name, *list_sensors()))]
 
 
 @dataclass
@@ -40,17 +44,19 @@ class CalibrateCommand:
     Example: uniforce-calibrate new=gelsight_stiff anchor=tactip out=outputs/calibration
     """
 
-    new: str = "gelsight_stiff"  # gelsight_stiff | tactip_soft | uskin_keen, or a registry sensor
-    anchor: str = "tactip"  # gelsight | gelsight_d | tactip | uskin: the sensor that is known
-    grasps: int = 600  # pairs: one minute at 10 Hz
-    units: int = 8  # units of the new sensor that take turns; 1 = your own sensor
-    out: str = "outputs/calibration"  # the adapter's folder
-    tokenizer: str = ""  # checkpoint folder; empty = shipped
+    # gelsight_stiff | tactip_soft | uskin_keen, or a registry sensor
+    new: VirtualSensorName = "gelsight_stiff"
+    anchor: VirtualSensorName = "tactip"  # gelsight | gelsight_d | tactip | uskin: the sensor that is known
+    grasps: Count = 600  # pairs: one minute at 10 Hz
+    units: Count = 8  # units of the new sensor that take turns; 1 = your own sensor
+    out: OutFolder = "outputs/calibration"  # the adapter's folder
+    tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     report: bool = False  # calibrate all of heldout_hidden_v1 with every anchor; force error before and after
-    results: str = "docs/results"  # where the report goes
-    cache: str = "outputs/labelled"  # drawn sets
+    results: OutFolder = "outputs/calibration"  # where the report goes
+    facts: FolderPath = "docs/results"  # of the report: the frozen sets' recipes and hashes
+    cache: OutFolder = "outputs/labelled"  # drawn sets
     fit: CalibrationConfig = field(default_factory=CalibrationConfig)  # the adapter's size and steps
-    seed: int = 0  # of the grasps
+    seed: Seed = 0  # of the grasps
 
 
 def find_sensor(name: str) -> VirtualSensor:
@@ -88,7 +94,7 @@ def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, 
 def measure(command: CalibrateCommand, tokenizer: Tokenizer) -> dict[str, Any]:
     """Return force R² and MAE on ``heldout_hidden_v1`` before and after, heads trained on each anchor."""
     report_set = get_report_set("heldout_hidden_v1")
-    facts = json.loads((Path(command.results) / report_set.facts_file).read_text())
+    facts = json.loads((Path(command.facts) / report_set.facts_file).read_text())
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     cells = {}
     for anchor, new in tqdm(table.transfers(), desc="calibrations"):
@@ -134,13 +140,9 @@ def _run(command: CalibrateCommand) -> str:
     return f"{command.new} against {command.anchor}: imbalance on held-out grasps {change}; adapter in {path}"
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(CalibrateCommand)
+def main(command: CalibrateCommand) -> int:
     """Entry of ``uniforce-calibrate``."""
-    command = parse(CalibrateCommand, argv)
     torch.set_num_threads(1)
-    try:
-        print(_run(command))
-    except UniForceError as error:
-        print(f"calibrate: {error}")
-        return 2
+    print(_run(command))
     return 0

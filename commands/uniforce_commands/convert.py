@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
 from lerobot.utils.feature_utils import dataset_to_policy_features
@@ -20,10 +20,11 @@ from lerobot_policy_pi05_uniforce import (
     weights,
 )
 from lerobot_policy_pi05_uniforce.published import FRESH, own_names
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
+from uniforce_commands.boundary import command
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.keys import ACTION
+from uniforce_vtla.options import Existing, OutFolder, Pattern, Slots, View
 
 KNOWN_TYPES = ("pi05", "pi05_uniforce")
 NOT_TAKEN = (  # what the new policy decides for itself, or what its own data say
@@ -53,6 +54,10 @@ NOT_TAKEN = (  # what the new policy decides for itself, or what its own data sa
 )
 
 
+Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
+Revision = Annotated[str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")]
+
+
 @dataclass
 class ConvertConfig:
     """Give a π0.5 force tokens: its weights, new modules that start fresh, processors for your own data.
@@ -61,19 +66,19 @@ class ConvertConfig:
     then: uniforce-train policy.path=outputs/pi05_touch dataset.repo_id=local/view dataset.root=outputs/view224
     """
 
-    source: str = "lerobot/pi05_base"  # folder or hub id of a pi05, or of a pi05_uniforce to change its touch
-    view: str = (
-        "outputs/view"  # training view of your demos (uniforce-view image_side=224): features, statistics
-    )
-    out: str = "outputs/converted"  # the new policy's folder
-    touch_input: str = "latent"  # latent | none, or a control: wrench | descriptor | marker_pair
-    touch_slots: str = "touch0:right,touch1:left"  # slot:finger, comma between them
-    token_site: str = "prefix"  # prefix | suffix (docs/design.md)
-    start_at_base: bool = (
-        True  # training starts with the source's actions, touch behind a gate (touch_gate.py)
-    )
-    dtype: str = "bfloat16"  # of the backbone; a tiny source stays float32
-    revision: str = ""  # of a hub repository
+    # folder or hub id of a pi05, or of a pi05_uniforce to change its touch
+    source: Published = "lerobot/pi05_base"
+    # training view of your demos (uniforce-view image_side=224): features, statistics
+    view: View = "outputs/view"
+    out: OutFolder = "outputs/converted"  # the new policy's folder
+    # latent, none, or a control: the others
+    touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"
+    touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
+    token_site: Literal["prefix", "suffix"] = "prefix"  # prefix | suffix (docs/design.md)
+    # training starts with the source's actions, touch behind a gate (touch_gate.py)
+    start_at_base: bool = True
+    dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
+    revision: Revision = ""  # of a hub repository
 
 
 def convert(config: ConvertConfig) -> Path:
@@ -86,6 +91,8 @@ def convert(config: ConvertConfig) -> Path:
     """
     from uniforce_datasets.training_view import TrainingView
 
+    if config.revision and Path(config.source).exists():
+        raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
     revision = config.revision or None
     weights.check_files(config.source, "full", revision, local_files_only=False)
     source = weights.read_config(weights.find(config.source, weights.CONFIG, revision))
@@ -139,15 +146,11 @@ def _slots(text: str) -> dict[str, str]:
     return dict(pairs)
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(ConvertConfig)
+def main(config: ConvertConfig) -> int:
     """Entry of ``uniforce-convert``."""
-    config = parse(ConvertConfig, argv)
     torch.set_num_threads(1)
-    try:
-        out = convert(config)
-    except UniForceError as error:
-        print(f"convert: {error}")
-        return 2
+    out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(FRESH)}")
     print(f"next: uniforce-train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")
     return 0

@@ -9,9 +9,13 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import UniForceError
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
+
+MARKER = "uniforce_demo.json"  # in a folder that the next demo may empty
 
 
 @dataclass
@@ -21,11 +25,11 @@ class DemoConfig:
     Example: uniforce-demo rollouts=4 out=outputs/demo
     """
 
-    episodes: int = 3  # demos recorded live; enough to see every stage, too few to learn from
-    train_steps: int = 20  # optimiser steps on those demos; shows that training runs, not what it can reach
-    rollouts: int = 4  # per arm, with the shipped policy; a smoke test, no claim
-    level: str = "paper"  # the level the shipped policy was trained at
-    out: str = "outputs/demo"  # everything goes here; an earlier demo there is replaced
+    episodes: Count = 3  # demos recorded live; enough to see every stage, too few to learn from
+    train_steps: Count = 20  # optimiser steps on those demos; shows that training runs, not what it can reach
+    rollouts: Count = 4  # per arm, with the shipped policy; a smoke test, no claim
+    level: Level = "paper"  # the level the shipped policy was trained at
+    out: OutFolder = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 
 # arm → (left, right sensor, swap): the shipped policy learnt touch0 = right TacTip, never retrained
@@ -47,12 +51,12 @@ def run(config: DemoConfig) -> Path:
     from uniforce_commands.record import RecordConfig, record
     from uniforce_commands.score import score
     from uniforce_commands.score_config import ScoreConfig
-    from uniforce_commands.train import main as train
+    from uniforce_commands.train import train
     from uniforce_commands.view import ViewConfig, make_view
     from uniforce_vtla.evaluation.arms import table
 
     out = Path(config.out)
-    shutil.rmtree(out, ignore_errors=True)
+    _start_over(out)
     say("1/5", f"recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)")
     recording = RecordConfig(episodes=config.episodes, level=config.level, root=str(out / "demos"))
     record(recording)
@@ -87,17 +91,26 @@ def _train_arguments(config: DemoConfig, out: Path) -> list[str]:
     ]  # fmt: skip
 
 
-def main(argv: list[str] | None = None) -> int:
+def _start_over(out: Path) -> None:
+    """Empty an earlier demo's folder.
+
+    Raises:
+        ContractError: a folder that holds something else.
+    """
+    if out.exists() and any(out.iterdir()) and not (out / MARKER).is_file():
+        do = f"Name a new folder, or remove it yourself: it holds no {MARKER}."
+        raise ContractError(expected("out", "an empty folder or an earlier demo", str(out), do))
+    shutil.rmtree(out, ignore_errors=True)
+    write_json(out / MARKER, provenance())
+
+
+@command(DemoConfig)
+def main(config: DemoConfig) -> int:
     """Entry of ``uniforce-demo``."""
     logging.basicConfig(level=logging.WARNING)
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
-    config = parse(DemoConfig, argv)
     start = time.perf_counter()
-    try:
-        page = run(config)
-    except UniForceError as error:
-        print(f"demo: {error}")
-        return 2
+    page = run(config)
     out = Path(config.out)
     print(
         f"\nDone in {(time.perf_counter() - start) / 60:.1f} minutes (n = {config.rollouts}: smoke, no claim)."

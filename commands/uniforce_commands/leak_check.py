@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -21,9 +21,11 @@ from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
-from uniforce_vtla.arguments import parse
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, tactile_name
+from uniforce_vtla.options import Count, OutFile, Pixels, Range, Seed
 from uniforce_vtla.probes.plain_touch import descriptors
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -36,6 +38,9 @@ PRESS_RANGE_N = (
 TOUCHING_N = 0.5  # a nudged hand is pushed off the board now and then
 
 
+Scenes = Annotated[int, Range(3, 10_000)]  # two thirds train, the rest test
+
+
 @dataclass
 class LeakConfig:
     """Regress the press on the board from what a policy without touch observes; write leak_check.json.
@@ -43,12 +48,12 @@ class LeakConfig:
     Example: uniforce-leak-check level=paper scenes=60
     """
 
-    level: str = "paper"  # locked level
-    scenes: int = 60  # expert episodes, each with a press of its own; two thirds train, the rest test
-    first_seed: int = 60_000  # not used elsewhere
-    image_side: int = 56  # px, the tiny policy's cameras
-    cnn_steps: int = 600  # of 64 samples
-    out: str = "docs/results/leak_check.json"  # result file
+    level: Level = "paper"  # locked level
+    scenes: Scenes = 60  # expert episodes, each with a press of its own; two thirds train, the rest test
+    first_seed: Seed = 60_000  # not used elsewhere
+    image_side: Pixels = 56  # px, the tiny policy's cameras
+    cnn_steps: Count = 600  # of 64 samples
+    out: OutFile = "outputs/leak_check/leak_check.json"  # result file
 
 
 def collect(config: LeakConfig) -> Samples:
@@ -89,9 +94,9 @@ def _touch(pixels: dict[str, np.ndarray]) -> np.ndarray:
     return np.concatenate([descriptors(*pair)[0] for pair in pairs])
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(LeakConfig)
+def main(config: LeakConfig) -> int:
     """Entry of ``uniforce-leak-check``."""
-    config = parse(LeakConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     samples = collect(config)

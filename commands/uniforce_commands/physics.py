@@ -15,8 +15,9 @@ from benchmarks import physics_rig as rig
 from benchmarks.physics_page import draw_page
 from lerobot_env_uniforce_wiping.mjcf import SolverSettings
 from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
-from uniforce_vtla.arguments import parse
+from uniforce_commands.boundary import command
 from uniforce_vtla.evaluation.episode import ScoreLimits
+from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 
 WIDTHS_m = (0.028, 0.026, 0.024, 0.022, 0.020, 0.018, 0.016)  # commanded, around an eraser of 30 mm
@@ -33,12 +34,12 @@ NOSLIP = (0, 1, 2, 3, 5, 8, 16)
 class PhysicsCommand:
     """Measure the scene's physics; write physics.json and its page of figures.
 
-    Example: uniforce-physics results=docs/results
+    Example: uniforce-physics boards=5
     """
 
-    boards: int = 20  # words whose ink is worn off in the residual curve
-    repeats: int = 3  # of each timed stroke; medians are kept
-    results: str = "docs/results"  # physics.json and physics.png
+    boards: Count = 20  # words whose ink is worn off in the residual curve
+    repeats: Count = 3  # of each timed stroke; medians are kept
+    results: OutFolder = "outputs/physics"  # physics.json and physics.png
 
 
 def measure(command: PhysicsCommand) -> dict[str, Any]:
@@ -111,9 +112,9 @@ def solvers(settings: list[SolverSettings], repeats: int) -> dict[str, Any]:
     return {"depth_m": list(DEPTHS_m), "settings": found}
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(PhysicsCommand)
+def main(command: PhysicsCommand) -> int:
     """Entry of ``uniforce-physics``."""
-    command = parse(PhysicsCommand, argv)
     panels = measure(command)
     what = "simulated; nothing hidden in the scene, GelSight left, TacTip right"
     path = write_json(Path(command.results) / "physics.json", {"what": what, **panels} | provenance())

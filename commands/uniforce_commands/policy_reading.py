@@ -21,13 +21,14 @@ from benchmarks.force_misreading import (
     response,
 )
 from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_policy
+from uniforce_commands.boundary import command
 from uniforce_datasets.training_view import TrainingView
 from uniforce_datasets.view_marker import read_marker
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import CheckpointError, DatasetError, UniForceError, expected
+from uniforce_vtla.errors import CheckpointError, DatasetError, expected
 from uniforce_vtla.keys import ACTION, AXES, CAMERAS, STATE, TASK, camera_key, latent_key, truth_wrench_key
+from uniforce_vtla.options import Count, OutFile, PolicyFolder, Seed, View
 from uniforce_vtla.results_file import provenance, write_json
 
 HEIGHT_AND_WIDTH = [AXES.index("z.pos"), AXES.index("width.pos")]
@@ -47,12 +48,12 @@ class PolicyReadingConfig:
     Example: uniforce-policy-reading policy=outputs/arms/seed0/vt view=outputs/view_paper
     """
 
-    policy: str = "outputs/arms/seed0/vt"  # checkpoint folder
-    view: str = "outputs/view_paper"  # training view of demos with both fingers
-    moments: int = 12  # per episode and situation
-    after: int = 4  # [steps] of a chunk whose target is compared
-    seed: int = 0  # of moments and of whose touch is exchanged
-    out: str = "outputs/policy_reading.json"  # result file
+    policy: PolicyFolder = "outputs/arms/seed0/vt"  # checkpoint folder
+    view: View = "outputs/view_paper"  # training view of demos with both fingers
+    moments: Count = 12  # per episode and situation
+    after: Count = 4  # [steps] of a chunk whose target is compared
+    seed: Seed = 0  # of moments and of whose touch is exchanged
+    out: OutFile = "outputs/policy_reading.json"  # result file
 
 
 class Reader:
@@ -231,15 +232,11 @@ def read_policy(config: PolicyReadingConfig) -> tuple[dict[str, Any], list[str]]
     return facts, [*lines, *answers]
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(PolicyReadingConfig)
+def main(config: PolicyReadingConfig) -> int:
     """Entry of ``uniforce-policy-reading``."""
     torch.set_num_threads(1)
-    try:
-        config = parse(PolicyReadingConfig, argv)
-        facts, lines = read_policy(config)
-        written = write_json(Path(config.out), {"policy": config.policy, **facts} | provenance())
-    except UniForceError as error:
-        print(f"policy_reading: {error}")
-        return 2
+    facts, lines = read_policy(config)
+    written = write_json(Path(config.out), {"policy": config.policy, **facts} | provenance())
     print("\n".join([*lines, f"written to {written}"]))
     return 0

@@ -10,9 +10,9 @@ from pathlib import Path
 import torch
 
 import uniforce_vtla.tokenizer
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import UniForceError
-from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source
+from uniforce_commands.boundary import command
+from uniforce_vtla.options import FileName, OutFolder, Workers
+from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source, starting_model
 
 PRESETS = Path(uniforce_vtla.tokenizer.__file__).parent / "presets"  # one YAML file each
 
@@ -26,27 +26,25 @@ class PretrainCommand:
     Example: uniforce-pretrain preset=nano out=outputs/mine run.steps=3000
     """
 
-    preset: str = ""  # nano | small_draw and then small: the shipped checkpoints; what else you give wins
+    # nano | small_draw and then small: the shipped checkpoints; what else you give wins
+    preset: FileName = ""
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
-    cache: str = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
-    out: str = "outputs/pretrain"  # state.safetensors to resume from, log.csv, tokenizer/ to load
-    threads: int = 1  # torch threads; a small model gains little from more
+    cache: OutFolder = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
+    out: OutFolder = "outputs/pretrain"  # state.safetensors to resume from, log.csv, tokenizer/ to load
+    threads: Workers = 1  # torch threads; a small model gains little from more
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(PretrainCommand, presets=PRESETS)
+def main(settings: PretrainCommand) -> int:
     """Entry of ``uniforce-pretrain``."""
     logging.basicConfig(level=logging.INFO)
-    try:
-        command = parse(PretrainCommand, argv, PRESETS)
-        torch.set_num_threads(command.threads)
-        data = open_source(command.run, Path(command.cache))
-        tokenizer = Pretraining(command.run, Path(command.out), data).run()
-    except UniForceError as error:
-        print(f"pretrain: {error}")
-        return 2
+    torch.set_num_threads(settings.threads)
+    starting_model(settings.run)  # refuses what does not fit before pairs are drawn
+    data = open_source(settings.run, Path(settings.cache))
+    tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     print(
-        f"tokenizer {tokenizer.hash[:12]} in {command.out}/tokenizer, log in {command.out}/log.csv; "
+        f"tokenizer {tokenizer.hash[:12]} in {settings.out}/tokenizer, log in {settings.out}/log.csv; "
         f"peak memory {peak_GB:.1f} GB"
     )
     return 0

@@ -7,10 +7,24 @@ import sys
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level, Sensor
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import (
+    Count,
+    Dataset,
+    FileName,
+    FilePath,
+    HubName,
+    NotNegative,
+    OutFolder,
+    Range,
+    Seed,
+    Share,
+    Texts,
+)
 
 if TYPE_CHECKING:
     from lerobot.teleoperators import Teleoperator
@@ -20,6 +34,10 @@ if TYPE_CHECKING:
     from uniforce_recording.session import SessionEnd
 
 INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
+
+
+EpisodeSeconds = Annotated[float, Range(0, 3600, above=True)]
+Nudge = Annotated[float, Range(0, 10)]
 
 
 @dataclass
@@ -33,31 +51,34 @@ class RecordConfig:
     press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted.
     """
 
-    robot: str = "sim"  # sim | franka
-    teleop: str = "expert"  # expert (simulation) | keyboard | spacemouse | gello | hand_guide | replay | …
-    rig: str = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
-    episodes: int = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
-    level: str = "paper"  # simulation: easy | paper | hard, locked in the environment package
-    left_sensor: str = "gelsight"  # simulation: gelsight | tactip | uskin; a robot's own config says it there
-    right_sensor: str = "tactip"  # simulation
-    root: str = "outputs/demos"  # the dataset's folder
-    resume: str = ""  # the same as root, but refuses a folder without a dataset
-    repo_id: str = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
-    seed: int = 0  # scene of the first episode; the next ones count up
-    nudge: float = 1.3  # expert: hidden push on the executed target, so that demos hold recoveries; 0 = none
+    robot: Literal["sim", "franka"] = "sim"  # sim | franka
+    # expert (simulation) | keyboard | spacemouse | gello | hand_guide | replay | …
+    teleop: FileName = "expert"
+    rig: FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
+    episodes: Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
+    level: Level = "paper"  # simulation: easy | paper | hard, locked in the environment package
+    # simulation: gelsight | tactip | uskin; a robot's own config says it there
+    left_sensor: Sensor = "gelsight"
+    right_sensor: Sensor = "tactip"  # simulation
+    root: OutFolder = "outputs/demos"  # the dataset's folder
+    resume: Dataset = ""  # the same as root, but refuses a folder without a dataset
+    repo_id: HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
+    seed: Seed = 0  # scene of the first episode; the next ones count up
+    nudge: Nudge = 1.3  # expert: hidden push on the executed target, so that demos hold recoveries; 0 = none
     keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
-    prompts: list[str] = field(default_factory=list)  # instructions, in turn; none = the scene's own
-    episode_s: float = 60.0  # s, time limit of an episode
-    operator: str = "keys"  # who begins and judges: keys | nobody
-    verdict: str = "success"  # what nobody calls an episode: success | residual | failed_grasp
-    quick_notes: list[str] = field(default_factory=list)  # notes that the digits 1, 2, … add
+    prompts: Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
+    episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
+    operator: Literal["keys", "nobody"] = "keys"  # who begins and judges
+    # what nobody calls an episode
+    verdict: Literal["success", "residual", "failed_grasp"] = "success"
+    quick_notes: Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
     keep_aborted: bool = True  # whether what came before a fault is stored, labelled
-    late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is aborted:late
+    late_share: Share = 0.1  # of its ticks that an episode may miss; one that missed more is aborted:late
     keep_raw: bool = True  # robot: raw tactile frames beside the dataset
-    window: int = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
-    reserve_MB: float = 500.0  # MB that have to stay free on the disk
-    unwell_s: float = 10.0  # s, how long nobody waits for a sensor to become well
+    window: Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
+    reserve_MB: NotNegative = 500.0  # MB that have to stay free on the disk
+    unwell_s: NotNegative = 10.0  # s, how long nobody waits for a sensor to become well
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
 
@@ -141,24 +162,13 @@ def _rig(config: RecordConfig, devices: Devices, teleop: Teleoperator) -> Rig:
 
 
 def _check(config: RecordConfig) -> None:
-    if config.robot not in ("sim", "franka"):
-        raise ContractError(expected("robot", "sim | franka", repr(config.robot), "Name one."))
     if config.robot == "franka" and config.teleop == "expert":
         do = "The expert feels the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
         raise ContractError(expected("teleop", "one that works on a robot", "expert", do))
     if config.robot == "franka" and not config.prompts:
         do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'
         raise ContractError(expected("prompts", "an instruction or more", "none", do))
-    if config.nudge < 0:
-        raise ContractError(expected("nudge", "≥ 0", config.nudge, "0 records an undisturbed expert."))
-    if not config.root.strip():
-        raise ContractError(expected("root", "a folder", repr(config.root), "Name one."))
-    if config.episodes < 1:
-        raise ContractError(expected("episodes", "≥ 1", config.episodes, "Ask for some."))
-    if config.episode_s <= 0:
-        raise ContractError(expected("episode_s", "above 0", config.episode_s, "Give seconds."))
-    if config.resume:
-        _resume(config)
+    config.root = config.resume or config.root
 
 
 ROBOT = ("rig", "keep_raw", "window")
@@ -197,24 +207,12 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Co
         raise ContractError(expected(f"settings with {mode}", "those it uses", came, "Leave them out."))
 
 
-def _resume(config: RecordConfig) -> None:
-    if not (Path(config.resume) / "meta" / "info.json").is_file():
-        do = "Begin one with root=…; a root that has one goes on by itself."
-        raise ContractError(expected(f"resume={config.resume}", "a recorded dataset", "none", do))
-    config.root = config.resume
-
-
-def main(argv: list[str] | None = None) -> int:
+@command(RecordConfig, others=("robot.", "teleop."))
+def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> int:
     """Entry of ``uniforce-record``."""
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
-    arguments = sys.argv[1:] if argv is None else argv
-    flags, own = split_device_flags(arguments)
-    config = parse(RecordConfig, own)
     try:
-        end = record(config, flags, [word.lstrip("-").partition("=")[0] for word in own])
-    except UniForceError as error:
-        print(f"record: {error}")
-        return 2
+        end = record(config, flags, given)
     except KeyboardInterrupt:
         print("record: interrupted twice; the robot has stopped, saved episodes are whole")
         return INTERRUPTED
@@ -222,13 +220,3 @@ def main(argv: list[str] | None = None) -> int:
     print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})")
     print(f"next: uniforce-view roots={config.root} out={Path(config.root).parent / 'view'}")
     return end.exit_code
-
-
-def split_device_flags(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return (``--robot.…`` and ``--teleop.…`` flags, everything else) of a command line."""
-    own: list[str] = []
-    others: list[str] = []
-    for word in arguments:
-        name = word.removeprefix("--").partition("=")[0]
-        (own if name.startswith(("robot.", "teleop.")) else others).append(word)
-    return [f"--{word.removeprefix('--')}" for word in own], others

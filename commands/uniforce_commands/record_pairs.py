@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -14,9 +14,12 @@ import torch
 from tqdm import tqdm
 
 import datasets
-from uniforce_vtla.arguments import names_in, parse
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Sensor
+from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Share, Text
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
@@ -24,6 +27,14 @@ if TYPE_CHECKING:
     from uniforce_pair_recording.rehearsal import SimulatedRig
     from uniforce_pair_recording.rig import PairRig
     from uniforce_pair_recording.storage import PairStore
+
+
+ALL_INDENTERS = ",".join(PRETRAIN)
+Several = Annotated[int, Range(2, 1_000_000)]
+Address = Annotated[str, Pattern("a host", r"[\w.:-]{1,253}", "172.16.0.2")]
+Mass = Annotated[float, Range(0, 20, above=True)]
+Grip = Annotated[float, Range(0, 70, above=True)]
+FrameRate = Annotated[float, Range(0, 1000)]
 
 
 @dataclass
@@ -34,23 +45,23 @@ class RecordPairsConfig:
     A short rehearsal: uniforce-record-pairs pairs=60 indenters=sphere,line out=outputs/pairs_try
     """
 
-    robot: str = "sim"  # sim rehearses in the simulator | franka (never run on hardware)
-    left_sensor: str = "gelsight"  # gelsight | tactip | uskin
-    right_sensor: str = "tactip"  # gelsight | tactip | uskin
-    indenters: str = ",".join(PRETRAIN)  # names, in order; any words for a robot
-    pairs: int = 1000  # per indenter, earlier sessions included
-    chunk: int = 50  # pairs saved at once: what a kill may cost
-    speed_m_s: float = 0.15  # a faster hand's frames are not kept
-    acceleration_m_s2: float = 1.0  # nor those of a hand that is jerked
-    crowded: float = 0.25  # largest share of an indenter's pairs in one cell of force
-    seed: int = 0  # sim: units, grasps and noise; a resumed session takes the next one
-    address: str = "172.16.0.2"  # franka: of the controller, 127.0.0.N for the stand-in
-    left_source: str = ""  # franka: device of the left finger, as for uniforce-touch; or standin
-    right_source: str = ""  # franka: of the right finger
-    mass_kg: float = 0.2  # franka: of the object and what moves of its holder; weigh it
-    grip_N: float = 6.0  # franka: the force the hand is told to hold with
-    rate_hz: float = 0.0  # frames per second; 0 = 15 in simulation, 30 on a robot
-    out: str = "outputs/pairs"  # lerobot/, uniforce_pairs/, coverage.png, session.json
+    robot: Literal["sim", "franka"] = "sim"  # sim rehearses in the simulator | franka (never run on hardware)
+    left_sensor: Sensor = "gelsight"  # gelsight | tactip | uskin
+    right_sensor: Sensor = "tactip"  # gelsight | tactip | uskin
+    indenters: Text = ALL_INDENTERS  # names, in order; any words for a robot
+    pairs: Several = 1000  # per indenter, earlier sessions included
+    chunk: Several = 50  # pairs saved at once: what a kill may cost
+    speed_m_s: Positive = 0.15  # a faster hand's frames are not kept
+    acceleration_m_s2: Positive = 1.0  # nor those of a hand that is jerked
+    crowded: Share = 0.25  # largest share of an indenter's pairs in one cell of force
+    seed: Seed = 0  # sim: units, grasps and noise; a resumed session takes the next one
+    address: Address = "172.16.0.2"  # franka: of the controller, 127.0.0.N for the stand-in
+    left_source: Text = ""  # franka: device of the left finger, as for uniforce-touch; or standin
+    right_source: Text = ""  # franka: of the right finger
+    mass_kg: Mass = 0.2  # franka: of the object and what moves of its holder; weigh it
+    grip_N: Grip = 6.0  # franka: the force the hand is told to hold with
+    rate_hz: FrameRate = 0.0  # frames per second; 0 = 15 in simulation, 30 on a robot
+    out: OutFolder = "outputs/pairs"  # lerobot/, uniforce_pairs/, coverage.png, session.json
 
 
 def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
@@ -147,32 +158,20 @@ def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
 
 def _check(config: RecordPairsConfig) -> tuple[str, ...]:
     names = tuple(names_in(config.indenters))
-    if config.robot not in ("sim", "franka"):
-        raise ContractError(expected("robot", "sim | franka", repr(config.robot), "Name one."))
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
     if unknown or not names or len(set(names)) < len(names):
         do = "Name each once."
         raise ContractError(expected("indenters", " | ".join(HEIGHTS), unknown or config.indenters, do))
-    if config.pairs < 2 or config.chunk < 2 or config.rate_hz < 0:
-        came = f"{config.pairs}, {config.chunk}, {config.rate_hz}"
-        raise ContractError(expected("pairs, chunk, rate_hz", "≥ 2, ≥ 2, ≥ 0", came, "Correct them."))
     return names
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(RecordPairsConfig)
+def main(config: RecordPairsConfig) -> int:
     """Entry of ``uniforce-record-pairs``."""
-    config = parse(RecordPairsConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     datasets.disable_progress_bars()  # LeRobot's own, one per saved chunk, would tear ours apart
-    try:
-        content = record_pairs(config)
-    except UniForceError as error:
-        print(f"record_pairs: {error}")
-        return 2
-    except KeyboardInterrupt:
-        print("stopped; run it again to go on")
-        return 1
+    content = record_pairs(config)
     print(f"{sum(content['pairs'].values())} pairs in {content['dataset']} and {content['layout']}")
     if "truth" in content and content["truth"]["kept"]:
         truth = content["truth"]

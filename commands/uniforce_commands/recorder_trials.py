@@ -11,10 +11,11 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from uniforce_vtla.arguments import choose, parse
-from uniforce_vtla.errors import UniForceError
+from uniforce_commands.boundary import command
+from uniforce_vtla.arguments import choose
+from uniforce_vtla.options import Count, Names, OutFile, OutFolder, Positive, Range, Text
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
@@ -22,9 +23,13 @@ if TYPE_CHECKING:
     from uniforce_recorder_trials.plan import Plan
 
 
+Parts = Annotated[str, Names(("end_to_end", "kill9", "faults", "overhead"), many=True)]
+Fps = Annotated[int, Range(1, 120)]
+
+
 @dataclass
 class TrialsConfig:
-    """Record, kill and break, and write what came of it to docs/results/recorder.json; run it again to go on.
+    """Record, kill and break, and write what came of it to a file; run it again to go on.
 
     Everything, on a machine with nothing else to do:  uniforce-recorder-trials
     One part, for example:                             uniforce-recorder-trials only=faults faults=arm_reflex times=2
@@ -32,20 +37,21 @@ class TrialsConfig:
     Needs the extra `franka`. The arm, fingers and cameras are stand-ins; nothing here is hardware.
     """
 
-    only: str = ""  # end_to_end | kill9 | faults | overhead, comma between; empty = all
-    faults: str = ""  # of faults: only these, comma between
-    episodes: int = 50  # of the end to end run
-    episode_s: float = 4.0  # s, each of them
-    kills: int = 20  # with kill -9
-    times: int = 10  # each fault is injected
-    overhead_s: float = 30.0  # s, how long cost is measured
-    uskin_s: float = 60.0  # s, how long the taxels' full rate is measured
-    fps: int = 30  # ticks and camera frames per second; below 30 no bar is judged
-    patience: float = 1.0  # what limits of age and waiting times are multiplied by; above 1 no bar is judged
-    uskin_hz: float = 500.0  # scans per second of the finger in the rig
+    only: Parts = ""  # end_to_end | kill9 | faults | overhead, comma between; empty = all
+    faults: Text = ""  # of faults: only these, comma between
+    episodes: Count = 50  # of the end to end run
+    episode_s: Positive = 4.0  # s, each of them
+    kills: Count = 20  # with kill -9
+    times: Count = 10  # each fault is injected
+    overhead_s: Positive = 30.0  # s, how long cost is measured
+    uskin_s: Positive = 60.0  # s, how long the taxels' full rate is measured
+    fps: Fps = 30  # ticks and camera frames per second; below 30 no bar is judged
+    # what limits of age and waiting times are multiplied by; above 1 no bar is judged
+    patience: Positive = 1.0
+    uskin_hz: Positive = 500.0  # scans per second of the finger in the rig
     fresh: bool = False  # forget what earlier runs found
-    work: str = "outputs/recorder_trials"  # datasets, logs, findings so far
-    out: str = "docs/results/recorder.json"  # result file; parts not run keep what it says
+    work: OutFolder = "outputs/recorder_trials"  # datasets, logs, findings so far
+    out: OutFile = "outputs/recorder.json"  # result file; parts not run keep what it says
 
 
 def try_recorder(config: TrialsConfig) -> dict[str, Any]:
@@ -60,7 +66,7 @@ def try_recorder(config: TrialsConfig) -> dict[str, Any]:
 
     chosen = choose(_parts(config), config.only)
     work = Path(config.work)
-    if config.fresh:
+    if config.fresh and (work / "found").is_dir():  # never a folder that is something else
         shutil.rmtree(work, ignore_errors=True)
     plan, ledger, out = _plan(config), Ledger(work / "found", _show), Path(config.out)
     for name, part in chosen.items():
@@ -105,16 +111,12 @@ def _show(name: str, number: int, finding: dict[str, Any]) -> None:
     print(f"  {datetime.datetime.now():%H:%M:%S} {name} {number}: {said or 'done'}", flush=True)
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(TrialsConfig)
+def main(config: TrialsConfig) -> int:
     """Entry of ``uniforce-recorder-trials``; 0 where every bar asked about is met, 1 where one isn't."""
-    config = parse(TrialsConfig, argv)
     logging.basicConfig(level=logging.WARNING)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # stand-ins and sessions are ended too
-    try:
-        result = try_recorder(config)
-    except UniForceError as error:
-        print(f"recorder_trials: {error}")
-        return 2
+    result = try_recorder(config)
     for bar in result["bars"]:
         print(f"{bar['verdict']:12s} {bar['bar']}: asked {bar['asked']}, seen {bar['seen']}")
     print(f"written to {config.out}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -21,7 +21,8 @@ from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
-from uniforce_vtla.arguments import parse
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.evaluation.episode import (
     WIPING_PHASE,
@@ -32,13 +33,17 @@ from uniforce_vtla.evaluation.episode import (
 )
 from uniforce_vtla.evaluation.finger_estimates import estimate_events
 from uniforce_vtla.keys import tactile_name
+from uniforce_vtla.options import Count, OutFile, OutFolder, Range, Seed
 from uniforce_vtla.probes.plain_touch import descriptors
-from uniforce_vtla.probes.touch_gauge import SCENE, SHIPPED, TouchGauge
+from uniforce_vtla.probes.touch_gauge import TouchGauge
 from uniforce_vtla.probes.zero_shot import score
 from uniforce_vtla.results_file import provenance, write_json
 
 LEFT_SENSORS = ("gelsight", "uskin")  # the right finger wears the TacTip
 GRIP_RANGE_N, PRESS_RANGE_N = (4.0, 13.0), (4.0, 14.0)  # from sliding to too deep, from streaks to too hard
+
+
+Scenes = Annotated[int, Range(2, 10_000)]  # half of them on each rig
 
 
 @dataclass
@@ -48,16 +53,15 @@ class SceneGaugeConfig:
     Example: uniforce-scene-gauge scenes=60 out=outputs/gauge_wiping
     """
 
-    level: str = "paper"  # locked level
-    scenes: int = 60  # expert episodes to learn from, half of them on each rig
-    test_scenes: int = 32  # episodes to score on
-    first_seed: int = 70_000  # not used elsewhere; test scenes count up from 71,000
-    stretch: int = (
-        45  # frames of a training sequence: 1.5 s, so that a gauge's memory is used to long stretches
-    )
-    steps: int = 1600  # optimiser steps
-    out: str = ""  # folder of gauges; empty = the package's own
-    results: str = "docs/results/scene_gauge.json"  # error per sensor on unseen scenes
+    level: Level = "paper"  # locked level
+    scenes: Scenes = 60  # expert episodes to learn from, half of them on each rig
+    test_scenes: Count = 32  # episodes to score on
+    first_seed: Seed = 70_000  # not used elsewhere; test scenes count up from 71,000
+    # frames of a training sequence: 1.5 s, so that a gauge's memory is used to long stretches
+    stretch: Count = 45
+    steps: Count = 1600  # optimiser steps
+    out: OutFolder = "outputs/scene_gauge"  # folder of gauges
+    results: OutFile = "outputs/scene_gauge/scene_gauge.json"  # error per sensor on unseen scenes
 
 
 @dataclass(frozen=True)
@@ -145,9 +149,8 @@ def make_gauges(config: SceneGaugeConfig) -> dict[str, Any]:
     lessons = worn(list(felt_episodes(config.level, range(first, first + config.scenes))))
     gauges = {s: TouchGauge.fit(s, wipes, config.stretch, config.steps) for s, wipes in lessons.items()}
     tests = list(felt_episodes(config.level, range(first + 1000, first + 1000 + config.test_scenes)))
-    folder = Path(config.out) if config.out else SHIPPED / f"gauge_{SCENE}"
     for gauge in gauges.values():
-        gauge.save(folder)
+        gauge.save(Path(config.out))
     return {
         "what": "simulated; hand descriptors read by a gauge per sensor, on scenes, grips and presses it never saw",
         "level": config.level,
@@ -156,13 +159,13 @@ def make_gauges(config: SceneGaugeConfig) -> dict[str, Any]:
         "test_scenes": config.test_scenes,
         "sensors": {sensor: errors(gauges[sensor], wipes) for sensor, wipes in worn(tests).items()},
         "episodes": [judge(gauges, episode) for episode in tests],
-        "gauges": config.out or "shipped",
+        "gauges": config.out,
     }
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(SceneGaugeConfig)
+def main(config: SceneGaugeConfig) -> int:
     """Entry of ``uniforce-scene-gauge``."""
-    config = parse(SceneGaugeConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     report = make_gauges(config)

@@ -17,10 +17,11 @@ from typing import Any
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
+from lerobot_policy_pi05_uniforce.stored_policy import stored_config
+from uniforce_commands.boundary import command
 from uniforce_commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_commands.score_worker import Job, score_job, video_path
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import (
     ArmReport,
     EpisodeRow,
@@ -31,6 +32,7 @@ from uniforce_vtla.evaluation.arms import (
 )
 from uniforce_vtla.evaluation.comparison import paired_clean
 from uniforce_vtla.evaluation.pictures import draw_arms
+from uniforce_vtla.evaluation.plan import SCRIPTS
 from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -39,6 +41,8 @@ ROWS = "episodes.jsonl"
 
 def score(config: ScoreConfig) -> ArmReport:
     """Score ``config.rollouts`` seeds; finished episodes survive a kill and are not repeated."""
+    for policy in {*config.policies} - {"shipped", *SCRIPTS}:
+        stored_config(Path(policy))  # refuses a damaged one before processes start
     return score_arms([config], config.workers)[0]
 
 
@@ -151,16 +155,12 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     return reports
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(ScoreConfig)
+def main(config: ScoreConfig) -> int:
     """Entry of ``uniforce-score``."""
     logging.basicConfig(level=logging.WARNING)
-    config = parse(ScoreConfig, argv)
     start = time.perf_counter()
-    try:
-        score(config)
-    except UniForceError as error:
-        print(f"score: {error}")
-        return 2
+    score(config)
     print(table(write_report(config)))
     print(f"{config.rollouts} rollouts in {time.perf_counter() - start:.0f} s; results in {config.out}")
     return 0

@@ -12,15 +12,18 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from uniforce_commands.boundary import command
 from uniforce_commands.felt_recording import FeltRecording, gauges
+from uniforce_commands.option_types import Verify
 from uniforce_datasets.source import Episode, Source, episode_frames
-from uniforce_vtla.arguments import numbers, parse
-from uniforce_vtla.errors import DatasetError, UniForceError, expected
+from uniforce_vtla.arguments import numbers
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.board_camera import estimate_residual
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
 from uniforce_vtla.evaluation.pictures import draw_estimate
 from uniforce_vtla.keys import camera_key
+from uniforce_vtla.options import CountOrZero, Dataset, FileName, FolderPath, Numbers, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 
 
@@ -31,15 +34,15 @@ class ScoreRecordingConfig:
     Example: uniforce-score-recording root=outputs/robot pad_friction=0.6,0.7 board_corners=62,40,250,38,262,180,55,184
     """
 
-    root: str = "outputs/demos"  # recorded dataset, from a robot or from the simulator
-    pad_friction: str = ""  # left,right: pull slowly until the object slides, shear over grip. Needed
+    root: Dataset = "outputs/demos"  # recorded dataset, from a robot or from the simulator
+    pad_friction: Numbers = ""  # left,right: pull slowly until the object slides, shear over grip. Needed
     # x,y of the board's four corners in the camera's picture, in order around it; empty = ink isn't judged
-    board_corners: str = ""
-    camera: str = "front"  # scene camera that sees the board
-    episodes: int = 0  # the first so many; 0 = all
-    gauges: str = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
-    verify: str = "quick"  # full | quick | off: how the dataset is checked first
-    out: str = "outputs/recording_scores"  # estimates.json and a picture per episode
+    board_corners: Numbers = ""
+    camera: FileName = "front"  # scene camera that sees the board
+    episodes: CountOrZero = 0  # the first so many; 0 = all
+    gauges: FolderPath = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
+    verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
+    out: OutFolder = "outputs/recording_scores"  # estimates.json and a picture per episode
 
 
 def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
@@ -109,16 +112,12 @@ def _ink(residual: dict[str, Any]) -> str:
     return f", ink left {residual['residual']:.0%}" if "residual" in residual else ", ink not judged"
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(ScoreRecordingConfig)
+def main(config: ScoreRecordingConfig) -> int:
     """Entry of ``uniforce-score-recording``."""
-    config = parse(ScoreRecordingConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    try:
-        content = score_recording(config)
-    except UniForceError as error:
-        print(f"score_recording: {error}")
-        return 2
+    content = score_recording(config)
     path = write_json(Path(config.out) / "estimates.json", content | provenance())
     lines = list(itertools.chain(["Estimates, not truth:"], map(_line, content["episodes"])))
     print("\n".join([*lines, f"written to {path}"]))

@@ -17,11 +17,12 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level, Sensor
 from uniforce_commands.score_worker import policy_on_rig
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.keys import CAMERAS, TACTILE_NAMES, tactile_name
+from uniforce_vtla.options import Count, OutFile, PolicyFolder, Seed, Slots
 from uniforce_vtla.results_file import provenance, write_json
 
 CONTACT_N = 0.5  # mean grip above this counts as contact
@@ -41,14 +42,14 @@ class SensitivityConfig:
     Example: uniforce-sensitivity policy=outputs/arms/vt level=paper scenes=5
     """
 
-    policy: str = "shipped"  # checkpoint folder
-    level: str = "paper"  # level of the scenes looked at; what the shipped policy learnt at
-    left_sensor: str = ""  # gelsight | tactip | uskin; "" = gelsight
-    right_sensor: str = ""  # likewise; "" = tactip
-    swap: str = ""  # which finger fills which slot
-    scenes: int = 5  # expert episodes
-    first_seed: int = 70_000  # not used elsewhere
-    out: str = "outputs/sensitivity.json"  # result file
+    policy: PolicyFolder = "shipped"  # checkpoint folder
+    level: Level = "paper"  # level of the scenes looked at; what the shipped policy learnt at
+    left_sensor: Sensor = ""  # gelsight | tactip | uskin; "" = gelsight
+    right_sensor: Sensor = ""  # likewise; "" = tactip
+    swap: Slots = ""  # which finger fills which slot
+    scenes: Count = 5  # expert episodes
+    first_seed: Seed = 70_000  # not used elsewhere
+    out: OutFile = "outputs/sensitivity.json"  # result file
 
 
 @dataclass(frozen=True)
@@ -158,12 +159,9 @@ def _run(config: SensitivityConfig) -> str:
     return "\n".join([*lines, f"written to {written}"])
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(SensitivityConfig)
+def main(config: SensitivityConfig) -> int:
     """Entry of ``uniforce-sensitivity``."""
     torch.set_num_threads(1)
-    try:
-        print(_run(parse(SensitivityConfig, argv)))
-    except UniForceError as error:
-        print(f"sensitivity: {error}")
-        return 2
+    print(_run(config))
     return 0

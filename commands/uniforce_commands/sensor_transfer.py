@@ -9,11 +9,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from uniforce_vtla.arguments import names_in, parse
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Sensors
+from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contact.pairs import PairSettings
 from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.two_fingers import two_fingers
-from uniforce_vtla.errors import UniForceError
+from uniforce_vtla.options import TokenizerFolder
 from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.pair_cache import shrink
@@ -31,8 +33,9 @@ class SensorTransferCommand:
     Example: uniforce-sensor-transfer tokenizer=outputs/small/tokenizer
     """
 
-    tokenizer: str = "small"  # shipped size, or a checkpoint folder; the maps go beside or into it
-    sensors: str = ""  # registry names, commas between; empty = all
+    # shipped size, or a checkpoint folder; the maps go beside or into it
+    tokenizer: TokenizerFolder = "small"
+    sensors: Sensors = ""  # registry names, commas between; empty = all
     fit: SensorTransferFit = field(default_factory=SensorTransferFit)  # grasps drawn, and how maps are fitted
 
 
@@ -78,13 +81,9 @@ def _run(command: SensorTransferCommand) -> str:
     return "\n".join([*lines, f"maps in {Path(path)}"])
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(SensorTransferCommand)
+def main(command: SensorTransferCommand) -> int:
     """Entry of ``uniforce-sensor-transfer``."""
-    command = parse(SensorTransferCommand, argv)
     torch.set_num_threads(1)
-    try:
-        print(_run(command))
-    except UniForceError as error:
-        print(f"sensor_transfer: {error}")
-        return 2
+    print(_run(command))
     return 0

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from huggingface_hub import HfApi
@@ -15,16 +14,21 @@ from lerobot.policies.factory import make_pre_post_processors
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
+from uniforce_commands.boundary import command
 from uniforce_datasets.lossless import open_dataset
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import CheckpointError, UniForceError, expected
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.evaluation.arms import scores_of
 from uniforce_vtla.file_hashes import write_hashes
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.options import Dataset, Existing, FilePath, HubName, OutFolder, Text
 from uniforce_vtla.results_file import write_json
 
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
 TOKENIZER = "model.tactile_encoder."
 UPLOADED = ["*.safetensors", "*.json", CARD]
+
+
+TrainedPolicy = Annotated[str, Existing("a checkpoint's folder", "config.json")]
 
 
 @dataclass
@@ -36,14 +40,16 @@ class ShareConfig:
     a dataset: uniforce-share dataset=outputs/demos push=your-name/wiping
     """
 
-    checkpoint: str = "outputs/train/checkpoints/last/pretrained_model"  # what the trainer saved
-    out: str = "outputs/shared"  # folder to hand on; no path of this machine is left in it
-    scores: str = ""  # wiping.json of uniforce-score; "" = the card says "not scored"
+    checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
+    out: OutFolder = "outputs/shared"  # folder to hand on; no path of this machine is left in it
+    scores: FilePath = ""  # wiping.json of uniforce-score; "" = the card says "not scored"
     # in a wiping.json of uniforce-benchmark, this checkpoint's own scores: …/seed0/vt as it was scored there; "" = all
-    scored_as: str = ""
-    push: str = ""  # hub repository, name/model; "" = nothing leaves this machine
+    scored_as: Text = ""
+    push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
-    dataset: str = ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    dataset: Dataset = (
+        ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    )
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 
@@ -140,21 +146,20 @@ def _scores(path: str, scored_as: str) -> dict[str, Any] | None:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    return json.loads(path.read_text()) if path.is_file() else None
+    return read_object(path, CheckpointError) if path.is_file() else None
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(ShareConfig)
+def main(config: ShareConfig) -> int:
     """Entry of ``uniforce-share``."""
-    config = parse(ShareConfig, argv)
     torch.set_num_threads(1)
-    try:
-        if config.dataset:
-            print(share_dataset(config))
-            return 0
-        out = share(config)
-    except UniForceError as error:
-        print(f"share: {error}")
-        return 2
+    if bool(config.dataset) == bool(config.checkpoint):
+        came = "both" if config.dataset else "neither"
+        raise ContractError(expected("share", "checkpoint=… or dataset=…", came, "Name one."))
+    if config.dataset:
+        print(share_dataset(config))
+        return 0
+    out = share(config)
     print(f"everything is in {out}; read {out / CARD} before you hand it on")
     if config.push:
         print(f"pushed to {push(out, config)}")

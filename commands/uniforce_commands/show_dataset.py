@@ -4,27 +4,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import cv2
 import torch
 from tqdm import tqdm
 
+from uniforce_commands.boundary import command
 from uniforce_commands.dataset_rerun import write_recording
 from uniforce_commands.dataset_sheet import write_sheet
 from uniforce_commands.dataset_story import tell
 from uniforce_commands.felt_recording import FeltRecording, ForceReader, force_head, gauges, worn
+from uniforce_commands.option_types import Verify
 from uniforce_commands.rerun_viewer import import_rerun, open_viewer
 from uniforce_datasets.source import Episode, Source
-from uniforce_vtla.arguments import names_in, numbers, parse
+from uniforce_vtla.arguments import names_in, numbers
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
+from uniforce_vtla.options import Dataset, Existing, FolderPath, Numbers, OutFolder, Pattern, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
-FORMS = ("sheet", "rerun")
 WITHOUT_RERUN = "form=sheet"
+
+
+Episodes = Annotated[str, Pattern("all, or numbers", r"all|\d{1,9}(\s*,\s*\d{1,9})*", "0,3")]
+Head = Annotated[str, Existing("a force head's folder", "config.json", words=list_sensors())]
 
 
 @dataclass
@@ -34,19 +42,18 @@ class ShowDatasetConfig:
     Example: uniforce-show-dataset root=outputs/demos episode=0,3 out=outputs/show form=sheet
     """
 
-    root: str = "outputs/demos"  # recorded dataset, from a robot or from the simulator
-    episode: str = "0"  # numbers, comma between them; all = every one
-    out: str = "outputs/show"  # a page with its pictures, or an .rrd file, for each episode
-    form: str = "sheet"  # sheet = HTML and PNG | rerun = .rrd (needs rerun-sdk)
+    root: Dataset = "outputs/demos"  # recorded dataset, from a robot or from the simulator
+    episode: Episodes = "0"  # numbers, comma between them; all = every one
+    out: OutFolder = "outputs/show"  # a page with its pictures, or an .rrd file, for each episode
+    form: Literal["sheet", "rerun"] = "sheet"  # sheet = HTML and PNG | rerun = .rrd (needs rerun-sdk)
     spawn: bool = False  # open the rerun viewer on what was written (it listens on loopback only)
-    pad_friction: str = (
-        ""  # left,right: pull slowly until the object slides; without it slippage isn't judged
-    )
+    # left,right: pull slowly until the object slides; without it slippage isn't judged
+    pad_friction: Numbers = ""
     # newtons: empty = the gauges that score a robot's recording; or from the latents: a shipped force head, a folder
-    head: str = ""
-    gauges: str = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
-    tokenizer: str = ""  # checkpoint folder; empty = shipped
-    verify: str = "quick"  # full | quick | off: how the dataset is checked first
+    head: Head = ""
+    gauges: FolderPath = ""  # folder of uniforce-scene-gauge; empty = the shipped ones, of the wiping scene
+    tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
+    verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
 
 
 def show_dataset(config: ShowDatasetConfig) -> list[Path]:
@@ -57,8 +64,6 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
         DatasetError: a dataset that can't be read, lacks a finger, or is truncated.
         CheckpointError: a tokenizer or head that can't be loaded.
     """
-    if config.form not in FORMS:
-        raise ContractError(expected("form", " | ".join(FORMS), repr(config.form), "Choose one."))
     rerun = import_rerun("form=rerun", WITHOUT_RERUN) if config.form == "rerun" else None
     friction = _friction(config.pad_friction)
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
@@ -135,16 +140,12 @@ def _numbers(story: EpisodeSummary, facts: dict[str, str]) -> dict[str, object]:
     return content
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(ShowDatasetConfig)
+def main(config: ShowDatasetConfig) -> int:
     """Entry of ``uniforce-show-dataset``."""
-    config = parse(ShowDatasetConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    try:
-        written = show_dataset(config)
-    except UniForceError as error:
-        print(f"show_dataset: {error}")
-        return 2
+    written = show_dataset(config)
     print("\n".join(f"written to {path}" for path in written))
     if config.form == "rerun" and config.spawn:
         open_viewer(*map(str, written))

@@ -6,17 +6,25 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from benchmarks.wiping_figures import draw_success_over_demos
 from benchmarks.wiping_plan import ARMS, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from lerobot_policy_pi05_uniforce.stored_policy import stored_config
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level
 from uniforce_commands.score import score_arms
 from uniforce_commands.score_config import SCRIPTS, ScoreConfig
-from uniforce_vtla.arguments import choose, names_in, parse
-from uniforce_vtla.errors import DatasetError, UniForceError, expected
+from uniforce_vtla.arguments import choose, names_in
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.arms import ArmReport
+from uniforce_vtla.options import Count, FolderPaths, Names, OutFolder, Seed, Workers
 from uniforce_vtla.results_file import provenance, write_json
+
+LearnerArms = Annotated[
+    str, Names(tuple(arm.name for arm in ARMS if arm.checkpoint not in SCRIPTS), many=True)
+]
 
 
 @dataclass
@@ -27,14 +35,14 @@ class SuccessOverDemosConfig:
     """
 
     # folders (comma between them) of uniforce-train-arm's checkpoints: vt, vt_5demos, vt_12demos, …
-    checkpoints: str = "outputs/arms/seed0"
-    only: str = "V+T"  # arms of the plan (comma between them), each a curve
-    level: str = "paper"  # locked level
-    rollouts: int = 100  # paired seeds per checkpoint
-    first_seed: int = 30_000  # the benchmark's scenes
-    workers: int = 2  # processes, one torch thread each
-    out: str = "outputs/success_over_demos"  # an episode per line and checkpoint; a killed run goes on
-    results: str = "docs/results"  # success_over_demos.json and its picture
+    checkpoints: FolderPaths = "outputs/arms/seed0"
+    only: LearnerArms = "V+T"  # arms of the plan (comma between them), each a curve
+    level: Level = "paper"  # locked level
+    rollouts: Count = 100  # paired seeds per checkpoint
+    first_seed: Seed = 30_000  # the benchmark's scenes
+    workers: Workers = 2  # processes, one torch thread each
+    out: OutFolder = "outputs/success_over_demos"  # an episode per line and checkpoint; a killed run goes on
+    results: OutFolder = "outputs/success_over_demos"  # success_over_demos.json and its picture
 
 
 @dataclass(frozen=True)
@@ -116,17 +124,13 @@ def report(config: SuccessOverDemosConfig, scored: Sequence[tuple[Point, ArmRepo
     return path
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(SuccessOverDemosConfig)
+def main(config: SuccessOverDemosConfig) -> int:
     """Entry of ``uniforce-success-over-demos``."""
     logging.basicConfig(level=logging.WARNING)
-    config = parse(SuccessOverDemosConfig, argv)
-    try:
-        found = points(config)
-        reports = score_arms([_scoring(config, point) for point in found], config.workers)
-        path = report(config, list(zip(found, reports, strict=True)))
-    except UniForceError as error:
-        print(f"success_over_demos: {error}")
-        return 2
+    found = points(config)
+    reports = score_arms([_scoring(config, point) for point in found], config.workers)
+    path = report(config, list(zip(found, reports, strict=True)))
     for arm in reports:
         print(f"{arm.arm:28s} clean {arm.count('clean')}/{arm.n}, wiped {arm.count('success')}")
     print(f"written to {path}")

@@ -6,17 +6,19 @@ import json
 import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 
+from uniforce_commands.boundary import command
 from uniforce_commands.pretrain import PRESETS, PretrainCommand
 from uniforce_commands.tokenizer_report import draw_sets
-from uniforce_vtla.arguments import choose, parse
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.arguments import choose, read
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import Count, Names, OutFolder
 from uniforce_vtla.probes.options_figure import draw_options
-from uniforce_vtla.probes.report_sets import get_report_set
+from uniforce_vtla.probes.report_sets import REPORT_SETS, get_report_set
 from uniforce_vtla.probes.zero_shot import POOL, Table, encode_set, learnt_row, summary, transfer_name
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
@@ -57,6 +59,10 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 }
 
 
+Variants = Annotated[str, Names(tuple(VARIANTS), many=True)]
+ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
+
+
 @dataclass
 class OptionsCommand:
     """Train the nano recipe once per option and read force from it; a killed run continues with what is missing.
@@ -64,12 +70,12 @@ class OptionsCommand:
     Example: uniforce-tokenizer-options steps=800 only="free bits,KL warm-up"
     """
 
-    steps: int = 800  # of each training; the shipped nano takes more
-    set: str = "hetero_hard_v1"  # frozen set that is read
-    only: str = ""  # names of options (comma between them); empty = all
-    out: str = "outputs/options"  # trainings and pair caches
-    results: str = "docs/results"  # pretraining_options.json and its figure
-    cache: str = "outputs/labelled"  # drawn sets
+    steps: Count = 800  # of each training; the shipped nano takes more
+    set: ReportSetName = "hetero_hard_v1"  # frozen set that is read
+    only: Variants = ""  # names of options (comma between them); empty = all
+    out: OutFolder = "outputs/options"  # trainings and pair caches
+    results: OutFolder = "outputs/options"  # pretraining_options.json and its figure
+    cache: OutFolder = "outputs/labelled"  # drawn sets
 
 
 def measure_variant(command: OptionsCommand, table: Table, overrides: tuple[str, ...]) -> dict[str, Any]:
@@ -77,7 +83,7 @@ def measure_variant(command: OptionsCommand, table: Table, overrides: tuple[str,
     pairs = "pairs_" + ("_".join(o.removeprefix("run.data.") for o in overrides if ".data." in o) or "nano")
     short = [f"run.steps={command.steps}", f"cache={command.out}/{pairs}", "preset=nano"]
     warmup = f"run.loss.equilibrium_warmup_steps={command.steps // 4}"
-    variant = parse(PretrainCommand, [*short, warmup, *overrides], PRESETS)
+    variant, _ = read(PretrainCommand, [*short, warmup, *overrides], PRESETS)
     name = "_".join(_short(override) for override in overrides) or "nano"
     folder = Path(command.out) / name
     tokenizer = Pretraining(variant.run, folder, open_source(variant.run, Path(variant.cache))).run()
@@ -110,7 +116,7 @@ def _run(command: OptionsCommand) -> str:
             raise ContractError(expected(str(path), wanted, came, do))
         done = before["options"]
     chosen = choose(VARIANTS, command.only)
-    nano = parse(PretrainCommand, ["preset=nano"], PRESETS).run
+    nano = read(PretrainCommand, ["preset=nano"], PRESETS)[0].run
     table = replace(draw_sets(report_set, nano.model.side, Path(command.cache)), head=HEADS)
     for name, overrides in chosen.items():
         if name in done:
@@ -133,13 +139,10 @@ def _line(name: str, found: dict[str, Any]) -> str:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(OptionsCommand)
+def main(config: OptionsCommand) -> int:
     """Entry of ``uniforce-tokenizer-options``."""
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(1)
-    try:
-        print(_run(parse(OptionsCommand, argv)))
-    except UniForceError as error:
-        print(f"tokenizer_options: {error}")
-        return 2
+    print(_run(config))
     return 0

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import cv2
 import torch
@@ -15,10 +15,24 @@ from tqdm import tqdm
 
 from uniforce_commands import peer_rows
 from uniforce_commands import tokenizer_questions as questions
-from uniforce_vtla.arguments import choose, parse
-from uniforce_vtla.errors import ContractError, DatasetError, UniForceError, expected
+from uniforce_commands.boundary import command
+from uniforce_vtla.arguments import choose
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.options import (
+    Count,
+    CountOrZero,
+    FileName,
+    FilePath,
+    FolderPath,
+    Names,
+    OutFolder,
+    Range,
+    Text,
+    TokenizerFolder,
+)
+from uniforce_vtla.peers.checkpoint import read_tensors
 from uniforce_vtla.probes.labelled_set import LabelledSet
-from uniforce_vtla.probes.report_sets import ReportSet, get_report_set
+from uniforce_vtla.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
 from uniforce_vtla.probes.zero_shot import (
     POOL,
     Cells,
@@ -38,7 +52,7 @@ from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.weights import SIZES, checkpoint_folder
+from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
@@ -46,6 +60,11 @@ OF_THE_PEERS = ("published_encoders", "speed")  # parts of the table that ``peer
 SHIPPED_HEADS_SET = (
     "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
 )
+
+
+OF_PEERS = ("pairs", "anytouch", "t3", "t3_encoder", "unit")
+Heads = Annotated[int, Range(1, 100)]
+ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
 
 
 @dataclass
@@ -56,30 +75,34 @@ class TokenizerReportCommand:
     """
 
     # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | charts: hardness, scale
-    question: str = "force"
-    data: str = (
-        ""  # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
-    )
-    recordings: str = ""  # question=slip: folder of the bilateral uSkin trials
-    set: str = "zero_shot_v1"  # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 or _v2 | heldout_hidden_v1
-    tokenizer: str = ""  # checkpoint folder; empty = shipped
-    results: str = "docs/results"  # the sets' facts, the tables and their figures
-    cache: str = "outputs/labelled"  # drawn sets, kept for the next run; delete it after changing contact/
-    seeds: int = 3  # heads per cell
+    question: Literal["force", "correlation", "reconstructions", "slip", "hardness", "scale"] = "force"
+    # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
+    data: FolderPath = ""
+    recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
+    # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 or _v2 | heldout_hidden_v1
+    set: ReportSetName = "zero_shot_v1"
+    tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
+    # tables and figures; of replay and only: where the table is read
+    results: OutFolder = "outputs/tokenizer_report"
+    facts: FolderPath = "docs/results"  # the frozen sets' recipes and hashes; freeze writes into results
+    # drawn sets, kept for the next run; delete it after changing contact/
+    cache: OutFolder = "outputs/labelled"
+    seeds: Heads = 3  # heads per cell
     freeze: bool = False  # only draw the set and write its hash
-    ship: str = ""  # small | nano: also write tokenizer and heads into the package (set=zero_shot_v1)
-    table: str = ""  # another name for the table's file; empty = the set's own
-    peers: bool = (
-        False  # also the rows that train networks of their own: hours on two cores, one row at a time
-    )
-    twin_steps: int = 6000  # of the objective twins; the shipped checkpoint's own number
-    pairs: str = ""  # pair cache of the tokenizer's recipe, for the twins; empty = drawn live
-    anytouch: str = ""  # official checkpoint file; empty = row n/a
-    t3: str = ""  # folder with encoders/ and trunk.pth; empty = row n/a
-    t3_encoder: str = ""  # which of T3's encoders reads our sensors; must be named
-    unit: str = ""  # official checkpoint file; empty = row n/a
-    only: str = ""  # measure just these rows (comma between them), keep the others from the committed table
-    replay: int = 0  # only re-measure so many cells of the UniForce row, or of the shipped heads, and compare
+    # also write tokenizer and heads into the package (set=zero_shot_v1)
+    ship: Literal["", "small", "nano"] = ""
+    table: FileName = ""  # another name for the table's file; empty = the set's own
+    # also the rows that train networks of their own: hours on two cores, one row at a time
+    peers: bool = False
+    twin_steps: Count = 6000  # of the objective twins; the shipped checkpoint's own number
+    pairs: FolderPath = ""  # pair cache of the tokenizer's recipe, for the twins; empty = drawn live
+    anytouch: FilePath = ""  # official checkpoint file; empty = row n/a
+    t3: FolderPath = ""  # folder with encoders/ and trunk.pth; empty = row n/a
+    t3_encoder: FileName = ""  # which of T3's encoders reads our sensors; must be named
+    unit: FilePath = ""  # official checkpoint file; empty = row n/a
+    only: Text = ""  # measure just these rows (comma between them), keep the others from the committed table
+    # only re-measure so many cells of the UniForce row, or of the shipped heads, and compare
+    replay: CountOrZero = 0
 
 
 def freeze(command: TokenizerReportCommand, report_set: ReportSet, side: int) -> Path:
@@ -158,7 +181,7 @@ def _table_path(command: TokenizerReportCommand, report_set: ReportSet) -> Path:
 
 
 def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, Any]:
-    path = Path(command.results) / report_set.facts_file
+    path = Path(command.facts) / report_set.facts_file
     if not path.exists():
         do = f"Freeze it first: uniforce-tokenizer-report set={report_set.name} freeze=true"
         raise DatasetError(expected(str(path), "the frozen set's recipe and hash", "no such file", do))
@@ -196,13 +219,7 @@ def _still_true(table: dict[str, Any], tokenizer: Tokenizer) -> dict[str, Cells]
 
 
 def ship(size: str, table: Table, tokenizer: Tokenizer) -> None:
-    """Write the tokenizer and one head per source sensor into the package.
-
-    Raises:
-        ContractError: the package ships no such size.
-    """
-    if size not in SIZES:
-        raise ContractError(expected("ship", " | ".join(SIZES), size, "Name one."))
+    """Write the tokenizer and one head per source sensor into the package."""
     tokenizer.save(checkpoint_folder(size, "tokenizer"))
     for source, labelled in tqdm(table.training.items(), desc="shipped heads"):
         model = train_head(encode_set(tokenizer, labelled), labelled.force_N, HeadTrainingConfig(), seed=0)
@@ -247,9 +264,19 @@ def _say_if_redrawn(
         print(f"note: {error}")
 
 
+def _check_peers(command: TokenizerReportCommand) -> None:
+    """Refuse other people's weights that are damaged, or not asked about, before hours of work."""
+    given = [name for name in OF_PEERS if getattr(command, name)]
+    if given and not command.peers:
+        raise ContractError(expected(", ".join(given), "peers=true beside it", "peers=false", "Add it."))
+    for file in filter(None, (command.anytouch, command.unit)):
+        read_tensors(Path(file))
+
+
 def _report(command: TokenizerReportCommand) -> str:
     results, report_set = Path(command.results), get_report_set(command.set)
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
+    _check_peers(command)
     if command.freeze:
         return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
     if command.replay:
@@ -290,15 +317,11 @@ def _numbers(values: dict[str, float]) -> str:
     return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(TokenizerReportCommand)
+def main(command: TokenizerReportCommand) -> int:
     """Entry of ``uniforce-tokenizer-report``."""
     logging.basicConfig(level=logging.INFO)
-    command = parse(TokenizerReportCommand, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    try:
-        print(_report(command))
-    except UniForceError as error:
-        print(f"tokenizer_report: {error}")
-        return 2
+    print(_report(command))
     return 0

@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import cv2
 import torch
@@ -18,18 +19,24 @@ from lerobot_camera_uniforce import (
     UniforceUskinConfig,
 )
 from lerobot_camera_uniforce.finger import TactileFinger
-from uniforce_commands.touch_checks import check_orientation, check_rate
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Sensor
+from uniforce_commands.touch_checks import QUARTERS, check_orientation, check_rate
 from uniforce_commands.touch_live import LiveTouch
 from uniforce_commands.touch_outputs import make_output, save_panel
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.contracts import check_finger
-from uniforce_vtla.errors import ContractError, UniForceError, expected
-from uniforce_vtla.sensors import get_sensor
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder
+from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 
 STAND_IN = "standin"
-CHECKS = ("", "rate", "orientation")
+
+
+Controller = Annotated[int, Range(0, 15)]
+Quarters = Annotated[str, Names(tuple(QUARTERS), many=True)]
+NewtonsHead = Annotated[str, Names((*list_sensors(), "none"))]
 
 
 @dataclass
@@ -41,23 +48,25 @@ class TouchConfig:
     No hardware: uniforce-touch sensor=uskin source=standin seconds=5
     """
 
-    sensor: str = "uskin"  # gelsight | tactip | uskin
-    source: str = ""  # camera: device or http://…; uskin: serial port, ws://host:port or csv; or standin
-    finger: str = "left"  # who wears it: left | right; forces are in that finger's own frame
-    output: str = "terminal"  # terminal | window (needs a display and an OpenCV with windows) | rerun
-    check: str = ""  # rate: measured rate, ages, losses | orientation: press where told; empty = live view
-    seconds: float = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
-    refresh_hz: float = 10.0  # pictures per second
-    rotation_deg: int = 0  # how the sensor is turned on its finger: 0 | 90 | 180 | 270
+    sensor: Sensor = "uskin"  # gelsight | tactip | uskin
+    source: Text = ""  # camera: device or http://…; uskin: serial port, ws://host:port or csv; or standin
+    # who wears it: left | right; forces are in that finger's own frame
+    finger: Literal["left", "right"] = "left"
+    # window needs a display and an OpenCV with windows
+    output: Literal["terminal", "window", "rerun"] = "terminal"
+    # rate: measured rate, ages, losses | orientation: press where told; empty = live view
+    check: Literal["", "rate", "orientation"] = ""
+    seconds: NotNegative = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
+    refresh_hz: Positive = 10.0  # pictures per second
+    rotation_deg: Literal[0, 90, 180, 270] = 0  # how the sensor is turned on its finger: 0 | 90 | 180 | 270
     flip: bool = False  # uskin: columns run the other way
-    controller: int = 0  # uskin: microcontroller id in the low bits of its CAN ids
+    controller: Controller = 0  # uskin: microcontroller id in the low bits of its CAN ids
     lock_camera: bool = True  # lock exposure, white balance and gain; false leaves the camera's automatics
-    quarters: str = (
-        "top-left,top-right,bottom-left,bottom-right"  # orientation: where to press, in this order
-    )
-    tokenizer: str = "nano"  # small | nano, or a checkpoint folder
-    head: str = "tactip"  # the sensor whose shipped force head reads the latents; empty = no newtons
-    save: str = ""  # write the last picture of the live view to this file
+    # orientation: where to press, in this order
+    quarters: Quarters = "top-left,top-right,bottom-left,bottom-right"
+    tokenizer: TokenizerFolder = "nano"  # small | nano, or a checkpoint folder
+    head: NewtonsHead = "tactip"  # the sensor whose shipped force head reads the latents; none = no newtons
+    save: OutFile = ""  # write the last picture of the live view to this file
 
 
 def make_finger(config: TouchConfig, source: str) -> TactileFinger:
@@ -116,10 +125,15 @@ def _start_stand_in(stack: contextlib.ExitStack, sensor: str) -> str:
     return stack.enter_context(StandIn(*options, "rest_s=2")).address
 
 
-def show(config: TouchConfig, finger: TactileFinger) -> None:
-    """Show the live view until ``config.seconds`` are over."""
+def show(config: TouchConfig) -> None:
+    """Show the live view until ``config.seconds`` are over; what reads images is loaded before a device is opened."""
     tokenizer = Tokenizer.from_pretrained(config.tokenizer)
-    head = ForceHead.from_pretrained(config.head, config.tokenizer) if config.head else None
+    head = ForceHead.from_pretrained(config.head, config.tokenizer) if config.head != "none" else None
+    with opened(config) as finger:
+        _show(config, finger, tokenizer, head)
+
+
+def _show(config: TouchConfig, finger: TactileFinger, tokenizer: Tokenizer, head: ForceHead | None) -> None:
     label = finger.config.label + (" (stand-in)" if config.source == STAND_IN else "")
     live = LiveTouch(finger, check_finger(config.finger), tokenizer, head, label)
     end_s = time.monotonic() + (config.seconds or math.inf)
@@ -135,32 +149,24 @@ def show(config: TouchConfig, finger: TactileFinger) -> None:
 
 def run(config: TouchConfig) -> int:
     """Do what ``config`` asks; return the exit code: 1 when a check failed."""
-    if config.check not in CHECKS:
-        raise ContractError(expected("check", "rate | orientation", config.check, "Choose one or none."))
     if not config.source:
         do = "Set source=DEVICE, or source=standin to try without hardware."
         raise ContractError(expected("source", "a device", "nothing", do))
-    if not config.refresh_hz > 0 or config.seconds < 0:
-        came = f"{config.refresh_hz}, {config.seconds}"
-        raise ContractError(expected("refresh_hz, seconds", "positive numbers", came, "Correct them."))
+    if not config.check:
+        show(config)
+        return 0
     with opened(config) as finger:
         if config.check == "rate":
             return check_rate(finger, config.seconds or 5.0)
-        if config.check == "orientation":
-            return check_orientation(finger, config.quarters.split(","), config.seconds or 60.0)
-        show(config, finger)
-    return 0
+        return check_orientation(finger, config.quarters.split(","), config.seconds or 60.0)
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(TouchConfig)
+def main(config: TouchConfig) -> int:
     """Entry of ``uniforce-touch``."""
-    config = parse(TouchConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
         return run(config)
-    except UniForceError as error:
-        print(f"touch: {error}")
-        return 2
     except KeyboardInterrupt:
         return 0

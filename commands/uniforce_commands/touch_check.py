@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -16,13 +17,18 @@ from torch import nn
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
-from uniforce_vtla.arguments import parse
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Level
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.statistics import mcnemar, wilson
+from uniforce_vtla.options import Count, Names, OutFile
 from uniforce_vtla.results_file import provenance, write_json
 
 WRENCH_UNIT = np.tile([4.0, 4.0, 8.0, 40.0], 2)  # N, N, N, Nmm per finger: brings the wrench near 1
 FORMS = ("target_delta", "measured_delta", "absolute")
+
+
+Forms = Annotated[list[str], Names(FORMS)]
 
 
 @dataclass
@@ -32,14 +38,14 @@ class TouchCheckConfig:
     Example: uniforce-touch-check level=easy rollouts=50 forms=[target_delta]
     """
 
-    level: str = "easy"  # locked level
-    demos: int = 50  # expert episodes from seed 0 on; only clean ones are cloned
-    rollouts: int = 50  # unseen scenes, from seed 10 000 on
-    forms: list[str] = field(default_factory=lambda: list(FORMS))  # what a chunk is relative to
-    chunk: int = 16  # steps predicted
-    execute: int = 6  # steps run before looking again (0.2 s at 30 Hz)
-    train_steps: int = 4000  # of 256 samples, AdamW 1e-3, cosine
-    out: str = "docs/results/touch_check.json"  # result file
+    level: Level = "easy"  # locked level
+    demos: Count = 50  # expert episodes from seed 0 on; only clean ones are cloned
+    rollouts: Count = 50  # unseen scenes, from seed 10 000 on
+    forms: Forms = field(default_factory=lambda: list(FORMS))  # what a chunk is relative to
+    chunk: Count = 16  # steps predicted
+    execute: Count = 6  # steps run before looking again (0.2 s at 30 Hz)
+    train_steps: Count = 4000  # of 256 samples, AdamW 1e-3, cosine
+    out: OutFile = "outputs/touch_check/touch_check.json"  # result file
 
 
 @dataclass(frozen=True)
@@ -157,9 +163,9 @@ def run(config: TouchCheckConfig) -> dict[str, dict]:
     return rows
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(TouchCheckConfig)
+def main(config: TouchCheckConfig) -> int:
     """Entry of ``uniforce-touch-check``."""
-    config = parse(TouchCheckConfig, argv)
     torch.set_num_threads(1)
     content = {
         "what": "clean success of cloned MLPs, simulated",

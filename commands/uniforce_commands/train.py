@@ -2,23 +2,35 @@
 
 from __future__ import annotations
 
-import json
+import difflib
+import io
+import logging
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from argparse import ArgumentError
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 from accelerate import PartialState, utils
+from lerobot.configs import parser
+from lerobot.configs.train import TrainPipelineConfig
 from lerobot.datasets import factory
 from lerobot.scripts import lerobot_train
 from lerobot.utils.constants import PRETRAINED_MODEL_DIR
 from lerobot.utils.import_utils import register_third_party_plugins
 
-from uniforce_vtla.errors import ContractError, expected
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig
+from uniforce_commands.boundary import command
+from uniforce_vtla.arguments import Option, check, options_of, read_value, split_words
+from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
 from uniforce_vtla.file_hashes import write_hashes
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
+from uniforce_vtla.options import Range, Writable, check_text, shortened
 
 HELP = """\
 Train a policy with LeRobot's trainer; everything after the script's name is a setting of lerobot-train.
@@ -44,6 +56,14 @@ VERIFY = "verify="
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
 OURS = "pi05_uniforce"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
+RANGES = {  # of LeRobot's own settings, which it does not check
+    "steps": Range(1, 10_000_000),
+    "batch_size": Range(1, 65_536),
+    "num_workers": Range(0, 256),
+    "prefetch_factor": Range(1, 1024),
+    "log_freq": Range(0, 10_000_000),
+    "seed": Range(0, 2**32 - 1),
+}
 KEPT_GROUPS: list[Any] = []  # process groups of trainings that ended, see ``process_group_kept``
 
 
@@ -79,7 +99,7 @@ def training_views(verify: str = "") -> Iterator[None]:
 
         root = cfg.dataset.root
         if root is None or not (Path(root) / VIEW_MARKER).is_file():
-            return make_training_dataset(cfg, stock, verify)
+            return make_training_dataset(cfg, partial(_stock_dataset, stock), verify)
         if cfg.dataset.eval_split:
             do = "Make a view of the held-out episodes instead."
             raise ContractError(
@@ -92,6 +112,20 @@ def training_views(verify: str = "") -> Iterator[None]:
         yield
     finally:
         factory.make_dataset = stock
+
+
+def _stock_dataset(stock: Any, cfg: Any) -> Any:
+    """Return what LeRobot reads.
+
+    Raises:
+        ContractError: it can't, from the folder or from the hub.
+    """
+    where = cfg.dataset.root or cfg.dataset.repo_id
+    try:
+        return stock(cfg)
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        do = "Look at it, or record it again."
+        raise ContractError(expected("dataset", f"a whole dataset in {where}", _said(error), do)) from error
 
 
 @contextmanager
@@ -157,26 +191,109 @@ def trains_ours(flags: Sequence[str]) -> bool:
     resumed = Path(given.get("config_path", "")).parent / "config.json"
     for key, config in (("policy.path", started), ("config_path", resumed)):
         if key in given and config.is_file():
-            return json.loads(config.read_text()).get("type") == OURS
+            return read_object(config, CheckpointError).get("type") == OURS
     return given.get("policy.type") == OURS
 
 
-def main(argv: Sequence[str] | None = None) -> None:
-    """Run ``lerobot-train`` on the given arguments (the process's own when None)."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments in (["--help"], ["-h"]):
-        print(HELP)
-        return
+def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
+    """Return LeRobot's settings as its own parser reads them from ``sys.argv``, checked before the work begins.
+
+    Raises:
+        ContractError: a setting LeRobot doesn't have, of a wrong type or out of range, a path that can't be used.
+    """
+    said = io.StringIO()
+    logging.disable(logging.WARNING)  # what LeRobot warns of here, it does again when the work begins
+    try:
+        _check(split_words(flags), trains_ours(flags))
+        with redirect_stderr(said):
+            settings: TrainPipelineConfig = parser.wrap()(_settings)()
+        settings.validate()
+    except UniForceError as error:
+        raise _with_nearest(error) from error
+    except SystemExit as error:  # LeRobot's way to end after a wrong type; it printed why
+        raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
+    except (
+        ArgumentError,
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        NotImplementedError,
+    ) as error:
+        raise ContractError(
+            expected("settings", "what LeRobot takes", _said(error), "See --help.")
+        ) from error
+    return settings
+
+
+def _settings(cfg: TrainPipelineConfig) -> TrainPipelineConfig:
+    return cfg
+
+
+_settings.__annotations__["cfg"] = TrainPipelineConfig  # LeRobot's parser reads the class, not its name
+
+
+def settings_known() -> dict[str, Option]:
+    """Return LeRobot's settings and our policy's, with the ranges that we add."""
+    known = options_of(TrainPipelineConfig) | options_of(PI05UniforceConfig, "policy.")
+    return known | {name: replace(known[name], rule=allowed) for name, allowed in RANGES.items()}
+
+
+def _check(given: Mapping[str, str], ours: bool) -> None:
+    known = settings_known()
+    for name, text in given.items():
+        check_text(name, text)
+        if name in known and (ours or not name.startswith("policy.")):
+            check(known[name], read_value(known[name], text))
+    root, out = given.get("dataset.root"), given.get("output_dir")
+    if root is not None and not any(
+        (Path(root) / name).is_file() for name in (VIEW_MARKER, "meta/info.json")
+    ):
+        raise ContractError(expected("dataset.root", "a dataset or a training view", root, "Check the path."))
+    if out is not None:
+        Writable().check("output_dir", out)
+
+
+def _with_nearest(error: UniForceError) -> UniForceError:
+    """Add the nearest known name to what argparse says of an unknown one."""
+    _, unknown, words = str(error).partition("unrecognized arguments: ")
+    near = difflib.get_close_matches(words.partition("=")[0].removeprefix("--"), settings_known(), 1)
+    return ContractError(f"{error} Did you mean {near[0]}=…?") if unknown and near else error
+
+
+def _said(error: object) -> str:
+    return shortened(f"{type(error).__name__}: {error}" if isinstance(error, Exception) else str(error), 300)
+
+
+def train(argv: Sequence[str]) -> None:
+    """Run ``lerobot-train`` on the given arguments.
+
+    Raises:
+        UniForceError: settings, a dataset or a checkpoint that can't be used.
+    """
     register_third_party_plugins()
-    verify, settings = take_verify(arguments)
+    verify, settings = take_verify(argv)
     flags = to_lerobot(settings)
     before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
     try:
+        if "--help" not in flags:
+            read_settings(flags)
         with training_views(verify), every_weight_used(flags), process_group_kept(), checkpoints_hashed():
             lerobot_train.main()
     finally:
         sys.argv = before
 
 
+@command(None)
+def main(argv: Sequence[str]) -> int:
+    """Entry of ``uniforce-train``."""
+    if not argv or list(argv) in (["--help"], ["-h"]):
+        print(HELP)
+        return 0
+    train(argv)
+    return 0
+
+
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

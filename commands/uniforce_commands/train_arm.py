@@ -5,13 +5,16 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from benchmarks.wiping_plan import RECIPES, Recipe
 from uniforce_commands import train
-from uniforce_vtla.arguments import choose, parse
-from uniforce_vtla.errors import DatasetError, UniForceError, expected
+from uniforce_commands.boundary import command
+from uniforce_vtla.arguments import choose
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
+from uniforce_vtla.options import Count, CountOrZero, Names, OutFolder, Seed, View
 
 # m, m, m, rad, m: so that .4 mm of height and .03 mm of width, a newton's worth, weigh
 DELTA_KNEE = (0.0, 0.0, 0.003, 0.0, 0.0003)
@@ -22,6 +25,9 @@ TOLD_AXES = (0, 1, 2)
 CAMERA_VARIATION = 1.0  # fifty demos know fifty lights, the next scene has another
 
 
+RecipeName = Annotated[str, Names(tuple(RECIPES))]
+
+
 @dataclass
 class TrainArmConfig:
     """Train a checkpoint of the plan from one view of both rigs' demos; run it again to go on after any stop.
@@ -29,14 +35,14 @@ class TrainArmConfig:
     Example: uniforce-train-arm name=vt view=outputs/view_paper seed=0
     """
 
-    name: str = "vt"  # v | vt | vtg | vtu, or a control: wrench | descriptor | images
-    view: str = "outputs/view_paper"  # training view that holds the demos of both rigs
-    demos: int = 0  # only the first so many of each rig, for the curve of success over demos; 0 = all
-    steps: int = 6000  # optimiser steps, the same for every arm
-    batch_size: int = 32  # samples per step
-    seed: int = 0  # of weights and batches; the plan asks for two
-    save_every: int = 1000  # steps between checkpoints a killed run continues from
-    out: str = "outputs/arms"  # the checkpoint lies in OUT/seedS/NAME when done
+    name: RecipeName = "vt"  # v | vt | vtg | vtu, or a control: wrench | descriptor | images
+    view: View = "outputs/view_paper"  # training view that holds the demos of both rigs
+    demos: CountOrZero = 0  # only the first so many of each rig, for the curve of success over demos; 0 = all
+    steps: Count = 6000  # optimiser steps, the same for every arm
+    batch_size: Count = 32  # samples per step
+    seed: Seed = 0  # of weights and batches; the plan asks for two
+    save_every: Count = 1000  # steps between checkpoints a killed run continues from
+    out: OutFolder = "outputs/arms"  # the checkpoint lies in OUT/seedS/NAME when done
 
 
 def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
@@ -108,21 +114,17 @@ def train_arm(config: TrainArmConfig) -> Path:
     if done.exists():
         return done
     if (last / "train_config.json").exists():
-        train.main(["resume=true", f"config_path={last / 'train_config.json'}"])
+        train.train(["resume=true", f"config_path={last / 'train_config.json'}"])
     else:
-        train.main(arguments(config, recipe, run))
+        train.train(arguments(config, recipe, run))
     done.parent.mkdir(parents=True, exist_ok=True)
     done.symlink_to(last.resolve(), target_is_directory=True)
     return done
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(TrainArmConfig)
+def main(config: TrainArmConfig) -> int:
     """Entry of ``uniforce-train-arm``."""
     logging.basicConfig(level=logging.INFO)
-    config = parse(TrainArmConfig, argv)
-    try:
-        print(f"checkpoint in {train_arm(config)}")
-    except UniForceError as error:
-        print(f"train_arm: {error}")
-        return 2
+    print(f"checkpoint in {train_arm(config)}")
     return 0

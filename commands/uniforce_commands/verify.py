@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Verify
 from uniforce_datasets.hashes import VIEW_PARTS, check_hashes
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.rehash import rehash
 from uniforce_datasets.view_marker import read_marker
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import ContractError, UniForceError, expected
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import VIEW_MARKER
+from uniforce_vtla.options import FolderPath
 
 
 @dataclass
@@ -22,8 +24,8 @@ class VerifyConfig:
     After lerobot-edit-dataset or other tools of LeRobot: uniforce-verify root=outputs/demos verify=full rehash=true
     """
 
-    root: str = "outputs/demos"  # recorded dataset, or a training view
-    verify: str = (
+    root: FolderPath = "outputs/demos"  # recorded dataset, or a training view
+    verify: Verify = (
         "full"  # full: every byte and frame | quick: sizes, small files, some frames of every episode
     )
     rehash: bool = False  # check the content only, then write the hashes of the files that are there now
@@ -53,12 +55,8 @@ def _verify_view(root: Path, config: VerifyConfig) -> str:
     return f"{root}: view of {len(marker['episodes'])} episodes, as it was built"
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(VerifyConfig)
+def main(config: VerifyConfig) -> int:
     """Entry of ``uniforce-verify``."""
-    config = parse(VerifyConfig, argv)
-    try:
-        print(verify(config))
-    except UniForceError as error:
-        print(f"verify: {error}")
-        return 2
+    print(verify(config))
     return 0

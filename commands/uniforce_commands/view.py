@@ -5,16 +5,20 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import cv2
 import torch
 
-from uniforce_vtla.arguments import parse
-from uniforce_vtla.errors import UniForceError
+from uniforce_commands.boundary import command
+from uniforce_commands.option_types import Verify
+from uniforce_vtla.options import Datasets, OutFolder, Pixels, Range, Slots, TokenizerFolder, Workers
 
 if TYPE_CHECKING:
     from uniforce_datasets.view_plan import EpisodeFacts
+
+
+LatentGrid = Annotated[int, Range(1, 8)]
 
 
 @dataclass
@@ -24,17 +28,17 @@ class ViewConfig:
     Example: uniforce-view roots=outputs/demos_gelsight,outputs/demos_uskin out=outputs/view
     """
 
-    roots: str = "outputs/demos"  # dataset folders, joined in order; comma between them
-    out: str = "outputs/view"  # the view's folder: give it to uniforce-train as dataset.root
-    image_side: int = 56  # px per side of the stored camera images; the tiny policy's size
-    latent_grid: int = 4  # latents pooled to 4×4; the policy's latent_grid must match
-    slots: str = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
-    tokenizer: str = ""  # folder of a tokenizer; empty = the shipped one
+    roots: Datasets = "outputs/demos"  # dataset folders, joined in order; comma between them
+    out: OutFolder = "outputs/view"  # the view's folder: give it to uniforce-train as dataset.root
+    image_side: Pixels = 56  # px per side of the stored camera images; the tiny policy's size
+    latent_grid: LatentGrid = 4  # latents pooled to 4×4; the policy's latent_grid must match
+    slots: Slots = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
+    tokenizer: TokenizerFolder = ""  # folder of a tokenizer; empty = the shipped one
     # take demos that wiped the board with an event (too much force, a slip): a nudged expert's way back from it
     keep_events: bool = False
     keep_failures: bool = False  # take failed demos too
-    workers: int = 2  # processes; each needs about 1 GB
-    verify: str = "quick"  # full | quick | off: how the datasets are checked first
+    workers: Workers = 2  # processes; each needs about 1 GB
+    verify: Verify = "quick"  # full | quick | off: how the datasets are checked first
 
 
 def make_view(config: ViewConfig) -> Path:
@@ -60,16 +64,12 @@ def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
     return facts.success or config.keep_failures or (config.keep_events and wiped)
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(ViewConfig)
+def main(config: ViewConfig) -> int:
     """Entry of ``uniforce-view``."""
-    config = parse(ViewConfig, argv)
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    try:
-        out = make_view(config)
-    except UniForceError as error:
-        print(f"view: {error}")
-        return 2
+    out = make_view(config)
     facts = json.loads((out / "uniforce_view.json").read_text())
     print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")
     print(f"next: uniforce-train policy=pi05_uniforce dataset.repo_id=local/view dataset.root={out}")

@@ -28,10 +28,15 @@ class StagedMetadata(LeRobotDatasetMetadata):
     def _load_metadata(self) -> None:
         if not (self.root / "meta" / "info.json").is_file():  # never ask the hub instead
             raise DatasetError(expected(str(self.root), "meta/info.json", "none", "Give a dataset's folder."))
-        self.info = load_info(self.root)
-        self.tasks = load_tasks(self.root) if self.total_tasks else None
-        self.stats = load_stats(self.root)
-        self.episodes = [_last_row(self.root, self.video_keys)] if self.total_episodes else None
+        try:
+            self.info = load_info(self.root)
+            self.tasks = load_tasks(self.root) if self.total_tasks else None
+            self.stats = load_stats(self.root)
+            self.episodes = [_last_row(self.root, self.video_keys)] if self.total_episodes else None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            do = "Restore it from a copy, or record into a new folder."
+            came = f"{type(error).__name__}: {error}"
+            raise DatasetError(expected(f"{self.root}/meta", "a dataset's metadata", came, do)) from error
 
 
 def _last_row(root: Path, video_keys: list[str]) -> dict[str, Any]:

@@ -62,7 +62,12 @@ def train_a_little(root: Path, out: Path) -> dict[str, Any]:
         f"save_freq={STEPS}",
         f"output_dir={run}",
     ]
-    command = [sys.executable, "-c", "from uniforce_commands.train import main; main()", *arguments]
+    command = [
+        sys.executable,
+        "-c",
+        "import sys; from uniforce_commands.train import main; sys.exit(main())",
+        *arguments,
+    ]
     out.mkdir(parents=True, exist_ok=True)
     with (out / "train.log").open("w") as log:
         ended = subprocess.run(

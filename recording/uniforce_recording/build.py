@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +14,9 @@ from lerobot.robots import RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
 
 from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_vtla.arguments import Option, check, options_of, own_cause, read_value, refuse_unknown
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import check_text
 
 OUR_TELEOPERATORS = "lerobot_teleoperator_uniforce"
 ROBOTS = {"franka": "uniforce_franka"}
@@ -44,11 +46,17 @@ def read_devices(flags: Sequence[str], robot: str, teleop: str, file: str = "") 
     if teleop not in names:
         known = " | ".join(["expert", *sorted(names)])
         raise ContractError(expected("teleop", known, repr(teleop), "Name one."))
-    settings = _with_flags(_read_file(file), flags)
+    settings, options = (
+        _read_file(file),
+        options_of(TeleoperatorConfig.get_choice_class(names[teleop]), "teleop."),
+    )
     settings.setdefault("teleop", {})["type"] = names[teleop]
+    if robot:
+        settings.setdefault("robot", {})["type"] = ROBOTS[robot]
+        options |= options_of(RobotConfig.get_choice_class(ROBOTS[robot]), "robot.")
+    _with_flags(settings, flags, options)
     if not robot:
         return Devices(None, _decode(TeleoperatorConfig, "teleop", settings))
-    settings.setdefault("robot", {})["type"] = ROBOTS[robot]
     return Devices(_decode(RobotConfig, "robot", settings), _decode(TeleoperatorConfig, "teleop", settings))
 
 
@@ -65,16 +73,23 @@ def _read_file(file: str) -> dict[str, Any]:
     return content
 
 
-def _with_flags(settings: dict[str, Any], flags: Sequence[str]) -> dict[str, Any]:
-    """Put flags into the settings; not through draccus' own parser, which stumbles over unrelated classes."""
+def _with_flags(settings: dict[str, Any], flags: Sequence[str], options: Mapping[str, Option]) -> None:
+    """Put flags into the settings, checked as far as their options say what they may be.
+
+    Not through draccus' own parser, which stumbles over unrelated classes.
+    """
+    names = [flag.removeprefix("--").partition("=")[0] for flag in flags]
+    refuse_unknown([name for name in names if not any(name.startswith(f"{o}.") for o in options)], options)
     for flag in flags:
-        name, _, value = flag.removeprefix("--").partition("=")
+        name, _, text = flag.removeprefix("--").partition("=")
+        check_text(name, text)
         *path, last = name.split(".")
         inner = settings
         for key in path:
             inner = inner.setdefault(key, {})
-        inner[last] = yaml.safe_load(value)
-    return settings
+        inner[last] = read_value(options[name], text) if name in options else yaml.safe_load(text)
+        if name in options:
+            check(options[name], inner[last])
 
 
 def _decode[ConfigT](config_class: type[ConfigT], part: str, settings: dict[str, Any]) -> ConfigT:
@@ -82,7 +97,9 @@ def _decode[ConfigT](config_class: type[ConfigT], part: str, settings: dict[str,
         decoded: ConfigT = draccus.decode(config_class, settings[part])
     except (draccus.utils.DecodingError, ValueError, TypeError) as error:
         do = "See docs/franka.md and docs/tactile_devices.md."
-        raise ContractError(expected(f"{part}.…", "settings it has", error, do)) from error
+        raise ContractError(
+            expected(f"{part}.…", "settings it has", own_cause(error) or error, do)
+        ) from error
     return decoded
 
 

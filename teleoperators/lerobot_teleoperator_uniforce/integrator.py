@@ -38,9 +38,10 @@ class TargetLimits:
 
     def __post_init__(self) -> None:
         rows = (self.speed, self.low, self.high, self.leash)
-        if any(len(row) != len(AXES) or not np.isfinite(row).all() for row in rows):
-            do = "Give one finite number per axis."
-            raise ContractError(expected("target limits", f"{len(AXES)} numbers each", rows, do))
+        for name, row in zip(("speed", "low", "high", "leash"), rows, strict=True):
+            if len(row) != len(AXES) or not np.isfinite(row).all():
+                do = "Give one finite number per axis."
+                raise ContractError(expected(f"limits.{name}", f"{len(AXES)} numbers", row, do))
         if np.any(np.greater_equal(self.low, self.high)) or min(*self.speed, *self.leash) < 0:
             raise ContractError(
                 expected("target limits", "low < high, speed and leash ≥ 0", rows, "Mend them.")

@@ -124,7 +124,7 @@ def test_the_expert_is_scored_and_replayed(tmp_path: Path, capsys: pytest.Captur
 
 def test_nothing_to_replay_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([f"results={tmp_path}", "replay=2"]) == 2
-    assert "Run the benchmark first" in capsys.readouterr().out
+    assert "Run the benchmark first" in capsys.readouterr().err
 
 
 def test_every_script_of_the_plan_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:

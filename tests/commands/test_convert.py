@@ -99,7 +99,7 @@ def test_a_conversion_keeps_every_weight_and_trains_on(published: Path, view: Pa
     assert json.loads((out / "config.json").read_text())["token_site"] == "suffix"
     data = ["dataset.repo_id=local/view", f"dataset.root={view}", f"output_dir={tmp_path / 'run'}"]
     run = ["steps=2", "batch_size=2", "num_workers=0", "save_freq=2", "policy.device=cpu"]
-    train.main([f"policy.path={out}", *data, *run])
+    train.train([f"policy.path={out}", *data, *run])
     assert (tmp_path / "run" / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").exists()
 
 
@@ -118,10 +118,10 @@ def test_missing_and_strange_tensors_are_named(
     (tmp_path / "config.json").write_text((published / "config.json").read_text())
     save_file(tensors, tmp_path / "model.safetensors")
     assert convert(tmp_path, view, tmp_path / "out", "touch_input=wrench") == 2
-    assert says in capsys.readouterr().out and not (tmp_path / "out").exists()
+    assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 def test_another_policy_is_refused(view: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "config.json").write_text('{"type": "act"}')
     assert convert(tmp_path, view, tmp_path / "out") == 2
-    assert "pi05" in capsys.readouterr().out
+    assert "pi05" in capsys.readouterr().err

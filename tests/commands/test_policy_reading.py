@@ -98,4 +98,4 @@ def test_a_misread_finger_comes_out_as_it_was_made(view: Path) -> None:
 
 def test_without_a_checkpoint_it_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([f"policy={tmp_path}", f"view={tmp_path}"]) == 2
-    assert str(tmp_path) in capsys.readouterr().out
+    assert str(tmp_path) in capsys.readouterr().err

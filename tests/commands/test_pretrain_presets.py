@@ -9,19 +9,21 @@ import pytest
 
 from uniforce_commands.pretrain import PRESETS, PretrainCommand
 from uniforce_commands.tokenizer_options import VARIANTS
-from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.arguments import choose, parse, read
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.pair_cache import FAMILY
 
 
 def test_small_draws_the_family_the_peers_see_too() -> None:
-    first, second = (parse(PretrainCommand, [f"preset={n}"], PRESETS) for n in ("small_draw", "small_agree"))
+    first, second = (
+        read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in ("small_draw", "small_agree")
+    )
     assert first.run.data == second.run.data == FAMILY
 
 
 def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
     names = ("small_draw", "small_agree", "small_held", "small")
-    stages = [parse(PretrainCommand, [f"preset={n}"], PRESETS) for n in names]
+    stages = [read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names]
     for before, after in pairwise(stages):
         assert after.run.init == f"{before.out}/tokenizer"
         assert after.run.model == before.run.model
@@ -31,7 +33,9 @@ def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
 
 
 def test_nano_is_smaller_and_what_is_given_wins() -> None:
-    small, nano = (parse(PretrainCommand, [f"preset={n}", "run.steps=7"], PRESETS) for n in ("small", "nano"))
+    small, nano = (
+        read(PretrainCommand, [f"preset={n}", "run.steps=7"], PRESETS)[0] for n in ("small", "nano")
+    )
     assert nano.run.model.width < small.run.model.width
     assert nano.run.steps == small.run.steps == 7
 

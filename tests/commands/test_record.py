@@ -40,4 +40,4 @@ def test_the_label_is_what_the_expert_commanded_not_what_was_executed(
 
 def test_a_negative_nudge_is_refused(capsys: pytest.CaptureFixture[str], tmp_path) -> None:
     assert main(["nudge=-1", f"root={tmp_path / 'demos'}"]) == 2
-    assert "nudge" in capsys.readouterr().out
+    assert "nudge" in capsys.readouterr().err

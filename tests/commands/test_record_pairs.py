@@ -30,7 +30,7 @@ def test_what_makes_no_sense_is_refused_in_words(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: str
 ) -> None:
     assert main([*QUICK, f"out={tmp_path / 'new'}", wrong]) == 2
-    assert "expected" in capsys.readouterr().out
+    assert "expected" in capsys.readouterr().err
 
 
 def test_the_score_is_measured_and_written_with_its_figure(tmp_path: Path) -> None:

@@ -138,9 +138,9 @@ def test_what_is_no_score_or_no_checkpoint_is_said(
     trained: tuple[Path, torch.Tensor], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert share.main([f"checkpoint={trained[0]}", "scores=/nowhere.json"]) == 2
-    assert "/nowhere.json" in capsys.readouterr().out
+    assert "/nowhere.json" in capsys.readouterr().err
     assert share.main([f"checkpoint={tmp_path / 'nothing'}"]) == 2
-    assert "config.json" in capsys.readouterr().out
+    assert "a checkpoint's folder" in capsys.readouterr().err
 
 
 def test_half_the_size_the_same_action_and_the_tokenizer_bit_by_bit(

@@ -82,12 +82,12 @@ def test_unknown_episodes_and_forms_are_refused(
 ) -> None:
     for words, said in (
         (["episode=7"], "from 0 to 1"),
-        (["episode=last"], "from 0 to 1"),
+        (["episode=last"], "all, or numbers"),
         (["form=gif"], "sheet | rerun"),
         (["pad_friction=0.6"], "2 numbers"),
     ):
         assert main([f"root={recorded}", f"out={tmp_path}", *words]) == 2
-        assert said in capsys.readouterr().out
+        assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -99,7 +99,7 @@ def test_without_rerun_its_form_is_refused_before_any_work(
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 2
-    assert "[rerun]" in capsys.readouterr().out
+    assert "[rerun]" in capsys.readouterr().err
 
 
 class Told:

@@ -32,12 +32,14 @@ def test_bad_input_is_a_plain_message(
     arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*arguments, f"results={tmp_path}", f"cache={tmp_path}"]) == 2
-    assert says in capsys.readouterr().out
+    assert says in capsys.readouterr().err
 
 
 def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["set=hetero_hard_v1", f"results={tmp_path}", f"cache={tmp_path}"]) == 2
-    assert "freeze=true" in capsys.readouterr().out
+    assert (
+        main(["set=hetero_hard_v1", *(f"{name}={tmp_path}" for name in ("results", "facts", "cache"))]) == 2
+    )
+    assert "freeze=true" in capsys.readouterr().err
 
 
 def test_every_row_can_be_named_on_the_command_line() -> None:
@@ -59,7 +61,7 @@ def test_one_row_measured_anew_leaves_the_rest_of_the_table(
     report_set = get_report_set("hetero_hard_v1")
     (tmp_path / report_set.facts_file).write_text(json.dumps(set_facts_of(recipe, sets)))
     tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
-    command = TokenizerReportCommand(set=report_set.name, results=str(tmp_path), seeds=1)
+    command = TokenizerReportCommand(set=report_set.name, results=str(tmp_path), facts=str(tmp_path), seeds=1)
     before = measure(replace(command, only="mean,UniForce"), report_set, tokenizer)
     before |= {"speed": {"ours": 1}, "measured_by": {"mean": {"command": "yesterday's"}}}
     (tmp_path / report_set.table).write_text(json.dumps(before))

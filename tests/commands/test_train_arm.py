@@ -63,7 +63,7 @@ def test_a_run_is_resumed_and_a_finished_one_left_alone(
         if len(calls) == 1:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(module.train, "main", fake)
+    monkeypatch.setattr(module.train, "train", fake)
     config = TrainArmConfig(view=str(view), seed=1, out=str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
         train_arm(config)
@@ -73,9 +73,9 @@ def test_a_run_is_resumed_and_a_finished_one_left_alone(
     assert train_arm(config) == done and len(calls) == 2
 
 
-@pytest.mark.parametrize(("given", "says"), [(["name=x"], "vtg"), (["view=/nowhere"], "Record both rigs")])
+@pytest.mark.parametrize(("given", "says"), [(["name=x"], "vtg"), (["view=/nowhere"], "training view")])
 def test_bad_input_is_a_plain_message(
     given: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*given, f"out={tmp_path}"]) == 2
-    assert says in capsys.readouterr().out
+    assert says in capsys.readouterr().err

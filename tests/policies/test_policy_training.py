@@ -60,7 +60,9 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
     touch = [f"policy.tokenizer_path={tokenizer_path}", "policy.touch_slots={touch0: right}"]
     data = ["dataset.repo_id=local/wipe", f"dataset.root={dataset}", f"output_dir={out}", "num_workers=0"]
     run = ["steps=20", "batch_size=4", "log_freq=10", "save_freq=10", "env_eval_freq=0"]
-    train.main(["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *model, *touch, *data, *run])
+    train.train(
+        ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *model, *touch, *data, *run]
+    )
     last = out / "checkpoints" / "last" / "pretrained_model"
     early = load_file(out / "checkpoints" / "000010" / "pretrained_model" / "model.safetensors")
     late = load_file(last / "model.safetensors")
@@ -78,12 +80,12 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
     assert standardised.square().mean() == pytest.approx(1.0, rel=0.01)
     assert policy.config.push_to_hub is False
 
-    train.main(["resume=true", f"config_path={last / 'train_config.json'}", "steps=24"])
+    train.train(["resume=true", f"config_path={last / 'train_config.json'}", "steps=24"])
     assert json.loads((out / "checkpoints/last/training_state/training_step.json").read_text())["step"] == 24
 
     tuned = tmp_path / "tuned"  # from a checkpoint, on new data statistics: LeRobot rebuilds the normaliser
     data[2] = f"output_dir={tuned}"
-    train.main([f"policy.path={last}", "policy.device=cpu", *data, "steps=2", "batch_size=4", "save_freq=2"])
+    train.train([f"policy.path={last}", "policy.device=cpu", *data, "steps=2", "batch_size=4", "save_freq=2"])
     saved = load_file(
         next((tuned / "checkpoints/last/pretrained_model").glob("*normalizer_processor.safetensors"))
     )
@@ -156,10 +158,10 @@ def settings(dataset: Path, tokenizer_path: Path, out: Path) -> list[str]:
 @pytest.mark.skipif(importlib.util.find_spec("peft") is None, reason="peft isn't installed (an extra)")
 def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_path, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    train.main([*settings(dataset, tokenizer_path, tmp_path / "start"), "policy.start_at_base=true"])
+    train.train([*settings(dataset, tokenizer_path, tmp_path / "start"), "policy.start_at_base=true"])
     start = tmp_path / "start/checkpoints/last/pretrained_model"
     more = [f"policy.path={start}", "policy.device=cpu", "--peft.method_type=LORA", "--peft.r=2"]
-    train.main([*more, *settings(dataset, tokenizer_path, tmp_path / "lora")[10:]])
+    train.train([*more, *settings(dataset, tokenizer_path, tmp_path / "lora")[10:]])
     trained = tmp_path / "lora/checkpoints/last/pretrained_model"
     assert (trained / "adapter_model.safetensors").exists() and not (trained / "model.safetensors").exists()
     assert share.main([f"checkpoint={trained}", f"out={tmp_path / 'shared'}"]) == 0

@@ -51,6 +51,13 @@ def test_statistics_that_are_no_text(dataset: Path) -> None:
         write_pooled_stats(dataset)
 
 
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"[]", b"{}"])
+def test_a_damaged_dataset_is_not_gone_on_with(dataset: Path, content: bytes) -> None:
+    (dataset / "meta" / "info.json").write_bytes(content)
+    with pytest.raises(DatasetError, match="meta"):
+        record_synthetic(dataset, 1, 3)
+
+
 def test_a_video_whose_metadata_is_no_text(dataset: Path) -> None:
     video = next((dataset / "videos").rglob("*.mp4"))
     data = video.read_bytes()

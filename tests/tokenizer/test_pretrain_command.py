@@ -37,4 +37,4 @@ def test_a_cache_of_another_recipe_is_a_plain_message(
 ) -> None:
     assert run(tmp_path, "run.steps=1") == 0
     assert run(tmp_path, "run.steps=2", "run.data.seed=5") == 2
-    assert "another folder" in capsys.readouterr().out
+    assert "another folder" in capsys.readouterr().err

@@ -22,9 +22,8 @@ class HeadTrainingConfig:
     batch: int = 64  # sequences per step
     learning_rate: float = 3e-3  # AdamW, cosine to zero
     weight_decay: float = 0.05  # AdamW; keeps to what many cells agree on
-    smallest_spread: float = (
-        1e-6  # of an input; a channel constant on the source would else explode elsewhere
-    )
+    # of an input; a channel constant on the source would else explode elsewhere
+    smallest_spread: float = 1e-6
     # of the standardised input: a source's fine print doesn't transfer. .8 was chosen among .1 … 1.2 on the other
     # sensors' *training* sequences, never on a frozen set
     input_noise: float = 0.8

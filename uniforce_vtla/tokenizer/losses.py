@@ -13,6 +13,7 @@ import torch
 from torch.nn import functional as F  # noqa: N812
 
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.options import Count, CountOrZero, NotNegative
 from uniforce_vtla.tokenizer.model import Decoder, Posterior
 from uniforce_vtla.tokenizer.pooling import pool_latent
 
@@ -30,27 +31,28 @@ WHITENING_FLOOR = 0.01  # of the mean variance; below it a direction of the late
 class LossConfig:
     """Weights and named variants of the objective."""
 
-    perceptual: Literal["gradient_pyramid", "lpips"] = (
-        "gradient_pyramid"  # lpips needs its own weights on disk
-    )
-    perceptual_weight: float = 0.1  # λ of the perceptual term
-    kl_weight: float = 1e-2  # λ of the KL term, per latent number
-    kl_warmup_steps: int = 0  # it rises linearly over so many steps; 0 = full weight from the start (paper)
-    free_bits: float = 0.0  # nats per latent number the KL term leaves free; 0 = none (paper)
-    equilibrium_weight: float = 4.0  # λ of the equilibrium term
-    equilibrium_warmup_steps: int = 300  # it rises linearly: at full weight from the start, z learns to be 0
-    equilibrium: Literal["patch", "pooled", "both", "levels"] = (
-        "patch"  # patch is the paper's; real totals balance better; levels = patch, pooled and total added
-    )
-    equilibrium_scale: Literal["absolute", "whitened"] = (
-        "absolute"  # absolute is the paper's; whitened counts in
-    )
+    # lpips needs its own weights on disk
+    perceptual: Literal["gradient_pyramid", "lpips"] = "gradient_pyramid"
+    perceptual_weight: NotNegative = 0.1  # λ of the perceptual term
+    kl_weight: NotNegative = 1e-2  # λ of the KL term, per latent number
+    # it rises linearly over so many steps; 0 = full weight from the start (paper)
+    kl_warmup_steps: CountOrZero = 0
+    free_bits: NotNegative = 0.0  # nats per latent number the KL term leaves free; 0 = none (paper)
+    equilibrium_weight: NotNegative = 4.0  # λ of the equilibrium term
+    # it rises linearly: at full weight from the start, z learns to be 0
+    equilibrium_warmup_steps: CountOrZero = 300
+    # patch is the paper's; real totals balance better; levels = patch, pooled and total added
+    equilibrium: Literal["patch", "pooled", "both", "levels"] = "patch"
+    # absolute is the paper's; whitened counts in
+    equilibrium_scale: Literal["absolute", "whitened"] = "absolute"
     # units of the latent's own spread, so that shrinking z is no way out and faint directions count too
-    pair_quality: float = 0.0  # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
-    pooled_grid: int = 4  # regions per side for the pooled variant
-    changed_pixel_weight: float = 10.0  # extra weight where current differs from reference; 0 = plain L1
-    pyramid_levels: int = 3  # scales of the gradient pyramid
-    pixels_per_patch: int = 256  # errors are summed over a patch, as the equilibrium term is; a mean over
+    # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
+    pair_quality: NotNegative = 0.0
+    pooled_grid: Count = 4  # regions per side for the pooled variant
+    # extra weight where current differs from reference; 0 = plain L1
+    changed_pixel_weight: NotNegative = 10.0
+    pyramid_levels: Count = 3  # scales of the gradient pyramid
+    pixels_per_patch: Count = 256  # errors are summed over a patch, as the equilibrium term is; a mean over
     # pixels is so small beside it that the latent collapses (docs/experiments/tokenizer.md)
 
 

@@ -59,9 +59,8 @@ class TokenizerConfig:
     motion_scales: int = 3  # scales of motion channels given to current tokens; 0 = none, as in the paper
     latent: int = 6  # numbers per patch (paper)
     predict_change: bool = True  # decoder adds to the reference instead of redrawing every marker
-    warp: bool = (
-        False  # decoder also moves the reference's pixels along a flow it predicts; a marker stays a marker
-    )
+    # decoder also moves the reference's pixels along a flow it predicts; a marker stays a marker
+    warp: bool = False
     material: int = 0  # numbers per unit told to the decoder (material.py); 0 = none, as in the paper
 
     def __post_init__(self) -> None:

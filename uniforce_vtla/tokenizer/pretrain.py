@@ -20,6 +20,7 @@ from tqdm import tqdm
 
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
+from uniforce_vtla.options import Count, CountOrZero, NotNegative, Positive, Rate, Seed, TokenizerFolder
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
@@ -40,22 +41,21 @@ class PretrainSettings:
     model: TokenizerConfig = field(default_factory=TokenizerConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     data: PairCacheConfig = field(default_factory=PairCacheConfig)
-    steps: int = 2600  # optimiser steps
-    units_per_batch: int = 4  # units (references) in a batch
-    pairs_per_unit: int = 8  # contacts of each: 4 × 8 = 32 pairs
-    learning_rate: float = 1e-3  # peak, AdamW
-    weight_decay: float = 0.01  # AdamW
-    warmup_steps: int = 100  # linear to the peak, then cosine to a fiftieth
-    clip_norm: float = 1.0  # of the gradient
-    seed: int = 0  # weights, batches, latent noise
-    save_every: int = 100  # steps between checkpoints a killed run continues from
-    init: str = ""  # tokenizer folder whose weights it starts from; empty = drawn from the seed
+    steps: Count = 2600  # optimiser steps
+    units_per_batch: Count = 4  # units (references) in a batch
+    pairs_per_unit: Count = 8  # contacts of each: 4 × 8 = 32 pairs
+    learning_rate: Rate = 1e-3  # peak, AdamW
+    weight_decay: NotNegative = 0.01  # AdamW
+    warmup_steps: CountOrZero = 100  # linear to the peak, then cosine to a fiftieth
+    clip_norm: Positive = 1.0  # of the gradient
+    seed: Seed = 0  # weights, batches, latent noise
+    save_every: Count = 100  # steps between checkpoints a killed run continues from
+    init: TokenizerFolder = ""  # tokenizer folder whose weights it starts from; empty = drawn from the seed
     source: Literal["cache", "live"] = "cache"  # pairs from disk, or every batch drawn anew
     mixed_precision: Literal["no", "bf16", "fp16"] = "no"  # accelerate's; float32 is fastest on most CPUs
-    tracker: Literal["", "wandb", "tensorboard"] = (
-        ""  # accelerate's, beside log.csv; tensorboard: not installed
-    )
-    strips_every: int = 500  # steps between pictures of reconstructions (strips/); 0 = none
+    # accelerate's, beside log.csv; tensorboard: not installed
+    tracker: Literal["", "wandb", "tensorboard"] = ""
+    strips_every: CountOrZero = 500  # steps between pictures of reconstructions (strips/); 0 = none
 
 
 def open_source(settings: PretrainSettings, cache: Path) -> PairSource:

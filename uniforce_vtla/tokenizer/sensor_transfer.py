@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from uniforce_vtla.contact.two_fingers import OtherFinger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.options import Count, NotNegative, Positive, Seed, Share, Sizes
 from uniforce_vtla.tokenizer.agreed_directions import MOST, agreed_directions
 from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
 
@@ -32,20 +33,21 @@ MAX_KINDS, MAX_NUMBERS = 16, 1024  # larger files are none of ours
 class SensorTransferFit:
     """How the grasps are drawn and the maps fitted."""
 
-    grasps: int = 4096  # each felt by every sensor on either finger; about a minute per thousand
-    flat_share: float = 1.0  # all held tools: what a policy feels
-    flat_torsion_arm_mm: float = 9.0  # a held tool that wipes twists flat pads so much (contact/sampling.py)
+    grasps: Count = 4096  # each felt by every sensor on either finger; about a minute per thousand
+    flat_share: Share = 1.0  # all held tools: what a policy feels
+    # a held tool that wipes twists flat pads so much (contact/sampling.py)
+    flat_torsion_arm_mm: NotNegative = 9.0
     # a held tool covers the pad; 12–40 bent the reading of GelSight
-    flat_side_mm: tuple[float, float] = (30.0, 70.0)
+    flat_side_mm: Sizes = (30.0, 70.0)
     # what parallel fingers hold lies flat on both pads but for their give (a wiped eraser leans by .01, a wedged one by
     # up to .046); a flat gel shows a leaning face as less grip: with .03 or .045 a finger that swaps to GelSight feels
     # 1.2 to 1.7 N too much grip, and no less by scene
-    flat_tilt_rad: float = 0.015
+    flat_tilt_rad: NotNegative = 0.015
     other: OtherFinger = field(default_factory=OtherFinger)  # what fingers of a grasp don't share
-    grid: int = 4  # latents pooled to grid × grid, as policies read them
-    ridge: float = 30.0  # grasps' worth of belief that fingers say the same
-    held_out: float = 0.2  # share of the grasps that only judge, and give the doubt
-    seed: int = 1  # of everything drawn
+    grid: Count = 4  # latents pooled to grid × grid, as policies read them
+    ridge: Positive = 30.0  # grasps' worth of belief that fingers say the same
+    held_out: Share = 0.2  # share of the grasps that only judge, and give the doubt
+    seed: Seed = 1  # of everything drawn
 
 
 class SensorTransfer(nn.Module):

@@ -1,0 +1,174 @@
+"""Command lines that must be refused, made from the options a command declares: a new option is tried, too."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.training_view import build_view
+from uniforce_vtla.arguments import Option
+from uniforce_vtla.keys import VIEW_MARKER
+from uniforce_vtla.options import LONGEST, Existing, Names, Pattern, Range, Writable
+
+GARBAGE = b"\xff\xfe{]garbage\x00" * 16
+WRONG_TYPE = {
+    int: ("many", "1.5", "true", "[1]", "null", "1:30", "nan"),
+    float: ("much", "true", "[1.0]", "null", "nan", "inf", "-inf", "1e999"),
+    bool: ("maybe", "2", "null", "yes"),
+    list: ("7", "[nosuch: ]", "[1", "{a: 1}"),
+    tuple: ("7", "[1.0]", "[1.0, x]"),
+}
+TEXTS = ("x" * (LONGEST + 1), "a\x07b", "a\nb")
+
+
+@dataclass(frozen=True)
+class BadInput:
+    """Words of a command line, what is wrong with them, and the option that is."""
+
+    kind: str
+    words: tuple[str, ...]
+    option: str
+
+    def is_named_in(self, line: str) -> bool:
+        """Return whether a refusal is of this: said at its beginning, as what came, in backticks, as what was meant.
+
+        A long word counts anywhere: ``out`` or ``1`` stand in many a line about something else.
+        """
+        reason, names = line.partition(": ")[2], {self.option, self.option.rpartition(".")[2]}
+        given = {word.removeprefix("--").partition("=")[2] for word in self.words}
+        places = r"(^|got (--)?|mean |`)([\w.]*\.)?"
+        if any(re.search(rf"{places}{re.escape(name)}(?!\w| of)", reason) for name in names):
+            return True
+        held = {text for text in names if len(text) > 4} | {text for text in given if len(text) > 5}
+        return any(re.search(rf"(?<!\w){re.escape(text)}", reason) for text in held)
+
+
+@dataclass(frozen=True)
+class Room:
+    """Sound and damaged files and folders to name on a command line."""
+
+    folder: Path
+
+    def build(self) -> Room:
+        """Make everything; return the room."""
+        record_synthetic(self.folder / "dataset", 1, 20)
+        build_view(self.folder / "dataset", self.folder / "view")
+        (self.folder / "some_folder").mkdir()
+        for name, content in (("garbage", GARBAGE), ("empty", b"")):
+            (self.folder / name).write_bytes(content)
+            for marker in ("meta/info.json", VIEW_MARKER, "config.json"):
+                file = self.damaged(name, marker) / marker
+                file.parent.mkdir(parents=True)
+                file.write_bytes(content)
+        return self
+
+    def damaged(self, name: str, marker: str) -> Path:
+        """Return the folder whose marker file is garbage or empty."""
+        return self.folder / f"{name}_{marker.replace('/', '_')}"
+
+    def sound(self, marker: str, policy: str) -> str:
+        """Return something that is whole, by the marker of its kind."""
+        whole = {"meta/info.json": str(self.folder / "dataset"), VIEW_MARKER: str(self.folder / "view")}
+        return whole.get(marker, policy)
+
+
+def bad_inputs(options: Mapping[str, Option], room: Room) -> Iterator[BadInput]:
+    """Yield what a command with these options must refuse."""
+    for option in options.values():
+        for kind, text in bad_values(option, room):
+            yield BadInput(kind, (f"{option.name}={text}",), option.name)
+    yield from bad_forms(options)
+
+
+def bad_forms(options: Iterable[str]) -> Iterator[BadInput]:
+    """Yield words that are wrong whatever the options are of."""
+    names = list(options)
+    first, last = names[0], names[-1]
+    yield BadInput("unknown", ("no_such_option=1",), "no_such_option")
+    yield BadInput("unknown", (f"{last}.no_such=1",), f"{last}.no_such")
+    yield BadInput("unknown", ("=1",), "option")
+    for name in (first, last):
+        yield BadInput("misspelt", (f"{name}{name[-1]}=1",), name)
+        yield BadInput("no value", (f"--{name}",), name)
+        yield BadInput("no value", (name, "1"), name)
+        yield BadInput("twice", (f"{name}=1", f"--{name}=1"), name)
+
+
+def bad_values(option: Option, room: Room) -> Iterator[tuple[str, str]]:
+    """Yield (what is wrong, text) for one option."""
+    kind = option.kind
+    if not isinstance(option.default, str | None):
+        yield "empty", ""
+    if get_origin(kind) is Literal:
+        choices = get_args(kind)
+        yield from (("choice", text) for text in ("nosuch", f"{choices[-1]}x", f"../{choices[-1]}"))
+        return
+    wrong = WRONG_TYPE.get(get_origin(kind) or kind, ())
+    yield from (("type", text) for text in wrong if text != "null" or not option.optional)
+    if isinstance(option.rule, Range):
+        yield from (("range", _listed(kind, number)) for number in _outside(option.rule, kind))
+    if kind is str:
+        if option.default:
+            yield "empty", ""
+        yield from (("text", text) for text in TEXTS)
+        yield from _bad_texts(option.rule, room)
+    if isinstance(option.rule, Names) and kind is not str:
+        yield "choice", "[nosuch]"
+
+
+def _outside(allowed: Range, kind: Any) -> Iterator[float]:
+    step = 1 if kind is int else 0.001
+    yield allowed.low if allowed.above else allowed.low - step
+    yield from (-1e9 if kind is not int else -(10**9), allowed.high + max(step, abs(allowed.high) * 1e-3))
+
+
+def _listed(kind: Any, number: float) -> str:
+    text = str(int(number)) if kind is int or get_args(kind)[:1] == (int,) else repr(float(number))
+    return {list: f"[{text}]", tuple: f"[{text}, {text}]"}.get(get_origin(kind), text)  # type: ignore[call-overload]
+
+
+def _bad_texts(rule: Any, room: Room) -> Iterator[tuple[str, str]]:
+    if isinstance(rule, Names):
+        yield from (
+            ("choice", text) for text in ("nosuch", rule.known[0].upper() + "X", "../" + rule.known[0])
+        )
+        if rule.many:
+            yield "choice", f"{rule.known[0]},nosuch"
+    if isinstance(rule, Pattern):
+        yield "text", "../../nosuch"
+        yield "text", "!\\"
+    if isinstance(rule, Existing):
+        yield from _bad_sources(rule, room)
+    if isinstance(rule, Writable):
+        yield from _bad_targets(rule, room)
+
+
+def _bad_sources(rule: Existing, room: Room) -> Iterator[tuple[str, str]]:
+    here = room.folder
+    yield "missing", str(here / "nothing_here")
+    yield "missing", str(here / ("n" * 300))
+    yield "missing", str(here / "garbage" / "below")
+    if rule.marker:
+        yield "file for folder", str(here / "garbage")
+    else:
+        yield "folder for file", str(here / "some_folder")
+    if rule.marker not in ("", "."):
+        yield "missing", str(here / "some_folder")
+    for name in ("garbage", "empty"):
+        if rule.marker != ".":
+            yield "damaged", str(room.damaged(name, rule.marker) if rule.marker else here / name)
+
+
+def _bad_targets(rule: Writable, room: Room) -> Iterator[tuple[str, str]]:
+    name = "out" if rule.folder else "out.json"
+    places = ("/proc/nothing", "/sys/nothing", str(room.folder / "garbage"), f"/tmp/{'n' * 300}")
+    yield from (("unwritable", f"{place}/{name}") for place in places)
+    yield "unwritable", str(room.folder / ("n" * 300))
+    if rule.folder:
+        yield "file for folder", str(room.folder / "garbage")
+    else:
+        yield "folder for file", str(room.folder / "some_folder")

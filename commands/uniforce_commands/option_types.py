@@ -1,0 +1,13 @@
+"""Types of options that several commands share; what they allow is in ``uniforce_vtla/options.py``."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from uniforce_vtla.options import Names
+from uniforce_vtla.sensors import list_sensors
+
+Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes and samples, not at all
+Level = Literal["easy", "paper", "hard"]  # the environment's, which takes seconds to import; a test compares
+Sensor = Annotated[str, Names(list_sensors())]
+Sensors = Annotated[str, Names(list_sensors(), many=True)]

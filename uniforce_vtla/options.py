@@ -1,0 +1,224 @@
+"""What an option may be, declared as the type of its field: ranges, choices, names, files to read or to write."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.keys import VIEW_MARKER
+
+LONGEST = 4000  # characters of any text
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers from ``low`` to ``high``; ``above``: low itself is outside. Holds for every number of a list."""
+
+    low: float
+    high: float
+    above: bool = False
+
+    def __str__(self) -> str:
+        high = f"{self.high:,.12g}"
+        return f"above {self.low:,.12g}, at most {high}" if self.above else f"{self.low:,.12g} … {high}"
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise ContractError for a number outside; NaN is."""
+        for number in value if isinstance(value, list | tuple) else [value]:
+            if not self.low <= number <= self.high or (self.above and number == self.low):
+                raise ContractError(expected(name, str(self), number, "Give a number of this range."))
+
+
+@dataclass(frozen=True)
+class Names:
+    """Known names; ``many``: several with commas between them, or a list; empty stands for the default."""
+
+    known: tuple[str, ...]
+    many: bool = False
+
+    def __str__(self) -> str:
+        return " | ".join(self.known) + (" (comma between them)" if self.many else "")
+
+    def check(self, name: str, value: str | list[str]) -> None:
+        """Raise ContractError for a name that isn't known."""
+        words = split(value) if self.many and isinstance(value, str) else value
+        unknown = [word for word in ([words] if isinstance(words, str) else words) if word not in self.known]
+        if unknown and value:
+            raise ContractError(expected(name, str(self), ", ".join(unknown), "Choose of these."))
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A text of one form."""
+
+    form: str
+    regex: str
+    example: str
+
+    def __str__(self) -> str:
+        return self.form
+
+    def check(self, name: str, value: str) -> None:
+        """Raise ContractError for another form."""
+        if value and not re.fullmatch(self.regex, value):
+            raise ContractError(expected(name, self.form, shortened(value), f"Write it like {self.example}."))
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Any printable text of a sane length."""
+
+    def __str__(self) -> str:
+        return "text"
+
+    def check(self, name: str, value: str | list[str]) -> None:
+        """Raise nothing: every text is checked by ``check_text``."""
+
+
+@dataclass(frozen=True)
+class Existing:
+    """A file or folder that must be there; ``many``: several, commas between.
+
+    Attributes:
+        marker: file that the folder must hold; empty = the path is a file itself, ``.`` = any folder.
+        what: what it is called in an error.
+        words: names that stand for something else than a path.
+        hub: whether a hub id (``name/model``) will do.
+    """
+
+    what: str
+    marker: str = ""
+    words: tuple[str, ...] = ()
+    many: bool = False
+    hub: bool = False
+
+    def __str__(self) -> str:
+        return " | ".join([*self.words, self.what]) + (" (comma between them)" if self.many else "")
+
+    def check(self, name: str, value: str) -> None:
+        """Raise ContractError where nothing of the kind is."""
+        for word in split(value) if self.many else [value]:
+            if value and word not in self.words and not self._found(name, word):
+                raise ContractError(expected(name, str(self), shortened(word), "Check the path."))
+
+    def _found(self, name: str, word: str) -> bool:
+        with named_path(name, str(self)):
+            if self.hub and not Path(word).exists():
+                return re.fullmatch(r"[\w-][\w.-]*/[\w-][\w.-]*", word) is not None
+            return (Path(word) / self.marker).is_dir() if self.marker == "." else self._has_file(Path(word))
+
+    def _has_file(self, path: Path) -> bool:
+        return (path / self.marker if self.marker else path).is_file()
+
+
+@dataclass(frozen=True)
+class Writable:
+    """Where a command writes: a folder or a file; tried before the work begins."""
+
+    folder: bool = True
+
+    def __str__(self) -> str:
+        return f"a {'folder' if self.folder else 'file'} that can be written"
+
+    def check(self, name: str, value: str) -> None:
+        """Raise ContractError where nothing can be written; what the trial made is gone again."""
+        path = Path(value)
+        with named_path(name, str(self)):
+            if value and path.exists() and path.is_dir() != self.folder:
+                came = f"{value}, a {'file' if self.folder else 'folder'}"
+                raise ContractError(expected(name, str(self), came, "Name another."))
+            if value:
+                try_to_write(path if self.folder else path.parent)
+
+
+@contextmanager
+def named_path(name: str, wanted: str) -> Iterator[None]:
+    """Turn what the system says of a path into a ContractError that names the option."""
+    try:
+        yield
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in a path
+        reason = shortened(getattr(error, "strerror", None) or str(error))
+        path = shortened(str(getattr(error, "filename", None) or ""))
+        raise ContractError(
+            expected(name, wanted, f"{reason} ({path})", "Name one that can be used.")
+        ) from error
+
+
+def try_to_write(folder: Path) -> None:
+    """Make a folder and a file in it, then remove what is new.
+
+    Raises:
+        OSError: it can't be done.
+    """
+    missing = [part for part in (folder, *folder.parents) if not part.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    finally:
+        for part in missing:
+            with suppress(OSError):  # never made, or another command has begun to write there
+                part.rmdir()
+
+
+def split(text: str) -> list[str]:
+    """Return the entries of a text with commas between them."""
+    return [entry.strip() for entry in text.split(",") if entry.strip()]
+
+
+def shortened(text: str, most: int = 80) -> str:
+    """Return a text short enough for a line."""
+    line = " ".join(text.split())
+    return line if len(line) <= most else f"{line[: most - 1]}…"
+
+
+def check_text(name: str, value: str) -> None:
+    """Raise ContractError for a text that is too long or holds control characters."""
+    if len(value) > LONGEST:
+        came = f"{len(value):,} characters"
+        raise ContractError(expected(name, f"at most {LONGEST:,} characters", came, "Shorten it."))
+    if not all(letter.isprintable() for letter in value):
+        raise ContractError(
+            expected(name, "printable text", shortened(repr(value)), "Leave out control characters.")
+        )
+
+
+Count = Annotated[int, Range(1, 10_000_000)]
+CountOrZero = Annotated[int, Range(0, 10_000_000)]
+Workers = Annotated[int, Range(1, 256)]
+Seed = Annotated[int, Range(0, 2**31 - 1)]
+Seeds = Annotated[list[int], Range(0, 2**31 - 1)]
+Pixels = Annotated[int, Range(8, 1024)]
+Sizes = Annotated[tuple[float, float], Range(0, 1000, above=True)]
+Share = Annotated[float, Range(0, 1)]
+Rate = Annotated[float, Range(0, 1, above=True)]  # a learning rate
+Positive = Annotated[float, Range(0, 1e6, above=True)]
+NotNegative = Annotated[float, Range(0, 1e6)]
+Newtons = Annotated[list[float], Range(0, 100, above=True)]
+Text = Annotated[str, Plain()]
+Texts = Annotated[list[str], Plain()]
+FileName = Annotated[str, Pattern("a name without slashes", r"[\w+()×-][\w+()×. -]{0,99}", "my_table.json")]
+HubName = Annotated[str, Pattern("name/model", r"[\w-][\w.-]{0,95}/[\w-][\w.-]{0,95}", "your-name/wiping")]
+Slots = Annotated[
+    str, Pattern("slot:finger pairs", r"\w+:(left|right)(,\s*\w+:(left|right))*", "touch0:left")
+]
+Numbers = Annotated[str, Pattern("numbers", r"-?\d*\.?\d+(\s*,\s*-?\d*\.?\d+)*", "0.6,0.7")]
+FilePath = Annotated[str, Existing("a file")]
+FolderPath = Annotated[str, Existing("a folder", ".")]
+FolderPaths = Annotated[str, Existing("folders", ".", many=True)]
+Dataset = Annotated[str, Existing("a recorded dataset's folder", "meta/info.json")]
+Datasets = Annotated[str, Existing("recorded datasets' folders", "meta/info.json", many=True)]
+View = Annotated[str, Existing("a training view's folder", VIEW_MARKER)]
+TokenizerFolder = Annotated[str, Existing("a tokenizer's folder", "config.json", words=("small", "nano"))]
+PolicyFolder = Annotated[str, Existing("a checkpoint's folder", "config.json", words=("shipped",))]
+Policies = Annotated[
+    str, Existing("checkpoints' folders", "config.json", words=("shipped", "expert", "blind"), many=True)
+]
+OutFolder = Annotated[str, Writable()]
+OutFile = Annotated[str, Writable(folder=False)]
