@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from contextlib import closing
 from pathlib import Path
 
 from uniforce_datasets.dataset_info import read_info
@@ -28,11 +27,14 @@ def rehash(root: str | Path, verify: str = "full") -> Source:
         ContractError: another ``verify``.
     """
     root, depth = Path(root), check_verify(verify)
-    with closing(lock(claim(root), 0.0)):
+    held = lock(claim(root), wait_s=0.0)
+    try:
         recover(root)
         read_info(root)
         source = check_whole(root, depth)
         write_hashes(root, hash_files(root, files_of(root), _episodes(source).get))
+    finally:
+        held.release()
     return source
 
 
