@@ -19,7 +19,7 @@ from tqdm import tqdm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from lerobot_policy_pi05_uniforce.stored_policy import stored_config
 from uniforce_commands.boundary import command
-from uniforce_commands.score_config import ScoreConfig, mounted_sensors
+from uniforce_commands.score_config import SCRIPTS, ScoreConfig, mounted_sensors
 from uniforce_commands.score_worker import Job, score_job, video_path
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import (
@@ -32,7 +32,6 @@ from uniforce_vtla.evaluation.arms import (
 )
 from uniforce_vtla.evaluation.comparison import paired_clean
 from uniforce_vtla.evaluation.pictures import draw_arms
-from uniforce_vtla.evaluation.plan import SCRIPTS
 from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.results_file import provenance, write_json
 

@@ -172,7 +172,8 @@ def test_debug_shows_where_it_came_from() -> None:
 
 def test_others_options_are_passed_on() -> None:
     @command(Config, others=("robot.",))
-    def main(config: Config, flags: list[str]) -> int:
+    def main(config: Config, flags: list[str], given: list[str]) -> int:
+        assert given == ["count"] or not given
         return 0 if flags == ["--robot.ip=1"] else config.count
 
     assert main(["robot.ip=1", "count=4"]) == 0

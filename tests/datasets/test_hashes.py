@@ -87,7 +87,7 @@ def test_a_changed_dataset_is_not_continued(copy: Path) -> None:
 def test_edited_by_lerobot_then_hashed_again(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert ours(copy) == 0 and "as it was saved" in capsys.readouterr().out
     modify_tasks(open_dataset(copy), new_task="another")
-    assert ours(copy) == 2 and f"uniforce-verify root={copy}" in capsys.readouterr().out
+    assert ours(copy) == 2 and f"uniforce-verify root={copy}" in capsys.readouterr().err
     assert ours(copy, "rehash=true") == 0 and ours(copy) == 0
     assert {episode.task for episode in check_dataset(copy, "full").episodes} == {"another"}
 
@@ -116,15 +116,15 @@ def test_content_that_cannot_be_trusted_gets_no_hashes(
 
     before = (copy / HASHES).read_text()
     set_value(data(copy), ACTION, float("nan"))
-    assert ours(copy, "rehash=true") == 2 and "episode 1" in capsys.readouterr().out
+    assert ours(copy, "rehash=true") == 2 and "episode 1" in capsys.readouterr().err
     assert (copy / HASHES).read_text() == before
     with EpisodeRecorder(copy.parent / "busy", "local/x", "gelsight", "tactip", FPS) as recorder:
-        assert ours(recorder.root, "rehash=true") == 2 and "one recorder" in capsys.readouterr().out
+        assert ours(recorder.root, "rehash=true") == 2 and "one recorder" in capsys.readouterr().err
 
 
 def test_a_view_is_checked_and_never_hashed_again(view: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert ours(view) == 0 and "view of 3 episodes" in capsys.readouterr().out
-    assert ours(view, "rehash=true") == 2 and "uniforce-view" in capsys.readouterr().out
+    assert ours(view, "rehash=true") == 2 and "uniforce-view" in capsys.readouterr().err
 
 
 def test_a_shared_dataset_is_checked_in_full_first(
@@ -140,7 +140,7 @@ def test_a_shared_dataset_is_checked_in_full_first(
     content[-100] ^= 1
     camera.write_bytes(content)
     check_dataset(copy, "quick")
-    assert share.main(given) == 2 and len(pushed) == 1 and "episode 1" in capsys.readouterr().out
+    assert share.main(given) == 2 and len(pushed) == 1 and "episode 1" in capsys.readouterr().err
 
 
 def test_hashes_of_a_thousand_episodes_cost_little(tmp_path: Path) -> None:
