@@ -19,37 +19,24 @@ from lerobot_policy_pi05_uniforce import (
     make_pi05_uniforce_pre_post_processors,
     weights,
 )
-from lerobot_policy_pi05_uniforce.published import FRESH, own_names
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
+    ActionSettings,
+    SamplerSettings,
+    TinySettings,
+    TouchSettings,
+)
+from lerobot_policy_pi05_uniforce.conversion import FRESH, own_names
+from lerobot_policy_pi05_uniforce.migration import grouped
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
 from uniforce_vtla.keys import ACTION
 
 KNOWN_TYPES = ("pi05", "pi05_uniforce")
 NOT_TAKEN = (  # what the new policy decides for itself, or what its own data say
-    "type",
-    "device",
-    "dtype",
-    "input_features",
-    "output_features",
-    "normalization_mapping",
-    "pretrained_path",
-    "repo_id",
-    "touch_input",
-    "touch_slots",
-    "token_site",
-    "start_at_base",
-    "next_force_weight",
-    "trained_on",
-    "swap",
-    "left_sensor",
-    "right_sensor",
-    "tokenizer_path",
-    "tokenizer_config",
-    "tokenizer_hash",
-    "num_patches",
-    "trained_sensors",
-    "rtc_config",
+    *("type", "device", "dtype", "input_features", "output_features", "normalization_mapping", "rtc_config"),
+    *("pretrained_path", "repo_id", "trained_on", "swap", "left_sensor", "right_sensor", "touch", "augment"),
 )
+GROUPS = {"action": ActionSettings, "tiny": TinySettings, "sampler": SamplerSettings}
 
 
 @dataclass
@@ -69,7 +56,7 @@ class ConvertConfig:
     touch_slots: str = "touch0:right,touch1:left"  # slot:finger, comma between them
     token_site: str = "prefix"  # prefix | suffix (docs/design.md)
     start_at_base: bool = (
-        True  # training starts with the source's actions, touch behind a gate (touch_gate.py)
+        True  # training starts with the source's actions, touch behind a gate (touch/tokens.py)
     )
     dtype: str = "bfloat16"  # of the backbone; a tiny source stays float32
     revision: str = ""  # of a hub repository
@@ -86,7 +73,7 @@ def convert(config: ConvertConfig) -> Path:
     from uniforce_datasets.training_view import TrainingView
 
     revision = config.revision or None
-    source = weights.read_config(weights.find(config.source, weights.CONFIG, revision))
+    source = grouped(weights.read_config(weights.find(config.source, weights.CONFIG, revision)))
     slots = _slots(config.touch_slots)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
     settings = _settings(source, config, slots)
@@ -115,16 +102,14 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
         )
     known = PI05UniforceConfig.__dataclass_fields__.keys() - set(NOT_TAKEN)
     taken = {name: value for name, value in source.items() if name in known}
+    taken |= {name: group(**taken[name]) for name, group in GROUPS.items() if name in taken}
     taken.setdefault("size", "base")
     dtype = "float32" if taken["size"] == "tiny" else config.dtype
     return PI05UniforceConfig(
         **taken,
         device="cpu",
         dtype=dtype,
-        touch_input=config.touch_input,
-        touch_slots=slots,
-        token_site=config.token_site,
-        start_at_base=config.start_at_base,
+        touch=TouchSettings(slots, config.touch_input, config.token_site, config.start_at_base),
     )
 
 

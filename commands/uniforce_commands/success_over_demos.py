@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from lerobot_policy_pi05_uniforce.stored_policy import stored_config
+from lerobot_policy_pi05_uniforce.controller import stored_config
 from uniforce_commands.score import score_arms
 from uniforce_commands.score_config import ScoreConfig
 from uniforce_vtla.arguments import choose, names_in, parse

@@ -1,4 +1,4 @@
-"""A checkpoint behind its processors, as ``action chunk = f(observation)``.
+"""A checkpoint behind its processors, as ``action chunk = f(observation)``, and whether it answers in time.
 
 The same batch conversion, preprocessor, ``select_action`` and postprocessor that ``lerobot-eval`` runs; only
 the observations that would meet a full action queue are never rendered, because the policy ignores them.
@@ -6,19 +6,30 @@ the observations that would meet a full action queue are never rendered, because
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from lerobot.configs import PreTrainedConfig
 from lerobot.envs.utils import preprocess_observation
+from lerobot.policies.factory import make_pre_post_processors
 
-from lerobot_policy_pi05_uniforce.compatibility import check_sensors
+from lerobot_policy_pi05_uniforce import weights
+from lerobot_policy_pi05_uniforce.checkpoint import (
+    check_processors,
+    check_sensors,
+    check_settings,
+    misfits_named,
+)
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.deadlines import Deadlines
-from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_policy
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import wrench_key
 
 CONTROL_HZ = 30.0  # where an environment doesn't say its own rate
@@ -27,13 +38,86 @@ SHIPPED = Path(__file__).parent / "assets" / "wiping_vt"
 
 def shipped_checkpoint() -> Path:
     """Return the folder of the tiny V+T policy shipped with the package."""
-    if not (SHIPPED / "model.safetensors").exists():
-        raise CheckpointError(
-            expected(
-                "shipped policy", str(SHIPPED / "model.safetensors"), "no such file", "Reinstall the package."
-            )
-        )
-    return SHIPPED
+    return weights.find(SHIPPED, weights.WEIGHTS).parent
+
+
+def stored_config(checkpoint: Path) -> PI05UniforceConfig:
+    """Return the checked settings of a checkpoint folder, to be run on the CPU.
+
+    Raises:
+        CheckpointError: no such folder, another policy, or settings that don't fit this package.
+    """
+    check_settings(weights.read_config(weights.find(checkpoint, weights.CONFIG)), str(checkpoint))
+    check_processors(checkpoint)
+    with misfits_named(str(checkpoint)):
+        config = PreTrainedConfig.from_pretrained(checkpoint)
+    assert isinstance(config, PI05UniforceConfig), "check_settings has seen its type"
+    config.device = "cpu"
+    config.pretrained_path = checkpoint
+    return config
+
+
+def stored_policy(config: PI05UniforceConfig) -> tuple[PI05UniforcePolicy, Any, Any]:
+    """Return the policy of ``stored_config``'s folder, what runs before it and what runs after it.
+
+    Raises:
+        CheckpointError: weights or processors that are missing, damaged or don't fit.
+    """
+    folder = str(config.pretrained_path)
+    policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
+    with misfits_named(f"processors of {folder}"):
+        return policy, *make_pre_post_processors(config, pretrained_path=folder)
+
+
+class Deadlines:
+    """Account of one episode's calls.
+
+    A call that finds k actions still queued is due when they and the present step are over: k + 1 control periods. What
+    comes later leaves the robot without a new action; those control steps are counted too.
+
+    Args:
+        control_hz: control rate of what the policy drives.
+
+    Raises:
+        ContractError: no positive rate.
+    """
+
+    def __init__(self, control_hz: float) -> None:
+        if not control_hz > 0:
+            raise ContractError(expected("control rate", "above 0 Hz", control_hz, "Give the robot's rate."))
+        self.period_s = 1.0 / control_hz
+        self.missed = 0  # calls
+        self.empty_steps = 0  # control steps without a new action
+        self._latencies_s: list[float] = []
+
+    @contextmanager
+    def call(self, queued: int) -> Iterator[None]:
+        """Time the block as one call that found ``queued`` actions left."""
+        start = time.perf_counter()
+        yield
+        self.record(time.perf_counter() - start, queued)
+
+    def record(self, latency_s: float, queued: int) -> None:
+        """Account for a call that took ``latency_s``."""
+        self._latencies_s.append(latency_s)
+        late_s = latency_s - (queued + 1) * self.period_s
+        if late_s > 0:
+            self.missed += 1
+            self.empty_steps += math.ceil(late_s / self.period_s)
+
+    def facts(self) -> dict[str, float]:
+        """Return calls, missed deadlines, empty control steps and latencies [ms]; nothing before the first call."""
+        if not self._latencies_s:
+            return {}
+        ms = 1e3 * np.asarray(self._latencies_s)
+        return {
+            "calls": len(ms),
+            "missed_deadlines": self.missed,
+            "empty_steps": self.empty_steps,
+            "latency_p50_ms": float(np.percentile(ms, 50)),
+            "latency_p95_ms": float(np.percentile(ms, 95)),
+            "latency_max_ms": float(ms.max()),
+        }
 
 
 class PolicyController:
@@ -71,7 +155,7 @@ class PolicyController:
     @property
     def needs_true_wrench(self) -> bool:
         """Whether this is the ceiling control, which is fed the simulator's wrench."""
-        return self.config.touch_input == "wrench"
+        return self.config.touch.input == "wrench"
 
     def reset(self, env: Any) -> None:
         """Forget the previous episode: action queue, issued target, cached references, latencies."""
@@ -116,7 +200,7 @@ class PolicyController:
         return wanted | {"pixels": {k: pixels[k] for k in pixels if k in keep}}
 
     def _tactile_names(self) -> set[str]:
-        if self.config.touch_input in ("wrench", "none"):
+        if self.config.touch.input in ("wrench", "none"):
             return set()
         fingers = self.config.finger_by_slot().values()
         return {f"tactile_{finger}{suffix}" for finger in fingers for suffix in ("", "_ref")}

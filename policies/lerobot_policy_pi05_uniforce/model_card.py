@@ -1,4 +1,4 @@
-"""The model card of a checkpoint: what it feels, what it was trained on, how well it did, under which licence."""
+"""The model card of a checkpoint: its touch, its data, its scores, its licence."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TEXT = """\
 
 π0.5 with a sense of force for LeRobot, made with the package `lerobot_policy_pi05_uniforce`. Size `{config.size}`.
 
-## What it feels
+## Touch
 
 {touch}
 
@@ -40,8 +40,9 @@ pip install lerobot_policy_pi05_uniforce
 lerobot-rollout --policy.path=THIS_FOLDER_OR_HUB_ID …
 ```
 
-Weights, normalisation, text tokenizer and the frozen tactile tokenizer are all in this folder. A file that is missing
-or does not fit is an error at load, and so is another tactile tokenizer, slot or token site.
+Weights, normalisation and text tokenizer are in this folder, and so is the frozen tactile tokenizer, unless it is the
+package's own. A file that is missing or does not fit is an error at load, and so is another tactile tokenizer, slot or
+token site.
 
 ## Data
 
@@ -106,14 +107,14 @@ def model_card(
 
 def _touch(config: PI05UniforceConfig) -> str:
     if not config.slots:
-        return "Nothing: it was trained without touch."
-    worn = {slot: config.trained_sensors.get(slot) or "a sensor not stated" for slot in config.slots}
-    facts = {f"slot `{s}`": f"{config.touch_slots[s]} finger, trained on {worn[s]}" for s in config.slots}
+        return "None: it was trained without."
+    worn = {slot: config.touch.trained_sensors.get(slot) or "a sensor not stated" for slot in config.slots}
+    facts = {f"slot `{s}`": f"{config.touch.slots[s]} finger, trained on {worn[s]}" for s in config.slots}
     facts |= {
-        "input": config.touch_input,
+        "input": config.touch.input,
         "tokens per slot": str(config.tokens_per_slot),
-        "token site": config.token_site,
-        "tactile tokenizer": f"{config.tokenizer_hash or 'none'} ({config.num_patches} patches)",
+        "token site": config.touch.site,
+        "tactile tokenizer": f"{config.tokenizer_hash or 'none'}",
     }
     return _lines(facts)
 

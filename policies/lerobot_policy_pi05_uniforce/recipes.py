@@ -1,0 +1,123 @@
+"""Defaults of the two sizes, and the recipes: ``plain``, and ``scored`` as the benchmark's arms were trained."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from uniforce_vtla.errors import ContractError, expected
+
+logger = logging.getLogger(__name__)
+
+GRID = 4  # latents are pooled to 4×4: 16 tokens per slot
+TWO_SLOT_DROPOUT = 0.3  # a policy of two fingers must also do with one
+
+SIZES: dict[str, dict[str, Any]] = {
+    "tiny": {
+        "chunk_size": 16,
+        "n_action_steps": 6,
+        "image_resolution": (56, 56),  # 16 patches of 14² per camera
+        "max_action_dim": 8,
+        "max_state_dim": 8,
+        "tokenizer_max_length": 64,
+        "optimizer_lr": 1e-3,
+        "scheduler_warmup_steps": 3_000,
+        "scheduler_decay_steps": 100_000,
+        "scheduler_decay_lr": 1e-5,
+        "touch.start_at_base": False,  # from scratch there is no base
+        "action.form": "target_delta",
+        "action.objective": "regression",
+        "augment.camera_variation": 1.0,  # else it learns its demos' lights by heart: docs/experiments/tiny_policy.md
+        "augment.touch_noise": 0.2,
+        "sampler.noise_scale": 0.0,
+    },
+    "base": {  # LeRobot's own π0.5 values; published weights fit them. Augmentation: not tried at this size
+        "chunk_size": 50,
+        "n_action_steps": 50,
+        "image_resolution": (224, 224),
+        "max_action_dim": 32,
+        "max_state_dim": 32,
+        "tokenizer_max_length": 200,
+        "optimizer_lr": 2.5e-5,
+        "scheduler_warmup_steps": 1_000,
+        "scheduler_decay_steps": 30_000,
+        "scheduler_decay_lr": 2.5e-6,
+        "touch.start_at_base": True,
+        "action.form": "absolute",
+        "action.objective": "flow",
+        "augment.camera_variation": 0.0,
+        "augment.touch_noise": 0.0,
+        "sampler.noise_scale": 1.0,
+    },
+}
+PLAIN: dict[str, Any] = {
+    "touch.directions": 0,
+    "action.delta_knee": [],
+    "action.previous_steps": 0,
+    "action.previous_axes": [],
+    "augment.state_noise": [],
+    "augment.sensor_transfer": 0.0,
+}
+# The nine settings of the scored arms, what each bought is in docs/experiments/tiny_policy.md
+SCORED: dict[str, Any] = {
+    "n_action_steps": 4,
+    "action.previous_steps": 4,
+    "action.previous_axes": [
+        0,
+        1,
+        2,
+    ],  # a policy that reads that its fingers stand still leaves them so, and stalls
+    "action.delta_knee": [
+        0.0,
+        0.0,
+        0.003,
+        0.0,
+        0.0003,
+    ],  # .4 mm of height and .03 mm of width, a newton, weigh
+}
+SCORED_TOUCH: dict[str, Any] = {
+    "augment.state_noise": [
+        0.0,
+        0.0,
+        0.2,
+        0.0,
+        0.1,
+    ],  # 6 mm of height, 1.4 mm of width: no press read off the pose
+}
+SCORED_LATENT: dict[str, Any] = {
+    "touch.directions": 4,  # grip and pull, nothing sideways, in which fingers of one grasp may disagree by newtons
+    "augment.touch_noise": 1.0,  # as far apart as fingers of one grasp
+    "augment.sensor_transfer": 0.2,
+}
+SCORED_ONE_SLOT: dict[str, Any] = {
+    "augment.touch_dropout": 0.1,  # so that the masked control shows nothing the policy never met
+}
+
+
+def resolve_size(size: str, device: str | None) -> str:
+    """Return "tiny" or "base"; "auto" takes base where CUDA runs it, since 4 B weights don't fit a laptop.
+
+    Raises:
+        ContractError: no such size.
+    """
+    if size == "auto":
+        cuda = torch.cuda.is_available() and (device is None or device.startswith("cuda"))
+        size = "base" if cuda else "tiny"
+        logger.info("size=auto became size=%s (device %s)", size, device)
+    if size not in SIZES:
+        raise ContractError(expected("size", "tiny | base | auto", repr(size), "Fix policy.size."))
+    return size
+
+
+def recipe_settings(recipe: str, size: str, slots: Sequence[str], touch_input: str) -> dict[str, Any]:
+    """Return setting → default: the size's, and over it the recipe's for this touch input."""
+    found = SIZES[size] | PLAIN | {"augment.touch_dropout": TWO_SLOT_DROPOUT if len(slots) > 1 else 0.0}
+    if recipe == "plain":
+        return found
+    found |= SCORED | (SCORED_TOUCH if slots else {})
+    if slots and touch_input == "latent":
+        found |= SCORED_LATENT | (SCORED_ONE_SLOT if len(slots) == 1 else {})
+    return found

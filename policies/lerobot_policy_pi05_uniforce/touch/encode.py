@@ -1,0 +1,229 @@
+"""What each touch slot gives the network: cached latents, or marker images through the frozen tactile tokenizer."""
+
+from __future__ import annotations
+
+import functools
+import logging
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from lerobot_policy_pi05_uniforce.weights import no_weights
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, expected
+from uniforce_vtla.keys import latent_key, tactile_key
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
+from uniforce_vtla.tokenizer.api import canonicaliser_facts
+from uniforce_vtla.tokenizer.entry import prepare_tensor
+from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
+from uniforce_vtla.tokenizer.weights import SIZES, content_hash
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+
+logger = logging.getLogger(__name__)
+
+ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where the package doesn't have them
+
+
+class TactileEncoder(nn.Module):
+    """A frozen tokenizer: no gradients, always in eval mode.
+
+    Args:
+        model: the tokenizer's network; its decoder is kept too, so that its hash can be checked.
+        grid: latents are pooled to grid × grid.
+    """
+
+    def __init__(self, model: ForceAutoencoder, grid: int) -> None:
+        super().__init__()
+        self.model = model
+        self.grid = grid
+        self._references: dict[str, tuple[Tensor, ReferenceCache]] = {}
+        self.requires_grad_(False)
+        self.train(False)
+
+    def train(self, mode: bool = True) -> TactileEncoder:
+        """Stay in eval mode: LeRobot calls ``policy.train()`` at every step."""
+        return super().train(False)
+
+    def forget_references(self) -> None:
+        """Drop cached references; call it where an episode begins."""
+        self._references.clear()
+
+    @torch.no_grad()
+    def forward(self, slot: str, finger: Finger, reference: Tensor, current: Tensor) -> Tensor:
+        """Encode one slot's pair.
+
+        Args:
+            slot: touch slot, the key of the reference cache.
+            finger: which finger wears the sensor; decides the mirror.
+            reference: (B, H, W) in [0, 1], free air.
+            current: same shape.
+
+        Returns:
+            (B, K, latent) pooled latents.
+        """
+        cached = self._encode_reference(slot, finger, reference)
+        latent = self.model.encoder.encode_current(cached, self._prepare(current, finger, "current")).mean
+        return pool_latent(latent, self.grid)
+
+    def _encode_reference(self, slot: str, finger: Finger, reference: Tensor) -> ReferenceCache:
+        key = f"{slot}/{finger}"
+        known = self._references.get(key)
+        if known is not None and torch.equal(known[0], reference):
+            return known[1]
+        before = self._prepare(reference, finger, "reference")
+        if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
+            do = "Capture it again in free air."
+            raise ContractError(expected(f"reference of {slot}", "an image with markers", "all black", do))
+        cache = self.model.encoder.encode_reference(before)
+        self._references[key] = (reference.clone(), cache)
+        return cache
+
+    def _prepare(self, images: Tensor, finger: Finger, name: str) -> Tensor:
+        return prepare_tensor(images, right=finger == "right", side=self.model.config.side, name=name)
+
+
+@functools.cache
+def packaged_hashes() -> dict[str, str]:
+    """Return content hash → size of the tokenizers that come with the package."""
+    return {Tokenizer.from_pretrained(size).hash: size for size in SIZES}
+
+
+def is_packaged(config: PI05UniforceConfig) -> bool:
+    """Return whether the policy's tokenizer comes with the package, so that its checkpoint holds only the hash."""
+    return config.tokenizer_hash in packaged_hashes()
+
+
+def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEncoder:
+    """Make the encoder a config asks for and write the tokenizer's facts into that config.
+
+    A new policy takes the tokenizer at ``touch.tokenizer_path`` (None: the shipped one). A config loaded from a
+    checkpoint already knows its tokenizer: the packaged one of that hash, or one that is rebuilt, ``empty``, and filled
+    from the checkpoint.
+
+    Raises:
+        CheckpointError: it was made behind another canonicaliser.
+    """
+    facts = config.touch.tokenizer
+    if facts is not None and is_packaged(config):
+        packaged = Tokenizer.from_pretrained(packaged_hashes()[config.tokenizer_hash])
+        return TactileEncoder(packaged.model, config.latent_grid)
+    if facts is not None:
+        return TactileEncoder(_rebuild(facts, empty), config.latent_grid)
+    tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
+    config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
+    return TactileEncoder(tokenizer.model, config.latent_grid)
+
+
+def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
+    """Raise CheckpointError unless the loaded tokenizer is, bit by bit, the one the policy was trained with."""
+    facts = {name: fact for name, fact in (config.touch.tokenizer or {}).items() if name != "hash"}
+    found = content_hash(encoder.model, facts)
+    if found != config.tokenizer_hash:
+        do = "The tokenizer inside the checkpoint was changed; copy the checkpoint again."
+        raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
+
+
+def _rebuild(facts: dict[str, Any], empty: bool) -> ForceAutoencoder:
+    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+    if stored != running:
+        do = "Use the version it was trained with, or train again."
+        raise CheckpointError(expected("canonicaliser of the checkpoint", stored, running, do))
+    with no_weights() if empty else nullcontext():
+        return build_model(TokenizerConfig(**facts["model"]), seed=0)
+
+
+class TouchInput:
+    """Turn a batch into one (B, rows, numbers) tensor and one (B,) mask per slot.
+
+    Args:
+        config: slots, fingers after swap, what to do on sensor loss, dropout.
+        encoder: frozen tokenizer, or None where the input is a control's (touch/controls.py).
+        shape: rows and numbers per row of a slot's input.
+    """
+
+    def __init__(
+        self, config: PI05UniforceConfig, encoder: TactileEncoder | None, shape: tuple[int, int]
+    ) -> None:
+        self.config, self.encoder, self.shape = config, encoder, shape
+        self.masked = False  # every slot masked: the control that takes touch away from a trained policy
+        self._logged: set[str] = set()
+
+    def reset(self) -> None:
+        """Forget cached references: the next episode takes its own."""
+        if self.encoder is not None:
+            self.encoder.forget_references()
+
+    def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
+        """Return the slots' tensors and masks, in slot order.
+
+        Raises:
+            RolloutError: a declared input is missing or not finite, and ``on_sensor_loss`` is "error".
+        """
+        size = _batch_size(batch)
+        touches, masks = [], []
+        for slot in self.config.slots:
+            touch = self.read(batch, slot, device)
+            if touch is None:
+                touch = torch.zeros(size, *self.shape, device=device)
+                masks.append(torch.zeros(size, dtype=torch.bool, device=device))
+            else:
+                masks.append(self._present(slot, touch))
+            touches.append(touch.nan_to_num())
+        if self.masked:
+            masks = [torch.zeros_like(mask) for mask in masks]
+        return touches, self._dropout(masks) if training else masks
+
+    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor | None:
+        """Return a slot's (B, K, latent) latents, cached or encoded now; None where its sensor is lost."""
+        if latent_key(slot) in batch:
+            latent = batch[latent_key(slot)].to(device, torch.float32)
+            return latent.reshape(len(latent), *self.shape)
+        pair = self.pair(batch, slot)
+        if pair is None or self.encoder is None:
+            return None
+        reference, current = (image.to(device) for image in pair)
+        return self.encoder(slot, self.config.finger_by_slot()[slot], reference, current)
+
+    def pair(self, batch: dict[str, Tensor], slot: str) -> tuple[Tensor, Tensor] | None:
+        """Return a slot's reference and current marker images, (B, H, W), or None where one is lost."""
+        finger = self.config.finger_by_slot()[slot]
+        reference = self.take(batch, tactile_key(finger, reference=True))
+        current = self.take(batch, tactile_key(finger))
+        return None if reference is None or current is None else (_grey(reference), _grey(current))
+
+    def take(self, batch: dict[str, Tensor], key: str) -> Tensor | None:
+        """Return an entry of the batch; None, or an error, where it is lost."""
+        if key in batch:
+            return batch[key]
+        self._lost(expected(key, "a tensor in the observation", "none", "Check the sensor of that finger."))
+        return None
+
+    def _present(self, slot: str, touch: Tensor) -> Tensor:
+        finite = torch.isfinite(touch).flatten(1).all(dim=1)  # (B,)
+        if not bool(finite.all()):
+            self._lost(expected(slot, "finite numbers", "NaN or inf", "Check the sensor or the dataset."))
+        return finite
+
+    def _lost(self, message: str) -> None:
+        if self.config.touch.on_sensor_loss == "error":
+            raise RolloutError(message)
+        if message not in self._logged:
+            self._logged.add(message)
+            logger.warning("on_sensor_loss=mask: going on without touch. %s", message)
+
+    def _dropout(self, masks: list[Tensor]) -> list[Tensor]:
+        share = self.config.augment.touch_dropout
+        return [mask & (torch.rand_like(mask, dtype=torch.float32) >= share) for mask in masks]
+
+
+def _grey(images: Tensor) -> Tensor:
+    """Return (B, H, W) from (B, H, W) or (B, 3, H, W), RGB copies of one binary channel."""
+    return images[:, 0] if images.ndim == 4 else images
+
+
+def _batch_size(batch: dict[str, Tensor]) -> int:
+    return len(next(v for k, v in batch.items() if k.startswith("observation.") and isinstance(v, Tensor)))
