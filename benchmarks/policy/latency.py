@@ -29,7 +29,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.sampler.layers import embed_cameras
 from lerobot_policy_pi05_uniforce.sampler.onednn import linear
-from lerobot_policy_pi05_uniforce.sampler.prefix import drop_dead
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_dead
 from uniforce_vtla.keys import ACTION, AXES, STATE
 
 Given = tuple[list, list, torch.Tensor, torch.Tensor]
@@ -181,12 +181,12 @@ def _parts(
     """Return medians of what a fast call is made of: cameras, the VLM's prefill (cameras included), one flow step."""
     fast = network.fast
     assert fast is not None, "the bench builds its networks with sampler=fast"
-    kept = drop_dead(*given)
-    prefix = fast.encoder.encode(*kept, noise.shape[1])
+    kept = drop_dead(Inputs(*given))
+    prefix = fast.encoder.encode(kept, noise.shape[1])
     table = fast.prepared.tables(steps)[0]
     parts = {
         "cameras": lambda: embed_cameras(network.paligemma_with_expert.paligemma.model, torch.cat(kept[0])),
-        "prefix": lambda: fast.encoder.encode(*kept, noise.shape[1]),
+        "prefix": lambda: fast.encoder.encode(kept, noise.shape[1]),
         "step": lambda: fast.velocity(prefix, noise, table),
     }
     return {

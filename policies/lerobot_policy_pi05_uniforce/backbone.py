@@ -10,7 +10,7 @@ from lerobot.policies.pi_gemma import _gated_residual, layernorm_forward
 from torch import Tensor, nn
 from transformers.models.gemma.modeling_gemma import apply_rotary_pos_emb
 
-from lerobot_policy_pi05_uniforce.text import vocabulary_size
+from lerobot_policy_pi05_uniforce.text import VOCABULARY
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns
 
 if TYPE_CHECKING:
@@ -35,33 +35,26 @@ class GatedBackbone(stock.PaliGemmaWithExpertModel):
 
     def forward(
         self,
-        attention_mask: Tensor | None = None,
-        position_ids: Tensor | None = None,
-        past_key_values: object = None,
-        inputs_embeds: list | None = None,
+        attention_mask: Tensor,
+        position_ids: Tensor,
+        past_key_values: object,
+        inputs_embeds: list,
         use_cache: bool | None = None,
         adarms_cond: list | None = None,
     ) -> tuple[list, object]:
         """Run prefix, suffix or both; arguments as LeRobot's."""
-        if self.gated is not None and attention_mask is not None and position_ids is not None:
+        if self.gated is not None:
             position_ids = self.gated.placed(position_ids, attention_mask.shape[-1])
             attention_mask = self.gated.masked(attention_mask)
-        streams, cond = inputs_embeds or [None, None], adarms_cond or [None, None]
-        out, past = self.run_layers(attention_mask, position_ids, past_key_values, streams, use_cache, cond)
+        cond = adarms_cond or [None, None]
+        out, past = self.run_layers(attention_mask, position_ids, past_key_values, inputs_embeds, cond)
         self.suffix = out[1] if self.keep_suffix and self.training else None
         return out, past
 
-    def run_layers(
-        self,
-        mask: Tensor | None,
-        positions: Tensor | None,
-        past: Any,
-        streams: list,
-        use_cache: bool | None,
-        cond: list,
-    ) -> tuple[list, object]:
-        """Run LeRobot's own layers."""
-        return super().forward(mask, positions, past, streams, use_cache=use_cache, adarms_cond=cond)
+    def run_layers(self, mask: Tensor, positions: Tensor, past: Any, streams: list, cond: list) -> Any:
+        """Run LeRobot's own layers; a prefix alone fills the cache."""
+        cached = streams[1] is None
+        return super().forward(mask, positions, past, streams, use_cache=cached, adarms_cond=cond)
 
 
 class TinyBackbone(GatedBackbone):
@@ -78,7 +71,7 @@ class TinyBackbone(GatedBackbone):
             text_config={"model_type": "gemma", **plain, **_gemma(config)},
             vision_config=_siglip(config),
             projection_dim=width,
-            image_token_index=_vocabulary() - 1,
+            image_token_index=VOCABULARY - 1,
         )
         expert = stock.CONFIG_MAPPING["gemma"](use_adarms=True, adarms_cond_dim=width, **_gemma(config))
         self.paligemma = stock.PaliGemmaForConditionalGenerationWithPiGemma(config=vlm)
@@ -87,18 +80,10 @@ class TinyBackbone(GatedBackbone):
         self.to_bfloat16_for_selected_params(config.dtype)
         self._set_requires_grad()
 
-    def run_layers(
-        self,
-        mask: Tensor | None,
-        positions: Tensor | None,
-        past: Any,
-        streams: list,
-        use_cache: bool | None,
-        cond: list,
-    ) -> tuple[list, Any]:
+    def run_layers(self, mask: Tensor, positions: Tensor, past: Any, streams: list, cond: list) -> Any:
         """Embed the prefix as LeRobot does; run both streams (training) or the suffix (sampling) fused."""
-        if streams[1] is None or not self.fused or mask is None or positions is None:
-            return super().run_layers(mask, positions, past, streams, use_cache, cond)
+        if streams[1] is None or not self.fused:
+            return super().run_layers(mask, positions, past, streams, cond)
         both = [self.paligemma.model.language_model, self.gemma_expert.model]
         first = 0 if streams[0] is not None else 1
         models, streams, cond = both[first:], streams[first:], cond[first:]
@@ -133,8 +118,8 @@ def joint_layer(
     mask: Tensor,
     rotary: tuple,
     cond: list,
-    past: tuple[Tensor, Tensor] | None = None,
-    last: bool = False,
+    past: tuple[Tensor, Tensor] | None,
+    last: bool,
 ) -> Streams:
     """Run one layer of one or both streams: attention over all tokens together, the rest per stream.
 
@@ -150,9 +135,8 @@ def joint_layer(
         past: rotated keys and values (B, 1, L_past, head_dim) of tokens that came before, as cached.
         last: return the final stream only; after the last layer nobody reads the prefix.
     """
-    normed = [
-        layernorm_forward(la.input_layernorm, x, c) for la, x, c in zip(layers, streams, cond, strict=True)
-    ]
+    rows = zip(layers, streams, cond, strict=True)
+    normed = [layernorm_forward(layer.input_layernorm, x, c) for layer, x, c in rows]
     kept = slice(-1 if last else 0, None)
     lengths = [x.shape[1] for x in streams[kept]]
     attended = _attend([x for x, _ in normed], layers, mask, rotary, past, lengths)
@@ -188,14 +172,9 @@ def _attend(
 
 
 def _project(normed: Streams, layers: list[nn.Module], name: str) -> Tensor:
-    parts = []
-    for layer, x in zip(layers, normed, strict=True):
-        parts.append(getattr(layer.self_attn, name)(x).unflatten(-1, (-1, layer.self_attn.head_dim)))
+    head, rows = layers[0].self_attn.head_dim, zip(layers, normed, strict=True)
+    parts = [getattr(layer.self_attn, name)(x).unflatten(-1, (-1, head)) for layer, x in rows]
     return torch.cat(parts, dim=1).transpose(1, 2)
-
-
-def _vocabulary() -> int:
-    return -(-(vocabulary_size() + 1) // 64) * 64  # one spare id for the image token, rounded up to 64
 
 
 def _gemma(config: PI05UniforceConfig) -> dict[str, Any]:
@@ -206,7 +185,7 @@ def _gemma(config: PI05UniforceConfig) -> dict[str, Any]:
         "num_attention_heads": NUM_HEADS,
         "num_key_value_heads": 1,
         "head_dim": config.tiny.width // NUM_HEADS,
-        "vocab_size": _vocabulary(),
+        "vocab_size": VOCABULARY,
         "hidden_activation": "gelu_pytorch_tanh",
         "dtype": "float32",
     }

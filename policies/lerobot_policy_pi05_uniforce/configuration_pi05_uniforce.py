@@ -158,14 +158,16 @@ class PI05UniforceConfig(PI05Config):
 
     def __post_init__(self) -> None:
         self.size = resolve_size(self.size, self.device)
-        self._check_choices(("recipe", "touch.input"))
-        self._check_slots()
+        self._check_choices("recipe", "touch.input")
+        for slot in self.touch.slots:
+            _require(slot in SLOTS, "touch slot", " or ".join(SLOTS), slot)
+        self.finger_by_slot()
         for path, value in recipe_settings(self.recipe, self.size, self.slots, self.touch.input).items():
             owner, name = self._owner(path)
             if getattr(owner, name) is None:
                 setattr(owner, name, copy.deepcopy(value))
         self.image_resolution = (self.image_resolution[0], self.image_resolution[1])  # lists come from JSON
-        self._check_choices(tuple(CHOICES))
+        self._check_choices(*CHOICES)
         self._check_together()
         if self.action.objective == "regression":
             self.num_inference_steps, self.sampler.noise_scale = 1, 0.0
@@ -177,50 +179,34 @@ class PI05UniforceConfig(PI05Config):
         group, _, name = path.rpartition(".")
         return (getattr(self, group) if group else self), name
 
-    def _check_choices(self, paths: tuple[str, ...]) -> None:
+    def _check_choices(self, *paths: str) -> None:
         for path in paths:
-            owner, name = self._owner(path)
-            _require(
-                getattr(owner, name) in CHOICES[path], path, " | ".join(CHOICES[path]), getattr(owner, name)
-            )
-
-    def _check_slots(self) -> None:
-        for slot in self.touch.slots:
-            _require(slot in SLOTS, "touch slot", " or ".join(SLOTS), slot)
-        self.finger_by_slot()
+            came = getattr(*self._owner(path))
+            _require(came in CHOICES[path], path, " | ".join(CHOICES[path]), came)
 
     def _check_together(self) -> None:
         touch, action, augment = self.touch, self.action, self.augment
+        stock = self.compile_model or self.gradient_checkpointing or self.dtype != "float32"
+        _require(self.size != "tiny" or not stock, "size=tiny", "plain float32", self.dtype)
+        square = self.image_resolution[0] == self.image_resolution[1]
+        _require(square, "image_resolution", "a square", self.image_resolution)
         latents = touch.input == "latent" and bool(touch.slots)
-        came = f"touch.input={touch.input} with slots {sorted(touch.slots)}"
-        plain = not (self.compile_model or self.gradient_checkpointing) and self.dtype == "float32"
-        _require(
-            self.size != "tiny" or plain, "size=tiny", "float32", "bfloat16, compile_model or checkpointing"
-        )
-        rows, columns = self.image_resolution
-        _require(rows == columns, "image_resolution", "a square", self.image_resolution)
+        came = f"touch.input={touch.input} in {sorted(touch.slots)}"
         _require(
             latents or not touch.next_force_weight, "touch.next_force_weight", "latents to predict", came
         )
-        share, most = augment.sensor_transfer, MOST if latents else 0
-        _require(
-            0 <= share <= float(latents), "augment.sensor_transfer", "a share of latents", f"{share}, {came}"
-        )
+        share, deltas = augment.sensor_transfer, self.state_token and action.form == "target_delta"
+        _require(0 <= share <= latents, "augment.sensor_transfer", "a share of latents", f"{share}, {came}")
+        most = MOST if latents else 0
         _require(
             0 <= touch.directions <= most, "touch.directions", f"0 to {MOST} of latents", touch.directions
         )
         _require(augment.camera_variation >= 0, "augment.camera_variation", "≥ 0", augment.camera_variation)
-        told = self.state_token and action.form == "target_delta"
-        steps = action.previous_steps
-        _require(
-            steps == 0 or (steps > 0 and told),
-            "action.previous_steps",
-            "0 or more, with tiny's deltas",
-            steps,
-        )
-        axes = set(action.previous_axes)
-        fit = len(axes) == len(action.previous_axes) and axes <= set(range(len(action.delta_scale)))
-        _require(fit, "action.previous_axes", "axes, each at most once", action.previous_axes)
+        steps, axes = action.previous_steps, action.previous_axes
+        fit = steps >= 0 and (deltas or not steps)
+        _require(fit, "action.previous_steps", "0, or more with tiny's deltas", steps)
+        fit = len(set(axes) & set(range(len(action.delta_scale)))) == len(axes)
+        _require(fit, "action.previous_axes", "axes, each at most once", axes)
 
     @property
     def slots(self) -> tuple[str, ...]:

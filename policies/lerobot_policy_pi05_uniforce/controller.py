@@ -19,13 +19,8 @@ from lerobot.configs import PreTrainedConfig
 from lerobot.envs.utils import preprocess_observation
 from lerobot.policies.factory import make_pre_post_processors
 
+from lerobot_policy_pi05_uniforce import checkpoint as stored
 from lerobot_policy_pi05_uniforce import weights
-from lerobot_policy_pi05_uniforce.checkpoint import (
-    check_processors,
-    check_sensors,
-    check_settings,
-    misfits_named,
-)
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
 from uniforce_vtla.contracts import Finger
@@ -47,9 +42,9 @@ def stored_config(checkpoint: Path) -> PI05UniforceConfig:
     Raises:
         CheckpointError: no such folder, another policy, or settings that don't fit this package.
     """
-    check_settings(weights.read_config(weights.find(checkpoint, weights.CONFIG)), str(checkpoint))
-    check_processors(checkpoint)
-    with misfits_named(str(checkpoint)):
+    stored.check_settings(weights.read_config(weights.find(checkpoint, weights.CONFIG)), str(checkpoint))
+    stored.check_processors(checkpoint)
+    with stored.misfits_named(str(checkpoint)):
         config = PreTrainedConfig.from_pretrained(checkpoint)
     assert isinstance(config, PI05UniforceConfig), "check_settings has seen its type"
     config.device = "cpu"
@@ -65,18 +60,15 @@ def stored_policy(config: PI05UniforceConfig) -> tuple[PI05UniforcePolicy, Any, 
     """
     folder = str(config.pretrained_path)
     policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
-    with misfits_named(f"processors of {folder}"):
+    with stored.misfits_named(f"processors of {folder}"):
         return policy, *make_pre_post_processors(config, pretrained_path=folder)
 
 
 class Deadlines:
-    """Account of one episode's calls.
+    """Account of one episode's calls at a control rate.
 
     A call that finds k actions still queued is due when they and the present step are over: k + 1 control periods. What
     comes later leaves the robot without a new action; those control steps are counted too.
-
-    Args:
-        control_hz: control rate of what the policy drives.
 
     Raises:
         ContractError: no positive rate.
@@ -147,7 +139,7 @@ class PolicyController:
         config.swap = swap or config.swap
         for finger, sensor in (asked or {}).items():
             setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))
-        self.notes = check_sensors(config, mounted)
+        self.notes = stored.check_sensors(config, mounted)
         self.policy, self._before, self._after = stored_policy(config)
         self.config: PI05UniforceConfig = self.policy.config
         self._deadlines = Deadlines(CONTROL_HZ)
@@ -204,24 +196,3 @@ class PolicyController:
             return set()
         fingers = self.config.finger_by_slot().values()
         return {f"tactile_{finger}{suffix}" for finger in fingers for suffix in ("", "_ref")}
-
-
-class ScriptController:
-    """Drive an environment with a script that answers one action at a time."""
-
-    def __init__(self, script: Any) -> None:
-        self._script = script
-        self._env: Any = None
-
-    def reset(self, env: Any) -> None:
-        """Start the script's episode."""
-        self._env = env
-        self._script.reset(env)
-
-    def facts(self) -> dict[str, float]:
-        """Return nothing: a script isn't timed."""
-        return {}
-
-    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
-        """Return the script's next target as a chunk of one."""
-        return np.asarray(self._script.act(self._env))[None]

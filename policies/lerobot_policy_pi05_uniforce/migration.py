@@ -10,38 +10,19 @@ from typing import Any
 
 from safetensors.torch import load_file, save_file
 
-from lerobot_policy_pi05_uniforce.recipes import GRID, SCORED
-from uniforce_vtla.errors import CheckpointError, UniForceError, expected
+from lerobot_policy_pi05_uniforce.recipes import SCORED
+from uniforce_vtla.errors import CheckpointError, UniForceError
 from uniforce_vtla.json_file import read_object
 
 CONFIG, WEIGHTS, TOKENIZER = "config.json", "model.safetensors", "model.tactile_encoder."
-MOVED = {
-    "touch_slots": "touch.slots",
-    "touch_input": "touch.input",
-    "token_site": "touch.site",
-    "start_at_base": "touch.start_at_base",
-    "touch_directions": "touch.directions",
-    "on_sensor_loss": "touch.on_sensor_loss",
-    "next_force_weight": "touch.next_force_weight",
-    "trained_sensors": "touch.trained_sensors",
-    "tokenizer_path": "touch.tokenizer_path",
-    "action_form": "action.form",
-    "action_objective": "action.objective",
-    "delta_scale": "action.delta_scale",
-    "delta_knee": "action.delta_knee",
-    "target_range": "action.target_range",
-    "last_move_steps": "action.previous_steps",
-    "last_move_axes": "action.previous_axes",
-    "stop_outside_demos": "action.stop_outside_demos",
-    "camera_variation": "augment.camera_variation",
-    "touch_noise": "augment.touch_noise",
-    "touch_dropout": "augment.touch_dropout",
-    "state_noise": "augment.state_noise",
-    "sensor_transfer": "augment.sensor_transfer",
-    "tiny_width": "tiny.width",
-    "tiny_depth": "tiny.depth",
-    "tiny_mlp_dim": "tiny.mlp_dim",
-    "sampling_noise": "sampler.noise_scale",
+NAMES = {  # group → old name: new one; a name alone stays
+    "touch": "touch_slots:slots touch_input:input token_site:site start_at_base touch_directions:directions "
+    "on_sensor_loss next_force_weight trained_sensors tokenizer_path",
+    "action": "action_form:form action_objective:objective delta_scale delta_knee target_range "
+    "last_move_steps:previous_steps last_move_axes:previous_axes stop_outside_demos",
+    "augment": "camera_variation touch_noise touch_dropout state_noise sensor_transfer",
+    "tiny": "tiny_width:width tiny_depth:depth tiny_mlp_dim:mlp_dim",
+    "sampler": "sampling_noise:noise_scale",
 }
 # what 0.1.0 stored and nothing reads any more: training-only numbers, and what follows from the rest
 DROPPED = (
@@ -59,17 +40,16 @@ def is_flat(saved: dict[str, Any]) -> bool:
 def grouped(saved: dict[str, Any]) -> dict[str, Any]:
     """Return the settings of a 0.1.0 ``config.json`` in today's form; others come back as they are.
 
-    Raises:
-        CheckpointError: a network that is built no more.
+    A network that no setting gives any more (a grid of latents other than 4×4, say) is named by the strict load.
     """
     if not is_flat(saved):
         return saved
-    _check_built(saved)
-    new: dict[str, Any] = {k: v for k, v in saved.items() if k not in MOVED and k not in DROPPED}
-    for old, path in MOVED.items():
-        group, _, name = path.partition(".")
-        if old in saved:
-            new.setdefault(group, {})[name] = saved[old]
+    new, gone = dict(saved), set(DROPPED)
+    for group, names in NAMES.items():
+        pairs = [name.partition(":") for name in names.split()]
+        gone |= {old for old, _, _ in pairs}
+        new[group] = {later or old: saved[old] for old, _, later in pairs if old in saved}
+    new = {name: value for name, value in new.items() if name not in gone or name in NAMES}
     facts = saved.get("tokenizer_config")
     new["touch"]["tokenizer"] = facts and {**facts, "hash": saved.get("tokenizer_hash", "")}
     if not saved.get("keep_inside_demos", True):
@@ -80,30 +60,13 @@ def grouped(saved: dict[str, Any]) -> dict[str, Any]:
     return new | {"recipe": "scored" if scored else "plain"}
 
 
-def _check_built(saved: dict[str, Any]) -> None:
-    """Raise CheckpointError for a network whose shape no setting gives any more."""
-    tiny = saved["size"] == "tiny"
-    maps = tiny and saved["touch_input"] == "latent" and not saved["touch_directions"]
-    wanted = {"state_token": tiny, "latent_grid": GRID}
-    wanted |= {"hear_whole_pad": True} if maps else {}
-    wanted |= {} if tiny or saved["touch_input"] != "latent" else {"hear_whole_pad": False}
-    if tiny:
-        wanted |= {"tiny_head_dim": saved["tiny_width"] // 8, "tiny_vision_depth": saved["tiny_depth"] // 2}
-    differing = {name: saved[name] for name, value in wanted.items() if saved[name] != value}
-    if differing:
-        do = "Run it with version 0.1.0, or train it again."
-        raise CheckpointError(
-            expected("network of a 0.1.0 checkpoint", {n: wanted[n] for n in differing}, differing, do)
-        )
-
-
 def migrate(folder: Path) -> bool:
     """Rewrite a checkpoint folder in place; return whether anything was to do.
 
     A tactile tokenizer that comes with the package leaves the weights: its hash is in the settings.
 
     Raises:
-        CheckpointError: no checkpoint, or a network that is built no more.
+        CheckpointError: no checkpoint.
     """
     from lerobot_policy_pi05_uniforce.touch.encode import packaged_hashes
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huggingface_hub import ModelCard, ModelCardData
@@ -20,51 +21,7 @@ LICENCE = {
     "in the preprocessor. The code is Apache-2.0.",
     "tiny": "Weights and code: Apache-2.0. Nothing of Gemma is inside.",
 }
-TEXT = """\
----
-{data}
----
-
-# {title}
-
-π0.5 with a sense of force for LeRobot, made with the package `lerobot_policy_pi05_uniforce`. Size `{config.size}`.
-
-## Touch
-
-{touch}
-
-## Use
-
-```bash
-pip install lerobot_policy_pi05_uniforce
-lerobot-rollout --policy.path=THIS_FOLDER_OR_HUB_ID …
-```
-
-Weights, normalisation and text tokenizer are in this folder, and so is the frozen tactile tokenizer, unless it is the
-package's own. A file that is missing or does not fit is an error at load, and so is another tactile tokenizer, slot or
-token site.
-
-## Data
-
-{data_text}
-
-## Training
-
-{training}
-
-## Scores
-
-{scores}
-
-## Limits
-
-Trained and scored as said above, and nowhere else. It is research, no certified robot controller: keep the robot's own
-force and speed limits on.
-
-## Licence
-
-{licence}
-"""
+TEMPLATE = Path(__file__).parent / "assets" / "model_card.md"
 
 
 def model_card(
@@ -92,7 +49,7 @@ def model_card(
         base_model=BASE_MODEL if base else None,
     )
     return ModelCard(
-        TEXT.format(
+        TEMPLATE.read_text().format(
             data=data.to_yaml(),
             title=(config.repo_id or config.type).split("/")[-1],
             config=config,
@@ -130,16 +87,10 @@ def _scores(scores: Mapping[str, Any] | None) -> str:
     if not isinstance(scores.get("arms"), Mapping):
         do = "Give the wiping.json that uniforce-score wrote."
         raise ContractError(expected("scores", "a table of arms", sorted(scores), do))
-    head = [
-        f"Simulated wiping, level `{scores.get('level', 'not stated')}`:",
-        "",
-        "| arm | clean | success |",
-    ]
-    rows = [
-        f"| {name} | {arm['clean']}/{arm['n']} | {arm['success']}/{arm['n']} |"
-        for name, arm in scores["arms"].items()
-    ]
-    return "\n".join([*head, "|---|---|---|", *rows])
+    level = scores.get("level", "not stated")
+    head = [f"Simulated wiping, level `{level}`:", "", "| arm | clean | success |", "|---|---|---|"]
+    rows = [(name, arm["n"], arm["clean"], arm["success"]) for name, arm in scores["arms"].items()]
+    return "\n".join([*head, *(f"| {name} | {clean}/{n} | {done}/{n} |" for name, n, clean, done in rows)])
 
 
 def _lines(facts: Mapping[str, str]) -> str:

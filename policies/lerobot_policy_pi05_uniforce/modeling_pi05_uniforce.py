@@ -14,36 +14,11 @@ from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce import weights
-from lerobot_policy_pi05_uniforce.action import (
-    IssuedTarget,
-    NetworkUnits,
-    TargetRange,
-    check_axes,
-    check_leap,
-    previous_move,
-    to_deltas,
-    to_targets,
-)
-from lerobot_policy_pi05_uniforce.checkpoint import (
-    PROCESSORS,
-    check_processors,
-    check_same,
-    check_settings,
-    misfits_named,
-)
+from lerobot_policy_pi05_uniforce import action, checkpoint, training, weights
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
 from lerobot_policy_pi05_uniforce.touch.encode import ENCODER, TouchInput, check_hash, is_packaged
-from lerobot_policy_pi05_uniforce.training import (
-    lora_targets,
-    parameter_groups,
-    read_provenance,
-    read_target_range,
-    read_touch_scale,
-    read_view,
-)
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.keys import ACTION, STATE
 
@@ -83,13 +58,13 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self._take_dataset_facts(dataset_stats, dataset_meta)
         if config.gradient_checkpointing:
             self.model.gradient_checkpointing_enable()
-        action = config.action
-        if action.form == "target_delta":
-            check_axes(state_size(config), self._action_size, action.delta_scale, action.delta_knee)
-        self.issued = IssuedTarget(action.previous_steps)
-        self.register_buffer("delta_scale", torch.tensor(action.delta_scale), persistent=False)
-        self.network_units = NetworkUnits(action.delta_scale, action.delta_knee)
-        self.target_range = TargetRange(len(action.delta_scale), action.target_range)
+        units = config.action.delta_scale, config.action.delta_knee
+        if config.action.form == "target_delta":
+            action.check_axes(state_size(config), self._action_size, *units)
+        self.issued = action.IssuedTarget(config.action.previous_steps)
+        self.register_buffer("delta_scale", torch.tensor(units[0]), persistent=False)
+        self.network_units = action.NetworkUnits(*units)
+        self.target_range = action.TargetRange(len(units[0]), config.action.target_range)
         if not empty:
             self.to(config.device)
         self.reset()
@@ -105,9 +80,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
         config, tokens = self.config, self.model.force_tokens
-        read_view(meta, config)
+        training.read_view(meta, config)
         if meta is not None:
-            read_provenance(meta, config)
+            training.read_provenance(meta, config)
         if meta is not None and config.augment.sensor_transfer and tokens is not None:
             from lerobot_policy_pi05_uniforce.touch.transfer import transferred_touch
 
@@ -115,8 +90,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if not stats:
             return
         stats.update(floor_quantiles(stats) or {})
-        config.action.target_range = read_target_range(stats)
-        found = read_touch_scale(stats, config, self.touch.shape)
+        config.action.target_range = training.read_target_range(stats)
+        found = training.read_touch_scale(stats, config, self.touch.shape)
         if found is not None and tokens is not None:
             tokens.input_mean.copy_(found[0])
             tokens.input_scale.copy_(found[1])
@@ -139,16 +114,18 @@ class PI05UniforcePolicy(stock.PI05Policy):
         source = pretrained_name_or_path
         where = weights.find(source, weights.CONFIG, revision, local_files_only)
         saved = weights.read_config(where)
-        check_settings(saved, str(where))
-        for name in PROCESSORS:  # of a hub repository: fetched before LeRobot does, and so checked first
+        checkpoint.check_settings(saved, str(where))
+        for (
+            name
+        ) in checkpoint.PROCESSORS:  # of a hub repository: fetched before LeRobot does, and so checked first
             with suppress(CheckpointError):
                 weights.find(source, name, revision, local_files_only)
-        check_processors(where.parent)
+        checkpoint.check_processors(where.parent)
         given = {name: kwargs[name] for name in ("dataset_stats", "dataset_meta") if name in kwargs}
-        with misfits_named(str(where)):
+        with checkpoint.misfits_named(str(where)):
             if config is None:
                 config = cls.config_class.from_pretrained(source, revision=revision)
-            check_same(saved, config)
+            checkpoint.check_same(saved, config)
             policy = cls(config, empty=True, **given)
         packaged = (ENCODER,) if policy.model.tactile_encoder is not None and is_packaged(config) else ()
         file = weights.find(source, weights.WEIGHTS, revision, local_files_only)
@@ -171,7 +148,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Return our card where LeRobot's trainer would push its own; arguments as LeRobot's, ``cfg`` is read."""
         from lerobot_policy_pi05_uniforce.model_card import model_card
 
-        return model_card(self.config, training=None if cfg is None else cfg.to_dict())
+        return model_card(self.config, None if cfg is None else cfg.to_dict())
 
     def reset(self) -> None:
         """Forget the queue, the issued targets and the cached references: an episode begins."""
@@ -200,18 +177,16 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Return (B, A) in units of ``delta_scale``: of a sample its demo's commands, of a rollout those issued."""
         commands = batch.get(ACTION)
         if commands is not None and commands.ndim == 3:
-            return previous_move(commands.to(self.delta_scale)) / self.delta_scale
+            return action.previous_move(commands.to(self.delta_scale)) / self.delta_scale
         return self.issued.moved(self._measured(batch)) / self.delta_scale
 
     def _shrunk(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Area-resize larger camera frames, as training views do; base keeps π0.5's own bilinear resize."""
         if self.config.size == "base":
             return batch
-        size = self.config.image_resolution
-        cameras = {
-            k: batch[k] for k in self.config.image_features if k in batch and batch[k].shape[-1] > size[1]
-        }
-        return {**batch, **{k: F.interpolate(image, size, mode="area") for k, image in cameras.items()}}
+        size, shown = self.config.image_resolution, [k for k in self.config.image_features if k in batch]
+        large = [k for k in shown if batch[k].shape[-1] > size[1]]
+        return {**batch, **{k: F.interpolate(batch[k], size, mode="area") for k in large}}
 
     @property
     def _action_size(self) -> int:
@@ -238,7 +213,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
             is_pad = batch.get("action_is_pad")
             known = actions.shape[1] - 1 - self.config.chunk_size  # commands before the last one
             is_pad = is_pad if is_pad is None else is_pad[:, known:]
-            actions = to_deltas(actions[:, known:], is_pad, self._measured(batch), self.network_units)
+            actions = action.to_deltas(actions[:, known:], is_pad, self._measured(batch), self.network_units)
         return stock.pad_vector(actions, self.config.max_action_dim)
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:
@@ -253,7 +228,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         noise, time = self._flow_start(actions)
         losses = self.model.forward(images, masks, *self._text(batch), actions, noise, time)
         losses = losses[:, :, : self._action_size]  # (B, chunk, A)
-        keep = self._real_steps(batch, losses)  # (B, chunk, 1)
+        is_pad = batch.get("action_is_pad", torch.zeros_like(actions[..., 0], dtype=torch.bool))
+        keep = (~is_pad[:, -losses.shape[1] :]).to(losses)[..., None]  # (B, chunk, 1)
         axes = None if reduction == "mean" else (1, 2)
         loss = (losses * keep).sum(axes) / (keep.sum(axes) * self._action_size).clamp_min(1)
         facts = {"loss": float(loss.detach().mean()), "target_rms": float(actions.square().mean().sqrt())}
@@ -274,12 +250,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
             return torch.zeros_like(actions), actions.new_ones(len(actions))
         noise = self.model.sample_noise(actions.shape, actions.device)
         return noise, self.model.sample_time(len(actions), actions.device)
-
-    def _real_steps(self, batch: dict[str, Tensor], losses: Tensor) -> Tensor:
-        is_pad = batch.get("action_is_pad")
-        if is_pad is None:
-            return losses.new_ones(*losses.shape[:2], 1)
-        return (~is_pad[:, -losses.shape[1] :]).to(losses)[..., None]
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
@@ -329,7 +299,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Return what the postprocessor takes: the network's chunk, deltas put on the last command."""
         if self.config.action.form == "absolute":
             return chunk
-        targets = to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
+        targets = action.to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
         return self.target_range.kept(targets)
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
@@ -345,11 +315,11 @@ class PI05UniforcePolicy(stock.PI05Policy):
             RolloutError: target deltas that leap; nothing is issued.
         """
         # a queued action needs no network, and LeRobot's look at every module's mode takes milliseconds
-        action = self._action_queue.popleft() if self._action_queue else super().select_action(batch)
+        target = self._action_queue.popleft() if self._action_queue else super().select_action(batch)
         if self.config.action.form == "target_delta":
-            check_leap(action, self.issued.last, self.delta_scale)
-        self.issued.record(action)
-        return action
+            action.check_leap(target, self.issued.last, self.delta_scale)
+        self.issued.record(target)
+        return target
 
     def train(self, mode: bool = True) -> Self:
         """Set the mode of every module; LeRobot asks for evaluation at every step, which costs milliseconds each."""
@@ -359,7 +329,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return trainable parameters in groups: the backbone, what starts random, the gate of touch."""
-        return parameter_groups(self.named_parameters(), self.config)
+        return training.parameter_groups(self.named_parameters(), self.config)
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
-        return lora_targets(self.model)
+        return training.lora_targets(self.model)

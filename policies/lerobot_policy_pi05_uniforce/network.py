@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -14,7 +13,8 @@ from lerobot_policy_pi05_uniforce.backbone import make_backbone
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
 from lerobot_policy_pi05_uniforce.sampler.onednn import use_onednn
-from lerobot_policy_pi05_uniforce.touch.encode import TactileEncoder, build_encoder
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
+from lerobot_policy_pi05_uniforce.touch.encode import build_encoder
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens, GatedColumns, SuffixTouch, TouchGate
 from lerobot_policy_pi05_uniforce.training import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
@@ -27,28 +27,24 @@ PREVIOUS_NOISE = 0.1  # on the previous action, training only, in units of ``del
 class StateToken(nn.Module):
     """The continuous normalised state as one prefix token: text bins are too coarse to learn from few demos.
 
-    While training, noise keeps a policy from reading off the pose what only touch may say: where the board begins.
-
-    Args:
-        state_size: axes.
-        width: of a token.
-        noise: standard deviation per axis, training only; empty adds none.
-        moves: axes of the previous action, behind the state.
+    Behind the state stand the chosen axes of the previous action. While training, noise keeps a policy from reading off
+    the pose what only touch may say: where the board begins.
 
     Raises:
         ContractError: noise for another number of axes.
     """
 
-    def __init__(self, state_size: int, width: int, noise: Sequence[float] = (), moves: int = 0) -> None:
+    def __init__(self, config: PI05UniforceConfig, width: int) -> None:
         super().__init__()
-        if noise and len(noise) != state_size:
+        size, moves, noise = state_size(config), len(config.previous_axes), config.augment.state_noise
+        if noise and len(noise) != size:
             do = "Give a number per axis of the state, or none."
-            raise ContractError(expected("state_noise", f"{state_size} numbers", list(noise), do))
-        self.noise = (*(noise or [0.0] * state_size), *[PREVIOUS_NOISE] * moves)
-        self.proj = nn.Sequential(nn.Linear(state_size + moves, width), nn.GELU(), nn.Linear(width, width))
+            raise ContractError(expected("state_noise", f"{size} numbers", list(noise), do))
+        self.noise = (*(noise or [0.0] * size), *[PREVIOUS_NOISE] * moves)
+        self.proj = nn.Sequential(nn.Linear(size + moves, width), nn.GELU(), nn.Linear(width, width))
 
     def forward(self, state: Tensor) -> Tensor:
-        """Map (B, 1, state_size + moves) to (B, 1, D) of unit RMS."""
+        """Map (B, 1, state size + moves) to (B, 1, D) of unit RMS."""
         if self.training and any(self.noise):
             state = state + torch.randn_like(state) * state.new_tensor(self.noise)
         hidden = self.proj(state)
@@ -70,11 +66,12 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         with no_weights() if empty else nullcontext():
             self._build_stock(config)
         self._touch: SuffixTouch | None = None  # of the call in progress, at touch.site=suffix
-        self.tactile_encoder = self._make_encoder(config, empty)
+        latents = bool(config.slots) and config.touch.input == "latent"
+        self.tactile_encoder = build_encoder(config, empty) if latents else None
         self.force_tokens = self._make_force_tokens(config, empty)
         gated = config.touch.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
-        self.state_token = self._make_state_token(config)
+        self.state_token = StateToken(config, self.vlm_width) if config.state_token else None
         self.next_force = self._make_next_force(config)
         freeze_unread(self)
         if config.size == "tiny":
@@ -100,10 +97,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.sample_actions = torch.compile(self.sample_actions, mode=config.compile_mode)  # type: ignore[method-assign]
         self.forward = torch.compile(self.forward, mode=config.compile_mode)  # type: ignore[method-assign]
 
-    def _make_encoder(self, config: PI05UniforceConfig, empty: bool) -> TactileEncoder | None:
-        latents = bool(config.slots) and config.touch.input == "latent"
-        return build_encoder(config, empty) if latents else None
-
     def _make_force_tokens(self, config: PI05UniforceConfig, empty: bool) -> nn.Module | None:
         if not config.slots:
             return None
@@ -117,12 +110,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
 
             take_directions(tokens, config)
         return tokens
-
-    def _make_state_token(self, config: PI05UniforceConfig) -> StateToken | None:
-        if not config.state_token:
-            return None
-        moves = len(config.previous_axes)
-        return StateToken(state_size(config), self.vlm_width, config.augment.state_noise, moves)
 
     def _make_next_force(self, config: PI05UniforceConfig) -> nn.Module | None:
         if not config.touch.next_force_weight:
@@ -154,16 +141,16 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         **kwargs: Any,
     ) -> Tensor:
         """Return (B, chunk, max_action_dim); LeRobot's own way, or the fast one with the same result."""
+        inputs = Inputs(images, img_masks, tokens, masks)
         if self.fast is None or self.adapted:
             try:
-                return super().sample_actions(images, img_masks, tokens, masks, noise, num_steps, **kwargs)
+                return super().sample_actions(*inputs, noise, num_steps, **kwargs)
             finally:
                 self._touch = None
         if noise is None:
             shape = (len(tokens), self.config.chunk_size, self.config.max_action_dim)
             noise = self.sample_noise(shape, tokens.device)
-        steps = num_steps or self.config.num_inference_steps
-        return self.fast.sample(images, img_masks, tokens, masks, noise, steps, **kwargs)
+        return self.fast.sample(inputs, noise, num_steps or self.config.num_inference_steps, **kwargs)
 
     def forward(self, *args: Any, **kwargs: Any) -> Tensor:
         """Return LeRobot's flow-matching losses, (B, chunk, max_action_dim)."""
@@ -188,11 +175,10 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         ``images`` holds (B, 3, H, W) cameras first, then (B, 1, S) state if used, then (B, K, ·) per slot.
         Appended last, they leave image and text positions as they were; a masked token changes nothing.
         """
-        cameras = sum(image.ndim == 4 for image in images)
-        embs, pads, atts = super().embed_prefix(
-            images[:cameras], img_masks[:cameras], tokens, masks, *args, **kwargs
-        )
-        extra = images[cameras:], img_masks[cameras:]
+        extra = Inputs(images, img_masks, tokens, masks).extra
+        cameras = len(images) - len(extra[0])
+        seen = images[:cameras], img_masks[:cameras]
+        embs, pads, atts = super().embed_prefix(*seen, tokens, masks, *args, **kwargs)
         self._touch = self.suffix_touch(*extra)
         self.paligemma_with_expert.gated = self.gated_columns(*extra, before=embs.shape[1])
         for embedded, mask in self.prefix_extra(*extra):

@@ -15,43 +15,28 @@ logger = logging.getLogger(__name__)
 GRID = 4  # latents are pooled to 4×4: 16 tokens per slot
 TWO_SLOT_DROPOUT = 0.3  # a policy of two fingers must also do with one
 
-SIZES: dict[str, dict[str, Any]] = {
-    "tiny": {
-        "chunk_size": 16,
-        "n_action_steps": 6,
-        "image_resolution": (56, 56),  # 16 patches of 14² per camera
-        "max_action_dim": 8,
-        "max_state_dim": 8,
-        "tokenizer_max_length": 64,
-        "optimizer_lr": 1e-3,
-        "scheduler_warmup_steps": 3_000,
-        "scheduler_decay_steps": 100_000,
-        "scheduler_decay_lr": 1e-5,
-        "touch.start_at_base": False,  # from scratch there is no base
-        "action.form": "target_delta",
-        "action.objective": "regression",
-        "augment.camera_variation": 1.0,  # else it learns its demos' lights by heart: docs/experiments/tiny_policy.md
-        "augment.touch_noise": 0.2,
-        "sampler.noise_scale": 0.0,
-    },
-    "base": {  # LeRobot's own π0.5 values; published weights fit them. Augmentation: not tried at this size
-        "chunk_size": 50,
-        "n_action_steps": 50,
-        "image_resolution": (224, 224),
-        "max_action_dim": 32,
-        "max_state_dim": 32,
-        "tokenizer_max_length": 200,
-        "optimizer_lr": 2.5e-5,
-        "scheduler_warmup_steps": 1_000,
-        "scheduler_decay_steps": 30_000,
-        "scheduler_decay_lr": 2.5e-6,
-        "touch.start_at_base": True,
-        "action.form": "absolute",
-        "action.objective": "flow",
-        "augment.camera_variation": 0.0,
-        "augment.touch_noise": 0.0,
-        "sampler.noise_scale": 1.0,
-    },
+SIZES = ("tiny", "base")
+# setting → default of (tiny, base). base: LeRobot's own π0.5 values, published weights fit them; augmentation not tried
+BY_SIZE: dict[str, tuple[Any, Any]] = {
+    "chunk_size": (16, 50),
+    "n_action_steps": (6, 50),
+    "image_resolution": ((56, 56), (224, 224)),  # tiny: 16 patches of 14² per camera
+    "max_action_dim": (8, 32),
+    "max_state_dim": (8, 32),
+    "tokenizer_max_length": (64, 200),
+    "optimizer_lr": (1e-3, 2.5e-5),
+    "scheduler_warmup_steps": (3_000, 1_000),
+    "scheduler_decay_steps": (100_000, 30_000),
+    "scheduler_decay_lr": (1e-5, 2.5e-6),
+    "touch.start_at_base": (False, True),  # from scratch there is no base
+    "action.form": ("target_delta", "absolute"),
+    "action.objective": ("regression", "flow"),
+    "augment.camera_variation": (
+        1.0,
+        0.0,
+    ),  # else lights are learnt by heart: docs/experiments/tiny_policy.md
+    "augment.touch_noise": (0.2, 0.0),
+    "sampler.noise_scale": (0.0, 1.0),
 }
 PLAIN: dict[str, Any] = {
     "touch.directions": 0,
@@ -61,7 +46,7 @@ PLAIN: dict[str, Any] = {
     "augment.state_noise": [],
     "augment.sensor_transfer": 0.0,
 }
-# The nine settings of the scored arms, what each bought is in docs/experiments/tiny_policy.md
+# The nine settings of the scored arms; what each bought is in docs/experiments/tiny_policy.md
 SCORED: dict[str, Any] = {
     "n_action_steps": 4,
     "action.previous_steps": 4,
@@ -114,7 +99,8 @@ def resolve_size(size: str, device: str | None) -> str:
 
 def recipe_settings(recipe: str, size: str, slots: Sequence[str], touch_input: str) -> dict[str, Any]:
     """Return setting → default: the size's, and over it the recipe's for this touch input."""
-    found = SIZES[size] | PLAIN | {"augment.touch_dropout": TWO_SLOT_DROPOUT if len(slots) > 1 else 0.0}
+    found = {path: values[SIZES.index(size)] for path, values in BY_SIZE.items()} | PLAIN
+    found["augment.touch_dropout"] = TWO_SLOT_DROPOUT if len(slots) > 1 else 0.0
     if recipe == "plain":
         return found
     found |= SCORED | (SCORED_TOUCH if slots else {})

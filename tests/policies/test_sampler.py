@@ -7,7 +7,7 @@ import torch
 from lerobot.policies.rtc.configuration_rtc import RTCConfig
 from policy_samples import OPEN, SITES, alive, inputs, lerobots_own, ours, start_noise
 
-from lerobot_policy_pi05_uniforce.sampler.prefix import drop_dead
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_dead
 from uniforce_vtla.errors import ContractError
 
 TOLERANCE = 1e-4  # on actions in network units, of order 1
@@ -51,7 +51,7 @@ def test_a_camera_nobody_has_costs_nothing_and_changes_nothing(make_policy, make
     given = images, [masks[0], torch.zeros_like(masks[1]), *masks[2:]], tokens, text_mask
     noise = start_noise(policy)
     assert (lerobots_own(policy, given, noise) - ours(policy, given, noise)).abs().max() < TOLERANCE
-    kept = drop_dead(*given)
+    kept = drop_dead(Inputs(*given))
     assert len(kept[0]) == len(images) - 1
     assert kept[2].shape[1] == int(text_mask.sum(dim=1).max()) < tokens.shape[1]
 
@@ -130,10 +130,10 @@ def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(site, gate, make_
 @torch.no_grad()
 def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
     policy = gated_policy(make_policy, "suffix", OPEN)
-    fast, given = policy.model.fast, drop_dead(*inputs(policy, make_batch(policy)))
+    fast, given = policy.model.fast, drop_dead(Inputs(*inputs(policy, make_batch(policy))))
     tables, noise = fast.prepared.tables(2), start_noise(policy)
-    prefix = fast.encoder.encode(*given, noise.shape[1])
+    prefix = fast.encoder.encode(given, noise.shape[1])
     step = torch._dynamo.explain(fast.velocity)(prefix, noise, tables[0])
-    prefill = torch._dynamo.explain(fast.encoder.prefill)(*given, 48, always_mask=True)
+    prefill = torch._dynamo.explain(fast.encoder.prefill)(given, 48, always_mask=True)
     reasons = step.break_reasons, prefill.break_reasons
     assert (step.graph_break_count, prefill.graph_break_count) == (0, 0), reasons

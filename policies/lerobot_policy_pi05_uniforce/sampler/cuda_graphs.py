@@ -20,12 +20,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.sampler.prefix import Prefill, drop_dead, extra_inputs
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
 
 if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
+    from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler, StepTable
 
 BUCKETS = (48, 96, 200)  # text tokens: a short prompt, one with many state digits, π0.5's most
 KEPT = 6  # pairs of graphs: buckets times a camera that comes and goes; each holds its own buffers
@@ -94,16 +94,12 @@ class GraphedSampler:
         self._latest: Pair | None = None
         self._version = -1
 
-    def sample(
-        self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, noise: Tensor, steps: int
-    ) -> Tensor:
-        """Return (B, chunk, max_action_dim) actions; arguments as ``FastSampler.sample``."""
-        images, img_masks, tokens, masks = drop_dead(images, img_masks, tokens, masks)
-        tokens, masks = bucketed(tokens, masks)
-        touch = self._sampler.network.suffix_touch(*extra_inputs(images, img_masks))
-        observed = [*images, *img_masks, tokens, masks]
+    def sample(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Tensor:
+        """Return (B, chunk, max_action_dim) actions of inputs without what nobody has."""
+        touch = self._sampler.network.suffix_touch(*inputs.extra)
+        observed = [*inputs.images, *inputs.img_masks, *bucketed(inputs.tokens, inputs.masks)]
         suffix = [noise] if touch is None else [noise, touch.tokens, touch.mask]
-        pair = self._pair(observed, suffix, len(images), steps)
+        pair = self._pair(observed, suffix, tables)
         pair.prefill(*observed)
         return pair.flow(*suffix)[0].clone()
 
@@ -113,26 +109,26 @@ class GraphedSampler:
             return None
         return self._latest.flow(noise, touch.tokens, touch.mask)[0].clone()
 
-    def _pair(self, observed: list[Tensor], suffix: list[Tensor], images: int, steps: int) -> Pair:
+    def _pair(self, observed: list[Tensor], suffix: list[Tensor], tables: list[StepTable]) -> Pair:
         if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
             self._pairs, self._version = {}, self._sampler.prepared.version
-        key = (steps, images, *(tuple(value.shape) for value in (*observed, *suffix)))
+        key = (len(tables), *(tuple(value.shape) for value in (*observed, *suffix)))
         if key not in self._pairs:
             while len(self._pairs) >= KEPT:
                 self._pairs.pop(next(iter(self._pairs)))
-            self._pairs[key] = self._record_pair(observed, suffix, images, steps)
+            self._pairs[key] = self._record_pair(observed, suffix, tables)
         self._latest = self._pairs[key]
         return self._latest
 
-    def _record_pair(self, observed: list[Tensor], suffix: list[Tensor], images: int, steps: int) -> Pair:
-        encoder = self._sampler.encoder
+    def _record_pair(self, observed: list[Tensor], suffix: list[Tensor], tables: list[StepTable]) -> Pair:
+        encoder, images = self._sampler.encoder, len(observed) // 2 - 1
         chunk, room = suffix[0].shape[1], sum(part.shape[1] for part in suffix[:2])
         gated_at: list[int] = []  # first column of touch: a number, fixed with the shapes
 
         def prefill(*given: Tensor) -> tuple[Tensor, ...]:
             *pictures, tokens, masks = given
-            images_, their_masks = pictures[:images], pictures[images:]
-            made = encoder.prefill(images_, their_masks, tokens, masks, room, always_mask=True)
+            inputs = Inputs(pictures[:images], pictures[images:], tokens, masks)
+            made = encoder.prefill(inputs, room, always_mask=True)
             gated_at[:] = [] if made.gated is None else [made.gated.first]
             gate = () if made.gated is None else (made.gated.bias, made.gated.real)
             return (made.pads, *gate, *made.cache)
@@ -143,7 +139,7 @@ class GraphedSampler:
         def flow(noise: Tensor, *touch: Tensor) -> tuple[Tensor, ...]:
             run = SuffixTouch(*touch) if touch else None
             prefix = encoder.with_suffix(whole, run, chunk, always_mask=True)
-            return (self._sampler.flow(prefix, noise, self._sampler.prepared.current(steps)),)
+            return (self._sampler.flow(prefix, noise, tables),)
 
         return Pair(recorded, Replayed(flow, suffix, self._capture))
 

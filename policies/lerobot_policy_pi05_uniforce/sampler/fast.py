@@ -19,7 +19,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler.layers import Modulation, attend, modulated, rotated
 from lerobot_policy_pi05_uniforce.sampler.onednn import gated_hidden, linear
-from lerobot_policy_pi05_uniforce.sampler.prefix import Prefix, PrefixEncoder, drop_dead
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefix, PrefixEncoder, drop_dead
 from lerobot_policy_pi05_uniforce.touch.tokens import SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
 
@@ -60,27 +60,18 @@ class Prepared:
             vlm = self._network.paligemma_with_expert.paligemma.model.language_model
             expert = self._network.paligemma_with_expert.gemma_expert.model
             self.eps = torch.full((), vlm.norm.eps, device=vlm.norm.weight.device)
-            self.gains = [
-                (1 + layer.input_layernorm.weight.float(), 1 + layer.post_attention_layernorm.weight.float())
-                for layer in vlm.layers
-            ]
+            norms = [(la.input_layernorm.weight, la.post_attention_layernorm.weight) for la in vlm.layers]
+            self.gains = [(1 + first.float(), 1 + second.float()) for first, second in norms]
             heads = [(a.q_proj, a.k_proj, a.v_proj) for a in (layer.self_attn for layer in expert.layers)]
             self.qkv = [torch.cat([part.weight for part in parts]) for parts in heads]
         if num_steps not in self._tables:
             self._tables[num_steps] = self._step_tables(num_steps)
         return self._tables[num_steps]
 
-    def current(self, num_steps: int) -> list[StepTable]:
-        """Return the step tables made by the latest :meth:`tables`, without a look at the weights."""
-        return self._tables[num_steps]
-
     def _prepared_parameters(self) -> list[Tensor]:
         network, joint = self._network, self._network.paligemma_with_expert
-        norms = [
-            norm.weight
-            for layer in joint.paligemma.model.language_model.layers
-            for norm in (layer.input_layernorm, layer.post_attention_layernorm)
-        ]
+        layers = joint.paligemma.model.language_model.layers
+        norms = [norm.weight for la in layers for norm in (la.input_layernorm, la.post_attention_layernorm)]
         time = [*network.time_mlp_in.parameters(), *network.time_mlp_out.parameters()]
         return [*joint.gemma_expert.model.parameters(), *time, *norms]
 
@@ -90,18 +81,15 @@ class Prepared:
         device = network.action_in_proj.weight.device
         times = torch.tensor([1.0 - step / num_steps for step in range(num_steps)], device=device)
         width, config = network.action_in_proj.out_features, network.config
-        wave = stock.create_sinusoidal_pos_embedding(
-            times, width, config.min_period, config.max_period, device=device
-        ).to(times.dtype)
+        periods = config.min_period, config.max_period
+        wave = stock.create_sinusoidal_pos_embedding(times, width, *periods, device=device).to(times.dtype)
         cond = F.silu(network.time_mlp_out(F.silu(network.time_mlp_in(wave))))  # (steps, D)
         dtype = expert.layers[0].self_attn.q_proj.weight.dtype
         before = [_modulation(layer.input_layernorm, cond, dtype) for layer in expert.layers]
         after = [_modulation(layer.post_attention_layernorm, cond, dtype) for layer in expert.layers]
         final = _modulation(expert.norm, cond, dtype)
-        return [
-            StepTable([(a[step], b[step]) for a, b in zip(before, after, strict=True)], final[step])
-            for step in range(num_steps)
-        ]
+        layers = [[(a[n], b[n]) for a, b in zip(before, after, strict=True)] for n in range(num_steps)]
+        return [StepTable(pairs, last) for pairs, last in zip(layers, final, strict=True)]
 
 
 def _modulation(norm: nn.Module, cond: Tensor, dtype: torch.dtype) -> list[Modulation]:
@@ -130,23 +118,14 @@ class FastSampler:
         self.graphed: Any = None  # cuda_graphs.GraphedSampler, made where there is a cuda device
 
     @torch.no_grad()
-    def sample(
-        self,
-        images: list,
-        img_masks: list,
-        tokens: Tensor,
-        masks: Tensor,
-        noise: Tensor,
-        num_steps: int,
-        **rtc: Any,
-    ) -> Tensor:
-        """Return (B, chunk, max_action_dim) actions; arguments as ``PI05Pytorch.sample_actions``."""
-        tables = self.prepared.tables(num_steps)
+    def sample(self, inputs: Inputs, noise: Tensor, num_steps: int, **rtc: Any) -> Tensor:
+        """Return (B, chunk, max_action_dim) actions; ``rtc`` as ``PI05Pytorch.sample_actions`` takes it."""
+        tables, inputs = self.prepared.tables(num_steps), drop_dead(inputs)
         rtc_wanted = self.network._rtc_enabled() or self.network.rtc_processor is not None
-        graphed = self._graphs(noise)
-        if graphed is not None and not rtc_wanted:
-            return graphed.sample(images, img_masks, tokens, masks, noise, num_steps)
-        prefix = self.encoder.encode(*drop_dead(images, img_masks, tokens, masks), noise.shape[1])
+        graphed = None if rtc_wanted else self._graphs(noise)
+        if graphed is not None:
+            return graphed.sample(inputs, noise, tables)
+        prefix = self.encoder.encode(inputs, noise.shape[1])
         if rtc_wanted:
             return self._with_rtc(prefix, noise, tables, rtc)
         self.latest = prefix
@@ -183,20 +162,15 @@ class FastSampler:
             x = torch.add(x, self.velocity(prefix, x, table), alpha=-1.0 / num_steps)
         return x
 
-    def _with_rtc(
-        self, prefix: Prefix, noise: Tensor, tables: list[StepTable], rtc: dict[str, Any]
-    ) -> Tensor:
-        num_steps = len(tables)
-        return euler_integrate(
-            lambda x, time: self.velocity(prefix, x, tables[round((1 - float(time[0])) * num_steps)]),
-            noise,
-            num_steps,
-            rtc_processor=self.network.rtc_processor,
-            rtc_enabled=self.network._rtc_enabled(),
-            inference_delay=rtc.get("inference_delay"),
-            prev_chunk_left_over=rtc.get("prev_chunk_left_over"),
-            execution_horizon=rtc.get("execution_horizon"),
-        )
+    def _with_rtc(self, prefix: Prefix, noise: Tensor, tables: list[StepTable], rtc: Any) -> Tensor:
+        steps, network = len(tables), self.network
+
+        def velocity(x: Tensor, time: Tensor) -> Tensor:
+            return self.velocity(prefix, x, tables[round((1 - float(time[0])) * steps)])
+
+        guide = {"rtc_processor": network.rtc_processor, "rtc_enabled": network._rtc_enabled()}
+        names = ("inference_delay", "prev_chunk_left_over", "execution_horizon")
+        return euler_integrate(velocity, noise, steps, **guide, **{name: rtc.get(name) for name in names})
 
     def velocity(self, prefix: Prefix, actions: Tensor, table: StepTable) -> Tensor:
         """Return (B, chunk, max_action_dim) velocity of noisy ``actions`` at the table's flow time."""

@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.sampler.layers import (
-    Rotary,
-    attend,
-    embed_cameras,
-    project,
-    rms,
-    rotary_of,
-    rotated,
-)
+from lerobot_policy_pi05_uniforce.sampler import layers as ops
 from lerobot_policy_pi05_uniforce.sampler.onednn import gated_hidden, linear_plus
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
@@ -26,7 +18,27 @@ from uniforce_vtla.errors import ContractError, expected
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.sampler.fast import Prepared
 
-Cache = list[Tensor]  # per layer (B, 2, L_prefix + L_suffix, head): key and value
+
+class Inputs(NamedTuple):
+    """What ``PI05Pytorch.sample_actions`` takes: cameras, then state and touch; text.
+
+    Attributes:
+        images: (B, 3, H, W) cameras, (B, 1, S) state, (B, K, ·) per touch slot.
+        img_masks: (B,) bool each.
+        tokens: (B, L) text.
+        masks: (B, L) bool.
+    """
+
+    images: list
+    img_masks: list
+    tokens: Tensor
+    masks: Tensor
+
+    @property
+    def extra(self) -> tuple[list, list]:
+        """What rides behind the cameras, and its masks."""
+        cameras = sum(image.ndim == 4 for image in self.images)
+        return self.images[cameras:], self.img_masks[cameras:]
 
 
 @dataclass(frozen=True)
@@ -34,12 +46,12 @@ class Prefill:
     """Cameras, text and extra tokens after the VLM.
 
     Attributes:
-        cache: keys and values, the suffix's places still empty.
+        cache: per layer (B, 2, L_prefix + L_suffix, head): key and value, the suffix's places still empty.
         pads: (B, L_prefix) bool, which kept tokens are real.
         gated: the weight of touch, or None: as any other token.
     """
 
-    cache: Cache
+    cache: list[Tensor]
     pads: Tensor
     gated: GatedColumns | None
 
@@ -58,7 +70,7 @@ class Prefix:
     prefill: Prefill
     touch: SuffixTouch | None
     mask: Tensor | None
-    rotary: Rotary
+    rotary: ops.Rotary
 
     @property
     def length(self) -> int:
@@ -73,50 +85,37 @@ class PrefixEncoder:
         self._network = network
         self._prepared = prepared
 
-    def encode(self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, chunk: int) -> Prefix:
+    def encode(self, inputs: Inputs, chunk: int) -> Prefix:
         """Encode an observation and make its prefix ready for a chunk of that many steps."""
-        touch = self._network.suffix_touch(*extra_inputs(images, img_masks))
+        touch = self._network.suffix_touch(*inputs.extra)
         room = chunk + (0 if touch is None else touch.mask.shape[1])
-        return self.with_suffix(self.prefill(images, img_masks, tokens, masks, room), touch, chunk)
+        return self.with_suffix(self.prefill(inputs, room), touch, chunk)
 
-    def prefill(
-        self,
-        images: list,
-        img_masks: list,
-        tokens: Tensor,
-        masks: Tensor,
-        room: int,
-        always_mask: bool = False,
-    ) -> Prefill:
+    def prefill(self, inputs: Inputs, room: int, always_mask: bool = False) -> Prefill:
         """Run cameras, text and extra tokens through the VLM once and keep keys and values of every layer.
 
         Args:
-            images: cameras, then state and touch as ``PI05UniforcePytorch`` takes them.
-            img_masks: (B,) bool each.
-            tokens: (B, L) text.
-            masks: (B, L) bool.
+            inputs: of the observation.
             room: places to leave for the suffix.
             always_mask: don't ask whether all tokens are real, which would wait for the device.
         """
         eps, gains = self._prepared.eps, self._prepared.gains
         vlm = self._network.paligemma_with_expert.paligemma.model.language_model
-        x, pads, gated = self._embed(images, img_masks, tokens, masks)
+        x, pads, gated = self._embed(inputs)
         x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)
         plain = not always_mask and bool(pads.all())
         mask = None if plain else pads[:, None, None, :]  # what a padded token sees, nobody reads
         if gated is not None and gated.first < pads.shape[1]:  # touch is in the prefix
             mask = _additive(mask, pads, gated, x.dtype)
-        rotary = rotary_of(vlm, x, _positions(pads, gated))
-        cache: Cache = []
+        rotary, cache = ops.rotary_of(vlm, x, _positions(pads, gated)), []
         for depth, layer in enumerate(vlm.layers):
-            rows = project(layer, rms(x, eps).mul_(gains[depth][0]))
-            turned = rotated(rows, rotary)
+            turned = ops.rotated(ops.project(layer, ops.rms(x, eps).mul_(gains[depth][0])), rotary)
             cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
             if depth == len(vlm.layers) - 1:
                 break  # nobody reads what the last layer makes of the prefix
-            mixed = attend(turned[:, :-2], turned[:, -2:], mask)
+            mixed = ops.attend(turned[:, :-2], turned[:, -2:], mask)
             x = linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
-            normed = rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
+            normed = ops.rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
             x = linear_plus(gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
         return Prefill(cache, pads, gated)
 
@@ -137,8 +136,7 @@ class PrefixEncoder:
     ) -> Prefix:
         """Return whom the suffix attends to and where it stands; ``always_mask`` as in :meth:`prefill`."""
         expert = self._network.paligemma_with_expert.gemma_expert.model
-        gated = prefill.gated
-        behind = prefill.pads.new_ones(len(prefill.pads), chunk)
+        gated, behind = prefill.gated, prefill.pads.new_ones(len(prefill.pads), chunk)
         if touch is not None:
             gated = None if gated is None else replace(gated, real=touch.mask)
             behind = torch.cat([touch.mask, behind], dim=1)  # (B, L_suffix)
@@ -151,46 +149,36 @@ class PrefixEncoder:
             rows[: touch.mask.shape[1], -chunk:].fill_(False)
             mask = columns & rows
         mask = _additive(mask, real, gated, prefill.cache[0].dtype)
-        prefill = replace(prefill, gated=gated)
-        return Prefix(prefill, touch, mask, rotary_of(expert, prefill.cache[0], after))
+        return Prefix(prefill, touch, mask, ops.rotary_of(expert, prefill.cache[0], after))
 
-    def _embed(
-        self, images: list, img_masks: list, tokens: Tensor, masks: Tensor
-    ) -> tuple[Tensor, Tensor, GatedColumns | None]:
+    def _embed(self, inputs: Inputs) -> tuple[Tensor, Tensor, GatedColumns | None]:
         """Return (B, L, D) tokens in LeRobot's order, (B, L) whether each is real, and the weight of touch."""
         model = self._network.paligemma_with_expert
-        cameras = [image for image in images if image.ndim == 4]
+        cameras = [image for image in inputs.images if image.ndim == 4]
         parts: list[Tensor] = []
         if cameras:
-            parts += embed_cameras(model.paligemma.model, torch.cat(cameras)).chunk(len(cameras))
-        pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, img_masks, strict=False)]
-        parts.append(model.embed_language_tokens(tokens))
-        pads.append(masks.bool())
-        extra = extra_inputs(images, img_masks)
-        gated = self._network.gated_columns(*extra, before=sum(part.shape[1] for part in parts))
-        for part, mask in self._network.prefix_extra(*extra):
+            parts += ops.embed_cameras(model.paligemma.model, torch.cat(cameras)).chunk(len(cameras))
+        masks = [*inputs.img_masks[: len(cameras)]]
+        pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, masks, strict=True)]
+        parts.append(model.embed_language_tokens(inputs.tokens))
+        pads.append(inputs.masks.bool())
+        gated = self._network.gated_columns(*inputs.extra, before=sum(part.shape[1] for part in parts))
+        for part, mask in self._network.prefix_extra(*inputs.extra):
             parts.append(part.to(parts[0].dtype))
             pads.append(mask[:, None].expand(-1, part.shape[1]))
         return torch.cat(parts, dim=1), torch.cat(pads, dim=1), gated
 
 
-def drop_dead(
-    images: list, img_masks: list, tokens: Tensor, masks: Tensor
-) -> tuple[list, list, Tensor, Tensor]:
-    """Leave out inputs no row of the batch has, and text columns no prompt of the batch uses.
+def drop_dead(inputs: Inputs) -> Inputs:
+    """Leave out cameras no row of the batch has, and text columns no prompt of the batch uses.
 
     Positions count real tokens only, and nobody attends to masked ones, so nothing else changes. Extra tokens (state,
     touch) stay in their places: which slot one belongs to is its place in the list.
     """
+    images, img_masks, tokens, masks = inputs
     kept = [(i, m) for i, m in zip(images, img_masks, strict=True) if i.ndim != 4 or bool(m.any())]
     used = int(masks.any(dim=0).nonzero().max()) + 1 if bool(masks.any()) else 0
-    return [i for i, _ in kept], [m for _, m in kept], tokens[:, :used], masks[:, :used]
-
-
-def extra_inputs(images: list, img_masks: list) -> tuple[list, list]:
-    """Return what rides behind the cameras, and its masks."""
-    cameras = sum(image.ndim == 4 for image in images)
-    return images[cameras:], img_masks[cameras:]
+    return Inputs([i for i, _ in kept], [m for _, m in kept], tokens[:, :used], masks[:, :used])
 
 
 def _positions(real: Tensor, gated: GatedColumns | None) -> Tensor:
