@@ -26,10 +26,10 @@ LARGEST_LEAP = 10.0  # of ``delta_scale`` in one control step: 40 mm in x, 0.5 r
 
 
 class NetworkUnits(nn.Module):
-    """SI units ↔ what the network predicts, per axis: linear, or by logarithm beyond a knee.
+    """SI units ↔ what the network predicts, per axis: linear, or by logarithm (asinh) beyond a knee.
 
     A newton of grip is a tenth of a millimetre of command where closing the hand is forty: squared errors of plain
-    moves hardly see forces. Beyond the knee asinh gives a move by its size's logarithm, so that both weigh.
+    moves hardly see forces.
 
     Args:
         scale: (A,) size of one network unit, SI.
@@ -54,16 +54,13 @@ class NetworkUnits(nn.Module):
 
 
 def to_deltas(actions: Tensor, is_pad: Tensor | None, measured: Tensor, units: NetworkUnits) -> Tensor:
-    """Turn absolute targets into changes since the last command, in network units.
+    """Return (B, chunk, A) changes since the last command, in network units.
 
     Args:
         actions: (B, 1 + chunk, A) absolute targets in SI units; the first is the last command issued.
         is_pad: (B, 1 + chunk) bool, or None; a padded first column means the episode starts here.
         measured: (B, A) measured state, the base where no command has been issued yet, as in a rollout.
         units: of the network.
-
-    Returns:
-        (B, chunk, A).
     """
     base = actions[:, 0]
     if is_pad is not None:
@@ -77,19 +74,16 @@ def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
 
 
 class TargetRange(nn.Module):
-    """Keeps absolute targets within the demos' own: changes could add up to places no demo has shown.
-
-    Args:
-        axes: A.
-        bounds: the lowest and the highest target (A,) each, SI; [] keeps nothing.
+    """Keeps absolute targets within the demos' lowest and highest: changes could add up to places no demo has shown.
 
     Raises:
-        ContractError: bounds that aren't two of that length, the first nowhere above the second.
+        ContractError: bounds that aren't two of so many axes, the first nowhere above the second.
     """
 
     def __init__(self, axes: int, bounds: Sequence[Sequence[float]] = ()) -> None:
         super().__init__()
-        if bounds and not ([len(bound) for bound in bounds] == [axes, axes] and _rising(*bounds)):
+        fit = [len(bound) for bound in bounds] == [axes, axes]
+        if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
             do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
             raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
         low, high = bounds or ((-math.inf,), (math.inf,))
@@ -101,24 +95,13 @@ class TargetRange(nn.Module):
         return targets.clamp(self.low.to(targets), self.high.to(targets))
 
 
-def _rising(low: Sequence[float], high: Sequence[float]) -> bool:
-    return all(below <= above for below, above in zip(low, high, strict=True))
-
-
 def previous_move(commands: Tensor) -> Tensor:
-    """Return (B, A) how far the command moved before a sample, SI: from the first of its (B, T, A) to the second.
-
-    Before an episode's first command both are that command, so nothing moved.
-    """
+    """Return (B, A) how far the command moved before a sample, SI: from the first of its (B, T, A) to the second."""
     return commands[:, 1] - commands[:, 0]
 
 
 class IssuedTarget:
-    """The last targets sent to each environment row; empty until the first one after a reset.
-
-    Args:
-        steps: how many steps back ``moved`` looks.
-    """
+    """The last targets sent to each environment row; ``moved`` looks so many steps back."""
 
     def __init__(self, steps: int = 0) -> None:
         self._targets: deque[Tensor] = deque(maxlen=steps + 1)
@@ -190,17 +173,14 @@ class CheckActionStep(PolicyActionProcessorStep):
 
     The last step of the postprocessor, so that it holds wherever LeRobot runs the policy. A robot's own guards come
     after it and clamp; this one stops.
-
-    Attributes:
-        low, high: per axis, in the units the robot takes; empty where no statistics were given: only finite is asked.
-        margin: of the span.
-        least_room: m or rad on each side of an axis that the demos hardly moved.
     """
 
-    low: list[float] = field(default_factory=list)
+    low: list[float] = field(
+        default_factory=list
+    )  # per axis, as the robot takes it; []: only finite is asked
     high: list[float] = field(default_factory=list)
-    margin: float = 0.5
-    least_room: float = 0.05
+    margin: float = 0.5  # of the span
+    least_room: float = 0.05  # m or rad on each side of an axis that the demos hardly moved
 
     @classmethod
     def of(cls, stats: dict[str, dict[str, Any]] | None) -> CheckActionStep:

@@ -1,9 +1,8 @@
 """Camera pictures as another day would show them, while training: light, colours, and a camera that was nudged.
 
 Fifty episodes show fifty lights and fifty camera poses. A policy that learns those by heart doesn't see in the next
-scene whether the hand is at the eraser or which row is still dirty (docs/experiments/tiny_policy.md).
-
-Not torchvision's transforms, which draw once for a whole batch: here every sample of a batch gets its own.
+scene whether the hand is at the eraser or which row is still dirty (docs/experiments/tiny_policy.md). Not torchvision's
+transforms, which draw once for a whole batch: here every sample of a batch gets its own.
 """
 
 from __future__ import annotations
@@ -31,10 +30,7 @@ class VariationRange:
 def vary(images: Tensor, strength: float, ranges: VariationRange | None = None) -> Tensor:
     """Return (B, 3, H, W) pictures in [-1, 1], each under a light and from a camera pose of its own.
 
-    Args:
-        images: (B, 3, H, W) in [-1, 1].
-        strength: 0 = as they are, 1 = as ``ranges`` says.
-        ranges: how much of what.
+    ``strength`` 0 leaves them as they are, 1 draws as ``ranges`` says.
     """
     if not strength:
         return images

@@ -25,7 +25,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05Uniforc
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.keys import wrench_key
+from uniforce_vtla.keys import TACTILE_NAMES, tactile_name, wrench_key
 
 CONTROL_HZ = 30.0  # where an environment doesn't say its own rate
 SHIPPED = Path(__file__).parent / "assets" / "wiping_vt"
@@ -37,11 +37,7 @@ def shipped_checkpoint() -> Path:
 
 
 def stored_config(checkpoint: Path) -> PI05UniforceConfig:
-    """Return the checked settings of a checkpoint folder, to be run on the CPU.
-
-    Raises:
-        CheckpointError: no such folder, another policy, or settings that don't fit this package.
-    """
+    """Return the checked settings of a checkpoint folder, to be run on the CPU; raises as ``stored_policy``."""
     stored.check_settings(weights.read_config(weights.find(checkpoint, weights.CONFIG)), str(checkpoint))
     stored.check_processors(checkpoint)
     with stored.misfits_named(str(checkpoint)):
@@ -56,7 +52,7 @@ def stored_policy(config: PI05UniforceConfig) -> tuple[PI05UniforcePolicy, Any, 
     """Return the policy of ``stored_config``'s folder, what runs before it and what runs after it.
 
     Raises:
-        CheckpointError: weights or processors that are missing, damaged or don't fit.
+        CheckpointError: another policy, or settings, weights or processors that are missing, damaged or don't fit.
     """
     folder = str(config.pretrained_path)
     policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
@@ -119,10 +115,7 @@ class PolicyController:
         checkpoint: folder with config, weights and processors.
         mounted: finger → kind of sensor the robot or scene wears.
         swap: which finger fills a slot instead, e.g. ``touch0:left``.
-        asked: finger → kind the user named; only a named kind may differ from the trained one.
-
-    Attributes:
-        notes: one line per slot that runs on another kind of sensor than it was trained on.
+        asked: finger → kind the user named; only a named kind may differ from the trained one, which ``notes`` say.
 
     Raises:
         CheckpointError: weights that don't fit, or a sensor that differs though nobody asked for it.
@@ -170,10 +163,7 @@ class PolicyController:
 
     @torch.no_grad()
     def predict(self, observation: dict[str, Any], task: str, noise: torch.Tensor) -> np.ndarray:
-        """Return the whole chunk (chunk_size, 5) for given starting noise; nothing is remembered.
-
-        ``noise`` is (1, chunk_size, max_action_dim), as the flow takes it.
-        """
+        """Return the whole chunk (chunk_size, 5) for starting ``noise`` (1, chunk_size, max_action_dim)."""
         chunk = self.policy.predict_action_chunk(self._batch(observation, task), noise=noise)
         return self._after(chunk)[0].numpy()
 
@@ -187,12 +177,8 @@ class PolicyController:
         if self.needs_true_wrench:
             for slot, finger in self.config.finger_by_slot().items():
                 wanted[wrench_key(slot).removeprefix("observation.")] = observation[f"wrench_{finger}"]
-        pixels = observation["pixels"]
-        keep = {k for k in pixels if not k.startswith("tactile_")} | self._tactile_names()
-        return wanted | {"pixels": {k: pixels[k] for k in pixels if k in keep}}
-
-    def _tactile_names(self) -> set[str]:
-        if self.config.touch.input in ("wrench", "none"):
-            return set()
-        fingers = self.config.finger_by_slot().values()
-        return {f"tactile_{finger}{suffix}" for finger in fingers for suffix in ("", "_ref")}
+        images = self.config.touch.input not in ("wrench", "none")
+        fingers = self.config.finger_by_slot().values() if images else ()
+        read = {tactile_name(finger, reference) for finger in fingers for reference in (False, True)}
+        pixels = {k: v for k, v in observation["pixels"].items() if k in read or k not in TACTILE_NAMES}
+        return wanted | {"pixels": pixels}

@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from lerobot.policies.pi05.configuration_pi05 import PI05Config
 from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce.recipes import SCORED
 from uniforce_vtla.errors import CheckpointError, UniForceError
 from uniforce_vtla.json_file import read_object
 
+OWN = ("size", "swap", "left_sensor", "right_sensor", "text_tokenizer_name", "trained_on")
 CONFIG, WEIGHTS, TOKENIZER = "config.json", "model.safetensors", "model.tactile_encoder."
 NAMES = {  # group → old name: new one; a name alone stays
     "touch": "touch_slots:slots touch_input:input token_site:site start_at_base touch_directions:directions "
@@ -24,12 +26,6 @@ NAMES = {  # group → old name: new one; a name alone stays
     "tiny": "tiny_width:width tiny_depth:depth tiny_mlp_dim:mlp_dim",
     "sampler": "sampling_noise:noise_scale",
 }
-# what 0.1.0 stored and nothing reads any more: training-only numbers, and what follows from the rest
-DROPPED = (
-    *("sensor_transfer_doubt", "last_move_noise", "new_module_lr", "touch_gate_lr", "force_token_scale"),
-    *("tokenizer_config", "tokenizer_hash", "num_patches", "latent_size", "cuda_graphs", "keep_inside_demos"),
-    *("sampler", "state_token", "hear_whole_pad", "latent_grid", "tiny_head_dim", "tiny_vision_depth"),
-)
 
 
 def is_flat(saved: dict[str, Any]) -> bool:
@@ -44,12 +40,11 @@ def grouped(saved: dict[str, Any]) -> dict[str, Any]:
     """
     if not is_flat(saved):
         return saved
-    new, gone = dict(saved), set(DROPPED)
+    kept = {"type", *OWN, *PI05Config.__dataclass_fields__}
+    new: dict[str, Any] = {name: value for name, value in saved.items() if name in kept}
     for group, names in NAMES.items():
         pairs = [name.partition(":") for name in names.split()]
-        gone |= {old for old, _, _ in pairs}
         new[group] = {later or old: saved[old] for old, _, later in pairs if old in saved}
-    new = {name: value for name, value in new.items() if name not in gone or name in NAMES}
     facts = saved.get("tokenizer_config")
     new["touch"]["tokenizer"] = facts and {**facts, "hash": saved.get("tokenizer_hash", "")}
     if not saved.get("keep_inside_demos", True):

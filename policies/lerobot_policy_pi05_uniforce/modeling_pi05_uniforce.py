@@ -31,9 +31,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
     """π0.5 with a sense of force, as a LeRobot policy.
 
     Args:
-        config: settings; ``config.touch.slots`` and ``swap`` say which finger fills which slot.
-        dataset_stats: training statistics; quantile spans are floored in place, so that the trainer's own
-            normaliser uses the same ones, and the scale of the latents is taken from it.
+        config: settings.
+        dataset_stats: training statistics; quantile spans are floored in place, for the trainer's own normaliser too.
         dataset_meta: training data; a view's tokenizer must be the policy's.
         empty: leave the backbone without weights, for ``weights.fill`` to give it; base is then never held twice.
     """
@@ -47,7 +46,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         dataset_stats: dict[str, dict[str, Any]] | None = None,
         dataset_meta: Any = None,
         empty: bool = False,
-        **kwargs: Any,
+        **_: Any,
     ) -> None:
         PreTrainedPolicy.__init__(self, config)  # PI05Policy's own would build the 4 B model
         config.validate_features()
@@ -121,16 +120,15 @@ class PI05UniforcePolicy(stock.PI05Policy):
             with suppress(CheckpointError):
                 weights.find(source, name, revision, local_files_only)
         checkpoint.check_processors(where.parent)
-        given = {name: kwargs[name] for name in ("dataset_stats", "dataset_meta") if name in kwargs}
         with checkpoint.misfits_named(str(where)):
             if config is None:
                 config = cls.config_class.from_pretrained(source, revision=revision)
             checkpoint.check_same(saved, config)
-            policy = cls(config, empty=True, **given)
-        packaged = (ENCODER,) if policy.model.tactile_encoder is not None and is_packaged(config) else ()
+            policy = cls(config, empty=True, **kwargs)
+        packaged = (ENCODER,) if is_packaged(config) else ()
         file = weights.find(source, weights.WEIGHTS, revision, local_files_only)
         weights.fill(policy, file, fresh=packaged)
-        if policy.model.tactile_encoder is not None and not packaged:
+        if policy.model.tactile_encoder is not None:
             check_hash(policy.model.tactile_encoder, config)
         return policy.to(config.device).eval()
 
@@ -169,7 +167,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
                 move = self._previous_move(batch)[:, self.config.previous_axes]
                 state = torch.cat([state, move.to(state)], dim=1)
             images.append(state[:, None])  # (B, 1, S), or S + A with the previous action
-            masks.append(torch.ones(len(state), dtype=torch.bool, device=state.device))
+            masks.append(torch.ones_like(state[:, 0], dtype=torch.bool))
         touches, touch_masks = self.touch.gather(batch, images[0].device, self.training)
         return images + touches, masks + touch_masks
 
@@ -241,12 +239,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         return loss, facts
 
     def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return noise (B, chunk, ·) and flow time (B,): random for flow matching.
-
-        Regression is the flow's first step from zero noise: its velocity there is minus the action itself, the squared
-        error is the action's, and one Euler step samples it.
-        """
+        """Return noise (B, chunk, ·) and flow time (B,): random for flow matching."""
         if self.config.action.objective == "regression":
+            # The flow's first step from zero noise: its velocity there is minus the action, and one Euler step samples it.
             return torch.zeros_like(actions), actions.new_ones(len(actions))
         noise = self.model.sample_noise(actions.shape, actions.device)
         return noise, self.model.sample_time(len(actions), actions.device)
@@ -267,10 +262,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
     def refresh_action_chunk(self, batch: dict[str, Tensor]) -> Tensor:
         """Return (B, chunk, A) for the touch of this batch on the cameras and text of the last prediction.
 
-        Only the flow runs again, on the prefix as it was (``touch.site=suffix``).
-
-        Args:
-            batch: preprocessed; touch and the measured state are read.
+        Only the flow runs again; of the (preprocessed) batch touch and the measured state are read.
 
         Raises:
             ContractError: touch that isn't in the suffix, the stock sampler, or nothing predicted before.
@@ -280,8 +272,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         touch = self.model.touch_run(*self.touch.gather(batch, device, training=False))
         self._notice_adapters()
         if touch is None or self.model.fast is None or self.model.adapted:
-            kind = self.config.sampler.kind
-            came = f"touch.input={self.config.touch.input}, sampler {kind}, LoRA {self.model.adapted}"
+            came = f"{self.config.touch.input}, {self.config.sampler.kind}, LoRA {self.model.adapted}"
             do = "Only touch can be refreshed, by the fast sampler; uniforce-share merges LoRA."
             raise ContractError(expected("refresh", "touch and the fast sampler", came, do))
         noise = self._start_noise(len(touch.tokens), device)
@@ -309,11 +300,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return the next (B, A) action and remember it as the base of the next chunk.
-
-        Raises:
-            RolloutError: target deltas that leap; nothing is issued.
-        """
+        """Return the next (B, A) action and remember it; RolloutError where target deltas leap: nothing is issued."""
         # a queued action needs no network, and LeRobot's look at every module's mode takes milliseconds
         target = self._action_queue.popleft() if self._action_queue else super().select_action(batch)
         if self.config.action.form == "target_delta":

@@ -1,11 +1,9 @@
-"""Projections on a CPU, by oneDNN: same float32 products, another library and fused epilogues.
+"""Projections on a CPU by oneDNN: same float32 products, another library and fused epilogues.
 
-torch sends a float32 ``linear`` to MKL, which on AMD processors runs at half of oneDNN's speed (37–91 against 81–196
-GFLOP/s on one core, docs/experiments/policy_speed.md), and its tanh GELU takes as long as the product before
-it. On Intel processors MKL is at home: there the products of training stay with it. Where oneDNN is missing, on
-another device, in another dtype or where torch.compile traces (it has kernels of its own), plain torch runs; results
-agree within rounding. The fused ones are for sampling: where a gradient is wanted (RTC's guidance) torch runs too.
-``OneDnnLinear`` is for training the tiny policy.
+torch sends a float32 ``linear`` to MKL, which on AMD processors runs at half of oneDNN's speed, and its tanh GELU takes
+as long as the product before it (docs/experiments/policy_speed.md). On Intel the products of training stay with MKL.
+Where oneDNN is missing, on another device, in another dtype, or where torch.compile traces, torch runs; results agree
+within rounding. The fused ones are for sampling: where a gradient is wanted (RTC's guidance) torch runs too.
 """
 
 from __future__ import annotations
@@ -18,17 +16,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 AVAILABLE = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_linear_pointwise")
-CPUINFO, INTEL = Path("/proc/cpuinfo"), "GenuineIntel"
+CPUINFO = Path("/proc/cpuinfo")
 # of attention: fewer aren't worth five operations, more leave the cache, and torch's tiled attention wins
 SCORES = (2**16, 2**20)
 
 
-def processor_vendor(cpuinfo: Path = CPUINFO) -> str:
-    """Return "GenuineIntel", "AuthenticAMD", …; empty where the system doesn't say."""
-    if not cpuinfo.is_file():
-        return ""
-    lines = (line.partition(":") for line in cpuinfo.read_text().splitlines())
-    return next((value.strip() for key, _, value in lines if key.strip() == "vendor_id"), "")
+def on_intel(cpuinfo: Path = CPUINFO) -> bool:
+    """Return whether the system says that this is an Intel processor."""
+    return cpuinfo.is_file() and "GenuineIntel" in cpuinfo.read_text()
 
 
 def takes(x: Tensor) -> bool:
@@ -44,60 +39,7 @@ def here(x: Tensor) -> bool:
 
 def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
     """Return ``x`` (…, K) times ``weight`` (N, K) transposed, plus ``bias`` (N,)."""
-    if not here(x):
-        return F.linear(x, weight, bias)
-    return _product(x, weight, bias)
-
-
-def _product(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
-    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
-
-
-class _Product(torch.autograd.Function):
-    """``linear`` with a gradient: all three products by oneDNN."""
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
-        ctx.save_for_backward(x, weight)
-        return _product(x, weight, bias)
-
-    @staticmethod
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, Tensor | None]:  # type: ignore[override]
-        x, weight = ctx.saved_tensors
-        of_x, of_weight, of_bias = ctx.needs_input_grad
-        rows = grad.reshape(-1, grad.shape[-1])  # (M, N)
-        return (
-            _product(grad.contiguous(), weight.t()) if of_x else None,
-            _product(rows.t(), x.reshape(-1, x.shape[-1]).t()) if of_weight else None,
-            rows.sum(dim=0) if of_bias else None,
-        )
-
-
-class OneDnnLinear(nn.Linear):
-    """``nn.Linear`` that trains by oneDNN where that can take its products; without gradients it stays torch's."""
-
-    @classmethod
-    def of(cls, plain: nn.Linear) -> OneDnnLinear:
-        """Return one with the parameters of ``plain``."""
-        made = cls(plain.in_features, plain.out_features, plain.bias is not None, device="meta")
-        made.weight, made.bias = plain.weight, plain.bias
-        return made.train(plain.training)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Return (…, N) of (…, K)."""
-        if not (takes(x) and torch.is_grad_enabled()):
-            return super().forward(x)
-        return _Product.apply(x, self.weight, self.bias)
-
-
-def use_onednn(module: nn.Module) -> None:
-    """Let every plain ``nn.Linear`` inside a module train by oneDNN, but on Intel; weights and their names stay."""
-    if processor_vendor() == INTEL:
-        return
-    for owner in list(module.modules()):
-        for name, part in owner.named_children():
-            if type(part) is nn.Linear:
-                setattr(owner, name, OneDnnLinear.of(part))
+    return _product(x, weight, bias) if here(x) else F.linear(x, weight, bias)
 
 
 def linear_gelu(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
@@ -132,19 +74,62 @@ def suits(q: Tensor, keys: int) -> bool:
 
 
 def attend_one(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
-    """Return attention of a batch of one whose heads share keys and values: all heads in one product.
+    """Return attention (1, heads, L, head) of a batch of one, all heads in one product.
 
     Args:
         q: (1, heads, L, head), scaled.
-        k: (L_keys, head).
+        k: (L_keys, head), shared by all heads, as ``v`` is.
         v: (L_keys, head).
         mask: (1, 1, 1 or L, L_keys), bool (True is seen) or additive, or None.
-
-    Returns:
-        (1, heads, L, head).
     """
     scores = linear(q.flatten(0, 2), k)  # (heads·L, L_keys)
     if mask is not None:
         apart = scores.view(*q.shape[:3], -1)
         apart.masked_fill_(~mask, -torch.inf) if mask.dtype == torch.bool else apart.add_(mask)
     return linear(scores.softmax(dim=-1), v.t()).view(q.shape)
+
+
+def _product(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
+
+
+class _Product(torch.autograd.Function):
+    """``linear`` with a gradient: all three products by oneDNN."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
+        ctx.save_for_backward(x, weight)
+        return _product(x, weight, bias)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Any:  # type: ignore[override]
+        x, weight = ctx.saved_tensors
+        of_x, of_weight, of_bias = ctx.needs_input_grad
+        rows = grad.reshape(-1, grad.shape[-1])  # (M, N)
+        return (
+            _product(grad.contiguous(), weight.t()) if of_x else None,
+            _product(rows.t(), x.reshape(-1, x.shape[-1]).t()) if of_weight else None,
+            rows.sum(dim=0) if of_bias else None,
+        )
+
+
+class OneDnnLinear(nn.Linear):
+    """An ``nn.Linear``, with its parameters, that trains by oneDNN; without gradients it stays torch's."""
+
+    def __init__(self, plain: nn.Linear) -> None:
+        super().__init__(plain.in_features, plain.out_features, plain.bias is not None, device="meta")
+        self.weight, self.bias = plain.weight, plain.bias
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (…, N) of (…, K)."""
+        if not (takes(x) and torch.is_grad_enabled()):
+            return super().forward(x)
+        return _Product.apply(x, self.weight, self.bias)
+
+
+def use_onednn(module: nn.Module) -> None:
+    """Let every plain ``nn.Linear`` inside a module train by oneDNN, but on Intel; weights and their names stay."""
+    for owner in [] if on_intel() else list(module.modules()):
+        for name, part in owner.named_children():
+            if type(part) is nn.Linear:
+                setattr(owner, name, OneDnnLinear(part))

@@ -29,17 +29,11 @@ ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where
 
 
 class TactileEncoder(nn.Module):
-    """A frozen tokenizer: no gradients, always in eval mode.
-
-    Args:
-        model: the tokenizer's network; its decoder is kept too, so that its hash can be checked.
-        grid: latents are pooled to grid × grid.
-    """
+    """A frozen tokenizer, always in eval mode; its decoder is kept too, so that its hash can be checked."""
 
     def __init__(self, model: ForceAutoencoder, grid: int) -> None:
         super().__init__()
-        self.model = model
-        self.grid = grid
+        self.model, self.grid = model, grid
         self._references: dict[str, tuple[Tensor, ReferenceCache]] = {}
         self.requires_grad_(False)
         self.train(False)
@@ -54,16 +48,9 @@ class TactileEncoder(nn.Module):
 
     @torch.no_grad()
     def forward(self, slot: str, finger: Finger, reference: Tensor, current: Tensor) -> Tensor:
-        """Encode one slot's pair.
+        """Return (B, K, latent) pooled latents of a slot's pair, (B, H, W) each in [0, 1].
 
-        Args:
-            slot: touch slot, the key of the reference cache.
-            finger: which finger wears the sensor; decides the mirror.
-            reference: (B, H, W) in [0, 1], free air.
-            current: same shape.
-
-        Returns:
-            (B, K, latent) pooled latents.
+        The slot is the key of the reference cache, the finger that wears the sensor decides the mirror.
         """
         cached = self._encode_reference(slot, finger, reference)
         latent = self.model.encoder.encode_current(cached, self._prepare(current, finger, "current")).mean
@@ -94,15 +81,13 @@ def packaged_hashes() -> dict[str, str]:
 
 def is_packaged(config: PI05UniforceConfig) -> bool:
     """Return whether the policy's tokenizer comes with the package, so that its checkpoint holds only the hash."""
-    return config.tokenizer_hash in packaged_hashes()
+    return bool(config.tokenizer_hash) and config.tokenizer_hash in packaged_hashes()
 
 
 def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEncoder:
-    """Make the encoder a config asks for and write the tokenizer's facts into that config.
+    """Make a new policy's encoder and write its facts into the config, or the one a checkpoint's config knows.
 
-    A new policy takes the tokenizer at ``touch.tokenizer_path`` (None: the shipped one). A config loaded from a
-    checkpoint already knows its tokenizer: the packaged one of that hash, or one that is rebuilt, ``empty``, and filled
-    from the checkpoint.
+    That is the packaged tokenizer of its hash, or one that is rebuilt, ``empty``, and filled from the checkpoint.
 
     Raises:
         CheckpointError: it was made behind another canonicaliser.
@@ -111,11 +96,16 @@ def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEnc
     if facts is not None and is_packaged(config):
         packaged = Tokenizer.from_pretrained(packaged_hashes()[config.tokenizer_hash])
         return TactileEncoder(packaged.model, config.latent_grid)
-    if facts is not None:
-        return TactileEncoder(_rebuild(facts, empty), config.latent_grid)
-    tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
-    config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
-    return TactileEncoder(tokenizer.model, config.latent_grid)
+    if facts is None:
+        tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
+        config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
+        return TactileEncoder(tokenizer.model, config.latent_grid)
+    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+    if stored != running:
+        do = "Use the version it was trained with, or train again."
+        raise CheckpointError(expected("canonicaliser of the checkpoint", stored, running, do))
+    with no_weights() if empty else nullcontext():
+        return TactileEncoder(build_model(TokenizerConfig(**facts["model"]), seed=0), config.latent_grid)
 
 
 def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
@@ -127,23 +117,8 @@ def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
         raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
 
 
-def _rebuild(facts: dict[str, Any], empty: bool) -> ForceAutoencoder:
-    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
-    if stored != running:
-        do = "Use the version it was trained with, or train again."
-        raise CheckpointError(expected("canonicaliser of the checkpoint", stored, running, do))
-    with no_weights() if empty else nullcontext():
-        return build_model(TokenizerConfig(**facts["model"]), seed=0)
-
-
 class TouchInput:
-    """Turn a batch into one (B, rows, numbers) tensor and one (B,) mask per slot.
-
-    Args:
-        config: slots, fingers after swap, what to do on sensor loss, dropout.
-        encoder: frozen tokenizer, or None where the input is a control's (touch/controls.py).
-        shape: rows and numbers per row of a slot's input.
-    """
+    """Turn a batch into one (B, rows, numbers) tensor (``shape``) and one (B,) mask per slot."""
 
     def __init__(
         self, config: PI05UniforceConfig, encoder: TactileEncoder | None, shape: tuple[int, int]
@@ -166,13 +141,11 @@ class TouchInput:
         size = _batch_size(batch)
         touches, masks = [], []
         for slot in self.config.slots:
-            touch = self.read(batch, slot, device)
-            if touch is None:
-                touch = torch.zeros(size, *self.shape, device=device)
-                masks.append(torch.zeros(size, dtype=torch.bool, device=device))
-            else:
-                masks.append(self._present(slot, touch))
-            touches.append(touch.nan_to_num())
+            touch, lost = self.read(batch, slot, device), torch.zeros(size, *self.shape, device=device)
+            masks.append(
+                lost.new_zeros(size, dtype=torch.bool) if touch is None else self._present(slot, touch)
+            )
+            touches.append(lost if touch is None else touch.nan_to_num())
         if self.masked:
             masks = [torch.zeros_like(mask) for mask in masks]
         return touches, self._dropout(masks) if training else masks

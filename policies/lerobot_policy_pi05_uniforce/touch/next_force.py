@@ -1,8 +1,4 @@
-"""Auxiliary head of training: the latents when the next chunk begins, predicted from the action expert's outputs.
-
-Off unless ``touch.next_force_weight`` is above 0. Nothing of it runs when actions are sampled, and ``uniforce-share``
-leaves it out.
-"""
+"""Auxiliary head of training: the latents when the next chunk begins; ``uniforce-share`` leaves it out."""
 
 from __future__ import annotations
 
@@ -14,13 +10,7 @@ from uniforce_vtla.keys import next_latent_key
 
 
 class NextForce(nn.Module):
-    """Predict every slot's pooled latents from the chunk's hidden states.
-
-    Args:
-        width: of the action expert.
-        slots: names, in order.
-        size: K · latent numbers per slot.
-    """
+    """Predict every slot's ``size`` numbers, its pooled latents, from the chunk's hidden states."""
 
     def __init__(self, width: int, slots: tuple[str, ...], size: int) -> None:
         super().__init__()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -31,12 +32,8 @@ class ForceTokens(nn.Module):
     The input keeps its amplitude (amplitude is force): a fixed mean per number is taken off and a fixed spread per
     channel divided out, both stored in the checkpoint, never its own. What is RMS-normalised is the outcome, after a
     non-linearity, so that force tokens enter with the magnitude of an image patch; a learned gain takes it from there.
-
-    Args:
-        config: slots, directions, touch noise; whether every token also holds what one network makes of the slot's
-            whole map (force is a sum over cells, which attention over single cells reads less exactly).
-        input_shape: rows and numbers per row that come in: (K, latent size), or one row of a control.
-        width: of a token.
+    Where ``config.whole_map``, every token also holds what one network makes of the slot's whole map: force is a sum
+    over cells, which attention over single cells reads less exactly.
     """
 
     def __init__(self, config: PI05UniforceConfig, input_shape: tuple[int, int], width: int) -> None:
@@ -48,7 +45,7 @@ class ForceTokens(nn.Module):
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
         if directions:
-            self.register_buffer("directions", torch.zeros(input_shape[0] * input_shape[1], directions))
+            self.register_buffer("directions", torch.zeros(math.prod(input_shape), directions))
             self.register_buffer("origin", torch.zeros(directions))
             self.register_buffer("disagreement", torch.ones(directions))
         self.agreed_only = bool(directions)
@@ -62,11 +59,17 @@ class ForceTokens(nn.Module):
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
         if self.training and self.needs_transfer:
-            touch = self._transfer(touch, slot)
+            if self.transferred is None:
+                do = "Give the policy its dataset_meta, or set policy.augment.sensor_transfer=0."
+                raise ContractError(
+                    expected("sensor_transfer", "maps, found by a view's sensors", "no view", do)
+                )
+            touch = self.transferred(touch, slot)
         features = self._features(touch)
         if self.training and self.noise:
             # what survives it is what many cells agree on, and that is what another sensor's latents share
-            features = features + self.noise * self._noise_unit() * torch.randn_like(features)
+            unit = self.disagreement if self.agreed_only else 1.0
+            features = features + self.noise * unit * torch.randn_like(features)
         hidden = self.proj(features)  # (B, K or 1, D)
         if self.whole is not None:
             hidden = hidden + self.whole(features.flatten(1))[:, None]
@@ -77,16 +80,6 @@ class ForceTokens(nn.Module):
         if self.agreed_only:
             return (touch.flatten(1) @ self.directions - self.origin)[:, None]  # (B, 1, directions)
         return (touch - self.input_mean) / self.input_scale
-
-    def _noise_unit(self) -> Tensor | float:
-        return self.disagreement if self.agreed_only else 1.0
-
-    def _transfer(self, touch: Tensor, slot: int) -> Tensor:
-        if self.transferred is None:
-            do = "Give the policy its dataset_meta, or set policy.augment.sensor_transfer=0."
-            raise ContractError(expected("sensor_transfer", "maps, found by a view's sensors", "no view", do))
-        mapped: Tensor = self.transferred(touch, slot)
-        return mapped
 
 
 def _two_layers(size: int, width: int) -> nn.Sequential:

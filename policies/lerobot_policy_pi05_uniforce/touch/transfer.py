@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 
 if TYPE_CHECKING:
@@ -24,13 +24,10 @@ SPREAD = 0.25
 
 
 class TransferredTouch(nn.Module):
-    """Replace a share of each slot's latents by another finger's, with a random known sensor.
+    """Replace a ``share`` of each slot's latents by another finger's, with a random known sensor.
 
-    Args:
-        transfer: maps between sensors.
-        worn: the sensor of each slot in the training data.
-        share: chance per sample; each known sensor is as likely, the slot's own kind (another unit) too.
-        spread: how much of the maps' spread is drawn, 0 to 1.
+    Each known sensor is as likely, the slot's own kind (another unit) too; ``worn`` is the sensor of each slot in the
+    training data.
     """
 
     def __init__(
@@ -56,18 +53,14 @@ def tokenizer_maps(config: PI05UniforceConfig) -> SensorTransfer:
     """Return maps between sensors and the directions they agree on.
 
     Raises:
-        CheckpointError: the tokenizer comes without, or they are another tokenizer's.
-        ContractError: they are of another grid.
+        CheckpointError: the tokenizer comes without, or they are another tokenizer's or grid's.
     """
     transfer = SensorTransfer.from_pretrained(config.touch.tokenizer_path)
-    if transfer.tokenizer_hash != config.tokenizer_hash:
-        do = "Run uniforce-sensor-transfer for this tokenizer."
-        came = transfer.tokenizer_hash
-        raise CheckpointError(expected("tokenizer of the maps", config.tokenizer_hash, came, do))
-    numbers = config.tokens_per_slot * config.latent_size
-    if transfer.rest.shape[-1] != numbers:
-        do = f"Run uniforce-sensor-transfer with fit.grid={config.latent_grid}."
-        raise ContractError(expected("numbers per slot", numbers, transfer.rest.shape[-1], do))
+    wanted = config.tokenizer_hash, config.tokens_per_slot * config.latent_size
+    came = transfer.tokenizer_hash, transfer.rest.shape[-1]
+    if came != wanted:
+        do = f"Run uniforce-sensor-transfer for this tokenizer, with fit.grid={config.latent_grid}."
+        raise CheckpointError(expected("tokenizer and numbers of the maps", wanted, came, do))
     return transfer
 
 
@@ -83,11 +76,7 @@ def transferred_touch(config: PI05UniforceConfig) -> TransferredTouch:
 
 
 def take_directions(tokens: ForceTokens, config: PI05UniforceConfig) -> None:
-    """Give a new policy's tokens the directions on which all sensors agree; the checkpoint keeps them.
-
-    Raises:
-        CheckpointError, ContractError: as ``tokenizer_maps``.
-    """
+    """Give a new policy's tokens the directions on which all sensors agree; raises as ``tokenizer_maps``."""
     transfer, count = tokenizer_maps(config), config.touch.directions
     tokens.directions.copy_(transfer.directions[:, :count])
     tokens.origin.copy_(transfer.origin[:count])
