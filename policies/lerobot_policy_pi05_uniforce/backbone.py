@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 NUM_HEADS = 8  # LeRobot's joint layer multiplies by 8
 PATCH_PX = 14  # SigLIP's patch, as in the real model
 Streams = list[Tensor]  # VLM prefix (B, L0, D0) and expert suffix (B, L1, D1)
+Layers = tuple[nn.Module, ...]  # the VLM's and the expert's at one depth
 
 
 class GatedBackbone(stock.PaliGemmaWithExpertModel):
@@ -81,20 +82,15 @@ class TinyBackbone(GatedBackbone):
         self._set_requires_grad()
 
     def run_layers(self, mask: Tensor, positions: Tensor, past: Any, streams: list, cond: list) -> Any:
-        """Embed the prefix as LeRobot does; run both streams (training) or the suffix (sampling) fused."""
-        if streams[1] is None or not self.fused:
+        """Run both streams, as training does, fused; one stream alone runs in LeRobot's layers."""
+        if None in streams or not self.fused:
             return super().run_layers(mask, positions, past, streams, cond)
-        both = [self.paligemma.model.language_model, self.gemma_expert.model]
-        first = 0 if streams[0] is not None else 1
-        models, streams, cond = both[first:], streams[first:], cond[first:]
-        rotary = models[0].rotary_emb(streams[0], positions)
-        depths = list(zip(*(model.layers for model in models), strict=True))
-        for depth, layers in enumerate(depths):
-            cached = None if past is None else (past.layers[depth].keys, past.layers[depth].values)
-            last = depth == len(depths) - 1
-            streams = joint_layer(streams, list(layers), mask, rotary, cond, cached, last)
-        suffix = stock.layernorm_forward(models[-1].norm, streams[-1], cond[-1])[0]
-        return [None, suffix], None  # LeRobot reads the prefix for its cache alone
+        vlm, expert = self.paligemma.model.language_model, self.gemma_expert.model
+        rotary, last = vlm.rotary_emb(streams[0], positions), len(vlm.layers) - 1
+        for depth, layers in enumerate(zip(vlm.layers, expert.layers, strict=True)):
+            streams = joint_layer(streams, layers, mask, rotary, cond, last=depth == last)
+        suffix, _ = layernorm_forward(expert.norm, streams[-1], cond[-1])
+        return [None, suffix], None  # nobody reads the prefix
 
 
 def make_backbone(config: PI05UniforceConfig) -> GatedBackbone:
@@ -113,15 +109,9 @@ def make_backbone(config: PI05UniforceConfig) -> GatedBackbone:
 
 
 def joint_layer(
-    streams: Streams,
-    layers: list[nn.Module],
-    mask: Tensor,
-    rotary: tuple,
-    cond: list,
-    past: tuple[Tensor, Tensor] | None,
-    last: bool,
+    streams: Streams, layers: Layers, mask: Tensor, rotary: tuple, cond: list, last: bool
 ) -> Streams:
-    """Run one layer of one or both streams: attention over all tokens together, the rest per stream.
+    """Run one layer of both streams: attention over all tokens together, the rest per stream.
 
     With torch's fused attention: LeRobot's own loop builds every attention matrix, which on a CPU is half of a training
     step. Same weights, same mathematics, another order of summation: equal within 1e-5 (tests compare them).
@@ -132,46 +122,34 @@ def joint_layer(
         mask: (B, 1, L, L) additive, L = L0 + L1.
         rotary: (cos, sin), each (B, L, head_dim).
         cond: per stream, the time condition of its adaptive norms (B, D), or None.
-        past: rotated keys and values (B, 1, L_past, head_dim) of tokens that came before, as cached.
-        last: return the final stream only; after the last layer nobody reads the prefix.
+        last: return the suffix only; after the last layer nobody reads the prefix.
     """
     rows = zip(layers, streams, cond, strict=True)
     normed = [layernorm_forward(layer.input_layernorm, x, c) for layer, x, c in rows]
     kept = slice(-1 if last else 0, None)
-    lengths = [x.shape[1] for x in streams[kept]]
-    attended = _attend([x for x, _ in normed], layers, mask, rotary, past, lengths)
+    attended = _attend([x for x, _ in normed], layers, mask, rotary, [x.shape[1] for x in streams[kept]])
     out = []
-    rows = zip(layers[kept], streams[kept], normed[kept], attended, cond[kept], strict=True)
-    for layer, x, (_, gate), a, c in rows:
+    for layer, x, (_, gate), a, c in zip(
+        layers[kept], streams[kept], normed[kept], attended, cond[kept], strict=True
+    ):
         x = _gated_residual(x, layer.self_attn.o_proj(a), gate)
         hidden, gate = layernorm_forward(layer.post_attention_layernorm, x, c)
         out.append(_gated_residual(x, layer.mlp(hidden), gate))
     return out
 
 
-def _attend(
-    normed: Streams,
-    layers: list[nn.Module],
-    mask: Tensor,
-    rotary: tuple,
-    past: tuple[Tensor, Tensor] | None,
-    lengths: list[int],
-) -> list[Tensor]:
+def _attend(normed: Streams, layers: Layers, mask: Tensor, rotary: tuple, lengths: list[int]) -> list[Tensor]:
     """Let the last ``sum(lengths)`` tokens attend to all; return one (B, length, heads·head) per length."""
     q, k, v = (_project(normed, layers, n) for n in ("q_proj", "k_proj", "v_proj"))  # (B, heads, L, head)
     q, k = apply_rotary_pos_emb(q, k, *rotary, unsqueeze_dim=1)
-    if past is not None:
-        k, v = torch.cat([past[0], k], dim=2), torch.cat([past[1], v], dim=2)
-    scale = layers[0].self_attn.scaling
-    heads = q.shape[1]
-    k, v = (x.expand(-1, heads, -1, -1) for x in (k, v))  # one key/value head serves all queries
+    k, v = (x.expand(-1, q.shape[1], -1, -1) for x in (k, v))  # one key/value head serves all queries
     q, mask = q[:, :, -sum(lengths) :], mask[:, :, -sum(lengths) :]
+    scale = layers[0].self_attn.scaling
     mixed = nn.functional.scaled_dot_product_attention(q, k, v, attn_mask=mask, scale=scale)
-    mixed = mixed.transpose(1, 2).flatten(2)  # (B, L, heads·head)
-    return list(mixed.split(lengths, dim=1))
+    return list(mixed.transpose(1, 2).flatten(2).split(lengths, dim=1))
 
 
-def _project(normed: Streams, layers: list[nn.Module], name: str) -> Tensor:
+def _project(normed: Streams, layers: Layers, name: str) -> Tensor:
     head, rows = layers[0].self_attn.head_dim, zip(layers, normed, strict=True)
     parts = [getattr(layer.self_attn, name)(x).unflatten(-1, (-1, head)) for layer, x in rows]
     return torch.cat(parts, dim=1).transpose(1, 2)

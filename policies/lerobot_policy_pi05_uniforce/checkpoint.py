@@ -23,14 +23,9 @@ logger = logging.getLogger(__name__)
 
 TYPE = "pi05_uniforce"
 PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
-LIMITS = {  # of whole numbers in config.json: far beyond what anybody trains, far below what fills a machine
-    "chunk_size": 4096,
-    "n_action_steps": 4096,
-    "num_inference_steps": 4096,
-    "max_action_dim": 4096,
-    "max_state_dim": 4096,
-    "tokenizer_max_length": 65536,
-}
+# of whole numbers in config.json: far beyond what anybody trains, far below what fills a machine
+COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")
+LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}
 MAX_SIDE = 4096  # of an image or a feature's axis
 # What LeRobot, draccus and torch raise over settings that fit nothing
@@ -44,8 +39,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
     """Check a saved ``config.json``.
 
     Raises:
-        CheckpointError: another policy, settings of 0.1.0, a tokenizer outside the checkpoint, or a size no machine
-            holds.
+        CheckpointError: another policy, settings of 0.1.0, a tokenizer elsewhere, or a size no machine holds.
     """
     if saved.get("type") != TYPE:
         came = repr(saved.get("type"))[:80]
@@ -73,8 +67,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
 def _sides(saved: dict[str, Any]) -> list[Any]:
     features = [saved.get(name) for name in ("input_features", "output_features")]
     found = [entry for feature in features if isinstance(feature, dict) for entry in feature.values()]
-    shapes = [entry.get("shape") for entry in found if isinstance(entry, dict)]
-    shapes.append(saved.get("image_resolution"))
+    shapes = [saved.get("image_resolution"), *(e.get("shape") for e in found if isinstance(e, dict))]
     return [side for shape in shapes if isinstance(shape, list) for side in shape]
 
 
@@ -98,18 +91,13 @@ def check_processors(folder: Path) -> None:
 
 
 def _check_step(file: Path, step: Any) -> None:
-    named = isinstance(step, dict) and isinstance(step.get("registry_name"), str) and "class" not in step
-    if not named:
-        do = "Only registered steps are run. Who wrote this checkpoint?"
-        raise CheckpointError(expected(f"a step in {file}", "a registry_name", repr(step)[:80], do))
-    state = step.get("state_file")
-    if state is not None and not (isinstance(state, str) and _beside(state)):
-        came, do = repr(state)[:80], "Copy the checkpoint again."
-        raise CheckpointError(expected(f"state of a step in {file}", "a file beside it", came, do))
-
-
-def _beside(name: str) -> bool:
-    return name == Path(name).name and "\\" not in name and name.endswith(".safetensors")
+    if not isinstance(step, dict) or not isinstance(step.get("registry_name"), str) or "class" in step:
+        came, do = repr(step)[:80], "Only registered steps are run. Who wrote this checkpoint?"
+        raise CheckpointError(expected(f"a step in {file}", "a registry_name", came, do))
+    state = str(step.get("state_file") or "absent.safetensors")
+    if state != Path(state).name or "\\" in state or not state.endswith(".safetensors"):
+        do = "Copy the checkpoint again."
+        raise CheckpointError(expected(f"state of a step in {file}", "a file beside it", state[:80], do))
 
 
 @contextmanager
@@ -140,14 +128,11 @@ def _facts(touch: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_sensors(config: PI05UniforceConfig, mounted: Mapping[Finger, str]) -> list[str]:
-    """Compare the sensors a robot or environment wears with those the policy was trained on.
+    """Return one line per slot that runs on another kind of sensor than it was trained on; log and store them.
 
     Args:
         config: the policy's config; ``swap`` or ``left_sensor``/``right_sensor`` ask for a change.
         mounted: finger → kind of sensor worn now.
-
-    Returns:
-        One line per slot that runs on another kind than it was trained on; log and store them.
 
     Raises:
         CheckpointError: a slot's sensor differs and nobody asked for that.
@@ -157,7 +142,7 @@ def check_sensors(config: PI05UniforceConfig, mounted: Mapping[Finger, str]) -> 
         trained, worn = config.touch.trained_sensors.get(slot, ""), mounted.get(finger, "")
         if not trained or not worn or worn in trained.split("+"):
             continue
-        if config.mounted_sensors[finger] != worn and finger == config.touch.slots[slot]:
+        if getattr(config, f"{finger}_sensor") != worn and finger == config.touch.slots[slot]:
             do = f"Say swap={slot}:FINGER or {finger}_sensor={worn} if you mean it."
             raise CheckpointError(expected(f"sensor of {slot} ({finger} finger)", trained, worn, do))
         notes.append(f"{slot}: trained on {trained}, now {worn} on the {finger} finger")

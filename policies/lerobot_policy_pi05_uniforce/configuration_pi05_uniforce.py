@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lerobot.configs import NormalizationMode, PreTrainedConfig
-from lerobot.optim import CosineDecayWithWarmupSchedulerConfig
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
 from lerobot_policy_pi05_uniforce.recipes import GRID, recipe_settings, resolve_size
-from uniforce_vtla.contracts import FINGERS, Finger, check_finger
+from uniforce_vtla.contracts import Finger, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 from uniforce_vtla.tokenizer.agreed_directions import MOST
@@ -148,13 +147,6 @@ class PI05UniforceConfig(PI05Config):
     scheduler_warmup_steps: int = _BY_RECIPE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
     scheduler_decay_steps: int = _BY_RECIPE  # tiny 100 000: any shorter run gets its whole cosine
     scheduler_decay_lr: float = _BY_RECIPE  # tiny 1e-5; base 2.5e-6
-    normalization_mapping: dict[str, NormalizationMode] = field(
-        default_factory=lambda: {
-            "VISUAL": NormalizationMode.IDENTITY,
-            "STATE": NormalizationMode.QUANTILES,
-            "ACTION": NormalizationMode.QUANTILES,  # IDENTITY for target_delta, set below
-        }
-    )
 
     def __post_init__(self) -> None:
         self.size = resolve_size(self.size, self.device)
@@ -223,11 +215,6 @@ class PI05UniforceConfig(PI05Config):
         return fingers
 
     @property
-    def mounted_sensors(self) -> dict[str, str]:
-        """Finger → kind of sensor stated in this config ("" where not stated)."""
-        return dict(zip(FINGERS, (self.left_sensor, self.right_sensor), strict=True))
-
-    @property
     def state_token(self) -> bool:
         """Whether the continuous state is a token: 5×256 text bins need more than tiny's demos."""
         return self.size == "tiny"
@@ -279,15 +266,6 @@ class PI05UniforceConfig(PI05Config):
         if self.action.form != "target_delta":
             return chunk
         return [-1 - steps, -1, *chunk] if steps else [-1, *chunk]
-
-    def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
-        """Warm-up, then one cosine over the run (LeRobot shortens both for shorter runs)."""
-        return CosineDecayWithWarmupSchedulerConfig(
-            peak_lr=self.optimizer_lr,
-            decay_lr=self.scheduler_decay_lr,
-            num_warmup_steps=self.scheduler_warmup_steps,
-            num_decay_steps=self.scheduler_decay_steps,
-        )
 
 
 def _require(fits: bool, name: str, wanted: str, came: object) -> None:

@@ -29,17 +29,12 @@ def model_card(
     training: Mapping[str, Any] | None = None,
     scores: Mapping[str, Any] | None = None,
 ) -> ModelCard:
-    """Return the card of a policy.
-
-    Args:
-        config: the policy's settings and provenance.
-        training: settings of the training run (``train_config.json``).
-        scores: what ``uniforce-score`` wrote (``wiping.json``).
+    """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce-score``.
 
     Raises:
         ContractError: scores without arms.
     """
-    base = config.size == "base"
+    base, asked = config.size == "base", ("steps", "batch_size", "seed")
     data = ModelCardData(
         license=config.license or ("gemma" if base else "apache-2.0"),
         library_name="lerobot",
@@ -55,7 +50,7 @@ def model_card(
             config=config,
             touch=_touch(config),
             data_text=_lines(config.trained_on),
-            training=_training(training),
+            training=_lines({name: str(training[name]) for name in asked if training and name in training}),
             scores=_scores(scores),
             licence=LICENCE[config.size],
         )
@@ -65,20 +60,11 @@ def model_card(
 def _touch(config: PI05UniforceConfig) -> str:
     if not config.slots:
         return "None: it was trained without."
-    worn = {slot: config.touch.trained_sensors.get(slot) or "a sensor not stated" for slot in config.slots}
-    facts = {f"slot `{s}`": f"{config.touch.slots[s]} finger, trained on {worn[s]}" for s in config.slots}
-    facts |= {
-        "input": config.touch.input,
-        "tokens per slot": str(config.tokens_per_slot),
-        "token site": config.touch.site,
-        "tactile tokenizer": f"{config.tokenizer_hash or 'none'}",
-    }
-    return _lines(facts)
-
-
-def _training(training: Mapping[str, Any] | None) -> str:
-    asked = ("steps", "batch_size", "seed")
-    return _lines({name: str(training[name]) for name in asked if name in training} if training else {})
+    touch, known = config.touch, config.touch.trained_sensors
+    worn = {slot: known.get(slot) or "a sensor not stated" for slot in config.slots}
+    facts = {f"slot `{s}`": f"{touch.slots[s]} finger, trained on {worn[s]}" for s in config.slots}
+    facts |= {"input": touch.input, "token site": touch.site, "tokens per slot": str(config.tokens_per_slot)}
+    return _lines(facts | {"tactile tokenizer": config.tokenizer_hash or "none"})
 
 
 def _scores(scores: Mapping[str, Any] | None) -> str:

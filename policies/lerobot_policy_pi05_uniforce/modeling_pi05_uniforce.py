@@ -110,15 +110,14 @@ class PI05UniforcePolicy(stock.PI05Policy):
         Raises:
             CheckpointError: missing or damaged files, tensors that don't fit, touch settings that differ.
         """
-        source = pretrained_name_or_path
-        where = weights.find(source, weights.CONFIG, revision, local_files_only)
+        source, at = pretrained_name_or_path, (revision, local_files_only)
+        where = weights.find(source, weights.CONFIG, *at)
         saved = weights.read_config(where)
         checkpoint.check_settings(saved, str(where))
-        for (
-            name
-        ) in checkpoint.PROCESSORS:  # of a hub repository: fetched before LeRobot does, and so checked first
-            with suppress(CheckpointError):
-                weights.find(source, name, revision, local_files_only)
+        with suppress(
+            CheckpointError
+        ):  # of a hub repository: fetched before LeRobot does, and so checked first
+            _ = [weights.find(source, name, *at) for name in checkpoint.PROCESSORS]
         checkpoint.check_processors(where.parent)
         with checkpoint.misfits_named(str(where)):
             if config is None:
@@ -126,8 +125,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
             checkpoint.check_same(saved, config)
             policy = cls(config, empty=True, **kwargs)
         packaged = (ENCODER,) if is_packaged(config) else ()
-        file = weights.find(source, weights.WEIGHTS, revision, local_files_only)
-        weights.fill(policy, file, fresh=packaged)
+        weights.fill(policy, weights.find(source, weights.WEIGHTS, *at), fresh=packaged)
         if policy.model.tactile_encoder is not None:
             check_hash(policy.model.tactile_encoder, config)
         return policy.to(config.device).eval()
@@ -241,7 +239,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
     def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Return noise (B, chunk, ·) and flow time (B,): random for flow matching."""
         if self.config.action.objective == "regression":
-            # The flow's first step from zero noise: its velocity there is minus the action, and one Euler step samples it.
+            # the flow's first step from zero noise: its velocity is minus the action, one Euler step samples it
             return torch.zeros_like(actions), actions.new_ones(len(actions))
         noise = self.model.sample_noise(actions.shape, actions.device)
         return noise, self.model.sample_time(len(actions), actions.device)

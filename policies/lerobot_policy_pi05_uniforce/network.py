@@ -180,8 +180,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         seen = images[:cameras], img_masks[:cameras]
         embs, pads, atts = super().embed_prefix(*seen, tokens, masks, *args, **kwargs)
         self._touch = self.suffix_touch(*extra)
-        self.paligemma_with_expert.gated = self.gated_columns(*extra, before=embs.shape[1])
-        for embedded, mask in self.prefix_extra(*extra):
+        behind, self.paligemma_with_expert.gated = self.embed_extra(*extra, before=embs.shape[1])
+        for embedded, mask in behind:
             count = embedded.shape[1]
             embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
             pads = torch.cat([pads, mask[:, None].expand(-1, count)], dim=1)
@@ -199,27 +199,28 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         pads, atts = torch.cat([self._touch.mask, pads], dim=1), torch.cat([block, atts], dim=1)
         return embs, pads, atts, cond
 
-    def prefix_extra(self, extra: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
-        """Return (B, ·, D) tokens and (B,) mask of the state, and at that site of every touch slot, in that order."""
-        states, embedded = self._states(extra), []
-        if states and self.state_token is not None:
-            embedded.append((self.state_token(extra[0]), masks[0]))
-        if self.config.touch.site == "prefix":
-            embedded += self._touches(extra[states:], masks[states:])
-        return embedded
+    def embed_extra(
+        self, extra: list[Tensor], masks: list[Tensor], before: int
+    ) -> tuple[list[tuple[Tensor, Tensor]], GatedColumns | None]:
+        """Return what stands behind ``before`` tokens of cameras and text, and the weight of touch, if not 1.
 
-    def gated_columns(self, extra: list[Tensor], masks: list[Tensor], before: int) -> GatedColumns | None:
-        """Return the weight of touch behind ``before`` tokens of cameras and text; None: as any other token."""
-        states = self._states(extra)
-        pads = [mask[:, None].expand(-1, self.config.tokens_per_slot) for mask in masks[states:]]
-        if self.touch_gate is None or not pads:
-            return None
-        bias = self.touch_gate(len(pads), self.config.tokens_per_slot)
-        return GatedColumns(before + states, bias, torch.cat(pads, dim=1))
+        The first is (B, ·, D) tokens and (B,) mask of the state, and at that site of every touch slot, in that order.
+        """
+        states = 1 if self.state_token is not None and extra else 0
+        touches, touch_masks = extra[states:], masks[states:]
+        prefix = [(self.state_token(extra[0]), masks[0])] if states else []
+        if self.config.touch.site == "prefix":
+            prefix += self._touches(touches, touch_masks)
+        gated = None
+        if self.touch_gate is not None and touches:
+            count = self.config.tokens_per_slot
+            pads = torch.cat([mask[:, None].expand(-1, count) for mask in touch_masks], dim=1)
+            gated = GatedColumns(before + states, self.touch_gate(len(touches), count), pads)
+        return prefix, gated
 
     def suffix_touch(self, extra: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
         """Return all slots' tokens for the suffix; None at the other site or without touch."""
-        states = self._states(extra)
+        states = 1 if self.state_token is not None and extra else 0
         suffix = self.config.touch.site == "suffix"
         return self.touch_run(extra[states:], masks[states:]) if suffix else None
 
@@ -231,12 +232,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         pads = [mask[:, None].expand(-1, tokens.shape[1]) for tokens, mask in embedded]
         return SuffixTouch(torch.cat([tokens for tokens, _ in embedded], dim=1), torch.cat(pads, dim=1))
 
-    def _states(self, extra: list[Tensor]) -> int:
-        return 1 if self.state_token is not None and len(extra) > 0 else 0
-
     def _touches(self, touches: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
-        if self.force_tokens is None:
-            return []
         rows = enumerate(zip(touches, masks, strict=True))
         return [(self.force_tokens(touch, slot), mask) for slot, (touch, mask) in rows]
 

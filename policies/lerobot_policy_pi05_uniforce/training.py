@@ -22,6 +22,7 @@ from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
+Named = tuple[str, nn.Parameter]
 NEW_MODULES = (
     "force_tokens",
     "state_token",
@@ -35,21 +36,15 @@ PROJECTIONS = r"model\.(action_in_proj|action_out_proj|time_mlp_in|time_mlp_out)
 SCALED = {"latent": latent_key, "descriptor": descriptor_key}  # inputs standardised by the training data
 
 
-def parameter_groups(
-    named: Iterable[tuple[str, nn.Parameter]], config: PI05UniforceConfig
-) -> list[dict[str, Any]]:
+def parameter_groups(named: Iterable[Named], config: PI05UniforceConfig) -> list[dict[str, Any]]:
     """Return trainable parameters in an optimiser's groups, each with its rate: backbone, new modules, gate."""
     new = config.optimizer_lr * NEW_MODULE_RATE[config.size]
-    rates = {"": None, "new": new, "gate": GATE_LR}
-    groups: dict[str, dict[str, Any]] = {}
+    rates: dict[str, dict[str, Any]] = {"": {}, "new": {"lr": new}, "gate": {"lr": GATE_LR}}
+    groups: dict[str, list[nn.Parameter]] = {name: [] for name in rates}
     for name, parameter in named:
         if parameter.requires_grad:
-            groups.setdefault(_group(name), {"params": []})["params"].append(parameter)
-    return [
-        groups[name] | ({} if rate is None else {"lr": rate})
-        for name, rate in rates.items()
-        if name in groups
-    ]
+            groups[_group(name)].append(parameter)
+    return [{"params": groups[name], **rate} for name, rate in rates.items() if groups[name]]
 
 
 def _group(name: str) -> str:
@@ -87,9 +82,7 @@ def read_touch_scale(
     stats: dict[str, dict[str, Any]], config: PI05UniforceConfig, shape: tuple[int, int]
 ) -> tuple[Tensor, Tensor] | None:
     """Return the touch input's mean (rows, size) and spread (size,), alike for all slots; None where there is none."""
-    if config.touch.input not in SCALED:
-        return None
-    key = SCALED[config.touch.input]
+    key = SCALED.get(config.touch.input, str)
     rows = [stats[key(slot)] for slot in config.slots if key(slot) in stats]
     if not rows:
         return None

@@ -71,12 +71,16 @@ def fill(
         CheckpointError: a truncated or damaged file, or naming the tensors that don't fit.
     """
     with _opened(path) as stored:
-        renamed = ((rename(name), name) for name in stored.keys())  # noqa: SIM118 (not a dict)
-        placed = {own: name for own, name in renamed if own is not None}
-        shapes = {own: tuple(stored.get_slice(name).get_shape()) for own, name in placed.items()}
-        _check(module, shapes, fresh)
-        for own, name in placed.items():
-            _place(module, own, stored.get_tensor(name))
+        tensors = {own: stored.get_tensor(n) for n in stored.keys() if (own := rename(n)) is not None}  # noqa: SIM118
+    wanted = module.state_dict()
+    _check(wanted, tensors, fresh)
+    for name, tensor in tensors.items():
+        # A copy has aligned memory; in the file a tensor may start anywhere, and a matrix product's last bits hang on
+        # that. Large ones stay mapped from the file: base must never be held twice.
+        copy = tensor.nbytes < ALIGNED_BELOW
+        device = tensor.device if wanted[name].is_meta else wanted[name].device
+        tensors[name] = tensor.to(device, wanted[name].dtype, copy=copy)
+    module.load_state_dict(tensors, strict=False, assign=True)
 
 
 def names(path: Path) -> list[str]:
@@ -105,28 +109,11 @@ def no_weights() -> AbstractContextManager:
     return init_empty_weights(include_buffers=False)
 
 
-def _check(module: nn.Module, shapes: dict[str, tuple[int, ...]], fresh: tuple[str, ...]) -> None:
-    own = {name: tuple(tensor.shape) for name, tensor in module.state_dict().items()}
-    problems = {
-        "missing": sorted(n for n in own.keys() - shapes.keys() if not n.startswith(fresh)),
-        "unexpected": sorted(shapes.keys() - own.keys()),
-        "misshapen": sorted(k for k in own.keys() & shapes.keys() if own[k] != shapes[k]),
-    }
-    found = {kind: ", ".join(names) for kind, names in problems.items() if names}
+def _check(own: dict[str, Tensor], stored: dict[str, Tensor], fresh: tuple[str, ...]) -> None:
+    misshapen = [name for name in own.keys() & stored.keys() if own[name].shape != stored[name].shape]
+    missing = [name for name in own.keys() - stored.keys() if not name.startswith(fresh)]
+    kinds = {"missing": missing, "unexpected": stored.keys() - own.keys(), "misshapen": misshapen}
+    found = {kind: ", ".join(sorted(names)) for kind, names in kinds.items() if names}
     if found:
         do = "Load it with the settings it was trained with (its own config.json)."
         raise CheckpointError(expected("checkpoint tensors", f"the {len(own)} of this policy", found, do))
-
-
-def _place(module: nn.Module, name: str, tensor: Tensor) -> None:
-    parent, _, leaf = name.rpartition(".")
-    owner = module.get_submodule(parent)
-    old = getattr(owner, leaf)
-    device = tensor.device if old.is_meta else old.device
-    # A copy has aligned memory; in the file a tensor may start anywhere, and a matrix product's last bits hang on that.
-    # Large ones stay mapped from the file: base must never be held twice.
-    new = tensor.to(device, old.dtype, copy=tensor.nbytes < ALIGNED_BELOW)
-    if isinstance(old, nn.Parameter):
-        owner.register_parameter(leaf, nn.Parameter(new, requires_grad=old.requires_grad))
-    else:
-        owner.register_buffer(leaf, new)

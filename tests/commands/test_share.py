@@ -15,11 +15,11 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 
+from benchmarks.policy import text_tokenizer
 from lerobot_policy_pi05_uniforce import (
     PI05UniforceConfig,
     PI05UniforcePolicy,
     make_pi05_uniforce_pre_post_processors,
-    text,
 )
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
 from uniforce_commands import share
@@ -62,7 +62,7 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
     """A checkpoint as the trainer leaves it, its text tokenizer in a folder of its own, and what it answers."""
     torch.manual_seed(0)
     torch.set_num_threads(1)
-    text.build(tmp_path / "words")
+    text_tokenizer.build(tmp_path / "words")
     tactile = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
     Tokenizer.random(tactile).save(tmp_path / "tactile")
     camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))

@@ -13,7 +13,9 @@ from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot.utils.import_utils import register_third_party_plugins
 from safetensors.torch import load_file, save_file
 from torch import nn
+from transformers import AutoTokenizer
 
+from benchmarks.policy import text_tokenizer
 from benchmarks.policy.memory import bench_memory
 from lerobot_policy_pi05_uniforce import (
     PI05UniforceConfig,
@@ -229,12 +231,6 @@ def test_settings_of_0_1_0_are_migrated(tmp_path):
         PI05UniforcePolicy.from_pretrained(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["latent_grid", "state_token", "tiny_head_dim", "tiny_vision_depth"])
-def test_a_network_that_is_built_no_more_is_named(name):
-    with pytest.raises(CheckpointError, match=name):
-        grouped(FLAT | {name: False if name == "state_token" else 3})
-
-
 def test_a_folder_of_0_1_0_is_rewritten_in_place(tmp_path, capsys):
     folder = Path(shutil.copytree(shipped_checkpoint(), tmp_path / "old"))
     whole = PI05UniforcePolicy.from_pretrained(folder).state_dict()
@@ -317,7 +313,10 @@ def test_scores_must_be_scores() -> None:
 
 
 def test_a_tokenizer_of_ones_own_moves_with_the_preprocessor(tmp_path) -> None:
-    text.build(tmp_path)
+    text_tokenizer.build(tmp_path)
+    packaged = AutoTokenizer.from_pretrained(text.FOLDER)
+    assert AutoTokenizer.from_pretrained(tmp_path).get_vocab() == packaged.get_vocab()
+    assert len(packaged) < text.VOCABULARY
     own = UniforceTokenizerProcessorStep(tokenizer_name=str(tmp_path), max_length=16)
     assert own.get_config()["tokenizer_name"] == SAVED
     again = UniforceTokenizerProcessorStep(**own.get_config())

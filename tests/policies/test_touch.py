@@ -277,7 +277,7 @@ def test_controls_are_the_same_cached_or_live(make_policy, make_batch, kind):
     for a, b in zip(live, stored, strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
     images, masks = policy._preprocess_images(cached)
-    tokens = [tokens for tokens, _ in policy.model.prefix_extra(images[2:], masks[2:])]
+    tokens = [tokens for tokens, _ in policy.model.embed_extra(images[2:], masks[2:], 0)[0]]
     assert [t.shape[1] for t in tokens] == [1, 16, 16]
 
 

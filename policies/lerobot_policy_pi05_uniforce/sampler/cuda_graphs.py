@@ -12,9 +12,8 @@ through the flow, is never captured.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
@@ -27,12 +26,13 @@ from uniforce_vtla.errors import ContractError, expected
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler, StepTable
 
+Recordable = Callable[..., tuple[Tensor, ...]]
 BUCKETS = (48, 96, 200)  # text tokens: a short prompt, one with many state digits, π0.5's most
 KEPT = 6  # pairs of graphs: buckets times a camera that comes and goes; each holds its own buffers
 
 
 class Replayed:
-    """A function of tensors on fixed buffers, recorded into a CUDA graph or (``capture=False``) called again.
+    """A function of tensors on fixed buffers, recorded into a CUDA graph or (without ``capture``) called again.
 
     Args:
         function: tensors in, a tuple of tensors out; no shape or branch may depend on values.
@@ -40,9 +40,7 @@ class Replayed:
         capture: record a graph (CUDA).
     """
 
-    def __init__(
-        self, function: Callable[..., tuple[Tensor, ...]], inputs: Sequence[Tensor], capture: bool
-    ) -> None:
+    def __init__(self, function: Recordable, inputs: list[Tensor], capture: bool) -> None:
         self._function = function
         self._inputs = [value.clone() for value in inputs]
         self._graph: torch.cuda.CUDAGraph | None = None
@@ -71,8 +69,7 @@ class Replayed:
         return self.outputs
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """The two graphs of one set of shapes; the flow's reads the buffers that the prefill's writes."""
 
     prefill: Replayed
@@ -80,16 +77,10 @@ class Pair:
 
 
 class GraphedSampler:
-    """Samples like the ``FastSampler`` it is given, by replay.
-
-    Args:
-        sampler: whose functions are recorded.
-        capture: False runs them uncaptured (tests, CPU).
-    """
+    """Samples like the ``FastSampler`` it is given, by replay; without ``capture`` (tests, CPU) by calling again."""
 
     def __init__(self, sampler: FastSampler, capture: bool = True) -> None:
-        self._sampler = sampler
-        self._capture = capture
+        self._sampler, self._capture = sampler, capture
         self._pairs: dict[tuple, Pair] = {}
         self._latest: Pair | None = None
         self._version = -1
@@ -134,7 +125,9 @@ class GraphedSampler:
             return (made.pads, *gate, *made.cache)
 
         recorded = Replayed(prefill, observed, self._capture)
-        whole = _prefill(recorded.outputs, gated_at)
+        pads, *rest = recorded.outputs
+        gated = GatedColumns(gated_at[0], *rest[:2]) if gated_at else None
+        whole = Prefill(rest[2 * len(gated_at) :], pads, gated)
 
         def flow(noise: Tensor, *touch: Tensor) -> tuple[Tensor, ...]:
             run = SuffixTouch(*touch) if touch else None
@@ -150,17 +143,7 @@ def bucketed(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
     return F.pad(tokens, (0, room)), F.pad(masks.bool(), (0, room))
 
 
-def _prefill(outputs: tuple[Tensor, ...], gated_at: list[int]) -> Prefill:
-    pads, *rest = outputs
-    if not gated_at:
-        return Prefill(rest, pads, None)
-    bias, real, *cache = rest
-    return Prefill(cache, pads, GatedColumns(gated_at[0], bias, real))
-
-
-def _record(
-    function: Callable[..., tuple[Tensor, ...]], inputs: list[Tensor]
-) -> tuple[torch.cuda.CUDAGraph, tuple[Tensor, ...]]:
+def _record(function: Recordable, inputs: list[Tensor]) -> tuple[torch.cuda.CUDAGraph, tuple[Tensor, ...]]:
     """Run twice aside, as torch asks for, then record; return the graph and the buffers it writes."""
     aside = torch.cuda.Stream()
     aside.wait_stream(torch.cuda.current_stream())

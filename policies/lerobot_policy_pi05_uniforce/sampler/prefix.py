@@ -162,8 +162,9 @@ class PrefixEncoder:
         pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, masks, strict=True)]
         parts.append(model.embed_language_tokens(inputs.tokens))
         pads.append(inputs.masks.bool())
-        gated = self._network.gated_columns(*inputs.extra, before=sum(part.shape[1] for part in parts))
-        for part, mask in self._network.prefix_extra(*inputs.extra):
+        before = sum(part.shape[1] for part in parts)
+        extra, gated = self._network.embed_extra(*inputs.extra, before)
+        for part, mask in extra:
             parts.append(part.to(parts[0].dtype))
             pads.append(mask[:, None].expand(-1, part.shape[1]))
         return torch.cat(parts, dim=1), torch.cat(pads, dim=1), gated

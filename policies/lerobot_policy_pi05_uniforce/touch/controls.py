@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lerobot_policy_pi05_uniforce.touch.encode import TouchInput
+from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, taken
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
 from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
@@ -36,25 +37,18 @@ class ControlInput(TouchInput):
     def __init__(self, config: PI05UniforceConfig) -> None:
         super().__init__(config, None, SHAPES[config.touch.input])
 
-    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor | None:
-        """Return (B, rows, numbers) of a slot; None where its sensor is lost."""
+    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
+        """Return (B, rows, numbers) of a slot; RolloutError where its sensor is lost."""
         if self.config.touch.input == "wrench":
-            value = self.take(batch, wrench_key(slot))
+            value = taken(batch, wrench_key(slot))
         else:
-            value = self._from_images(batch, slot)
-        if value is None:
-            return None
+            key, compute = FROM_IMAGES[self.config.touch.input]
+            value = batch[key(slot)] if key(slot) in batch else self._computed(compute, batch, slot)
         scale = 255 if value.dtype == torch.uint8 else 1
         return (value.to(device, torch.float32) / scale).reshape(len(value), *self.shape)
 
-    def _from_images(self, batch: dict[str, Tensor], slot: str) -> Tensor | None:
-        key, compute = FROM_IMAGES[self.config.touch.input]
-        if key(slot) in batch:
-            return batch[key(slot)]
-        pair = self.pair(batch, slot)
-        if pair is None:
-            return None
-        finger = self.config.finger_by_slot()[slot]
+    def _computed(self, compute: Callable, batch: dict[str, Tensor], slot: str) -> Tensor:
+        finger, pair = self.config.finger_by_slot()[slot], self.pair(batch, slot)
         reference, current = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in pair)
         rows = [compute(b, c[None], finger) for b, c in zip(reference, current, strict=True)]
         return torch.from_numpy(np.concatenate(rows))

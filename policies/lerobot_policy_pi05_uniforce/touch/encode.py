@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -138,48 +138,26 @@ class TouchInput:
         Raises:
             RolloutError: a declared input is missing or not finite, and ``on_sensor_loss`` is "error".
         """
-        size = _batch_size(batch)
-        touches, masks = [], []
-        for slot in self.config.slots:
-            touch, lost = self.read(batch, slot, device), torch.zeros(size, *self.shape, device=device)
-            masks.append(
-                lost.new_zeros(size, dtype=torch.bool) if touch is None else self._present(slot, touch)
-            )
-            touches.append(lost if touch is None else touch.nan_to_num())
+        touches = [self._read(batch, slot, device) for slot in self.config.slots]
+        masks = [touch.isfinite().flatten(1).all(dim=1) for touch in touches]  # (B,) each
         if self.masked:
             masks = [torch.zeros_like(mask) for mask in masks]
-        return touches, self._dropout(masks) if training else masks
+        if training:
+            share = self.config.augment.touch_dropout
+            masks = [mask & (torch.rand_like(mask, dtype=torch.float32) >= share) for mask in masks]
+        return [touch.nan_to_num() for touch in touches], masks
 
-    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor | None:
-        """Return a slot's (B, K, latent) latents, cached or encoded now; None where its sensor is lost."""
-        if latent_key(slot) in batch:
-            latent = batch[latent_key(slot)].to(device, torch.float32)
-            return latent.reshape(len(latent), *self.shape)
-        pair = self.pair(batch, slot)
-        if pair is None or self.encoder is None:
-            return None
-        reference, current = (image.to(device) for image in pair)
-        return self.encoder(slot, self.config.finger_by_slot()[slot], reference, current)
-
-    def pair(self, batch: dict[str, Tensor], slot: str) -> tuple[Tensor, Tensor] | None:
-        """Return a slot's reference and current marker images, (B, H, W), or None where one is lost."""
-        finger = self.config.finger_by_slot()[slot]
-        reference = self.take(batch, tactile_key(finger, reference=True))
-        current = self.take(batch, tactile_key(finger))
-        return None if reference is None or current is None else (_grey(reference), _grey(current))
-
-    def take(self, batch: dict[str, Tensor], key: str) -> Tensor | None:
-        """Return an entry of the batch; None, or an error, where it is lost."""
-        if key in batch:
-            return batch[key]
-        self._lost(expected(key, "a tensor in the observation", "none", "Check the sensor of that finger."))
-        return None
-
-    def _present(self, slot: str, touch: Tensor) -> Tensor:
-        finite = torch.isfinite(touch).flatten(1).all(dim=1)  # (B,)
-        if not bool(finite.all()):
+    def _read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
+        """Return a slot's input, NaN where its sensor is lost."""
+        try:
+            touch = self.read(batch, slot, device)
+        except RolloutError as error:
+            self._lost(str(error))
+            size = len(next(v for k, v in batch.items() if k.startswith("observation.")))
+            return torch.full((size, *self.shape), torch.nan, device=device)
+        if not bool(touch.isfinite().all()):
             self._lost(expected(slot, "finite numbers", "NaN or inf", "Check the sensor or the dataset."))
-        return finite
+        return touch
 
     def _lost(self, message: str) -> None:
         if self.config.touch.on_sensor_loss == "error":
@@ -188,15 +166,28 @@ class TouchInput:
             self._logged.add(message)
             logger.warning("on_sensor_loss=mask: going on without touch. %s", message)
 
-    def _dropout(self, masks: list[Tensor]) -> list[Tensor]:
-        share = self.config.augment.touch_dropout
-        return [mask & (torch.rand_like(mask, dtype=torch.float32) >= share) for mask in masks]
+    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
+        """Return a slot's (B, K, latent) latents, cached or encoded now; RolloutError where its sensor is lost."""
+        if latent_key(slot) in batch:
+            latent = batch[latent_key(slot)].to(device, torch.float32)
+            return latent.reshape(len(latent), *self.shape)
+        reference, current = (image.to(device) for image in self.pair(batch, slot))
+        return self.encoder(slot, self.config.finger_by_slot()[slot], reference, current)
+
+    def pair(self, batch: dict[str, Tensor], slot: str) -> list[Tensor]:
+        """Return a slot's reference and current marker images, (B, H, W)."""
+        keys = [tactile_key(self.config.finger_by_slot()[slot], reference) for reference in (True, False)]
+        return [_grey(taken(batch, key)) for key in keys]
+
+
+def taken(batch: dict[str, Tensor], key: str) -> Tensor:
+    """Return an entry of the batch; RolloutError where it is lost."""
+    if key not in batch:
+        do = "Check the sensor of that finger."
+        raise RolloutError(expected(key, "a tensor in the observation", "none", do))
+    return batch[key]
 
 
 def _grey(images: Tensor) -> Tensor:
     """Return (B, H, W) from (B, H, W) or (B, 3, H, W), RGB copies of one binary channel."""
     return images[:, 0] if images.ndim == 4 else images
-
-
-def _batch_size(batch: dict[str, Tensor]) -> int:
-    return len(next(v for k, v in batch.items() if k.startswith("observation.") and isinstance(v, Tensor)))
