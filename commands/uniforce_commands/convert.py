@@ -29,6 +29,7 @@ from lerobot_policy_pi05_uniforce.conversion import FRESH, own_names
 from lerobot_policy_pi05_uniforce.migration import grouped
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION
 
 KNOWN_TYPES = ("pi05", "pi05_uniforce")
@@ -73,7 +74,7 @@ def convert(config: ConvertConfig) -> Path:
     from uniforce_datasets.training_view import TrainingView
 
     revision = config.revision or None
-    source = grouped(weights.read_config(weights.find(config.source, weights.CONFIG, revision)))
+    source = grouped(read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError))
     slots = _slots(config.touch_slots)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
     settings = _settings(source, config, slots)

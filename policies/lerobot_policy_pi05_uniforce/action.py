@@ -9,7 +9,6 @@ command, because commanded − measured predicts the press.  Hence the base is a
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -73,26 +72,12 @@ def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
     return base[:, None] + units.to_si(deltas)
 
 
-class TargetRange(nn.Module):
-    """Keeps absolute targets within the demos' lowest and highest: changes could add up to places no demo has shown.
-
-    Raises:
-        ContractError: bounds that aren't two of so many axes, the first nowhere above the second.
-    """
-
-    def __init__(self, axes: int, bounds: Sequence[Sequence[float]] = ()) -> None:
-        super().__init__()
-        fit = [len(bound) for bound in bounds] == [axes, axes]
-        if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
-            do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
-            raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
-        low, high = bounds or ((-math.inf,), (math.inf,))
-        self.register_buffer("low", torch.tensor(list(low)), persistent=False)
-        self.register_buffer("high", torch.tensor(list(high)), persistent=False)
-
-    def kept(self, targets: Tensor) -> Tensor:
-        """Return (…, A) targets, each axis no further than the range goes; NaN stays NaN."""
-        return targets.clamp(self.low.to(targets), self.high.to(targets))
+def check_range(bounds: Sequence[Sequence[float]], axes: int) -> None:
+    """Raise ContractError unless ``bounds`` are a lowest and a highest target of so many axes, or []."""
+    fit = [len(bound) for bound in bounds] == [axes, axes]
+    if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
+        do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
+        raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
 
 
 def previous_move(commands: Tensor) -> Tensor:

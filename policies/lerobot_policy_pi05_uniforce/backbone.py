@@ -10,7 +10,7 @@ from lerobot.policies.pi_gemma import _gated_residual, layernorm_forward
 from torch import Tensor, nn
 from transformers.models.gemma.modeling_gemma import apply_rotary_pos_emb
 
-from lerobot_policy_pi05_uniforce.text import VOCABULARY
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import VOCABULARY
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns
 
 if TYPE_CHECKING:

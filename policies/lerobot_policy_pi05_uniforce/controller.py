@@ -24,7 +24,8 @@ from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import TACTILE_NAMES, tactile_name, wrench_key
 
 CONTROL_HZ = 30.0  # where an environment doesn't say its own rate
@@ -38,7 +39,8 @@ def shipped_checkpoint() -> Path:
 
 def stored_config(checkpoint: Path) -> PI05UniforceConfig:
     """Return the checked settings of a checkpoint folder, to be run on the CPU; raises as ``stored_policy``."""
-    stored.check_settings(weights.read_config(weights.find(checkpoint, weights.CONFIG)), str(checkpoint))
+    file = weights.find(checkpoint, weights.CONFIG)
+    stored.check_settings(read_object(file, CheckpointError), str(checkpoint))
     stored.check_processors(checkpoint)
     with stored.misfits_named(str(checkpoint)):
         config = PreTrainedConfig.from_pretrained(checkpoint)

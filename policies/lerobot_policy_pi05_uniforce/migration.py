@@ -9,14 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
-from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce.recipes import SCORED
 from uniforce_vtla.errors import CheckpointError, UniForceError
 from uniforce_vtla.json_file import read_object
 
 OWN = ("size", "swap", "left_sensor", "right_sensor", "text_tokenizer_name", "trained_on")
-CONFIG, WEIGHTS, TOKENIZER = "config.json", "model.safetensors", "model.tactile_encoder."
 NAMES = {  # group → old name: new one; a name alone stays
     "touch": "touch_slots:slots touch_input:input token_site:site start_at_base touch_directions:directions "
     "on_sensor_loss next_force_weight trained_sensors tokenizer_path",
@@ -56,37 +54,25 @@ def grouped(saved: dict[str, Any]) -> dict[str, Any]:
 
 
 def migrate(folder: Path) -> bool:
-    """Rewrite a checkpoint folder in place; return whether anything was to do.
-
-    A tactile tokenizer that comes with the package leaves the weights: its hash is in the settings.
+    """Rewrite a checkpoint's ``config.json`` in place; return whether anything was to do.
 
     Raises:
         CheckpointError: no checkpoint.
     """
-    from lerobot_policy_pi05_uniforce.touch.encode import packaged_hashes
-
-    saved = read_object(folder / CONFIG, CheckpointError)
-    if not is_flat(saved):
-        return False
-    new = grouped(saved)
-    if (new["touch"]["tokenizer"] or {}).get("hash") in packaged_hashes():
-        tensors = load_file(folder / WEIGHTS)
-        kept = {name: value for name, value in tensors.items() if not name.startswith(TOKENIZER)}
-        save_file(kept, folder / WEIGHTS, metadata={"format": "pt"})
-        (folder / WEIGHTS).chmod(0o644)
-    (folder / CONFIG).write_text(json.dumps(new, indent=4))
-    return True
+    saved = read_object(folder / "config.json", CheckpointError)
+    (folder / "config.json").write_text(json.dumps(grouped(saved), indent=4))
+    return is_flat(saved)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Migrate the folders named on the command line."""
-    try:
-        for folder in sys.argv[1:] if argv is None else argv:
+    for folder in sys.argv[1:] if argv is None else argv:
+        try:
             done = migrate(Path(folder))
-            sys.stdout.write(f"{folder}: {'rewritten' if done else 'of today already'}\n")
-    except UniForceError as error:
-        sys.stderr.write(f"migration: {error}\n")
-        return 2
+        except UniForceError as error:
+            sys.stderr.write(f"migration: {error}\n")
+            return 2
+        sys.stdout.write(f"{folder}: {'rewritten' if done else 'of today already'}\n")
     return 0
 
 

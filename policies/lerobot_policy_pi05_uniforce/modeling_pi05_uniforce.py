@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -20,6 +21,7 @@ from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
 from lerobot_policy_pi05_uniforce.touch.encode import ENCODER, TouchInput, check_hash, is_packaged
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, STATE
 
 logger = logging.getLogger(__name__)
@@ -63,7 +65,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self.issued = action.IssuedTarget(config.action.previous_steps)
         self.register_buffer("delta_scale", torch.tensor(units[0]), persistent=False)
         self.network_units = action.NetworkUnits(*units)
-        self.target_range = action.TargetRange(len(units[0]), config.action.target_range)
+        action.check_range(config.action.target_range, len(units[0]))
+        bounds = config.action.target_range or [[-math.inf], [math.inf]]
+        self.register_buffer("target_range", torch.tensor(bounds), persistent=False)
         if not empty:
             self.to(config.device)
         self.reset()
@@ -112,7 +116,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """
         source, at = pretrained_name_or_path, (revision, local_files_only)
         where = weights.find(source, weights.CONFIG, *at)
-        saved = weights.read_config(where)
+        saved = read_object(where, CheckpointError)
         checkpoint.check_settings(saved, str(where))
         with suppress(
             CheckpointError
@@ -289,7 +293,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if self.config.action.form == "absolute":
             return chunk
         targets = action.to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
-        return self.target_range.kept(targets)
+        return targets.clamp(
+            *self.target_range.to(targets)
+        )  # changes could add up to places no demo has shown
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""

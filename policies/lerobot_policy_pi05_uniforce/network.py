@@ -68,18 +68,22 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self._touch: SuffixTouch | None = None  # of the call in progress, at touch.site=suffix
         latents = bool(config.slots) and config.touch.input == "latent"
         self.tactile_encoder = build_encoder(config, empty) if latents else None
-        self.force_tokens = self._make_force_tokens(config, empty)
+        vlm_width = self.paligemma_with_expert.paligemma.config.text_config.hidden_size
+        width = vlm_width if config.touch.site == "prefix" else self.action_in_proj.out_features
+        self.force_tokens = self._make_force_tokens(config, width, empty)
         gated = config.touch.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
-        self.state_token = StateToken(config, self.vlm_width) if config.state_token else None
+        self.state_token = StateToken(config, vlm_width) if config.state_token else None
         self.next_force = self._make_next_force(config)
         freeze_unread(self)
         if config.size == "tiny":
             use_onednn(self)
         self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
         self.fast = None if config.sampler.kind == "stock" else FastSampler(self)
-        if config.compile_model:
-            self._compile(config)
+        if config.compile_model:  # as LeRobot's own constructor
+            torch.set_float32_matmul_precision("high")
+            for name in ("sample_actions", "forward"):
+                setattr(self, name, torch.compile(getattr(self, name), mode=config.compile_mode))
 
     def _build_stock(self, config: PI05UniforceConfig) -> None:
         """Build π0.5's modules, without the language heads: 0.79 B weights that nothing reads or trains."""
@@ -92,19 +96,14 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.paligemma_with_expert.paligemma.lm_head = nn.Identity()
         self.paligemma_with_expert.gemma_expert.lm_head = nn.Identity()
 
-    def _compile(self, config: PI05UniforceConfig) -> None:
-        torch.set_float32_matmul_precision("high")
-        self.sample_actions = torch.compile(self.sample_actions, mode=config.compile_mode)  # type: ignore[method-assign]
-        self.forward = torch.compile(self.forward, mode=config.compile_mode)  # type: ignore[method-assign]
-
-    def _make_force_tokens(self, config: PI05UniforceConfig, empty: bool) -> nn.Module | None:
+    def _make_force_tokens(self, config: PI05UniforceConfig, width: int, empty: bool) -> nn.Module | None:
         if not config.slots:
             return None
         if config.touch.input != "latent":
             from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
 
-            return control_tokens(config, self.touch_width)
-        tokens = ForceTokens(config, (config.tokens_per_slot, config.latent_size), self.touch_width)
+            return control_tokens(config, width)
+        tokens = ForceTokens(config, (config.tokens_per_slot, config.latent_size), width)
         if config.touch.directions and not empty:  # a checkpoint brings its own
             from lerobot_policy_pi05_uniforce.touch.transfer import take_directions
 
@@ -119,16 +118,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.paligemma_with_expert.keep_suffix = True
         size = config.tokens_per_slot * config.latent_size
         return NextForce(self.action_in_proj.out_features, config.slots, size)
-
-    @property
-    def vlm_width(self) -> int:
-        """D, the width of prefix tokens."""
-        return self.paligemma_with_expert.paligemma.config.text_config.hidden_size
-
-    @property
-    def touch_width(self) -> int:
-        """Width of a force token: the VLM's in the prefix, the expert's in the suffix."""
-        return self.vlm_width if self.config.touch.site == "prefix" else self.action_in_proj.out_features
 
     def sample_actions(
         self,

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from typing import Any
 
 import torch
 
 from uniforce_vtla.errors import ContractError, expected
-
-logger = logging.getLogger(__name__)
 
 GRID = 4  # latents are pooled to 4×4: 16 tokens per slot
 TWO_SLOT_DROPOUT = 0.3  # a policy of two fingers must also do with one
@@ -91,7 +88,6 @@ def resolve_size(size: str, device: str | None) -> str:
     if size == "auto":
         cuda = torch.cuda.is_available() and (device is None or device.startswith("cuda"))
         size = "base" if cuda else "tiny"
-        logger.info("size=auto became size=%s (device %s)", size, device)
     if size not in SIZES:
         raise ContractError(expected("size", "tiny | base | auto", repr(size), "Fix policy.size."))
     return size

@@ -23,12 +23,8 @@ if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 Named = tuple[str, nn.Parameter]
-NEW_MODULES = (
-    "force_tokens",
-    "state_token",
-    "touch_gate",
-    "next_force",
-)  # random even on a pretrained backbone
+# random even on a pretrained backbone
+NEW_MODULES = ("force_tokens", "state_token", "touch_gate", "next_force")
 NEW_MODULE_RATE = {"tiny": 1.0, "base": 4.0}  # of optimizer_lr: tiny's backbone is as new
 GATE_LR = 1e-3  # of the gate alone: it goes from 1e-6 to the order of 1
 EXPERT = r".*\.gemma_expert\.model\.layers\.\d+\.(self_attn\.(q|k|v|o)_proj|mlp\.(gate|up|down)_proj)"
@@ -82,7 +78,9 @@ def read_touch_scale(
     stats: dict[str, dict[str, Any]], config: PI05UniforceConfig, shape: tuple[int, int]
 ) -> tuple[Tensor, Tensor] | None:
     """Return the touch input's mean (rows, size) and spread (size,), alike for all slots; None where there is none."""
-    key = SCALED.get(config.touch.input, str)
+    if config.touch.input not in SCALED:
+        return None
+    key = SCALED[config.touch.input]
     rows = [stats[key(slot)] for slot in config.slots if key(slot) in stats]
     if not rows:
         return None

@@ -14,7 +14,6 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from uniforce_vtla.errors import CheckpointError, expected
-from uniforce_vtla.json_file import read_object
 
 ALIGNED_BELOW = 2**20  # bytes: all of tiny's matrices, hardly anything of base
 WEIGHTS = "model.safetensors"
@@ -30,25 +29,14 @@ def find(source: str | Path, name: str, revision: str | None = None, local_files
     if Path(source).is_dir() or Path(source).is_absolute():
         path = Path(source) / name
         if not path.is_file():
-            raise CheckpointError(
-                expected(str(path), "a file", "none", "Point at a pretrained_model folder.")
-            )
+            do = "Point at a pretrained_model folder."
+            raise CheckpointError(expected(str(path), "a file", "none", do))
         return path
     try:
         return Path(hf_hub_download(str(source), name, revision=revision, local_files_only=local_files_only))
     except (HfHubHTTPError, OSError) as error:
-        raise CheckpointError(
-            expected(f"{source}/{name}", "a folder or hub repository", error, "Check path and network.")
-        ) from error
-
-
-def read_config(path: Path) -> dict[str, Any]:
-    """Return the saved settings.
-
-    Raises:
-        CheckpointError: the file is no JSON object.
-    """
-    return read_object(path, CheckpointError)
+        do, wanted = "Check path and network.", "a folder or hub repository"
+        raise CheckpointError(expected(f"{source}/{name}", wanted, error, do)) from error
 
 
 def fill(
@@ -99,9 +87,8 @@ def _opened(path: Path) -> Iterator[Any]:
         with safe_open(path, framework="pt") as stored:
             yield stored
     except (SafetensorError, OSError, ValueError) as error:
-        raise CheckpointError(
-            expected(str(path), "a whole safetensors file", error, "It is cut or damaged; copy it again.")
-        ) from error
+        do = "It is cut or damaged; copy it again."
+        raise CheckpointError(expected(str(path), "a whole safetensors file", error, do)) from error
 
 
 def no_weights() -> AbstractContextManager:

@@ -14,8 +14,8 @@ from lerobot_policy_pi05_uniforce.action import (
     CheckActionStep,
     IssuedTarget,
     NetworkUnits,
-    TargetRange,
     check_leap,
+    check_range,
     previous_move,
     to_deltas,
     to_targets,
@@ -104,7 +104,7 @@ def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats
 @pytest.mark.parametrize("bounds", [[[0.0] * 5], [[0.0] * 4, [1.0] * 4], [[0.0] * 5, [1.0] * 4 + [-1.0]]])
 def test_a_range_that_is_none_is_refused(bounds):
     with pytest.raises(ContractError, match="target_range"):
-        TargetRange(5, bounds)
+        check_range(bounds, 5)
 
 
 def test_postprocessor_leaves_targets_in_si_units(make_policy, make_batch, stats):

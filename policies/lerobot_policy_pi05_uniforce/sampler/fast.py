@@ -100,17 +100,9 @@ def _modulation(norm: nn.Module, cond: Tensor, dtype: torch.dtype) -> list[Modul
 
 
 class FastSampler:
-    """Samples for one ``network.PI05UniforcePytorch``; weights that changed since the last call are prepared again.
-
-    Raises:
-        ContractError: an expert with several key/value heads.
-    """
+    """Samples for one ``network.PI05UniforcePytorch``; weights that changed since the last call are prepared again."""
 
     def __init__(self, network: stock.PI05Pytorch) -> None:
-        groups = network.paligemma_with_expert.gemma_expert.config.num_key_value_heads
-        if groups != 1:
-            do = "Use sampler.kind=stock."
-            raise ContractError(expected("key/value heads of the expert", 1, groups, do))
         self.network = network
         self.latest: Prefix | None = None  # of the last sample, for ``refresh``
         self.prepared = Prepared(network)
@@ -195,8 +187,9 @@ class FastSampler:
         rows = qkv.unflatten(-1, (-1, layer.self_attn.head_dim))
         rows = rows.transpose(1, 2)  # (B, heads + 2, L_suffix, head)
         turned, cache = rotated(rows, prefix.rotary), prefix.prefill.cache[depth]
+        length = prefix.prefill.pads.shape[1]
         if torch.is_grad_enabled():  # RTC's guidance differentiates through here: nothing may be overwritten
-            cache = torch.cat([cache[:, :, : prefix.length], turned[:, -2:]], dim=2)
+            cache = torch.cat([cache[:, :, :length], turned[:, -2:]], dim=2)
         else:
-            cache[:, :, prefix.length :] = turned[:, -2:]
+            cache[:, :, length:] = turned[:, -2:]
         return attend(turned[:, :-2], cache, prefix.mask)

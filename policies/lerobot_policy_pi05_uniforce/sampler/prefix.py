@@ -72,11 +72,6 @@ class Prefix:
     mask: Tensor | None
     rotary: ops.Rotary
 
-    @property
-    def length(self) -> int:
-        """L_prefix, tokens kept."""
-        return self.prefill.pads.shape[1]
-
 
 class PrefixEncoder:
     """Makes and refreshes prefixes for one network."""
