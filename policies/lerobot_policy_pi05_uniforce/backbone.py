@@ -29,9 +29,8 @@ class GatedBackbone(stock.PaliGemmaWithExpertModel):
     """
 
     gated: GatedColumns | None = None
-    keep_suffix = (
-        False  # True: the expert's outputs of the latest call stay in ``suffix``, for an auxiliary loss
-    )
+    # True: for an auxiliary loss the expert's outputs of the latest call stay in ``suffix``
+    keep_suffix = False
     suffix: Tensor | None = None
 
     def forward(
@@ -122,7 +121,7 @@ def joint_layer(
         mask: (B, 1, L, L) additive, L = L0 + L1.
         rotary: (cos, sin), each (B, L, head_dim).
         cond: per stream, the time condition of its adaptive norms (B, D), or None.
-        last: return the suffix only; after the last layer nobody reads the prefix.
+        last: return the suffix only.
     """
     rows = zip(layers, streams, cond, strict=True)
     normed = [layernorm_forward(layer.input_layernorm, x, c) for layer, x, c in rows]

@@ -15,9 +15,8 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 from uniforce_vtla.tokenizer.agreed_directions import MOST
 
-_BY_RECIPE: Any = (
-    None  # take the recipe's value, else the size's (recipes.py); never left after __post_init__
-)
+# take the recipe's value, else the size's (recipes.py); never left after __post_init__
+_BY_RECIPE: Any = None
 
 CHOICES = {
     "size": ("tiny", "base"),
@@ -45,9 +44,8 @@ class TouchSettings:
     start_at_base: bool = _BY_RECIPE
     # read latents along so many directions on which all sensors agree (agreed_directions.py); 0 = the whole map
     directions: int = _BY_RECIPE
-    on_sensor_loss: str = (
-        "error"  # "error": hold and stop; "mask": go on without that slot, logged; simulation only
-    )
+    # "error": hold and stop; "mask": go on without that slot, logged; simulation only
+    on_sensor_loss: str = "error"
     # weight of an auxiliary loss: the latents when the next chunk begins (touch/next_force.py); views only
     next_force_weight: float = 0.0
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-TOUCH = (
-    "model.force_tokens.",
-    "model.touch_gate.",
-    "model.next_force.",
-    "model.tactile_encoder.",
-)  # start fresh whatever the source had
+# start fresh whatever the source had
+TOUCH = tuple(f"model.{name}." for name in ("force_tokens", "touch_gate", "next_force", "tactile_encoder"))
 FRESH = (*TOUCH, "model.state_token.")  # nobody else's checkpoint has them
 BACKBONE = "model.paligemma_with_expert."
 EMBEDDING = f"{BACKBONE}paligemma.model.language_model.embed_tokens.weight"

@@ -28,10 +28,8 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "touch.start_at_base": (False, True),  # from scratch there is no base
     "action.form": ("target_delta", "absolute"),
     "action.objective": ("regression", "flow"),
-    "augment.camera_variation": (
-        1.0,
-        0.0,
-    ),  # else lights are learnt by heart: docs/experiments/tiny_policy.md
+    # tiny: else lights are learnt by heart, docs/experiments/tiny_policy.md
+    "augment.camera_variation": (1.0, 0.0),
     "augment.touch_noise": (0.2, 0.0),
     "sampler.noise_scale": (0.0, 1.0),
 }
@@ -47,36 +45,20 @@ PLAIN: dict[str, Any] = {
 SCORED: dict[str, Any] = {
     "n_action_steps": 4,
     "action.previous_steps": 4,
-    "action.previous_axes": [
-        0,
-        1,
-        2,
-    ],  # a policy that reads that its fingers stand still leaves them so, and stalls
-    "action.delta_knee": [
-        0.0,
-        0.0,
-        0.003,
-        0.0,
-        0.0003,
-    ],  # .4 mm of height and .03 mm of width, a newton, weigh
+    # a policy that reads that its fingers stand still leaves them so, and stalls
+    "action.previous_axes": [0, 1, 2],
+    # so that .4 mm of height and .03 mm of width, a newton's worth, weigh
+    "action.delta_knee": [0.0, 0.0, 0.003, 0.0, 0.0003],
 }
-SCORED_TOUCH: dict[str, Any] = {
-    "augment.state_noise": [
-        0.0,
-        0.0,
-        0.2,
-        0.0,
-        0.1,
-    ],  # 6 mm of height, 1.4 mm of width: no press read off the pose
-}
+# 6 mm of height, 1.4 mm of width: no press is read off the pose
+SCORED_TOUCH: dict[str, Any] = {"augment.state_noise": [0.0, 0.0, 0.2, 0.0, 0.1]}
 SCORED_LATENT: dict[str, Any] = {
     "touch.directions": 4,  # grip and pull, nothing sideways, in which fingers of one grasp may disagree by newtons
     "augment.touch_noise": 1.0,  # as far apart as fingers of one grasp
     "augment.sensor_transfer": 0.2,
 }
-SCORED_ONE_SLOT: dict[str, Any] = {
-    "augment.touch_dropout": 0.1,  # so that the masked control shows nothing the policy never met
-}
+# so that the masked control shows nothing the policy never met
+SCORED_ONE_SLOT: dict[str, Any] = {"augment.touch_dropout": 0.1}
 
 
 def resolve_size(size: str, device: str | None) -> str:

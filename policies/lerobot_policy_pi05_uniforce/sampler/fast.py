@@ -33,23 +33,18 @@ class StepTable:
 
 
 class Prepared:
-    """What is prepared once per weights; made anew when a weight changed since the last call.
-
-    Attributes:
-        eps: the norms' epsilon, one for all of π0.5, as a tensor.
-        gains: of the VLM's norms, (before attention, before MLP) per layer.
-        qkv: query, key and value weights of the expert's layers side by side, ((heads + 2)·head, D) each.
-        version: counts preparations.
-    """
+    """What is prepared once per weights; made anew when a weight changed since the last call."""
 
     def __init__(self, network: stock.PI05Pytorch) -> None:
         self._network = network
         self._prepared_for: Any = None
         self._tables: dict[int, list[StepTable]] = {}
-        self.version = 0
-        self.eps = torch.empty(0)
-        self.gains: list[tuple[Tensor, Tensor]] = []
-        self.qkv: list[Tensor] = []
+        self.version = 0  # counts preparations
+        self.eps = torch.empty(0)  # of the norms, one for all of π0.5
+        self.gains: list[
+            tuple[Tensor, Tensor]
+        ] = []  # of the VLM's norms, before attention and MLP, per layer
+        self.qkv: list[Tensor] = []  # of the expert's layers, side by side, ((heads + 2)·head, D) each
 
     def tables(self, num_steps: int) -> list[StepTable]:
         """Return the step tables of these weights, for a flow of so many steps."""
