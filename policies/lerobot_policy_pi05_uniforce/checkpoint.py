@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from draccus.utils import DraccusException
 from safetensors import SafetensorError
 
-from lerobot_policy_pi05_uniforce.migration import is_flat
 from uniforce_vtla.contracts import Finger, check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.json_file import read_object
@@ -44,7 +43,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
     if saved.get("type") != TYPE:
         came = repr(saved.get("type"))[:80]
         raise CheckpointError(expected(f"policy type of {where}", TYPE, came, "Choose another folder."))
-    if is_flat(saved):
+    if "touch_input" in saved:
         do = "Run python -m lerobot_policy_pi05_uniforce.migration FOLDER."
         raise CheckpointError(expected(where, "settings in groups", "the form of version 0.1.0", do))
     touch, tiny = ({} if not isinstance(saved.get(name), dict) else saved[name] for name in ("touch", "tiny"))

@@ -48,9 +48,9 @@ class ControlInput(TouchInput):
         return (value.to(device, torch.float32) / scale).reshape(len(value), *self.shape)
 
     def _computed(self, compute: Callable, batch: dict[str, Tensor], slot: str) -> Tensor:
-        finger, pair = self.config.finger_by_slot()[slot], self.pair(batch, slot)
-        reference, current = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in pair)
-        rows = [compute(b, c[None], finger) for b, c in zip(reference, current, strict=True)]
+        finger = self.config.finger_by_slot()[slot]
+        pair = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in self.pair(batch, finger))
+        rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
         return torch.from_numpy(np.concatenate(rows))
 
 

@@ -171,13 +171,13 @@ class TouchInput:
         if latent_key(slot) in batch:
             latent = batch[latent_key(slot)].to(device, torch.float32)
             return latent.reshape(len(latent), *self.shape)
-        reference, current = (image.to(device) for image in self.pair(batch, slot))
-        return self.encoder(slot, self.config.finger_by_slot()[slot], reference, current)
+        finger = self.config.finger_by_slot()[slot]
+        reference, current = (image.to(device) for image in self.pair(batch, finger))
+        return self.encoder(slot, finger, reference, current)
 
-    def pair(self, batch: dict[str, Tensor], slot: str) -> list[Tensor]:
-        """Return a slot's reference and current marker images, (B, H, W)."""
-        keys = [tactile_key(self.config.finger_by_slot()[slot], reference) for reference in (True, False)]
-        return [_grey(taken(batch, key)) for key in keys]
+    def pair(self, batch: dict[str, Tensor], finger: Finger) -> list[Tensor]:
+        """Return a finger's reference and current marker images, (B, H, W)."""
+        return [_grey(taken(batch, tactile_key(finger, reference))) for reference in (True, False)]
 
 
 def taken(batch: dict[str, Tensor], key: str) -> Tensor:
