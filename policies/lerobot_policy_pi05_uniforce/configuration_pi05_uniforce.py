@@ -162,7 +162,8 @@ class PI05UniforceConfig(PI05Config):
         if self.action.objective == "regression":
             self.num_inference_steps, self.sampler.noise_scale = 1, 0.0
         if self.action.form == "target_delta":  # the policy itself turns deltas into targets in SI units
-            self.normalization_mapping = {**self.normalization_mapping, "ACTION": NormalizationMode.IDENTITY}
+            mapping = vars(self)["normalization_mapping"]
+            self.normalization_mapping = {**mapping, "ACTION": NormalizationMode.IDENTITY}
         super().__post_init__()
 
     def _owner(self, path: str) -> tuple[Any, str]:

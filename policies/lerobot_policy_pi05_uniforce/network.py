@@ -70,10 +70,10 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.tactile_encoder = build_encoder(config, empty) if latents else None
         vlm_width = self.paligemma_with_expert.paligemma.config.text_config.hidden_size
         width = vlm_width if config.touch.site == "prefix" else self.action_in_proj.out_features
-        self.force_tokens = self._make_force_tokens(config, width, empty)
+        self.force_tokens: Any = self._make_force_tokens(config, width, empty)
         gated = config.touch.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
-        self.state_token = StateToken(config, vlm_width) if config.state_token else None
+        self.state_token: Any = StateToken(config, vlm_width) if config.state_token else None
         self.next_force = self._make_next_force(config)
         freeze_unread(self)
         if config.size == "tiny":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 from contextlib import nullcontext
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -120,10 +120,9 @@ def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
 class TouchInput:
     """Turn a batch into one (B, rows, numbers) tensor (``shape``) and one (B,) mask per slot."""
 
-    def __init__(
-        self, config: PI05UniforceConfig, encoder: TactileEncoder | None, shape: tuple[int, int]
-    ) -> None:
-        self.config, self.encoder, self.shape = config, encoder, shape
+    def __init__(self, config: PI05UniforceConfig, encoder: Any, shape: tuple[int, int]) -> None:
+        self.config, self.shape = config, shape
+        self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
         self.masked = False  # every slot masked: the control that takes touch away from a trained policy
         self._logged: set[str] = set()
 
