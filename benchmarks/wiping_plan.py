@@ -8,7 +8,7 @@ on either rig and is rolled out on one (``tests/envs/test_touch.py``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from uniforce_vtla.contracts import Finger
@@ -32,40 +32,22 @@ class Arm:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a checkpoint of the plan is trained: its touch input, with which fingers, on which rigs' demos.
+    """What a checkpoint of the plan has of touch, from which fingers, and on which rigs' demos it is trained.
 
-    ``rigs`` names the left finger's sensors; ``touch_dropout`` None is the policy's own default. ``state_noise`` blurs
-    the measured height by 6 mm and the width by 1.4 mm while training: boards lie higher or lower, erasers are wider or
-    narrower, arms and grippers give way, so that a policy that trusts the pose strokes in the air, presses or grips too
-    hard (docs/experiments/tiny_policy.md). V keeps both, having nothing else.
-    ``sensor_transfer`` is the share of samples whose latents are mapped to those of another finger's sensor,
-    ``touch_directions`` how many directions of a latent map are kept (0: all of it), ``touch_noise`` how much
-    they are blurred while training, in units of what fingers of a grasp disagree by (None: the policy's own default).
+    ``rigs`` names the left finger's sensors. The rest is the policy's own ``recipe=scored``.
     """
 
     touch_input: str
     slots: tuple[tuple[str, Finger], ...] = (("touch0", "right"),)
     rigs: tuple[str, ...] = ("gelsight", "uskin")
-    touch_dropout: float | None = None
-    state_noise: tuple[float, ...] = (0.0, 0.0, 0.2, 0.0, 0.1)  # of half the demos' range per axis
-    sensor_transfer: float = 0.0
-    touch_directions: int = 0
-    touch_noise: float | None = None
 
 
 _BOTH: tuple[tuple[str, Finger], ...] = (("touch0", "right"), ("touch1", "left"))
-# V+T's touch is masked in a tenth of the samples, so that the masked control is inside its training distribution.
-_HIDDEN = 0.1
-# A fifth mapped to another sensor makes a head read the other finger's grip three times better and costs its own one
-# nothing. Four directions hold grip and pull and nothing sideways, in which the fingers of one grasp may disagree by
-# newtons, and each is blurred by as much as they disagree along it: without the last two steps a policy grips with 12 N
-# where 9 are meant (docs/experiments/tiny_policy.md).
-_LATENT = Recipe("latent", sensor_transfer=0.2, touch_directions=4, touch_noise=1.0)
 RECIPES = {
-    "v": Recipe("none", state_noise=()),
-    "vt": replace(_LATENT, touch_dropout=_HIDDEN),
-    "vtg": replace(_LATENT, slots=_BOTH, rigs=("gelsight",)),
-    "vtu": replace(_LATENT, slots=_BOTH, rigs=("uskin",)),
+    "v": Recipe("none"),
+    "vt": Recipe("latent"),
+    "vtg": Recipe("latent", _BOTH, ("gelsight",)),
+    "vtu": Recipe("latent", _BOTH, ("uskin",)),
     "wrench": Recipe("wrench", _BOTH),
     "descriptor": Recipe("descriptor"),
     "images": Recipe("marker_pair"),

@@ -9,5 +9,5 @@ trap 'rm -rf "$fresh"' EXIT
 cd "$fresh"
 venv/bin/python -c 'import cv2, uniforce_vtla; print("cv2", cv2.__version__); cv2.GaussianBlur(__import__("numpy").zeros((8, 8), "uint8"), (3, 3), 1)'
 HF_HUB_OFFLINE=1 venv/bin/lerobot-train --policy.type=pi05_uniforce --help >help.txt
-grep -q touch_slots help.txt
+grep -q touch.slots help.txt
 echo "wheel: installed, imported, and found by lerobot-train"

@@ -21,7 +21,7 @@ from uniforce_commands.train import train
 from uniforce_commands.view import ViewConfig, make_view
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
-TINY = ["policy.tiny_width=32", "policy.tiny_depth=1", "policy.tiny_mlp_dim=32", "policy.tiny_vision_depth=1"]
+TINY = ["policy.tiny.width=64", "policy.tiny.depth=2", "policy.tiny.mlp_dim=32"]
 
 
 @pytest.fixture(scope="module")

@@ -19,39 +19,27 @@ from lerobot_policy_pi05_uniforce import (
     make_pi05_uniforce_pre_post_processors,
     weights,
 )
-from lerobot_policy_pi05_uniforce.published import FRESH, own_names
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
+    ActionSettings,
+    SamplerSettings,
+    TinySettings,
+    TouchSettings,
+)
+from lerobot_policy_pi05_uniforce.conversion import FRESH, own_names
+from lerobot_policy_pi05_uniforce.migration import grouped
 from uniforce_commands.boundary import command
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION
 from uniforce_vtla.options import Existing, OutFolder, Pattern, Slots, View
 
 KNOWN_TYPES = ("pi05", "pi05_uniforce")
 NOT_TAKEN = (  # what the new policy decides for itself, or what its own data say
-    "type",
-    "device",
-    "dtype",
-    "input_features",
-    "output_features",
-    "normalization_mapping",
-    "pretrained_path",
-    "repo_id",
-    "touch_input",
-    "touch_slots",
-    "token_site",
-    "start_at_base",
-    "next_force_weight",
-    "trained_on",
-    "swap",
-    "left_sensor",
-    "right_sensor",
-    "tokenizer_path",
-    "tokenizer_config",
-    "tokenizer_hash",
-    "num_patches",
-    "trained_sensors",
-    "rtc_config",
+    *("type", "device", "dtype", "input_features", "output_features", "normalization_mapping", "rtc_config"),
+    *("pretrained_path", "repo_id", "trained_on", "swap", "left_sensor", "right_sensor", "touch", "augment"),
 )
+GROUPS = {"action": ActionSettings, "tiny": TinySettings, "sampler": SamplerSettings}
 
 
 Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
@@ -75,7 +63,7 @@ class ConvertConfig:
     touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"
     touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
     token_site: Literal["prefix", "suffix"] = "prefix"  # prefix | suffix (docs/design.md)
-    # training starts with the source's actions, touch behind a gate (touch_gate.py)
+    # training starts with the source's actions, touch behind a gate (touch/tokens.py)
     start_at_base: bool = True
     dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
     revision: Revision = ""  # of a hub repository
@@ -95,7 +83,7 @@ def convert(config: ConvertConfig) -> Path:
         raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
     revision = config.revision or None
     weights.check_files(config.source, "full", revision, local_files_only=False)
-    source = weights.read_config(weights.find(config.source, weights.CONFIG, revision))
+    source = grouped(read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError))
     slots = _slots(config.touch_slots)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
     settings = _settings(source, config, slots)
@@ -125,16 +113,14 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
         )
     known = PI05UniforceConfig.__dataclass_fields__.keys() - set(NOT_TAKEN)
     taken = {name: value for name, value in source.items() if name in known}
+    taken |= {name: group(**taken[name]) for name, group in GROUPS.items() if name in taken}
     taken.setdefault("size", "base")
     dtype = "float32" if taken["size"] == "tiny" else config.dtype
     return PI05UniforceConfig(
         **taken,
         device="cpu",
         dtype=dtype,
-        touch_input=config.touch_input,
-        touch_slots=slots,
-        token_site=config.token_site,
-        start_at_base=config.start_at_base,
+        touch=TouchSettings(slots, config.touch_input, config.token_site, config.start_at_base),
     )
 
 

@@ -20,7 +20,7 @@ from benchmarks.force_misreading import (
     misreading,
     response,
 )
-from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_policy
+from lerobot_policy_pi05_uniforce.controller import stored_config, stored_policy
 from uniforce_commands.boundary import command
 from uniforce_datasets.training_view import TrainingView
 from uniforce_datasets.view_marker import read_marker
@@ -65,14 +65,14 @@ class Reader:
 
     def __init__(self, config: PolicyReadingConfig) -> None:
         settings = stored_config(Path(config.policy))
-        if len(settings.slots) != 1 or settings.touch_input != "latent":
-            came = f"touch_input={settings.touch_input} in {settings.slots}"
+        if len(settings.slots) != 1 or settings.touch.input != "latent":
+            came = f"touch_input={settings.touch.input} in {settings.slots}"
             raise CheckpointError(
                 expected(config.policy, "one slot of latents", came, "Name a V+T checkpoint.")
             )
         self.slot, self.finger = settings.slots[0], settings.finger_by_slot()[settings.slots[0]]
         self._policy, self._before, _ = stored_policy(settings)
-        self._moves = settings.last_move_steps > 0  # then it is told where its command came from
+        self._moves = settings.action.previous_steps > 0  # then it is told where its command came from
         before = settings.action_delta_indices[:2] if self._moves else (0,)
         self._view = {finger: TrainingView(config.view, before, {self.slot: finger}) for finger in FINGERS}
         self._step = config.after - 1

@@ -17,7 +17,7 @@ from typing import Any
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from lerobot_policy_pi05_uniforce.stored_policy import stored_config
+from lerobot_policy_pi05_uniforce.controller import stored_config
 from uniforce_commands.boundary import command
 from uniforce_commands.score_config import SCRIPTS, ScoreConfig, mounted_sensors
 from uniforce_commands.score_worker import Job, score_job, video_path

@@ -36,7 +36,7 @@ def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Cont
         known = " | ".join(repr(name) for name in CONTROLS)
         raise ContractError(expected("control", known, repr(control), "Name one."))
     if control == "masked":
-        controller.policy.touch.muted = True
+        controller.policy.touch.masked = True
     if control == "shuffled":
         return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors))
     return controller

@@ -6,15 +6,17 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
+import numpy as np
 import torch
 from lerobot.utils.io_utils import write_video
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import Script
-from lerobot_policy_pi05_uniforce.controller import PolicyController, ScriptController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_commands.score_config import ScoreConfig, mounted_sensors
 from uniforce_commands.score_controls import controlled
 from uniforce_vtla.errors import ContractError, expected
@@ -24,6 +26,27 @@ from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.results_file import write_json
 
 SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert, "blind": BlindScript}
+
+
+class ScriptController:
+    """Drive an environment with a script that answers one action at a time."""
+
+    def __init__(self, script: Any) -> None:
+        self._script = script
+        self._env: Any = None
+
+    def reset(self, env: Any) -> None:
+        """Start the script's episode."""
+        self._env = env
+        self._script.reset(env)
+
+    def facts(self) -> dict[str, float]:
+        """Return nothing: a script isn't timed."""
+        return {}
+
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        """Return the script's next target as a chunk of one."""
+        return np.asarray(self._script.act(self._env))[None]
 
 
 @dataclass(frozen=True)

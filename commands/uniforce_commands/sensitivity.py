@@ -116,7 +116,7 @@ def measure(controller: PolicyController, moments: list[Look], seed: int = 0) ->
     A change is the RMS over steps and axes, each axis in its own ``delta_scale``.
     """
     config, rng = controller.config, np.random.default_rng(seed)
-    scale = np.array(config.delta_scale)
+    scale = np.array(config.action.delta_scale)
     shape = (1, config.chunk_size, config.max_action_dim)
     generator = torch.Generator().manual_seed(seed)
     touched = [moment for moment in moments if moment.contact]

@@ -28,7 +28,7 @@ from uniforce_vtla.tokenizer.weights import checkpoint_folder
 class SensorTransferCommand:
     """Draw grasps for every sensor on either finger and fit maps from one finger's latents to the other's.
 
-    ``policy.sensor_transfer`` trains with them. No force label is used and no demo is looked at.
+    ``policy.augment.sensor_transfer`` trains with them. No force label is used and no demo is looked at.
 
     Example: uniforce-sensor-transfer tokenizer=outputs/small/tokenizer
     """

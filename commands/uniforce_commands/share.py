@@ -85,7 +85,7 @@ def _load(source: Path) -> PI05UniforcePolicy:
         policy = PI05UniforcePolicy.from_pretrained(source)
     else:
         policy = _merged(source, adapter["base_model_name_or_path"])
-    policy.model.next_force, policy.config.next_force_weight = None, 0.0
+    policy.model.next_force, policy.config.touch.next_force_weight = None, 0.0
     return policy
 
 
@@ -133,7 +133,7 @@ def share_dataset(config: ShareConfig) -> str:
 
 def _forget_this_machine(config: Any) -> None:
     """Drop paths nobody else has: both tokenizers are in the folder."""
-    config.tokenizer_path = config.pretrained_path = None
+    config.touch.tokenizer_path = config.pretrained_path = None
     if config.text_tokenizer_name and Path(config.text_tokenizer_name).exists():
         config.text_tokenizer_name = None
 

@@ -11,7 +11,7 @@ from typing import Annotated
 from benchmarks.wiping_figures import draw_success_over_demos
 from benchmarks.wiping_plan import ARMS, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from lerobot_policy_pi05_uniforce.stored_policy import stored_config
+from lerobot_policy_pi05_uniforce.controller import stored_config
 from uniforce_commands.boundary import command
 from uniforce_commands.option_types import Level
 from uniforce_commands.score import score_arms

@@ -39,11 +39,12 @@ Train a policy with LeRobot's trainer; everything after the script's name is a s
       output_dir=outputs/train steps=3000 batch_size=32
 
   policy=NAME            becomes --policy.type=NAME; policy.size=tiny|base chooses the size (tiny without CUDA)
-  policy.touch_slots="{touch0: right, touch1: left}"   which finger fills which touch slot; {} or
-  policy.touch_input=none                              trains without touch
+  policy.recipe=scored   train as the benchmark's arms were trained; without it: latents, nothing else
+  policy.touch.slots="{touch0: right, touch1: left}"   which finger fills which touch slot; {} or
+  policy.touch.input=none                              trains without touch
   resume=true config_path=outputs/train/checkpoints/last/pretrained_model/train_config.json
   policy.train_expert_only=true | policy.freeze_vision_encoder=true | --peft.method_type=LORA   train less
-  policy.next_force_weight=0.1   also predict what is felt when the next chunk begins (training views only)
+  policy.touch.next_force_weight=0.1   also predict the latents when the next chunk begins (training views only)
   accelerate launch --num_processes=4 scripts/train.py …   several devices; no search for unused parameters
   verify=full|quick|off  check the dataset before (default: full if its repo_id isn't local/…, else quick)
   more: lerobot-train --help (run with --policy.type=pi05_uniforce to see this policy's settings)
@@ -132,7 +133,7 @@ def _stock_dataset(stock: Any, cfg: Any) -> Any:
 def every_weight_used(flags: Sequence[str]) -> Iterator[None]:
     """Let data-parallel training of our policy skip the search for unused parameters, which LeRobot asks for.
 
-    A walk over the graph in every step; ours has none left (``trainable.py``, and a test per training option).
+    A walk over the graph in every step; ours has none left (``training.py``, and a test per training option).
     """
     stock = utils.DistributedDataParallelKwargs
 

@@ -16,15 +16,6 @@ from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import Count, CountOrZero, Names, OutFolder, Seed, View
 
-# m, m, m, rad, m: so that .4 mm of height and .03 mm of width, a newton's worth, weigh
-DELTA_KNEE = (0.0, 0.0, 0.003, 0.0, 0.0003)
-# steps of a chunk of 16, and how far back a policy's own moves are told (docs/experiments/tiny_policy.md)
-EXECUTED = 4
-# of its last move x, y, z alone: a policy told that its fingers stand still leaves them so, and stalls
-TOLD_AXES = (0, 1, 2)
-CAMERA_VARIATION = 1.0  # fifty demos know fifty lights, the next scene has another
-
-
 RecipeName = Annotated[str, Names(tuple(RECIPES))]
 
 
@@ -52,20 +43,13 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         DatasetError: no view, or one without demos of a rig the recipe needs.
     """
     slots = ", ".join(f"{slot}: {finger}" for slot, finger in recipe.slots)
-    given = [
+    return [
         "policy=pi05_uniforce",
         "policy.size=tiny",
         "policy.device=cpu",
-        f"policy.touch_input={recipe.touch_input}",
-        f"policy.touch_slots={{{slots}}}",
-        f"policy.n_action_steps={EXECUTED}",
-        f"policy.last_move_steps={EXECUTED}",
-        f"policy.last_move_axes={list(TOLD_AXES)}",
-        f"policy.state_noise={list(recipe.state_noise)}",
-        f"policy.sensor_transfer={recipe.sensor_transfer}",
-        f"policy.touch_directions={recipe.touch_directions}",
-        f"policy.delta_knee={list(DELTA_KNEE)}",
-        f"policy.camera_variation={CAMERA_VARIATION}",
+        "policy.recipe=scored",
+        f"policy.touch.input={recipe.touch_input}",
+        f"policy.touch.slots={{{slots}}}",
         "dataset.repo_id=local/view",
         f"dataset.root={config.view}",
         f"dataset.episodes={_episodes(Path(config.view), recipe, config.demos)}",
@@ -77,8 +61,6 @@ def arguments(config: TrainArmConfig, recipe: Recipe, run: Path) -> list[str]:
         f"seed={config.seed}",
         f"output_dir={run}",
     ]
-    settings = {"touch_dropout": recipe.touch_dropout, "touch_noise": recipe.touch_noise}
-    return [*given, *(f"policy.{name}={value}" for name, value in settings.items() if value is not None)]
 
 
 def _episodes(view: Path, recipe: Recipe, demos: int) -> list[int]:

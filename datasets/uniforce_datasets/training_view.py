@@ -300,13 +300,13 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], ve
             expected("policy", "single observations", "a history", "Train on the dataset itself.")
         )
     slots = {slot: policy.finger_by_slot()[slot] for slot in getattr(policy, "slots", ())}
-    touch = getattr(policy, "touch_input", "none") if slots else "none"
+    touch = policy.touch.input if slots else "none"
     marker = read_marker(Path(root))
     if touch == "latent" and policy.latent_grid != marker["latent_grid"]:
         do = f"Build the view with latent_grid={policy.latent_grid}."
         raise DatasetError(expected("latent_grid of the view", policy.latent_grid, marker["latent_grid"], do))
     deltas = policy.action_delta_indices
-    ahead = policy.n_action_steps if getattr(policy, "next_force_weight", 0) else 0
+    ahead = policy.n_action_steps if slots and policy.touch.next_force_weight else 0
     deltas, transforms = (0,) if deltas is None else deltas, _transforms(cfg)
     return TrainingView(
         root, deltas, slots, touch, cfg.dataset.episodes, transforms, ahead, verify or "quick"

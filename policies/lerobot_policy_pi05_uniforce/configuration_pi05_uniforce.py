@@ -1,222 +1,208 @@
-"""Settings of ``pi05_uniforce``: LeRobot's π0.5 plus touch slots, sizes, action form and provenance."""
+"""Settings of ``pi05_uniforce``: LeRobot's π0.5 plus groups for touch, actions, augmentation, sizes and sampler."""
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from lerobot.configs import NormalizationMode, PreTrainedConfig
-from lerobot.optim import CosineDecayWithWarmupSchedulerConfig
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
-from lerobot_policy_pi05_uniforce.sizes import resolve_size, size_defaults
-from uniforce_vtla.contracts import FINGERS, Finger, check_finger
+from lerobot_policy_pi05_uniforce.recipes import GRID, recipe_settings, resolve_size
+from uniforce_vtla.contracts import Finger, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 from uniforce_vtla.tokenizer.agreed_directions import MOST
 
-_BY_SIZE: Any = None  # "take the size's default"; never left after __post_init__
+# take the recipe's value, else the size's (recipes.py); never left after __post_init__
+_BY_RECIPE: Any = None
 
-TWO_SLOT_DROPOUT = 0.3  # DESIGN §8: V+T+G also rolls out with a finger less
 CHOICES = {
     "size": ("tiny", "base"),
-    "touch_input": ("latent", "wrench", "descriptor", "marker_pair", "none"),
-    "action_form": ("target_delta", "absolute"),
-    "action_objective": ("flow", "regression"),
-    "sampler": ("fast", "stock"),
-    "token_site": ("prefix", "suffix"),
-    "on_sensor_loss": ("error", "mask"),
+    "recipe": ("plain", "scored"),
     "verify": ("full", "quick", "off"),
+    "touch.input": ("latent", "wrench", "descriptor", "marker_pair", "none"),
+    "touch.site": ("prefix", "suffix"),
+    "touch.on_sensor_loss": ("error", "mask"),
+    "action.form": ("target_delta", "absolute"),
+    "action.objective": ("flow", "regression"),
+    "sampler.kind": ("fast", "eager", "stock"),
 }
+
+
+@dataclass
+class TouchSettings:
+    """Which fingers give force tokens, of what, and where they enter the network."""
+
+    # slot → finger; {} = none
+    slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
+    # "latent" | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair" (CNN)
+    input: str = "latent"
+    # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
+    site: str = "prefix"
+    # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
+    start_at_base: bool = _BY_RECIPE
+    # read latents along so many directions on which all sensors agree (agreed_directions.py); 0 = the whole map
+    directions: int = _BY_RECIPE
+    # "error": hold and stop; "mask": go on without that slot, logged; simulation only
+    on_sensor_loss: str = "error"
+    # weight of an auxiliary loss: the latents when the next chunk begins (touch/next_force.py); views only
+    next_force_weight: float = 0.0
+    # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
+    trained_sensors: dict[str, str] = field(default_factory=dict)
+    tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
+    # its sizes, canonicaliser and content hash; filled when the policy is made
+    tokenizer: dict[str, Any] | None = None
+
+
+@dataclass
+class ActionSettings:
+    """What the network predicts, in which units, and within which bounds (action.py)."""
+
+    form: str = _BY_RECIPE  # "target_delta" (tiny) | "absolute" (base)
+    # "flow": matching, as π0.5 | "regression": its last step alone, from zero noise, one step to sample (tiny)
+    objective: str = _BY_RECIPE
+    # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
+    delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
+    # the same units: beyond it a move is predicted by its logarithm, so that corrections of force weigh beside whole
+    # moves; 0 = linear, [] = all axes
+    delta_knee: list[float] = _BY_RECIPE
+    # target_delta: the demos' lowest and highest target per axis; targets stay within. Found in the data; [] = unknown
+    target_range: list[list[float]] = field(default_factory=list)
+    # target_delta of tiny: the previous action, as the command's move over so many steps, stands beside the state;
+    # 0 = not given. As many as n_action_steps, or more
+    previous_steps: int = _BY_RECIPE
+    previous_axes: list[int] = _BY_RECIPE  # its axes; [] = all
+    # True: an action far outside the demos' range stops the rollout with an error. For a robot; NaN always stops
+    stop_outside_demos: bool = False
+
+
+@dataclass
+class AugmentSettings:
+    """What is drawn anew for every training sample; nothing of it runs at rollout."""
+
+    # lights and camera poses (augment.py); 0 = none, 1 = about as much as scenes of level paper differ; base 0
+    camera_variation: float = _BY_RECIPE
+    # Gaussian noise on latents in units of each channel's spread; tiny .2, base 0. With touch.directions in units of
+    # what fingers of one grasp disagree by along each
+    touch_noise: float = _BY_RECIPE
+    touch_dropout: float = _BY_RECIPE  # chance to hide a slot; .3 with two slots, 0 with one
+    state_noise: list[float] = _BY_RECIPE  # Gaussian noise on the normalised state, per axis; [] = none
+    # share of samples whose latents are mapped to another sensor's (touch/transfer.py); one kind of sensor per slot
+    sensor_transfer: float = _BY_RECIPE
+
+
+@dataclass
+class TinySettings:
+    """Sizes of ``size=tiny``; VLM and action expert alike."""
+
+    width: int = 128  # of a multiple of 8 heads; 0.5 s per step of batch 32 on one core
+    depth: int = 4  # layers; SigLIP has half as many
+    mlp_dim: int = 256  # hidden units of each layer's gated MLP
+
+
+@dataclass
+class SamplerSettings:
+    """How a chunk is sampled."""
+
+    # "fast": sampler/fast.py, with CUDA graphs on cuda | "eager": without them | "stock": LeRobot's own loop
+    kind: str = "fast"
+    noise_scale: float = _BY_RECIPE  # of the flow's starting noise; tiny 0 (the central action), base 1
 
 
 @PreTrainedConfig.register_subclass("pi05_uniforce")
 @dataclass
 class PI05UniforceConfig(PI05Config):
-    """π0.5 with force tokens.  A field left out takes its size's default (see ``sizes.py``).
+    """π0.5 with force tokens.  A field left out takes its recipe's or its size's default (``recipes.py``).
 
     Raises:
-        ContractError: an unknown choice, slot, finger or token site.
+        ContractError: an unknown choice, slot, finger or token site, or settings that don't go together.
     """
 
     size: str = "auto"  # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is
-
-    # Shapes that follow the size
-    chunk_size: int = _BY_SIZE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
-    n_action_steps: int = _BY_SIZE  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
-    image_resolution: tuple[int, int] = _BY_SIZE  # [px] tiny 56² = 16 patches of 14² per camera; base 224²
-    max_action_dim: int = _BY_SIZE  # tiny 8 (5 axes, padded); base 32, as the published weights
-    max_state_dim: int = _BY_SIZE  # tiny 8; base 32
-    tokenizer_max_length: int = _BY_SIZE  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
-    state_token: bool = (
-        _BY_SIZE  # continuous state as a token: 5×256 text bins need more than 50 demos. tiny on
-    )
-    tiny_width: int = 128  # VLM and expert width: 0.5 s per step of batch 32 on one core
-    tiny_depth: int = 4  # layers, both streams
-    tiny_head_dim: int = 16  # 8 heads are fixed by LeRobot's joint layer
-    tiny_mlp_dim: int = 256  # hidden units of each layer's gated MLP
-    tiny_vision_depth: int = 2  # SigLIP layers
-    text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
-
-    # training only: lights and camera poses drawn anew per sample (camera_variation.py); 0 = none, 1 = about as much as
-    # scenes of level paper differ; tiny 1, base 0
-    camera_variation: float = _BY_SIZE
-
-    # Touch
-    # slot → finger; {} = none
-    touch_slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
-    # "latent" | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair" (CNN)
-    touch_input: str = "latent"
+    recipe: str = "plain"  # "plain": latents, nothing else | "scored": as the benchmark's arms were trained
     swap: str = ""  # "touch0:left" lets another finger fill a slot at rollout; weights don't change
     left_sensor: str = ""  # kind mounted on the left finger; provenance, "" = not stated
     right_sensor: str = ""  # kind mounted on the right finger
-    # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
-    trained_sensors: dict[str, str] = field(default_factory=dict)
+    text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
     # repo_id, episodes, frames, fps of the training data: provenance, for the model card
     trained_on: dict[str, str] = field(default_factory=dict)
-    latent_grid: int = 4  # latents pooled to 4×4, so K = 16 tokens per slot
-    # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
-    token_site: str = "prefix"
-    # True: training starts at the base policy exactly, touch behind a gate that is learnt (touch_gate.py). tiny off
-    start_at_base: bool = _BY_SIZE
-    # each force token also holds what is made of its slot's whole map (force_tokens.py); tiny on, base not tried
-    hear_whole_pad: bool = _BY_SIZE
-    # hear latents only along so many directions on which all sensors agree (agreed_directions.py); 0 = the whole map
-    touch_directions: int = 0
-    force_token_scale: float = 1.0  # initial RMS of a force token; patches of a new tiny model come in at 0.3
-    touch_dropout: float | None = (
-        None  # chance to hide a slot for a sample; None: .3 with two slots, 0 with one
-    )
-    # training only: Gaussian noise on latents, in units of each channel's spread; tiny 0.2, base 0. With
-    # touch_directions in units of what fingers of one grasp disagree along each: 1 hears as if another finger told it
-    touch_noise: float = _BY_SIZE
-    # training only: share of samples whose latents are told as another sensor would (transferred_touch.py); needs slots
-    # whose demos are of one kind each
-    sensor_transfer: float = 0.0
-    # how much of the maps' doubt is drawn then, 0 to 1: whole doubt makes a policy listen less to swapped fingers and
-    # reads them no better (docs/experiments/tiny_policy.md)
-    sensor_transfer_doubt: float = 0.25
-    # training only, with a state token: Gaussian noise on the normalised state, per axis; [] = none
-    state_noise: list[float] = field(default_factory=list)
-    # with a state token and target_delta: how far the command moved over so many of its last steps is told beside the
-    # state, so that who is in mid-stroke knows which way; 0 = not told. As many as n_action_steps, or more
-    last_move_steps: int = 0
-    # the axes of it that are told, [] = all. Who is told that his fingers stand still learns to leave them so
-    last_move_axes: list[int] = field(default_factory=list)
-    # training only: noise on it, in units of delta_scale: corrections of force drown in it, strokes and lifts don't
-    last_move_noise: float = 0.1
-    on_sensor_loss: str = "error"  # "error": hold and stop; "mask": simulation only, logged
-    tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
-    tokenizer_config: dict[str, Any] | None = None  # filled from that tokenizer, rebuilds it on load
-    tokenizer_hash: str = ""  # content hash of its weights, config and canonicaliser
-    num_patches: int = 0  # P of its latents
-    latent_size: int = 6  # numbers per patch
-
-    # Action
-    action_form: str = _BY_SIZE  # "target_delta" (tiny) | "absolute" (base); see action_form.py
-    # "flow": matching, as π0.5 | "regression": its last step alone, from zero noise, one step to sample (tiny;
-    # docs/experiments/tiny_policy.md)
-    action_objective: str = _BY_SIZE
-    sampling_noise: float = (
-        _BY_SIZE  # scale of the flow's starting noise: tiny 0, see docs/experiments; base 1
-    )
-    sampler: str = "fast"  # "fast": fast_sampler.py, equal within 1e-4 | "stock": LeRobot's own loop
-    cuda_graphs: bool = True  # sampler=fast replays CUDA graphs on cuda (cuda_graphs.py; never run on a GPU)
-    # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
-    delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
-    # the same units: beyond it the network tells a move by its logarithm, so that corrections of force weigh beside
-    # whole moves (action_form.py); 0 = linear, [] = all axes
-    delta_knee: list[float] = field(default_factory=list)
-    # target_delta: targets stay within what the demos commanded, axis by axis: changes could add up to places nobody
-    # has shown, and a hand that rose there went on rising (docs/experiments/tiny_policy.md)
-    keep_inside_demos: bool = True
-    # the lowest and the highest target of the demos, SI per axis; found in the training data, [] = not known: not kept
-    target_range: list[list[float]] = field(default_factory=list)
-
-    normalization_mapping: dict[str, NormalizationMode] = (
-        field(  # only state and absolute actions are normalised
-            default_factory=lambda: {
-                "VISUAL": NormalizationMode.IDENTITY,
-                "STATE": NormalizationMode.QUANTILES,
-                "ACTION": NormalizationMode.QUANTILES,  # IDENTITY for target_delta, set below
-            }
-        )
-    )
-
-    # True: an action far outside the demos' range stops the rollout with an error (check_action.py). For a robot; in
-    # simulation a poor policy should be scored, not end the run. NaN always stops.
-    stop_outside_demos: bool = False
-
     # loading: files are compared with hashes.json. "full": all, a second per GB | "quick": from 16 MB by size
     # alone | "off". A checkpoint always stores "full": none may ask for its own files not to be compared
     verify: str = "full"
 
-    # Training
-    optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
-    new_module_lr: float = _BY_SIZE  # force and state projections start random: tiny as above, base 1e-4
-    # weight of an auxiliary loss: what is felt when the next chunk begins (next_force.py); latents from a view only
-    next_force_weight: float = 0.0
-    touch_gate_lr: float = 1e-3  # of the gate alone: it goes from 1e-6 to the order of 1
-    scheduler_warmup_steps: int = _BY_SIZE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
-    scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
-    scheduler_decay_lr: float = _BY_SIZE  # tiny 1e-5; base 2.5e-6
+    touch: TouchSettings = field(default_factory=TouchSettings)
+    action: ActionSettings = field(default_factory=ActionSettings)
+    augment: AugmentSettings = field(default_factory=AugmentSettings)
+    tiny: TinySettings = field(default_factory=TinySettings)
+    sampler: SamplerSettings = field(default_factory=SamplerSettings)
+
+    # π0.5's own, with defaults by size
+    chunk_size: int = _BY_RECIPE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
+    n_action_steps: int = _BY_RECIPE  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
+    image_resolution: tuple[int, int] = _BY_RECIPE  # [px] tiny 56² = 16 patches of 14² per camera; base 224²
+    max_action_dim: int = _BY_RECIPE  # tiny 8 (5 axes, padded); base 32, as the published weights
+    max_state_dim: int = _BY_RECIPE  # tiny 8; base 32
+    tokenizer_max_length: int = _BY_RECIPE  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
+    optimizer_lr: float = _BY_RECIPE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
+    scheduler_warmup_steps: int = _BY_RECIPE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
+    scheduler_decay_steps: int = _BY_RECIPE  # tiny 100 000: any shorter run gets its whole cosine
+    scheduler_decay_lr: float = _BY_RECIPE  # tiny 1e-5; base 2.5e-6
 
     def __post_init__(self) -> None:
         self.size = resolve_size(self.size, self.device)
-        for name, value in size_defaults(self.size).items():
-            if getattr(self, name) is None:
-                setattr(self, name, value)
+        self._check_choices("recipe", "touch.input")
+        for slot in self.touch.slots:
+            _require(slot in SLOTS, "touch slot", " or ".join(SLOTS), slot)
+        self.finger_by_slot()
+        for path, value in recipe_settings(self.recipe, self.size, self.slots, self.touch.input).items():
+            owner, name = self._owner(path)
+            if getattr(owner, name) is None:
+                setattr(owner, name, copy.deepcopy(value))
         self.image_resolution = (self.image_resolution[0], self.image_resolution[1])  # lists come from JSON
-        self._check()
-        if self.action_objective == "regression":
-            self.num_inference_steps, self.sampling_noise = 1, 0.0
-        if (
-            self.action_form == "target_delta"
-        ):  # the policy itself turns deltas into absolute targets in SI units
-            self.normalization_mapping = {**self.normalization_mapping, "ACTION": NormalizationMode.IDENTITY}
+        self._check_choices(*CHOICES)
+        self._check_together()
+        if self.action.objective == "regression":
+            self.num_inference_steps, self.sampler.noise_scale = 1, 0.0
+        if self.action.form == "target_delta":  # the policy itself turns deltas into targets in SI units
+            mapping = vars(self)["normalization_mapping"]
+            self.normalization_mapping = {**mapping, "ACTION": NormalizationMode.IDENTITY}
         super().__post_init__()
 
-    def _check(self) -> None:
-        for name, choices in CHOICES.items():
-            if getattr(self, name) not in choices:
-                wanted = " | ".join(choices)
-                raise ContractError(expected(name, wanted, repr(getattr(self, name)), "Fix the setting."))
-        if self.size == "tiny" and (
-            self.compile_model or self.gradient_checkpointing or self.dtype != "float32"
-        ):
-            came = "compile_model, gradient_checkpointing or bfloat16"
-            raise ContractError(expected("size=tiny", "plain float32", came, "Leave these to size=base."))
-        if self.next_force_weight and (self.touch_input != "latent" or not self.touch_slots):
-            came = f"touch_input={self.touch_input} with slots {sorted(self.touch_slots)}"
-            raise ContractError(expected("next_force_weight", "latents to predict", came, "Set it to 0."))
-        if not 0 <= self.sensor_transfer <= 1 or (self.sensor_transfer and self.touch_input != "latent"):
-            came = f"{self.sensor_transfer} with touch_input={self.touch_input}"
-            do = "Set it to 0, or feel latents."
-            raise ContractError(expected("sensor_transfer", "a share of latents", came, do))
-        if not 0 <= self.touch_directions <= MOST or (self.touch_directions and self.touch_input != "latent"):
-            came = f"{self.touch_directions} with touch_input={self.touch_input}"
-            raise ContractError(expected("touch_directions", f"0 to {MOST} of latents", came, "Set it to 0."))
-        if self.last_move_steps < 0 or (
-            self.last_move_steps and not (self.state_token and self.action_form == "target_delta")
-        ):
-            came = f"{self.last_move_steps} with state_token={self.state_token}, {self.action_form}"
-            do = "Set it to 0, or tell the state and predict target_delta."
-            raise ContractError(expected("last_move_steps", "0, or steps before now", came, do))
-        axes = range(len(self.delta_scale))
-        if len(set(self.last_move_axes) & set(axes)) < len(self.last_move_axes):
-            do = "Name each at most once, or none for all."
-            raise ContractError(expected("last_move_axes", f"some of {[*axes]}", self.last_move_axes, do))
-        if self.camera_variation < 0:
-            do = "0 leaves the pictures as they are."
-            raise ContractError(expected("camera_variation", "≥ 0", self.camera_variation, do))
-        if not 0 <= self.sensor_transfer_doubt <= 1:
-            do = "Take the tested 0.25."
-            raise ContractError(expected("sensor_transfer_doubt", "0 to 1", self.sensor_transfer_doubt, do))
-        for slot, finger in self.touch_slots.items():
-            _check_slot(slot)
-            check_finger(finger)
-        self.finger_by_slot()
+    def _owner(self, path: str) -> tuple[Any, str]:
+        group, _, name = path.rpartition(".")
+        return (getattr(self, group) if group else self), name
+
+    def _check_choices(self, *paths: str) -> None:
+        for path in paths:
+            came = getattr(*self._owner(path))
+            _require(came in CHOICES[path], path, " | ".join(CHOICES[path]), came)
+
+    def _check_together(self) -> None:
+        touch, action, augment = self.touch, self.action, self.augment
+        stock = self.compile_model or self.gradient_checkpointing or self.dtype != "float32"
+        _require(self.size != "tiny" or not stock, "size=tiny", "plain float32", self.dtype)
+        square = self.image_resolution[0] == self.image_resolution[1]
+        _require(square, "image_resolution", "a square", self.image_resolution)
+        latents = touch.input == "latent" and bool(touch.slots)
+        came = f"touch.input={touch.input} in {sorted(touch.slots)}"
+        _require(
+            latents or not touch.next_force_weight, "touch.next_force_weight", "latents to predict", came
+        )
+        share, deltas = augment.sensor_transfer, self.state_token and action.form == "target_delta"
+        _require(0 <= share <= latents, "augment.sensor_transfer", "a share of latents", f"{share}, {came}")
+        most = MOST if latents else 0
+        _require(
+            0 <= touch.directions <= most, "touch.directions", f"0 to {MOST} of latents", touch.directions
+        )
+        _require(augment.camera_variation >= 0, "augment.camera_variation", "≥ 0", augment.camera_variation)
+        steps, axes = action.previous_steps, action.previous_axes
+        fit = steps >= 0 and (deltas or not steps)
+        _require(fit, "action.previous_steps", "0, or more with tiny's deltas", steps)
+        fit = len(set(axes) & set(range(len(action.delta_scale)))) == len(axes)
+        _require(fit, "action.previous_axes", "axes, each at most once", axes)
 
     def _save_pretrained(self, save_directory: Path) -> None:
         """Write ``config.json``."""
@@ -229,44 +215,53 @@ class PI05UniforceConfig(PI05Config):
     @property
     def slots(self) -> tuple[str, ...]:
         """Touch slots that give tokens, in a fixed order; empty when touch is off."""
-        return tuple(s for s in SLOTS if s in self.touch_slots) if self.touch_input != "none" else ()
+        return tuple(s for s in SLOTS if s in self.touch.slots) if self.touch.input != "none" else ()
 
     def finger_by_slot(self) -> dict[str, Finger]:
         """Which finger fills each slot now, after ``swap``."""
-        fingers = {slot: check_finger(finger) for slot, finger in self.touch_slots.items()}
+        fingers = {slot: check_finger(finger) for slot, finger in self.touch.slots.items()}
         for entry in filter(None, self.swap.replace(" ", "").split(",")):
             slot, _, finger = entry.partition(":")
-            if slot not in fingers:
-                raise ContractError(
-                    expected(
-                        "swap", f"one of the slots {list(fingers)}", repr(entry), "Write swap=touch0:left."
-                    )
-                )
+            _require(slot in fingers, "swap", f"one of {list(fingers)}, as in touch0:left", entry)
             fingers[slot] = check_finger(finger)
         return fingers
 
     @property
-    def mounted_sensors(self) -> dict[str, str]:
-        """Finger → kind of sensor stated in this config ("" where not stated)."""
-        return dict(zip(FINGERS, (self.left_sensor, self.right_sensor), strict=True))
+    def state_token(self) -> bool:
+        """Whether the continuous state is a token: 5×256 text bins need more than tiny's demos."""
+        return self.size == "tiny"
 
     @property
-    def hidden_share(self) -> float:
-        """Chance that training hides a slot: one checkpoint then serves with and without it."""
-        if self.touch_dropout is not None:
-            return self.touch_dropout
-        return TWO_SLOT_DROPOUT if len(self.slots) > 1 else 0.0
+    def whole_map(self) -> bool:
+        """Whether a force token also holds what is made of its slot's whole latent map; not tried at size base."""
+        return self.size == "tiny" and self.touch.input == "latent" and not self.touch.directions
+
+    @property
+    def latent_grid(self) -> int:
+        """Side of the grid that latents are pooled to; a view's must be the same."""
+        return GRID
 
     @property
     def tokens_per_slot(self) -> int:
         """K: pooled latents per slot."""
-        return self.latent_grid**2
+        return GRID**2
 
     @property
-    def told_axes(self) -> list[int]:
-        """Axes of the command whose last move is told; none without ``last_move_steps``."""
-        every = list(range(len(self.delta_scale)))
-        return (self.last_move_axes or every) if self.last_move_steps else []
+    def latent_size(self) -> int:
+        """Numbers per latent of the tokenizer the policy was made with."""
+        _require(self.touch.tokenizer is not None, "touch.tokenizer", "its facts", None)
+        return int((self.touch.tokenizer or {})["model"]["latent"])
+
+    @property
+    def tokenizer_hash(self) -> str:
+        """Content hash of the tactile tokenizer; "" without one."""
+        return str((self.touch.tokenizer or {}).get("hash", ""))
+
+    @property
+    def previous_axes(self) -> list[int]:
+        """Axes of the previous action beside the state; none without ``action.previous_steps``."""
+        every = list(range(len(self.action.delta_scale)))
+        return (self.action.previous_axes or every) if self.action.previous_steps else []
 
     @property
     def image_features(self) -> dict[str, Any]:
@@ -275,27 +270,16 @@ class PI05UniforceConfig(PI05Config):
 
     @property
     def action_delta_indices(self) -> list[int]:
-        """Frames of the action to load: the chunk, for target deltas behind the last command, for its move one before.
+        """Frames of the action to load: the chunk; for target deltas behind the last command, and the one it came from.
 
-        ``prepare_action`` and ``told_move`` know this order.
+        ``prepare_action`` and ``previous_move`` know this order.
         """
-        chunk = list(range(self.chunk_size))
-        if self.action_form != "target_delta":
+        chunk, steps = list(range(self.chunk_size)), self.action.previous_steps
+        if self.action.form != "target_delta":
             return chunk
-        return [-1 - self.last_move_steps, -1, *chunk] if self.last_move_steps else [-1, *chunk]
-
-    def get_scheduler_preset(self) -> CosineDecayWithWarmupSchedulerConfig:
-        """Warm-up, then one cosine over the run (LeRobot shortens both for shorter runs)."""
-        return CosineDecayWithWarmupSchedulerConfig(
-            peak_lr=self.optimizer_lr,
-            decay_lr=self.scheduler_decay_lr,
-            num_warmup_steps=self.scheduler_warmup_steps,
-            num_decay_steps=self.scheduler_decay_steps,
-        )
+        return [-1 - steps, -1, *chunk] if steps else [-1, *chunk]
 
 
-def _check_slot(slot: str) -> None:
-    if slot not in SLOTS:
-        raise ContractError(
-            expected("touch slot", " or ".join(SLOTS), repr(slot), "Write touch_slots={touch0: right}.")
-        )
+def _require(fits: bool, name: str, wanted: str, came: object) -> None:
+    if not fits:
+        raise ContractError(expected(name, wanted, repr(came), "Fix the setting."))

@@ -1,4 +1,4 @@
-"""A checkpoint behind its processors, as ``action chunk = f(observation)``.
+"""A checkpoint behind its processors, as ``action chunk = f(observation)``, and whether it answers in time.
 
 The same batch conversion, preprocessor, ``select_action`` and postprocessor that ``lerobot-eval`` runs; only
 the observations that would meet a full action queue are never rendered, because the policy ignores them.
@@ -6,20 +6,27 @@ the observations that would meet a full action queue are never rendered, because
 
 from __future__ import annotations
 
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from lerobot.configs import PreTrainedConfig
 from lerobot.envs.utils import preprocess_observation
+from lerobot.policies.factory import make_pre_post_processors
 
-from lerobot_policy_pi05_uniforce.compatibility import check_sensors
+from lerobot_policy_pi05_uniforce import checkpoint as stored
+from lerobot_policy_pi05_uniforce import weights
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.deadlines import Deadlines
-from lerobot_policy_pi05_uniforce.stored_policy import stored_config, stored_policy
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePolicy
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.errors import CheckpointError, expected
-from uniforce_vtla.keys import wrench_key
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.keys import TACTILE_NAMES, tactile_name, wrench_key
 
 CONTROL_HZ = 30.0  # where an environment doesn't say its own rate
 SHIPPED = Path(__file__).parent / "assets" / "wiping_vt"
@@ -27,13 +34,75 @@ SHIPPED = Path(__file__).parent / "assets" / "wiping_vt"
 
 def shipped_checkpoint() -> Path:
     """Return the folder of the tiny V+T policy shipped with the package."""
-    if not (SHIPPED / "model.safetensors").exists():
-        raise CheckpointError(
-            expected(
-                "shipped policy", str(SHIPPED / "model.safetensors"), "no such file", "Reinstall the package."
-            )
-        )
-    return SHIPPED
+    return weights.find(SHIPPED, weights.WEIGHTS).parent
+
+
+def stored_config(checkpoint: Path) -> PI05UniforceConfig:
+    """Return the checked settings of a checkpoint folder, to be run on the CPU; raises as ``stored_policy``."""
+    file = weights.find(checkpoint, weights.CONFIG)
+    stored.check_settings(read_object(file, CheckpointError), str(checkpoint))
+    stored.check_processors(checkpoint)
+    with stored.misfits_named(str(checkpoint)):
+        config = PreTrainedConfig.from_pretrained(checkpoint)
+    assert isinstance(config, PI05UniforceConfig), "check_settings has seen its type"
+    config.device = "cpu"
+    config.pretrained_path = checkpoint
+    return config
+
+
+def stored_policy(config: PI05UniforceConfig) -> tuple[PI05UniforcePolicy, Any, Any]:
+    """Return the policy of ``stored_config``'s folder, what runs before it and what runs after it.
+
+    Raises:
+        CheckpointError: another policy, or settings, weights or processors that are missing, damaged or don't fit.
+    """
+    folder = str(config.pretrained_path)
+    policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
+    with stored.misfits_named(f"processors of {folder}"):
+        return policy, *make_pre_post_processors(config, pretrained_path=folder)
+
+
+class Deadlines:
+    """Account of one episode's calls at a control rate.
+
+    A call that finds k actions still queued is due when they and the present step are over: k + 1 control periods. What
+    comes later leaves the robot without a new action; those control steps are counted too.
+
+    Raises:
+        ContractError: no positive rate.
+    """
+
+    def __init__(self, control_hz: float) -> None:
+        if not control_hz > 0:
+            raise ContractError(expected("control rate", "above 0 Hz", control_hz, "Give the robot's rate."))
+        self.period_s = 1.0 / control_hz
+        self.missed = 0  # calls
+        self.empty_steps = 0  # control steps without a new action
+        self._latencies_s: list[float] = []
+
+    @contextmanager
+    def call(self, queued: int) -> Iterator[None]:
+        """Time the block as one call that found ``queued`` actions left."""
+        start = time.perf_counter()
+        yield
+        self.record(time.perf_counter() - start, queued)
+
+    def record(self, latency_s: float, queued: int) -> None:
+        """Account for a call that took ``latency_s``."""
+        self._latencies_s.append(latency_s)
+        late_s = latency_s - (queued + 1) * self.period_s
+        if late_s > 0:
+            self.missed += 1
+            self.empty_steps += math.ceil(late_s / self.period_s)
+
+    def facts(self) -> dict[str, float]:
+        """Return calls, missed deadlines, empty control steps and latencies [ms]; nothing before the first call."""
+        if not self._latencies_s:
+            return {}
+        ms = 1e3 * np.asarray(self._latencies_s)
+        p50, p95, most = (float(np.percentile(ms, share)) for share in (50, 95, 100))
+        counts = {"calls": len(ms), "missed_deadlines": self.missed, "empty_steps": self.empty_steps}
+        return counts | {"latency_p50_ms": p50, "latency_p95_ms": p95, "latency_max_ms": most}
 
 
 class PolicyController:
@@ -43,10 +112,7 @@ class PolicyController:
         checkpoint: folder with config, weights and processors.
         mounted: finger → kind of sensor the robot or scene wears.
         swap: which finger fills a slot instead, e.g. ``touch0:left``.
-        asked: finger → kind the user named; only a named kind may differ from the trained one.
-
-    Attributes:
-        notes: one line per slot that runs on another kind of sensor than it was trained on.
+        asked: finger → kind the user named; only a named kind may differ from the trained one, which ``notes`` say.
 
     Raises:
         CheckpointError: weights that don't fit, or a sensor that differs though nobody asked for it.
@@ -63,7 +129,7 @@ class PolicyController:
         config.swap = swap or config.swap
         for finger, sensor in (asked or {}).items():
             setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))
-        self.notes = check_sensors(config, mounted)
+        self.notes = stored.check_sensors(config, mounted)
         self.policy, self._before, self._after = stored_policy(config)
         self.config: PI05UniforceConfig = self.policy.config
         self._deadlines = Deadlines(CONTROL_HZ)
@@ -71,7 +137,7 @@ class PolicyController:
     @property
     def needs_true_wrench(self) -> bool:
         """Whether this is the ceiling control, which is fed the simulator's wrench."""
-        return self.config.touch_input == "wrench"
+        return self.config.touch.input == "wrench"
 
     def reset(self, env: Any) -> None:
         """Forget the previous episode: action queue, issued target, cached references, latencies."""
@@ -94,10 +160,7 @@ class PolicyController:
 
     @torch.no_grad()
     def predict(self, observation: dict[str, Any], task: str, noise: torch.Tensor) -> np.ndarray:
-        """Return the whole chunk (chunk_size, 5) for given starting noise; nothing is remembered.
-
-        ``noise`` is (1, chunk_size, max_action_dim), as the flow takes it.
-        """
+        """Return the whole chunk (chunk_size, 5) for starting ``noise`` (1, chunk_size, max_action_dim)."""
         chunk = self.policy.predict_action_chunk(self._batch(observation, task), noise=noise)
         return self._after(chunk)[0].numpy()
 
@@ -111,33 +174,8 @@ class PolicyController:
         if self.needs_true_wrench:
             for slot, finger in self.config.finger_by_slot().items():
                 wanted[wrench_key(slot).removeprefix("observation.")] = observation[f"wrench_{finger}"]
-        pixels = observation["pixels"]
-        keep = {k for k in pixels if not k.startswith("tactile_")} | self._tactile_names()
-        return wanted | {"pixels": {k: pixels[k] for k in pixels if k in keep}}
-
-    def _tactile_names(self) -> set[str]:
-        if self.config.touch_input in ("wrench", "none"):
-            return set()
-        fingers = self.config.finger_by_slot().values()
-        return {f"tactile_{finger}{suffix}" for finger in fingers for suffix in ("", "_ref")}
-
-
-class ScriptController:
-    """Drive an environment with a script that answers one action at a time."""
-
-    def __init__(self, script: Any) -> None:
-        self._script = script
-        self._env: Any = None
-
-    def reset(self, env: Any) -> None:
-        """Start the script's episode."""
-        self._env = env
-        self._script.reset(env)
-
-    def facts(self) -> dict[str, float]:
-        """Return nothing: a script isn't timed."""
-        return {}
-
-    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
-        """Return the script's next target as a chunk of one."""
-        return np.asarray(self._script.act(self._env))[None]
+        images = self.config.touch.input not in ("wrench", "none")
+        fingers = self.config.finger_by_slot().values() if images else ()
+        read = {tactile_name(finger, reference) for finger in fingers for reference in (False, True)}
+        pixels = {k: v for k, v in observation["pixels"].items() if k in read or k not in TACTILE_NAMES}
+        return wanted | {"pixels": pixels}

@@ -1,8 +1,9 @@
-"""The model card of a checkpoint: what it feels, what it was trained on, how well it did, under which licence."""
+"""The model card of a checkpoint: its touch, its data, its scores, its licence."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huggingface_hub import ModelCard, ModelCardData
@@ -20,50 +21,7 @@ LICENCE = {
     "in the preprocessor. The code is Apache-2.0.",
     "tiny": "Weights and code: Apache-2.0. Nothing of Gemma is inside.",
 }
-TEXT = """\
----
-{data}
----
-
-# {title}
-
-π0.5 with a sense of force for LeRobot, made with the package `lerobot_policy_pi05_uniforce`. Size `{config.size}`.
-
-## What it feels
-
-{touch}
-
-## Use
-
-```bash
-pip install lerobot_policy_pi05_uniforce
-lerobot-rollout --policy.path=THIS_FOLDER_OR_HUB_ID …
-```
-
-Weights, normalisation, text tokenizer and the frozen tactile tokenizer are all in this folder. A file that is missing
-or does not fit is an error at load, and so is another tactile tokenizer, slot or token site.
-
-## Data
-
-{data_text}
-
-## Training
-
-{training}
-
-## Scores
-
-{scores}
-
-## Limits
-
-Trained and scored as said above, and nowhere else. It is research, no certified robot controller: keep the robot's own
-force and speed limits on.
-
-## Licence
-
-{licence}
-"""
+TEMPLATE = Path(__file__).parent / "assets" / "model_card.md"
 
 
 def model_card(
@@ -71,17 +29,12 @@ def model_card(
     training: Mapping[str, Any] | None = None,
     scores: Mapping[str, Any] | None = None,
 ) -> ModelCard:
-    """Return the card of a policy.
-
-    Args:
-        config: the policy's settings and provenance.
-        training: settings of the training run (``train_config.json``).
-        scores: what ``uniforce-score`` wrote (``wiping.json``).
+    """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce-score``.
 
     Raises:
         ContractError: scores without arms.
     """
-    base = config.size == "base"
+    base, asked = config.size == "base", ("steps", "batch_size", "seed")
     data = ModelCardData(
         license=config.license or ("gemma" if base else "apache-2.0"),
         library_name="lerobot",
@@ -91,13 +44,13 @@ def model_card(
         base_model=BASE_MODEL if base else None,
     )
     return ModelCard(
-        TEXT.format(
+        TEMPLATE.read_text().format(
             data=data.to_yaml(),
             title=(config.repo_id or config.type).split("/")[-1],
             config=config,
             touch=_touch(config),
             data_text=_lines(config.trained_on),
-            training=_training(training),
+            training=_lines({name: str(training[name]) for name in asked if training and name in training}),
             scores=_scores(scores),
             licence=LICENCE[config.size],
         )
@@ -106,21 +59,12 @@ def model_card(
 
 def _touch(config: PI05UniforceConfig) -> str:
     if not config.slots:
-        return "Nothing: it was trained without touch."
-    worn = {slot: config.trained_sensors.get(slot) or "a sensor not stated" for slot in config.slots}
-    facts = {f"slot `{s}`": f"{config.touch_slots[s]} finger, trained on {worn[s]}" for s in config.slots}
-    facts |= {
-        "input": config.touch_input,
-        "tokens per slot": str(config.tokens_per_slot),
-        "token site": config.token_site,
-        "tactile tokenizer": f"{config.tokenizer_hash or 'none'} ({config.num_patches} patches)",
-    }
-    return _lines(facts)
-
-
-def _training(training: Mapping[str, Any] | None) -> str:
-    asked = ("steps", "batch_size", "seed")
-    return _lines({name: str(training[name]) for name in asked if name in training} if training else {})
+        return "None: it was trained without."
+    touch, known = config.touch, config.touch.trained_sensors
+    worn = {slot: known.get(slot) or "a sensor not stated" for slot in config.slots}
+    facts = {f"slot `{s}`": f"{touch.slots[s]} finger, trained on {worn[s]}" for s in config.slots}
+    facts |= {"input": touch.input, "token site": touch.site, "tokens per slot": str(config.tokens_per_slot)}
+    return _lines(facts | {"tactile tokenizer": config.tokenizer_hash or "none"})
 
 
 def _scores(scores: Mapping[str, Any] | None) -> str:
@@ -129,16 +73,10 @@ def _scores(scores: Mapping[str, Any] | None) -> str:
     if not isinstance(scores.get("arms"), Mapping):
         do = "Give the wiping.json that uniforce-score wrote."
         raise ContractError(expected("scores", "a table of arms", sorted(scores), do))
-    head = [
-        f"Simulated wiping, level `{scores.get('level', 'not stated')}`:",
-        "",
-        "| arm | clean | success |",
-    ]
-    rows = [
-        f"| {name} | {arm['clean']}/{arm['n']} | {arm['success']}/{arm['n']} |"
-        for name, arm in scores["arms"].items()
-    ]
-    return "\n".join([*head, "|---|---|---|", *rows])
+    level = scores.get("level", "not stated")
+    head = [f"Simulated wiping, level `{level}`:", "", "| arm | clean | success |", "|---|---|---|"]
+    rows = [(name, arm["n"], arm["clean"], arm["success"]) for name, arm in scores["arms"].items()]
+    return "\n".join([*head, *(f"| {name} | {clean}/{n} | {done}/{n} |" for name, n, clean, done in rows)])
 
 
 def _lines(facts: Mapping[str, str]) -> str:

@@ -3,64 +3,39 @@
 from __future__ import annotations
 
 import logging
+import math
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
 import torch
 from huggingface_hub import ModelCard
+from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce import weights
-from lerobot_policy_pi05_uniforce.action_form import (
-    IssuedTarget,
-    NetworkUnits,
-    TargetRange,
-    check_axes,
-    to_targets,
-    told_move,
-)
-from lerobot_policy_pi05_uniforce.action_loss import LANGUAGE, ActionLoss
-from lerobot_policy_pi05_uniforce.camera_variation import vary
-from lerobot_policy_pi05_uniforce.check_action import check_leap
-from lerobot_policy_pi05_uniforce.compatibility import TouchFacts, check_same
+from lerobot_policy_pi05_uniforce import action, checkpoint, training, weights
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.dataset_facts import (
-    read_provenance,
-    read_target_range,
-    read_touch_scale,
-    read_view,
-)
-from lerobot_policy_pi05_uniforce.force_tokens import ForceTokens
-from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
-from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
-from lerobot_policy_pi05_uniforce.stored_settings import (
-    PROCESSORS,
-    check_processors,
-    check_settings,
-    misfits_named,
-)
-from lerobot_policy_pi05_uniforce.tactile_encoder import check_hash
-from lerobot_policy_pi05_uniforce.touch_input import TouchInput
-from lerobot_policy_pi05_uniforce.trainable import NEW_MODULES, lora_targets, parameter_groups
-from lerobot_policy_pi05_uniforce.transferred_touch import transferred_touch
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
+from lerobot_policy_pi05_uniforce.touch.encode import ENCODER, TouchInput, check_hash, is_packaged
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, STATE
 
 logger = logging.getLogger(__name__)
 
+LANGUAGE = ("observation.language.tokens", "observation.language.attention_mask")
 
-class PI05UniforcePolicy(ActionLoss):
+
+class PI05UniforcePolicy(stock.PI05Policy):
     """π0.5 with a sense of force, as a LeRobot policy.
 
     Args:
-        config: settings; ``config.touch_slots`` and ``swap`` say which finger fills which slot.
-        dataset_stats: training statistics; quantile spans are floored in place, so that the trainer's own
-            normaliser uses the same ones, and the scale of the latents is taken from it.
+        config: settings.
+        dataset_stats: training statistics; quantile spans are floored in place, for the trainer's own normaliser too.
         dataset_meta: training data; a view's tokenizer must be the policy's.
         empty: leave the backbone without weights, for ``weights.fill`` to give it; base is then never held twice.
     """
@@ -74,47 +49,56 @@ class PI05UniforcePolicy(ActionLoss):
         dataset_stats: dict[str, dict[str, Any]] | None = None,
         dataset_meta: Any = None,
         empty: bool = False,
-        **kwargs: Any,
+        **_: Any,
     ) -> None:
         PreTrainedPolicy.__init__(self, config)  # PI05Policy's own would build the 4 B model
         config.validate_features()
         self.config = config
         self.init_rtc_processor()
         self.model = PI05UniforcePytorch(config, rtc_processor=self.rtc_processor, empty=empty)
+        self.touch = self._make_touch_input()
         self._take_dataset_facts(dataset_stats, dataset_meta)
         if config.gradient_checkpointing:
             self.model.gradient_checkpointing_enable()
-        if config.action_form == "target_delta":
-            check_axes(state_size(config), self._action_size, config.delta_scale, config.delta_knee)
-        self.touch = TouchInput(config, self.model.tactile_encoder)
-        self.issued = IssuedTarget(config.last_move_steps)
-        self.register_buffer("delta_scale", torch.tensor(config.delta_scale), persistent=False)
-        self.network_units = NetworkUnits(config.delta_scale, config.delta_knee)
-        bounds = config.target_range if config.keep_inside_demos else ()
-        self.target_range = TargetRange(len(config.delta_scale), bounds)
+        units = config.action.delta_scale, config.action.delta_knee
+        if config.action.form == "target_delta":
+            action.check_axes(state_size(config), self._action_size, *units)
+        self.issued = action.IssuedTarget(config.action.previous_steps)
+        self.register_buffer("delta_scale", torch.tensor(units[0]), persistent=False)
+        self.network_units = action.NetworkUnits(*units)
+        action.check_range(config.action.target_range, len(units[0]))
+        bounds = config.action.target_range or [[-math.inf], [math.inf]]
+        self.register_buffer("target_range", torch.tensor(bounds), persistent=False)
         if not empty:
             self.to(config.device)
         self.reset()
 
+    def _make_touch_input(self) -> TouchInput:
+        config = self.config
+        if config.touch.input not in ("latent", "none"):
+            from lerobot_policy_pi05_uniforce.touch.controls import ControlInput
+
+            return ControlInput(config)
+        rows = (config.tokens_per_slot, config.latent_size) if self.model.tactile_encoder else (0, 0)
+        return TouchInput(config, self.model.tactile_encoder, rows)
+
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
-        read_view(meta, self.config)
+        config, tokens = self.config, self.model.force_tokens
+        training.read_view(meta, config)
         if meta is not None:
-            read_provenance(meta, self.config)
-            self._prepare_transfer()
+            training.read_provenance(meta, config)
+        if meta is not None and config.augment.sensor_transfer and tokens is not None:
+            from lerobot_policy_pi05_uniforce.touch.transfer import transferred_touch
+
+            tokens.transferred = transferred_touch(config)
         if not stats:
             return
         stats.update(floor_quantiles(stats) or {})
-        self.config.target_range = read_target_range(stats)
-        found = read_touch_scale(stats, self.config)
-        if found is not None and self.model.force_tokens is not None:
-            mean, scale = found
-            self.model.force_tokens.input_mean.copy_(mean)
-            self.model.force_tokens.input_scale.copy_(scale)
-
-    def _prepare_transfer(self) -> None:
-        tokens = self.model.force_tokens
-        if self.config.sensor_transfer and isinstance(tokens, ForceTokens):
-            tokens.transferred = transferred_touch(self.config)
+        config.action.target_range = training.read_target_range(stats)
+        found = training.read_touch_scale(stats, config, self.touch.shape)
+        if found is not None and tokens is not None:
+            tokens.input_mean.copy_(found[0])
+            tokens.input_scale.copy_(found[1])
 
     @classmethod
     def from_pretrained(
@@ -133,83 +117,149 @@ class PI05UniforcePolicy(ActionLoss):
         Raises:
             CheckpointError: missing, changed or damaged files, tensors that don't fit, touch settings that differ.
         """
-        source, verify = pretrained_name_or_path, "full" if config is None else config.verify
-        weights.check_files(source, verify, revision, local_files_only)
+        source, at = pretrained_name_or_path, (revision, local_files_only)
+        verify = "full" if config is None else config.verify
+        weights.check_files(source, verify, *at)
         if (
             config is not None and config.use_peft and config.pretrained_path
-        ):  # adapters lie in a folder of their own
+        ):  # adapters have a folder of their own
             weights.check_files(config.pretrained_path, verify, config.pretrained_revision, local_files_only)
-        where = weights.find(source, weights.CONFIG, revision, local_files_only)
-        saved = weights.read_config(where)
-        check_settings(saved, str(where))
-        for (
-            name
-        ) in PROCESSORS:  # of a hub repository: fetched before LeRobot does, so that they are checked first
-            with suppress(CheckpointError):
-                weights.find(source, name, revision, local_files_only)
-        check_processors(where.parent)
-        with misfits_named(str(where)):
+        where = weights.find(source, weights.CONFIG, *at)
+        saved = read_object(where, CheckpointError)
+        checkpoint.check_settings(saved, str(where))
+        with suppress(
+            CheckpointError
+        ):  # of a hub repository: fetched before LeRobot does, and so checked first
+            _ = [weights.find(source, name, *at) for name in checkpoint.PROCESSORS]
+        checkpoint.check_processors(where.parent)
+        with checkpoint.misfits_named(str(where)):
             if config is None:
                 config = cls.config_class.from_pretrained(source, revision=revision)
-            check_same(TouchFacts.of(saved), TouchFacts.of(config))
-            policy = cls(config, empty=True, **_known(kwargs))
-        weights.fill(policy, weights.find(source, weights.WEIGHTS, revision, local_files_only))
+            checkpoint.check_same(saved, config)
+            policy = cls(config, empty=True, **kwargs)
+        packaged = (ENCODER,) if is_packaged(config) else ()
+        weights.fill(policy, weights.find(source, weights.WEIGHTS, *at), fresh=packaged)
         if policy.model.tactile_encoder is not None:
             check_hash(policy.model.tactile_encoder, config)
         return policy.to(config.device).eval()
 
     def _save_pretrained(self, save_directory: Path, state_dict: dict[str, Tensor] | None = None) -> None:
-        """Write config, weights (the frozen tactile tokenizer among them) and a model card.
+        """Write config, weights (a tactile tokenizer that isn't the package's among them) and a model card.
 
         LeRobot saves the processors later; who calls it calls ``write_hashes`` last.
         """
+        from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
+
         drop_hashes(save_directory)
-        super()._save_pretrained(save_directory, state_dict)
+        state = self.state_dict() if state_dict is None else state_dict
+        if is_packaged(self.config):
+            state = {name: tensor for name, tensor in state.items() if not name.startswith(ENCODER)}
+        super()._save_pretrained(save_directory, state)
         model_card(self.config).save(save_directory / CARD)
 
     def generate_model_card(self, *args: Any, cfg: Any = None, **kwargs: Any) -> ModelCard:
         """Return our card where LeRobot's trainer would push its own; arguments as LeRobot's, ``cfg`` is read."""
-        return model_card(self.config, training=None if cfg is None else cfg.to_dict())
+        from lerobot_policy_pi05_uniforce.model_card import model_card
+
+        return model_card(self.config, None if cfg is None else cfg.to_dict())
 
     def reset(self) -> None:
         """Forget the queue, the issued targets and the cached references: an episode begins."""
         super().reset()
-        if hasattr(self, "issued"):
-            self.issued.reset()
-            self.touch.reset()
+        self.issued.reset()
+        self.touch.reset()
 
     def _preprocess_images(self, batch: dict[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
-        images, masks = super()._preprocess_images(
-            self._shrunk(batch)
-        )  # cameras only: see config.image_features
-        if self.training:
-            images = [vary(image, self.config.camera_variation) for image in images]
+        cameras = self._shrunk(batch)  # marker images are none: see config.image_features
+        images, masks = super()._preprocess_images(cameras)
+        if self.training and self.config.augment.camera_variation:
+            from lerobot_policy_pi05_uniforce.augment import vary
+
+            images = [vary(image, self.config.augment.camera_variation) for image in images]
         if self.model.state_token is not None:
             state = batch[STATE].to(images[0].device, torch.float32)
-            if self.config.last_move_steps:
-                told = self._last_move(batch)[:, self.config.told_axes]
-                state = torch.cat([state, told.to(state)], dim=1)
-            images.append(state[:, None])  # (B, 1, S), or S + A with the last move
-            masks.append(torch.ones(len(state), dtype=torch.bool, device=state.device))
+            if self.config.previous_axes:
+                move = self._previous_move(batch)[:, self.config.previous_axes]
+                state = torch.cat([state, move.to(state)], dim=1)
+            images.append(state[:, None])  # (B, 1, S), or S + A with the previous action
+            masks.append(torch.ones_like(state[:, 0], dtype=torch.bool))
         touches, touch_masks = self.touch.gather(batch, images[0].device, self.training)
         return images + touches, masks + touch_masks
 
-    def _last_move(self, batch: dict[str, Tensor]) -> Tensor:
+    def _previous_move(self, batch: dict[str, Tensor]) -> Tensor:
         """Return (B, A) in units of ``delta_scale``: of a sample its demo's commands, of a rollout those issued."""
         commands = batch.get(ACTION)
         if commands is not None and commands.ndim == 3:
-            return told_move(commands.to(self.delta_scale)) / self.delta_scale
+            return action.previous_move(commands.to(self.delta_scale)) / self.delta_scale
         return self.issued.moved(self._measured(batch)) / self.delta_scale
 
     def _shrunk(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Area-resize larger camera frames, as training views do; base keeps π0.5's own bilinear resize."""
         if self.config.size == "base":
             return batch
-        size = self.config.image_resolution
-        cameras = {
-            k: batch[k] for k in self.config.image_features if k in batch and batch[k].shape[-1] > size[1]
-        }
-        return {**batch, **{k: F.interpolate(image, size, mode="area") for k, image in cameras.items()}}
+        size, shown = self.config.image_resolution, [k for k in self.config.image_features if k in batch]
+        large = [k for k in shown if batch[k].shape[-1] > size[1]]
+        return {**batch, **{k: F.interpolate(batch[k], size, mode="area") for k in large}}
+
+    @property
+    def _action_size(self) -> int:
+        return self.config.output_features[ACTION].shape[0]
+
+    def _text(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Return text tokens and mask, (B, L); tiny drops the padding no prompt of the batch uses."""
+        tokens, mask = (batch[key] for key in LANGUAGE)
+        if self.config.size == "tiny":  # base keeps one length, so that a compiled graph stays valid
+            longest = int(mask.sum(dim=1).max())
+            tokens, mask = tokens[:, :longest], mask[:, :longest]
+        return tokens, mask
+
+    def _measured(self, batch: dict[str, Tensor]) -> Tensor:
+        if MEASURED_STATE not in batch:
+            do = "Run the policy's own preprocessor (make_pi05_uniforce_pre_post_processors)."
+            raise ContractError(expected(MEASURED_STATE, "the state in SI units", "no such key", do))
+        return batch[MEASURED_STATE].to(self.delta_scale)
+
+    def prepare_action(self, batch: dict[str, Tensor]) -> Tensor:
+        """Return (B, chunk, max_action_dim) in network units."""
+        actions = batch[ACTION]
+        if self.config.action.form == "target_delta":
+            is_pad = batch.get("action_is_pad")
+            known = actions.shape[1] - 1 - self.config.chunk_size  # commands before the last one
+            is_pad = is_pad if is_pad is None else is_pad[:, known:]
+            actions = action.to_deltas(actions[:, known:], is_pad, self._measured(batch), self.network_units)
+        return stock.pad_vector(actions, self.config.max_action_dim)
+
+    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict[str, Any]]:
+        """Return the flow-matching loss over real steps and axes.
+
+        Args:
+            batch: preprocessed observations, text tokens and actions (B, [1 +] chunk, A).
+            reduction: "mean" → scalar; "none" → (B,) for weighted training.
+        """
+        images, masks = self._preprocess_images(batch)
+        actions = self.prepare_action(batch)
+        noise, time = self._flow_start(actions)
+        losses = self.model.forward(images, masks, *self._text(batch), actions, noise, time)
+        losses = losses[:, :, : self._action_size]  # (B, chunk, A)
+        is_pad = batch.get("action_is_pad", torch.zeros_like(actions[..., 0], dtype=torch.bool))
+        keep = (~is_pad[:, -losses.shape[1] :]).to(losses)[..., None]  # (B, chunk, 1)
+        axes = None if reduction == "mean" else (1, 2)
+        loss = (losses * keep).sum(axes) / (keep.sum(axes) * self._action_size).clamp_min(1)
+        facts = {"loss": float(loss.detach().mean()), "target_rms": float(actions.square().mean().sqrt())}
+        next_force = self.model.next_force_loss(batch)
+        if next_force is not None:
+            weighted = next_force if reduction == "none" else next_force.mean()
+            loss = loss + self.config.touch.next_force_weight * weighted
+            facts["next_force_loss"] = float(next_force.detach().mean())
+        return loss, facts
+
+    def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return noise (B, chunk, ·) and flow time (B,): random for flow matching."""
+        if self.config.action.objective == "regression":
+            # the flow's first step from zero noise: its velocity is minus the action, one Euler step samples it
+            return torch.zeros_like(actions), actions.new_ones(len(actions))
+        noise = self.model.sample_noise(actions.shape, actions.device)
+        return noise, self.model.sample_time(len(actions), actions.device)
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
@@ -218,71 +268,62 @@ class PI05UniforcePolicy(ActionLoss):
         tokens, mask = self._text(batch)
         batch = {**batch, LANGUAGE[0]: tokens, LANGUAGE[1]: mask}
         start = self._start_noise(len(tokens), tokens.device)
-        if self.config.action_objective == "regression":
+        if self.config.action.objective == "regression":
             kwargs["noise"] = start  # zeros whatever was asked for: it was trained on nothing else
         kwargs.setdefault("noise", start)
         return self._targets(super().predict_action_chunk(batch, **kwargs), batch)
 
     @torch.no_grad()
     def refresh_action_chunk(self, batch: dict[str, Tensor]) -> Tensor:
-        """Return (B, chunk, A) for what is felt now and what was seen at the last ``predict_action_chunk``.
+        """Return (B, chunk, A) for the touch of this batch on the cameras and text of the last prediction.
 
-        Cameras and text are not looked at: only the flow runs again, on the prefix as it was (``token_site=suffix``).
-
-        Args:
-            batch: preprocessed; touch and the measured state are read.
+        Only the flow runs again; of the (preprocessed) batch touch and the measured state are read.
 
         Raises:
             ContractError: touch that isn't in the suffix, the stock sampler, or nothing predicted before.
         """
         self.eval()
         device = self.delta_scale.device
-        felt = self.model.felt_now(*self.touch.gather(batch, device, training=False))
+        touch = self.model.touch_run(*self.touch.gather(batch, device, training=False))
         self._notice_adapters()
-        if felt is None or self.model.fast is None or self.model.adapted:
-            came = f"touch_input={self.config.touch_input}, sampler={self.config.sampler}, LoRA {self.model.adapted}"
+        if touch is None or self.model.fast is None or self.model.adapted:
+            came = f"{self.config.touch.input}, {self.config.sampler.kind}, LoRA {self.model.adapted}"
             do = "Only touch can be refreshed, by the fast sampler; uniforce-share merges LoRA."
-            raise ContractError(expected("refresh", "touch and sampler=fast", came, do))
-        noise = self._start_noise(len(felt.tokens), device)
-        chunk = self.model.fast.refresh(felt, noise, self.config.num_inference_steps)[
-            ..., : self._action_size
-        ]
-        return self._targets(chunk, batch)
+            raise ContractError(expected("refresh", "touch and the fast sampler", came, do))
+        noise = self._start_noise(len(touch.tokens), device)
+        chunk = self.model.fast.refresh(touch, noise, self.config.num_inference_steps)
+        return self._targets(chunk[..., : self._action_size], batch)
 
     def _notice_adapters(self) -> None:
         """Let LeRobot's loop sample while PEFT's adapters are in: the fast one reads plain weights."""
         adapted = hasattr(self, "peft_config")
         if adapted and not self.model.adapted and self.model.fast is not None:
-            logger.warning(
-                "LoRA isn't merged: LeRobot's loop samples, at its speed. uniforce-share merges it."
-            )
+            logger.warning("LoRA isn't merged: LeRobot's loop samples, slowly. uniforce-share merges it.")
         self.model.adapted = adapted
 
     def _targets(self, chunk: Tensor, batch: dict[str, Tensor]) -> Tensor:
         """Return what the postprocessor takes: the network's chunk, deltas put on the last command."""
-        if self.config.action_form == "absolute":
+        if self.config.action.form == "absolute":
             return chunk
-        targets = to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
-        return self.target_range.kept(targets)
+        targets = action.to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
+        return targets.clamp(
+            *self.target_range.to(targets)
+        )  # changes could add up to places no demo has shown
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""
         shape = (batch_size, self.config.chunk_size, self.config.max_action_dim)
-        return self.config.sampling_noise * self.model.sample_noise(shape, device)
+        return self.config.sampler.noise_scale * self.model.sample_noise(shape, device)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
-        """Return the next (B, A) action and remember it as the base of the next chunk.
-
-        Raises:
-            RolloutError: target deltas that leap; nothing is issued.
-        """
+        """Return the next (B, A) action and remember it; RolloutError where target deltas leap: nothing is issued."""
         # a queued action needs no network, and LeRobot's look at every module's mode takes milliseconds
-        action = self._action_queue.popleft() if self._action_queue else super().select_action(batch)
-        if self.config.action_form == "target_delta":
-            check_leap(action, self.issued.last, self.delta_scale)
-        self.issued.record(action)
-        return action
+        target = self._action_queue.popleft() if self._action_queue else super().select_action(batch)
+        if self.config.action.form == "target_delta":
+            action.check_leap(target, self.issued.last, self.delta_scale)
+        self.issued.record(target)
+        return target
 
     def train(self, mode: bool = True) -> Self:
         """Set the mode of every module; LeRobot asks for evaluation at every step, which costs milliseconds each."""
@@ -292,12 +333,7 @@ class PI05UniforcePolicy(ActionLoss):
 
     def get_optim_params(self) -> list[dict[str, Any]]:
         """Return trainable parameters in groups: the backbone, what starts random, the gate of touch."""
-        return parameter_groups(self.named_parameters(), self.config)
+        return training.parameter_groups(self.named_parameters(), self.config)
 
     def _get_default_peft_targets(self) -> dict[str, Any]:
-        new = [name for name in NEW_MODULES if getattr(self.model, name) is not None]
-        return lora_targets(self.model, new)
-
-
-def _known(kwargs: dict[str, Any]) -> dict[str, Any]:
-    return {k: v for k, v in kwargs.items() if k in ("dataset_stats", "dataset_meta")}
+        return training.lora_targets(self.model)

@@ -9,109 +9,112 @@ import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
+from lerobot_policy_pi05_uniforce.backbone import make_backbone
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.fast_sampler import FastSampler
-from lerobot_policy_pi05_uniforce.force_tokens import (
-    ForceTokens,
-    MarkerPairTokens,
-    SuffixTouch,
-    wrench_scale,
-)
-from lerobot_policy_pi05_uniforce.next_force import NextForce
-from lerobot_policy_pi05_uniforce.onednn import use_onednn
-from lerobot_policy_pi05_uniforce.state_token import StateToken
-from lerobot_policy_pi05_uniforce.tactile_encoder import TactileEncoder, build_encoder
-from lerobot_policy_pi05_uniforce.tiny_backbone import TinyPaliGemmaWithExpert
-from lerobot_policy_pi05_uniforce.tokenizer_maps import take_directions
-from lerobot_policy_pi05_uniforce.touch_gate import GatedBackbone, Heard, TouchGate
-from lerobot_policy_pi05_uniforce.touch_input import touch_shape
-from lerobot_policy_pi05_uniforce.trainable import freeze_unread
+from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
+from lerobot_policy_pi05_uniforce.sampler.onednn import use_onednn
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
+from lerobot_policy_pi05_uniforce.touch.encode import build_encoder
+from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens, GatedColumns, SuffixTouch, TouchGate
+from lerobot_policy_pi05_uniforce.training import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import STATE
+
+PREVIOUS_NOISE = 0.1  # on the previous action, training only, in units of ``delta_scale``
+
+
+class StateToken(nn.Module):
+    """The continuous normalised state as one prefix token: text bins are too coarse to learn from few demos.
+
+    Behind the state stand the chosen axes of the previous action. While training, noise keeps a policy from reading off
+    the pose what only touch may say: where the board begins.
+
+    Raises:
+        ContractError: noise for another number of axes.
+    """
+
+    def __init__(self, config: PI05UniforceConfig, width: int) -> None:
+        super().__init__()
+        size, moves, noise = state_size(config), len(config.previous_axes), config.augment.state_noise
+        if noise and len(noise) != size:
+            do = "Give a number per axis of the state, or none."
+            raise ContractError(expected("state_noise", f"{size} numbers", list(noise), do))
+        self.noise = (*(noise or [0.0] * size), *[PREVIOUS_NOISE] * moves)
+        self.proj = nn.Sequential(nn.Linear(size + moves, width), nn.GELU(), nn.Linear(width, width))
+
+    def forward(self, state: Tensor) -> Tensor:
+        """Map (B, 1, state size + moves) to (B, 1, D) of unit RMS."""
+        if self.training and any(self.noise):
+            state = state + torch.randn_like(state) * state.new_tensor(self.noise)
+        hidden = self.proj(state)
+        return nn.functional.rms_norm(hidden, hidden.shape[-1:])
 
 
 class PI05UniforcePytorch(stock.PI05Pytorch):
     """π0.5's network with touch: state and touch ride behind the cameras in the images list.
 
-    At ``token_site=prefix`` force tokens join cameras and text and are encoded once per observation. At ``suffix`` they
+    At ``touch.site=prefix`` force tokens join cameras and text and are encoded once per observation. At ``suffix`` they
     stand before the noisy actions in the action expert, which reads them again in every flow step; they see the prefix
     and each other, never the actions.
     """
 
     def __init__(self, config: PI05UniforceConfig, rtc_processor: Any = None, empty: bool = False) -> None:
+        nn.Module.__init__(self)  # the parent names its own backbone, and would build both language heads
+        self.config, self.rtc_processor = config, rtc_processor
+        self.gradient_checkpointing_enabled = False
         with no_weights() if empty else nullcontext():
-            if config.size == "base":
-                super().__init__(config, rtc_processor=rtc_processor)
-                self.paligemma_with_expert.__class__ = (
-                    GatedBackbone  # LeRobot's constructor names its own class
-                )
-            else:
-                self._init_tiny(config, rtc_processor)
-        self._drop_heads()
-        self._touch: SuffixTouch | None = None  # of the call in progress, at token_site=suffix
-        self.tactile_encoder = _make_encoder(config, empty)
-        self.force_tokens = self._make_force_tokens(config)
-        if config.touch_directions and isinstance(self.force_tokens, ForceTokens) and not empty:
-            take_directions(self.force_tokens, config)  # a checkpoint brings its own
-        gated = config.start_at_base and bool(config.slots)
+            self._build_stock(config)
+        self._touch: SuffixTouch | None = None  # of the call in progress, at touch.site=suffix
+        latents = bool(config.slots) and config.touch.input == "latent"
+        self.tactile_encoder = build_encoder(config, empty) if latents else None
+        vlm_width = self.paligemma_with_expert.paligemma.config.text_config.hidden_size
+        width = vlm_width if config.touch.site == "prefix" else self.action_in_proj.out_features
+        self.force_tokens: Any = self._make_force_tokens(config, width, empty)
+        gated = config.touch.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
-        self.state_token = self._make_state_token(config)
+        self.state_token: Any = StateToken(config, vlm_width) if config.state_token else None
         self.next_force = self._make_next_force(config)
         freeze_unread(self)
         if config.size == "tiny":
             use_onednn(self)
         self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
-        self.fast = FastSampler(self) if config.sampler == "fast" else None
+        self.fast = None if config.sampler.kind == "stock" else FastSampler(self)
+        if config.compile_model:  # as LeRobot's own constructor
+            torch.set_float32_matmul_precision("high")
+            for name in ("sample_actions", "forward"):
+                setattr(self, name, torch.compile(getattr(self, name), mode=config.compile_mode))
 
-    def _drop_heads(self) -> None:
-        """Remove both language heads, 0.79 B of π0.5's weights, which nothing ever reads or trains."""
-        self.paligemma_with_expert.paligemma.lm_head = nn.Identity()
-        self.paligemma_with_expert.gemma_expert.lm_head = nn.Identity()
-
-    def _init_tiny(self, config: PI05UniforceConfig, rtc_processor: Any) -> None:
-        nn.Module.__init__(self)  # the parent would build the 4 B model
-        self.config, self.rtc_processor = config, rtc_processor
-        self.gradient_checkpointing_enabled = False
-        self.paligemma_with_expert = TinyPaliGemmaWithExpert(config)
-        width = config.tiny_width
+    def _build_stock(self, config: PI05UniforceConfig) -> None:
+        """Build π0.5's modules, without the language heads: 0.79 B weights that nothing reads or trains."""
+        self.paligemma_with_expert = make_backbone(config)
+        width = self.paligemma_with_expert.gemma_expert.config.hidden_size
         self.action_in_proj = nn.Linear(config.max_action_dim, width)
         self.action_out_proj = nn.Linear(width, config.max_action_dim)
         self.time_mlp_in = nn.Linear(width, width)
         self.time_mlp_out = nn.Linear(width, width)
+        self.paligemma_with_expert.paligemma.lm_head = nn.Identity()
+        self.paligemma_with_expert.gemma_expert.lm_head = nn.Identity()
 
-    def _make_force_tokens(self, config: PI05UniforceConfig) -> ForceTokens | MarkerPairTokens | None:
+    def _make_force_tokens(self, config: PI05UniforceConfig, width: int, empty: bool) -> nn.Module | None:
         if not config.slots:
             return None
-        slots, scale = len(config.slots), config.force_token_scale
-        if config.touch_input == "marker_pair":
-            return MarkerPairTokens(config.latent_grid, slots, self.touch_width, scale)
-        shape, noise = touch_shape(config), config.touch_noise if config.touch_input == "latent" else 0.0
-        tokens = ForceTokens(
-            shape,
-            config.tokens_per_slot,
-            slots,
-            self.touch_width,
-            scale,
-            noise,
-            config.hear_whole_pad,
-            config.touch_directions,
-        )
-        tokens.needs_transfer = config.sensor_transfer > 0
-        if config.touch_input == "wrench":
-            tokens.input_scale.copy_(wrench_scale())
+        if config.touch.input != "latent":
+            from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
+
+            return control_tokens(config, width)
+        tokens = ForceTokens(config, (config.tokens_per_slot, config.latent_size), width)
+        if config.touch.directions and not empty:  # a checkpoint brings its own
+            from lerobot_policy_pi05_uniforce.touch.transfer import take_directions
+
+            take_directions(tokens, config)
         return tokens
 
-    def _make_state_token(self, config: PI05UniforceConfig) -> StateToken | None:
-        if not config.state_token:
+    def _make_next_force(self, config: PI05UniforceConfig) -> nn.Module | None:
+        if not config.touch.next_force_weight:
             return None
-        moves = len(config.told_axes)
-        return StateToken(
-            state_size(config), self.vlm_width, config.state_noise, moves, config.last_move_noise
-        )
+        from lerobot_policy_pi05_uniforce.touch.next_force import NextForce
 
-    def _make_next_force(self, config: PI05UniforceConfig) -> NextForce | None:
-        if not config.next_force_weight:
-            return None
         self.paligemma_with_expert.keep_suffix = True
         size = config.tokens_per_slot * config.latent_size
         return NextForce(self.action_in_proj.out_features, config.slots, size)
@@ -127,26 +130,16 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         **kwargs: Any,
     ) -> Tensor:
         """Return (B, chunk, max_action_dim); LeRobot's own way, or the fast one with the same result."""
+        inputs = Inputs(images, img_masks, tokens, masks)
         if self.fast is None or self.adapted:
             try:
-                return super().sample_actions(images, img_masks, tokens, masks, noise, num_steps, **kwargs)
+                return super().sample_actions(*inputs, noise, num_steps, **kwargs)
             finally:
                 self._touch = None
         if noise is None:
             shape = (len(tokens), self.config.chunk_size, self.config.max_action_dim)
             noise = self.sample_noise(shape, tokens.device)
-        steps = num_steps or self.config.num_inference_steps
-        return self.fast.sample(images, img_masks, tokens, masks, noise, steps, **kwargs)
-
-    @property
-    def vlm_width(self) -> int:
-        """D, the width of prefix tokens."""
-        return self.paligemma_with_expert.paligemma.config.text_config.hidden_size
-
-    @property
-    def touch_width(self) -> int:
-        """Width of a force token: the VLM's in the prefix, the expert's in the suffix."""
-        return self.vlm_width if self.config.token_site == "prefix" else self.action_in_proj.out_features
+        return self.fast.sample(inputs, noise, num_steps or self.config.num_inference_steps, **kwargs)
 
     def forward(self, *args: Any, **kwargs: Any) -> Tensor:
         """Return LeRobot's flow-matching losses, (B, chunk, max_action_dim)."""
@@ -160,9 +153,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         suffix = self.paligemma_with_expert.suffix
         if self.next_force is None or self.force_tokens is None or suffix is None:
             return None
-        tokens = self.force_tokens
         hidden = suffix[:, -self.config.chunk_size :]  # (B, chunk, D_expert)
-        return self.next_force(hidden, batch, tokens.input_mean, tokens.input_scale)
+        return self.next_force(hidden, batch, self.force_tokens.input_mean, self.force_tokens.input_scale)
 
     def embed_prefix(
         self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any
@@ -172,14 +164,13 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         ``images`` holds (B, 3, H, W) cameras first, then (B, 1, S) state if used, then (B, K, ·) per slot.
         Appended last, they leave image and text positions as they were; a masked token changes nothing.
         """
-        cameras = sum(image.ndim == 4 for image in images)
-        embs, pads, atts = super().embed_prefix(
-            images[:cameras], img_masks[:cameras], tokens, masks, *args, **kwargs
-        )
-        extra = images[cameras:], img_masks[cameras:]
+        extra = Inputs(images, img_masks, tokens, masks).extra
+        cameras = len(images) - len(extra[0])
+        seen = images[:cameras], img_masks[:cameras]
+        embs, pads, atts = super().embed_prefix(*seen, tokens, masks, *args, **kwargs)
         self._touch = self.suffix_touch(*extra)
-        self.paligemma_with_expert.heard = self.heard(*extra, before=embs.shape[1])
-        for embedded, mask in self.prefix_extra(*extra):
+        behind, self.paligemma_with_expert.gated = self.embed_extra(*extra, before=embs.shape[1])
+        for embedded, mask in behind:
             count = embedded.shape[1]
             embs = torch.cat([embs, embedded.to(embs.dtype)], dim=1)  # (B, L + count, D)
             pads = torch.cat([pads, mask[:, None].expand(-1, count)], dim=1)
@@ -187,44 +178,42 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         return embs, pads, atts
 
     def embed_suffix(self, noisy_actions: Tensor, timestep: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Embed noisy actions as π0.5 does, force tokens before them at ``token_site=suffix``."""
+        """Embed noisy actions as π0.5 does, force tokens before them at ``touch.site=suffix``."""
         embs, pads, atts, cond = super().embed_suffix(noisy_actions, timestep)
         if self._touch is None:
             return embs, pads, atts, cond
         block = atts.new_zeros(self._touch.mask.shape)
         block[:, 0] = 1  # a block of its own between prefix and actions
         embs = torch.cat([self._touch.tokens.to(embs.dtype), embs], dim=1)  # (B, N + chunk, D_expert)
-        return (
-            embs,
-            torch.cat([self._touch.mask, pads], dim=1),
-            torch.cat([block, atts], dim=1),
-            cond,
-        )
+        pads, atts = torch.cat([self._touch.mask, pads], dim=1), torch.cat([block, atts], dim=1)
+        return embs, pads, atts, cond
 
-    def prefix_extra(self, extra: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
-        """Return (B, ·, D) tokens and (B,) mask of the state, and at that site of every touch slot, in that order."""
-        states, embedded = self._states(extra), []
-        if states and self.state_token is not None:
-            embedded.append((self.state_token(extra[0]), masks[0]))
-        if self.config.token_site == "prefix":
-            embedded += self._touches(extra[states:], masks[states:])
-        return embedded
+    def embed_extra(
+        self, extra: list[Tensor], masks: list[Tensor], before: int
+    ) -> tuple[list[tuple[Tensor, Tensor]], GatedColumns | None]:
+        """Return what stands behind ``before`` tokens of cameras and text, and the weight of touch, if not 1.
 
-    def heard(self, extra: list[Tensor], masks: list[Tensor], before: int) -> Heard | None:
-        """Return how touch is heard behind ``before`` tokens of cameras and text; None: as any other token."""
-        states = self._states(extra)
-        pads = [mask[:, None].expand(-1, self.config.tokens_per_slot) for mask in masks[states:]]
-        if self.touch_gate is None or not pads:
-            return None
-        bias = self.touch_gate(len(pads), self.config.tokens_per_slot)
-        return Heard(before + states, bias, torch.cat(pads, dim=1))
+        The first is (B, ·, D) tokens and (B,) mask of the state, and at that site of every touch slot, in that order.
+        """
+        states = 1 if self.state_token is not None and extra else 0
+        touches, touch_masks = extra[states:], masks[states:]
+        prefix = [(self.state_token(extra[0]), masks[0])] if states else []
+        if self.config.touch.site == "prefix":
+            prefix += self._touches(touches, touch_masks)
+        gated = None
+        if self.touch_gate is not None and touches:
+            count = self.config.tokens_per_slot
+            pads = torch.cat([mask[:, None].expand(-1, count) for mask in touch_masks], dim=1)
+            gated = GatedColumns(before + states, self.touch_gate(len(touches), count), pads)
+        return prefix, gated
 
     def suffix_touch(self, extra: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
         """Return all slots' tokens for the suffix; None at the other site or without touch."""
-        states = self._states(extra)
-        return self.felt_now(extra[states:], masks[states:]) if self.config.token_site == "suffix" else None
+        states = 1 if self.state_token is not None and extra else 0
+        suffix = self.config.touch.site == "suffix"
+        return self.touch_run(extra[states:], masks[states:]) if suffix else None
 
-    def felt_now(self, touches: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
+    def touch_run(self, touches: list[Tensor], masks: list[Tensor]) -> SuffixTouch | None:
         """Return the slots' (B, K, ·) inputs as one run of tokens; None without touch."""
         embedded = self._touches(touches, masks)
         if not embedded:
@@ -232,24 +221,11 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         pads = [mask[:, None].expand(-1, tokens.shape[1]) for tokens, mask in embedded]
         return SuffixTouch(torch.cat([tokens for tokens, _ in embedded], dim=1), torch.cat(pads, dim=1))
 
-    def _states(self, extra: list[Tensor]) -> int:
-        return 1 if self.state_token is not None and len(extra) > 0 else 0
-
     def _touches(self, touches: list[Tensor], masks: list[Tensor]) -> list[tuple[Tensor, Tensor]]:
-        if self.force_tokens is None:
-            return []
-        return [
-            (self.force_tokens(touch, slot), mask)
-            for slot, (touch, mask) in enumerate(zip(touches, masks, strict=True))
-        ]
+        rows = enumerate(zip(touches, masks, strict=True))
+        return [(self.force_tokens(touch, slot), mask) for slot, (touch, mask) in rows]
 
 
 def state_size(config: PI05UniforceConfig) -> int:
     """Return the number of state axes."""
     return config.input_features[STATE].shape[0]
-
-
-def _make_encoder(config: PI05UniforceConfig, empty: bool) -> TactileEncoder | None:
-    if not config.slots or config.touch_input != "latent":
-        return None
-    return build_encoder(config, empty)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import torch
 from lerobot.lerobot_types import RobotObservation
 from lerobot.policies.pi05.processor_pi05 import Pi05PrepareStateTokenizerProcessorStep
@@ -21,69 +24,23 @@ from lerobot.processor import (
     UnnormalizerProcessorStep,
     make_policy_processor_pipelines,
 )
+from torch import Tensor
+from transformers import AutoTokenizer
 
-from lerobot_policy_pi05_uniforce import local_tokenizer, saved_tokenizer
-from lerobot_policy_pi05_uniforce.check_action import CheckActionStep
+from lerobot_policy_pi05_uniforce.action import CheckActionStep
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.quantile_floor import floor_quantiles
 from uniforce_vtla.errors import CheckpointError, expected
-from uniforce_vtla.keys import STATE
+from uniforce_vtla.keys import ACTION, STATE
 
 logger = logging.getLogger(__name__)
 
 MEASURED_STATE = "observation.measured_state"  # the state in SI units, beside the normalised one
-
-
-@ProcessorStepRegistry.register(name="uniforce_tokenizer_processor")
-@dataclass
-class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
-    """Tokenize the prompt, with nothing but the checkpoint at hand.
-
-    The packaged tokenizer is stored by name and found again wherever the package is installed; any other is saved
-    whole, as this step's state.
-    """
-
-    tokenizer_name: str | None = local_tokenizer.PACKAGED
-
-    def __post_init__(self) -> None:
-        self._files: dict[str, torch.Tensor] = {}
-        self._warned = False
-        if self.tokenizer_name == saved_tokenizer.SAVED:
-            return  # load_state_dict brings it
-        stored = self.tokenizer_name or local_tokenizer.PACKAGED
-        self.tokenizer_name = local_tokenizer.location(stored)
-        super().__post_init__()
-        self.tokenizer_name = stored
-
-    def get_config(self) -> dict[str, Any]:
-        """Return what the pipeline's JSON holds."""
-        return {**super().get_config(), "tokenizer_name": self._saved_name}
-
-    @property
-    def _saved_name(self) -> str:
-        packaged = self.tokenizer_name == local_tokenizer.PACKAGED
-        return local_tokenizer.PACKAGED if packaged else saved_tokenizer.SAVED
-
-    def state_dict(self) -> dict[str, torch.Tensor]:
-        """Return the tokenizer's files; nothing for the packaged one."""
-        if self._saved_name == saved_tokenizer.SAVED and not self._files:
-            self._files = saved_tokenizer.to_tensors(self.input_tokenizer)
-        return dict(self._files)
-
-    def load_state_dict(self, state: dict[str, torch.Tensor]) -> None:
-        """Take the tokenizer from its files."""
-        self._files = dict(state)
-        self.input_tokenizer = saved_tokenizer.from_tensors(state)
-
-    def _tokenize_text(self, text: str | list[str]) -> dict[str, torch.Tensor]:
-        if self.input_tokenizer is None:
-            do = "Copy the checkpoint again, with every file of its preprocessor."
-            raise CheckpointError(expected("text tokenizer", "its files in the preprocessor", "none", do))
-        tokens = super()._tokenize_text(text)
-        if not self._warned and bool(tokens["attention_mask"].all(dim=-1).any()):
-            self._warned = True
-            logger.warning("A prompt fills all %d text tokens; its end may be cut: %r", self.max_length, text)
-        return tokens
+FOLDER = Path(__file__).parent / "text_tokenizer"
+PACKAGED = "packaged:text_tokenizer"  # what checkpoints store, so that a moved installation still loads
+SAVED = "saved:text_tokenizer"  # likewise, for a tokenizer in the preprocessor's own state file
+VOCABULARY = 640  # ids for the packaged one's tokens and the image token, rounded up to 64
+PALIGEMMA = "google/paligemma-3b-pt-224"  # the vocabulary of the published π0.5 weights
+SPAN_FLOOR = (0.005, 0.005, 0.005, 0.02, 0.002)  # m, m, m, rad, m: below this a spread is noise
 
 
 @ProcessorStepRegistry.register(name="uniforce_keep_measured_state")
@@ -100,6 +57,88 @@ class KeepMeasuredStateStep(ObservationProcessorStep):
     def transform_features(self, features: Any) -> Any:
         """Leave the feature description alone: the copy never leaves the policy."""
         return features
+
+
+@ProcessorStepRegistry.register(name="uniforce_tokenizer_processor")
+@dataclass
+class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
+    """Tokenize the prompt, with nothing but the checkpoint at hand.
+
+    LeRobot stores a tokenizer by name; a folder's is gone on the next machine, and PaliGemma's needs an account. So the
+    packaged one is found wherever the package is installed, and any other is saved whole, as this step's state.
+    """
+
+    tokenizer_name: str | None = PACKAGED
+
+    def __post_init__(self) -> None:
+        self._files: dict[str, Tensor] = {}
+        self._warned = False
+        if self.tokenizer_name == SAVED:
+            return  # load_state_dict brings it
+        stored = self.tokenizer_name or PACKAGED
+        self.tokenizer_name = str(FOLDER) if stored == PACKAGED else stored
+        super().__post_init__()
+        self.tokenizer_name = stored
+
+    @property
+    def _packaged(self) -> bool:
+        return self.tokenizer_name == PACKAGED
+
+    def get_config(self) -> dict[str, Any]:
+        """Return what the pipeline's JSON holds."""
+        return {**super().get_config(), "tokenizer_name": PACKAGED if self._packaged else SAVED}
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return the tokenizer's files as (n,) uint8; nothing for the packaged one."""
+        if not self._packaged and not self._files:
+            self._files = _to_tensors(self.input_tokenizer)
+        return dict(self._files)
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Take the tokenizer from its files; nothing is looked for anywhere else."""
+        self._files = dict(state)
+        with TemporaryDirectory() as folder:
+            for name, content in state.items():
+                (Path(folder) / Path(name).name).write_bytes(content.cpu().numpy().tobytes())
+            self.input_tokenizer = AutoTokenizer.from_pretrained(folder, local_files_only=True)
+
+    def _tokenize_text(self, text: str | list[str]) -> dict[str, Tensor]:
+        if self.input_tokenizer is None:
+            do = "Copy the checkpoint again, with every file of its preprocessor."
+            raise CheckpointError(expected("text tokenizer", "its files in the preprocessor", "none", do))
+        tokens = super()._tokenize_text(text)
+        if not self._warned and bool(tokens["attention_mask"].all(dim=-1).any()):
+            self._warned = True
+            logger.warning("A prompt fills all %d text tokens; its end may be cut: %r", self.max_length, text)
+        return tokens
+
+
+def _to_tensors(tokenizer: Any) -> dict[str, Tensor]:
+    with TemporaryDirectory() as folder:
+        tokenizer.save_pretrained(folder)
+        files = sorted(path for path in Path(folder).iterdir() if path.is_file())
+        return {
+            path.name: torch.frombuffer(bytearray(path.read_bytes()), dtype=torch.uint8) for path in files
+        }
+
+
+def floor_quantiles(stats: dict[str, dict[str, Any]] | None) -> dict[str, dict[str, Any]] | None:
+    """Return ``stats`` with q01…q99 of state and action at least ``SPAN_FLOOR`` apart, centre kept.
+
+    An axis that never moved in the demos then can't explode at rollout. Other keys pass untouched, and so do vectors
+    that don't have the five axes of the contract. Applying it twice changes nothing.
+    """
+    if not stats:
+        return stats
+    return {key: _floor(value) if key in (STATE, ACTION) else value for key, value in stats.items()}
+
+
+def _floor(stat: dict[str, Any]) -> dict[str, Any]:
+    if "q01" not in stat or np.size(stat["q01"]) != len(SPAN_FLOOR):
+        return stat
+    low, high = (np.asarray(stat[q], dtype=np.float64) for q in ("q01", "q99"))
+    lack = np.maximum(np.asarray(SPAN_FLOOR) - (high - low), 0.0) / 2
+    return {**stat, "q01": low - lack, "q99": high + lack}
 
 
 def make_pi05_uniforce_pre_post_processors(
@@ -123,7 +162,7 @@ def make_pi05_uniforce_pre_post_processors(
         ),
         Pi05PrepareStateTokenizerProcessorStep(max_state_dim=config.max_state_dim),
         UniforceTokenizerProcessorStep(
-            tokenizer_name=local_tokenizer.resolve(config.text_tokenizer_name, config.size),
+            tokenizer_name=config.text_tokenizer_name or (PACKAGED if config.size == "tiny" else PALIGEMMA),
             max_length=config.tokenizer_max_length,
             padding_side="right",
             padding="max_length",
@@ -135,6 +174,6 @@ def make_pi05_uniforce_pre_post_processors(
             features=config.output_features, norm_map=config.normalization_mapping, stats=stats
         ),
         DeviceProcessorStep(device="cpu"),
-        CheckActionStep.of(stats if config.stop_outside_demos else None),
+        CheckActionStep.of(stats if config.action.stop_outside_demos else None),
     ]
     return make_policy_processor_pipelines(input_steps=before, output_steps=after)

@@ -15,7 +15,6 @@ from torch import Tensor, nn
 
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.file_hashes import HASHES, check_hashes, hashed_names
-from uniforce_vtla.json_file import read_object
 from uniforce_vtla.tokenizer.weights import is_finite
 
 ALIGNED_BELOW = 2**20  # bytes: all of tiny's matrices, hardly anything of base
@@ -32,25 +31,14 @@ def find(source: str | Path, name: str, revision: str | None = None, local_files
     if Path(source).is_dir() or Path(source).is_absolute():
         path = Path(source) / name
         if not path.is_file():
-            raise CheckpointError(
-                expected(str(path), "a file", "none", "Point at a pretrained_model folder.")
-            )
+            do = "Point at a pretrained_model folder."
+            raise CheckpointError(expected(str(path), "a file", "none", do))
         return path
     try:
         return Path(hf_hub_download(str(source), name, revision=revision, local_files_only=local_files_only))
     except (HfHubHTTPError, OSError) as error:
-        raise CheckpointError(
-            expected(f"{source}/{name}", "a folder or hub repository", error, "Check path and network.")
-        ) from error
-
-
-def read_config(path: Path) -> dict[str, Any]:
-    """Return the saved settings.
-
-    Raises:
-        CheckpointError: the file is no JSON object.
-    """
-    return read_object(path, CheckpointError)
+        do, wanted = "Check path and network.", "a folder or hub repository"
+        raise CheckpointError(expected(f"{source}/{name}", wanted, error, do)) from error
 
 
 def check_files(source: str | Path, verify: str, revision: str | None, local_files_only: bool) -> None:
@@ -85,15 +73,20 @@ def fill(
         fresh: prefixes of names that may be missing: modules the file's author didn't have.
 
     Raises:
-        CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or hold NaN or inf.
+        CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or aren't finite.
     """
     with opened(path) as stored:
-        renamed = ((rename(name), name) for name in stored.keys())  # noqa: SIM118 (not a dict)
-        placed = {own: name for own, name in renamed if own is not None}
-        shapes = {own: tuple(stored.get_slice(name).get_shape()) for own, name in placed.items()}
-        _check(module, shapes, fresh)
-        for own, name in placed.items():
-            _place(module, own, finite(stored.get_tensor(name), f"{name} of {path}"))
+        tensors = {own: stored.get_tensor(n) for n in stored.keys() if (own := rename(n)) is not None}  # noqa: SIM118
+    wanted = module.state_dict()
+    _check(wanted, tensors, fresh)
+    for name, tensor in tensors.items():
+        finite(tensor, f"{name} of {path}")
+        # A copy has aligned memory; in the file a tensor may start anywhere, and a matrix product's last bits hang on
+        # that. Large ones stay mapped from the file: base must never be held twice.
+        copy = tensor.nbytes < ALIGNED_BELOW
+        device = tensor.device if wanted[name].is_meta else wanted[name].device
+        tensors[name] = tensor.to(device, wanted[name].dtype, copy=copy)
+    module.load_state_dict(tensors, strict=False, assign=True)
 
 
 def finite(tensor: Tensor, what: str) -> Tensor:
@@ -114,17 +107,14 @@ def names(path: Path) -> list[str]:
 
 
 @contextmanager
-def opened(path: Path, what: str = "weights") -> Iterator[Any]:
+def opened(path: Path) -> Iterator[Any]:
     """Open a safetensors file; raise CheckpointError where it is truncated or damaged."""
     try:
         with safe_open(path, framework="pt") as stored:
             yield stored
     except (SafetensorError, OSError, ValueError) as error:
-        raise CheckpointError(
-            expected(
-                f"{what} in {path}", "a whole safetensors file", error, "It is cut or damaged; copy it again."
-            )
-        ) from error
+        do = "It is cut or damaged; copy it again."
+        raise CheckpointError(expected(str(path), "a whole safetensors file", error, do)) from error
 
 
 def no_weights() -> AbstractContextManager:
@@ -132,28 +122,11 @@ def no_weights() -> AbstractContextManager:
     return init_empty_weights(include_buffers=False)
 
 
-def _check(module: nn.Module, shapes: dict[str, tuple[int, ...]], fresh: tuple[str, ...]) -> None:
-    own = {name: tuple(tensor.shape) for name, tensor in module.state_dict().items()}
-    problems = {
-        "missing": sorted(n for n in own.keys() - shapes.keys() if not n.startswith(fresh)),
-        "unexpected": sorted(shapes.keys() - own.keys()),
-        "misshapen": sorted(k for k in own.keys() & shapes.keys() if own[k] != shapes[k]),
-    }
-    found = {kind: ", ".join(names) for kind, names in problems.items() if names}
+def _check(own: dict[str, Tensor], stored: dict[str, Tensor], fresh: tuple[str, ...]) -> None:
+    misshapen = [name for name in own.keys() & stored.keys() if own[name].shape != stored[name].shape]
+    missing = [name for name in own.keys() - stored.keys() if not name.startswith(fresh)]
+    kinds = {"missing": missing, "unexpected": stored.keys() - own.keys(), "misshapen": misshapen}
+    found = {kind: ", ".join(sorted(names)) for kind, names in kinds.items() if names}
     if found:
         do = "Load it with the settings it was trained with (its own config.json)."
         raise CheckpointError(expected("checkpoint tensors", f"the {len(own)} of this policy", found, do))
-
-
-def _place(module: nn.Module, name: str, tensor: Tensor) -> None:
-    parent, _, leaf = name.rpartition(".")
-    owner = module.get_submodule(parent)
-    old = getattr(owner, leaf)
-    device = tensor.device if old.is_meta else old.device
-    # A copy has aligned memory; in the file a tensor may start anywhere, and a matrix product's last bits hang on that.
-    # Large ones stay mapped from the file: base must never be held twice.
-    new = tensor.to(device, old.dtype, copy=tensor.nbytes < ALIGNED_BELOW)
-    if isinstance(old, nn.Parameter):
-        owner.register_parameter(leaf, nn.Parameter(new, requires_grad=old.requires_grad))
-    else:
-        owner.register_buffer(leaf, new)

@@ -14,7 +14,7 @@ from uniforce_recorder_trials.session import environment
 
 STEPS = 20
 STEPS_TAKE_s = 1200.0  # on a starved machine
-SLOTS = "policy.touch_slots={touch0: right, touch1: left}"
+SLOTS = "policy.touch.slots={touch0: right, touch1: left}"
 
 
 def load_in_stock_lerobot(root: Path, first: int = 0) -> dict[str, Any]:

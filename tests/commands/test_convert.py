@@ -12,8 +12,9 @@ from lerobot.policies.pi05.configuration_pi05 import PI05Config
 from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
+from lerobot_policy_pi05_uniforce.conversion import EMBEDDING, FRESH, HEADS, own_names
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.published import EMBEDDING, FRESH, HEADS, own_names
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_commands import train
 from uniforce_commands.convert import main
@@ -21,7 +22,7 @@ from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
 from uniforce_vtla.tokenizer import Tokenizer
 
-SMALL = {"tiny_width": 32, "tiny_depth": 2, "tiny_head_dim": 8, "tiny_mlp_dim": 32, "tiny_vision_depth": 1}
+SMALL = TinySettings(width=64, depth=2, mlp_dim=32)
 
 
 @pytest.mark.slow
@@ -30,8 +31,8 @@ def test_every_tensor_of_the_real_size_finds_its_place(site: str) -> None:
     """LeRobot's own 4 B network against ours, both without memory: same names, same shapes, two heads less."""
     with no_weights():
         theirs = stock.PI05Pytorch(PI05Config(device="cpu"))
-    touch = {"touch_input": "wrench", "touch_slots": {"touch0": "right"}, "token_site": site}
-    config = PI05UniforceConfig(size="base", device="cpu", dtype="bfloat16", **touch)
+    touch = TouchSettings(input="wrench", site=site)
+    config = PI05UniforceConfig(size="base", device="cpu", dtype="bfloat16", touch=touch)
     from lerobot.configs import FeatureType, PolicyFeature
 
     config.input_features = {"observation.state": PolicyFeature(FeatureType.STATE, (5,))}
@@ -71,7 +72,11 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("published")
     config = PI05UniforceConfig(
-        size="tiny", device="cpu", touch_input="none", image_resolution=(28, 28), **SMALL
+        size="tiny",
+        device="cpu",
+        touch=TouchSettings(input="none"),
+        image_resolution=(28, 28),
+        tiny=SMALL,
     )
     camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
     config.input_features = {f"observation.images.{name}": camera for name in ("front", "wrist")}
@@ -96,7 +101,7 @@ def test_a_conversion_keeps_every_weight_and_trains_on(published: Path, view: Pa
     after = policy.state_dict()
     assert all(torch.equal(after[name], tensor) for name, tensor in before.items() if name not in HEADS)
     assert any("force_tokens" in name for name in after.keys() - before.keys())
-    assert json.loads((out / "config.json").read_text())["token_site"] == "suffix"
+    assert json.loads((out / "config.json").read_text())["touch"]["site"] == "suffix"
     data = ["dataset.repo_id=local/view", f"dataset.root={view}", f"output_dir={tmp_path / 'run'}"]
     run = ["steps=2", "batch_size=2", "num_workers=0", "save_freq=2", "policy.device=cpu"]
     train.train([f"policy.path={out}", *data, *run])

@@ -17,7 +17,7 @@ class Listener:
     """Its chunk is the brightness of the streams it listens to, and a little noise."""
 
     needs_true_wrench = False
-    config = SimpleNamespace(delta_scale=[1.0] * 5, chunk_size=4, max_action_dim=8)
+    config = SimpleNamespace(action=SimpleNamespace(delta_scale=[1.0] * 5), chunk_size=4, max_action_dim=8)
 
     def __init__(self, *streams: str) -> None:
         self.streams = streams

@@ -15,12 +15,13 @@ import pytest
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 
+from benchmarks.policy import text_tokenizer
 from lerobot_policy_pi05_uniforce import (
     PI05UniforceConfig,
     PI05UniforcePolicy,
-    local_tokenizer,
     make_pi05_uniforce_pre_post_processors,
 )
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
 from uniforce_commands import share
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
@@ -64,21 +65,20 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
     """A checkpoint as the trainer leaves it, its text tokenizer in a folder of its own, and what it answers."""
     torch.manual_seed(0)
     torch.set_num_threads(1)
-    local_tokenizer.build(tmp_path / "words")
+    text_tokenizer.build(tmp_path / "words")
     tactile = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
     Tokenizer.random(tactile).save(tmp_path / "tactile")
-    small = {"tiny_width": 32, "tiny_depth": 2, "tiny_head_dim": 8, "tiny_mlp_dim": 32}
     camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
     config = PI05UniforceConfig(
         size="tiny",
         device="cpu",
         image_resolution=(28, 28),
-        tokenizer_path=str(tmp_path / "tactile"),
+        touch=TouchSettings(tokenizer_path=str(tmp_path / "tactile")),
+        tiny=TinySettings(width=64, depth=2, mlp_dim=32),
         text_tokenizer_name=str(tmp_path / "words"),
         input_features={f"observation.images.{name}": camera for name in ("front", "wrist")}
         | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},
         output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
-        **small,
     )
     one = {"q01": np.zeros(5), "q99": np.ones(5), "min": np.zeros(5), "max": np.ones(5)}
     stats = {"observation.state": dict(one), "action": dict(one)}

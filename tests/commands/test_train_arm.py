@@ -33,11 +33,7 @@ def test_a_recipe_trains_on_its_rigs_demos(name: str, view: Path, tmp_path: Path
     given = arguments(TrainArmConfig(name=name, view=str(view)), RECIPES[name], tmp_path / "run")
     wanted = {"vtg": [0, 2], "vtu": [1, 3, 4]}.get(name, [0, 1, 2, 3, 4])
     assert f"dataset.episodes={wanted}" in given
-    assert f"policy.touch_input={RECIPES[name].touch_input}" in given
-    assert "policy.last_move_steps=4" in given and "policy.n_action_steps=4" in given
-    assert ("policy.touch_dropout=0.1" in given) == (name == "vt")
-    for setting in ("sensor_transfer=0.2", "touch_directions=4", "touch_noise=1.0"):
-        assert (f"policy.{setting}" in given) == (RECIPES[name].touch_input == "latent")
+    assert f"policy.touch.input={RECIPES[name].touch_input}" in given and "policy.recipe=scored" in given
 
 
 def test_fewer_demos_are_the_first_of_each_rig(view: Path, tmp_path: Path) -> None:

@@ -197,15 +197,15 @@ def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
 
 
 def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
-    touch = {"slots": ("touch0",), "finger_by_slot": lambda: {"touch0": "left"}, "latent_grid": 4}
-    made = make_training_dataset(trainer_config(view, touch_input="latent", **touch), pytest.fail)
+    latents = SimpleNamespace(input="latent", next_force_weight=0.0)
+    fingers = {"slots": ("touch0",), "finger_by_slot": lambda: {"touch0": "left"}}
+    touch = {"touch": latents, "latent_grid": 4, **fingers}
+    made = make_training_dataset(trainer_config(view, **touch), pytest.fail)
     assert made[0][ACTION].shape == (5, 5) and latent_key("touch0") in made.features
     blind = make_training_dataset(trainer_config(view), pytest.fail)
     assert latent_key("touch0") not in blind.features
     with pytest.raises(DatasetError, match="latent_grid=2"):
-        make_training_dataset(
-            trainer_config(view, touch_input="latent", **(touch | {"latent_grid": 2})), pytest.fail
-        )
+        make_training_dataset(trainer_config(view, **(touch | {"latent_grid": 2})), pytest.fail)
     assert make_training_dataset(trainer_config(demos), lambda cfg: "stock") == "stock"
 
 

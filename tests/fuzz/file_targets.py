@@ -18,6 +18,7 @@ from lerobot_policy_pi05_uniforce import (
     PI05UniforcePolicy,
     make_pi05_uniforce_pre_post_processors,
 )
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets import hashes as dataset_hashes
 from uniforce_datasets.bench import BlockMeans
@@ -145,13 +146,9 @@ def policy(folder: Path) -> FileTarget:
     config = PI05UniforceConfig(
         size="tiny",
         device="cpu",
-        tiny_width=32,
-        tiny_depth=1,
-        tiny_head_dim=8,
-        tiny_mlp_dim=32,
-        tiny_vision_depth=1,
+        tiny=TinySettings(width=64, depth=2, mlp_dim=32),
         image_resolution=(28, 28),
-        tokenizer_path=str(stored),
+        touch=TouchSettings(tokenizer_path=str(stored)),
         input_features=visual | {STATE: PolicyFeature(FeatureType.STATE, (5,))},
         output_features={ACTION: PolicyFeature(FeatureType.ACTION, (5,))},
     )

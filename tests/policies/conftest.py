@@ -21,13 +21,7 @@ from lerobot_policy_pi05_uniforce import (
 )
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
-SMALL = {
-    "tiny_width": 32,
-    "tiny_depth": 2,
-    "tiny_head_dim": 8,
-    "tiny_mlp_dim": 32,
-    "image_resolution": (28, 28),
-}
+SMALL = {"tiny__width": 64, "tiny__depth": 2, "tiny__mlp_dim": 32, "image_resolution": (28, 28)}
 BOTH = {"touch0": "right", "touch1": "left"}
 LOW, HIGH = np.array([0.3, -0.2, 0.0, -1.0, 0.0]), np.array([0.7, 0.2, 0.3, 1.0, 0.08])
 
@@ -65,16 +59,33 @@ def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
             for name in ("front", "wrist", "tactile_left", "tactile_right")
         }
         state = {"observation.state": PolicyFeature(FeatureType.STATE, (5,))}
-        given = {"touch_slots": BOTH, "tokenizer_path": str(tokenizer_path), **SMALL, **settings}
+        given = {
+            "size": "tiny",
+            "touch__slots": BOTH,
+            "touch__tokenizer_path": str(tokenizer_path),
+            **SMALL,
+            **settings,
+        }
         return PI05UniforceConfig(
-            size="tiny",
             device="cpu",
             input_features=cameras | state,
             output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
-            **given,
+            **in_groups(given),
         )
 
     return make
+
+
+def in_groups(settings: dict[str, Any]) -> dict[str, Any]:
+    """``touch__site="suffix"`` → ``touch=TouchSettings(site="suffix")``."""
+    groups: dict[str, dict[str, Any]] = {}
+    plain = {name: value for name, value in settings.items() if "__" not in name}
+    for name, value in settings.items():
+        group, _, setting = name.partition("__")
+        if setting:
+            groups.setdefault(group, {})[setting] = value
+    fields = PI05UniforceConfig.__dataclass_fields__
+    return plain | {group: fields[group].default_factory(**values) for group, values in groups.items()}
 
 
 @pytest.fixture

@@ -5,40 +5,34 @@ Nothing here proves that a GPU can capture it; the last test does, where there i
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 import torch
-from lerobot.policies.pi05 import modeling_pi05 as stock
+from policy_samples import OPEN, alive, inputs, lerobots_own, ours, start_noise
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from lerobot_policy_pi05_uniforce.bench import lerobots_layers
-from lerobot_policy_pi05_uniforce.cuda_graphs import BUCKETS, KEPT, GraphedSampler, bucketed
+from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import BUCKETS, KEPT, GraphedSampler, bucketed
 from uniforce_vtla.errors import ContractError
 
 TOLERANCE = 1e-4
 
 
-def inputs(policy, batch):
-    images, masks = policy._preprocess_images(batch)
-    return images, masks, batch["observation.language.tokens"], batch["observation.language.attention_mask"]
-
-
 @pytest.fixture(params=["prefix", "suffix"])
 def policy(request, make_policy):
+    return graphed(make_policy, request.param)
+
+
+def graphed(make_policy, site):
     """A policy with touch behind a half-open gate, whose norms do something, and uncaptured graphs."""
-    policy = make_policy(touch_input="wrench", token_site=request.param, start_at_base=True)
-    for name, p in policy.model.named_parameters():
-        if "norm.dense.weight" in name:
-            torch.nn.init.normal_(p, std=0.3)
-    policy.model.touch_gate.gate.data[:] = torch.tensor([0.6, 1.5])
+    policy = alive(make_policy(touch__input="wrench", touch__site=site, touch__start_at_base=True), OPEN)
     policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
     return policy
 
 
 def both(policy, given, steps=4):
-    noise = torch.randn(len(given[2]), policy.config.chunk_size, policy.config.max_action_dim)
-    with lerobots_layers(policy.model):
-        slow = stock.PI05Pytorch.sample_actions(policy.model, *given, noise=noise, num_steps=steps)
-    return slow, policy.model.sample_actions(*given, noise=noise, num_steps=steps)
+    noise = start_noise(policy, len(given[2]))
+    return lerobots_own(policy, given, noise, steps), ours(policy, given, noise, steps)
 
 
 def test_replays_give_lerobots_actions_for_every_new_observation(policy, make_batch):
@@ -105,7 +99,7 @@ def test_nothing_recorded_waits_for_the_device(policy, make_batch):
     both(policy, given)
     pair = policy.model.fast.graphed._latest
     with torch.no_grad(), Recorded() as recorded:
-        pair.look(*pair.look._inputs)
+        pair.prefill(*pair.prefill._inputs)
         pair.flow(*pair.flow._inputs)
     assert {"scaled_dot_product_attention", "_scaled_dot_product_flash_attention_for_cpu"} & recorded.names
     waits = {"_local_scalar_dense", "nonzero", "masked_select", "lift_fresh", "equal", "_unique2"}
@@ -119,18 +113,16 @@ def test_inputs_of_other_shapes_are_refused(policy, make_batch):
 
 
 def test_a_refresh_replays_the_flow_alone(make_policy, make_batch):
-    policy = make_policy(touch_input="wrench", token_site="suffix", start_at_base=True)
-    policy.model.touch_gate.gate.data[:] = torch.tensor([0.6, 1.5])
-    policy.model.fast.graphed = GraphedSampler(policy.model.fast, capture=False)
+    policy = graphed(make_policy, "suffix")
     batch = make_batch(policy)
     seen = policy.predict_action_chunk(batch)
     harder = {key: 3 * value if "wrench" in key else value for key, value in batch.items()}
-    looks = []
-    look = policy.model.fast.encoder.look
-    policy.model.fast.encoder.look = lambda *a, **k: looks.append(1) or look(*a, **k)
-    felt = policy.refresh_action_chunk(harder)
-    assert not looks and (felt - seen).abs().max() > 1e-5
-    assert torch.allclose(felt, policy.predict_action_chunk(harder), atol=1e-5) and looks
+    prefills = []
+    prefill = policy.model.fast.encoder.prefill
+    policy.model.fast.encoder.prefill = lambda *a, **k: prefills.append(1) or prefill(*a, **k)
+    again = policy.refresh_action_chunk(harder)
+    assert not prefills and (again - seen).abs().max() > 1e-5
+    assert torch.allclose(again, policy.predict_action_chunk(harder), atol=1e-5) and prefills
 
 
 def test_prompts_go_to_the_next_bucket() -> None:
@@ -140,20 +132,21 @@ def test_prompts_go_to_the_next_bucket() -> None:
     assert bucketed(tokens.repeat(1, 5), mask.repeat(1, 5))[0].shape[1] == 250 > BUCKETS[-1]
 
 
-def test_a_cpu_samples_without_graphs(make_policy, make_batch):
-    policy = make_policy()
+@pytest.mark.parametrize(("kind", "made"), [("fast", True), ("eager", False)])
+def test_graphs_are_for_cuda_alone_and_can_be_turned_off(kind, made, make_policy, make_batch, monkeypatch):
+    policy = make_policy(sampler__kind=kind)
     policy.predict_action_chunk(make_batch(policy))
-    assert policy.config.cuda_graphs and policy.model.fast.graphed is None
+    assert policy.model.fast.graphed is None  # a CPU
+    on_cuda = SimpleNamespace(device=torch.device("cuda"))
+    assert (policy.model.fast._graphs(on_cuda) is not None) == made
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device: capture was never run")
 def test_a_gpu_captures_them(make_policy, make_batch):
-    policy = make_policy(touch_input="wrench", token_site="suffix", start_at_base=True).to("cuda")
+    policy = make_policy(touch__input="wrench", touch__site="suffix", touch__start_at_base=True).to("cuda")
     batch = {k: v.cuda() if isinstance(v, torch.Tensor) else v for k, v in make_batch(policy).items()}
-    given = inputs(policy, batch)
-    noise = torch.randn(2, policy.config.chunk_size, policy.config.max_action_dim, device="cuda")
+    given, noise = inputs(policy, batch), start_noise(policy).cuda()
     for _ in range(2):
-        fast = policy.model.sample_actions(*given, noise=noise, num_steps=4)
-    with lerobots_layers(policy.model):
-        slow = stock.PI05Pytorch.sample_actions(policy.model, *given, noise=noise, num_steps=4)
-    assert policy.model.fast.graphed is not None and (slow - fast).abs().max() < 1e-3
+        fast = ours(policy, given, noise)
+    assert policy.model.fast.graphed is not None
+    assert (lerobots_own(policy, given, noise) - fast).abs().max() < 1e-3

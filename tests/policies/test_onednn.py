@@ -9,16 +9,16 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce import onednn
-from lerobot_policy_pi05_uniforce.fast_vision import see
-from lerobot_policy_pi05_uniforce.onednn import processor_vendor as vendor_read
+from lerobot_policy_pi05_uniforce.sampler import onednn
+from lerobot_policy_pi05_uniforce.sampler.layers import embed_cameras
+from lerobot_policy_pi05_uniforce.sampler.onednn import on_intel as real_on_intel
 
 CLOSE = {"rtol": 1e-5, "atol": 1e-5}
 
 
 @pytest.fixture(autouse=True)
 def on_amd(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(onednn, "processor_vendor", lambda: "AuthenticAMD")
+    monkeypatch.setattr(onednn, "on_intel", lambda: False)
 
 
 @torch.no_grad()
@@ -52,13 +52,13 @@ def test_where_a_gradient_is_wanted_torch_runs() -> None:
 
 @torch.no_grad()
 def test_cameras_are_seen_as_transformers_sees_them(make_policy) -> None:
-    model = make_policy(touch_input="none").model.paligemma_with_expert
+    model = make_policy(touch__input="none").model.paligemma_with_expert
     for norm in (m for m in model.modules() if isinstance(m, nn.LayerNorm)):
         nn.init.normal_(norm.weight), nn.init.normal_(norm.bias)
     images = torch.rand(3, 3, 28, 28) * 2 - 1
     wanted = model.embed_image(images)
     assert wanted.abs().max() > 0.01
-    torch.testing.assert_close(see(model.paligemma.model, images), wanted, **CLOSE)
+    torch.testing.assert_close(embed_cameras(model.paligemma.model, images), wanted, **CLOSE)
 
 
 @pytest.mark.parametrize("bias", [True, False])
@@ -66,7 +66,9 @@ def test_gradients_of_a_layer_are_torchs(bias: bool) -> None:
     plain = nn.Linear(24, 16, bias=bias)
     quick = nn.Linear(24, 16, bias=bias)
     quick.load_state_dict(plain.state_dict())
-    onednn.use_onednn(nn.Sequential(quick))
+    holder = nn.Sequential(quick)
+    onednn.use_onednn(holder)
+    quick = holder[0]
     assert isinstance(quick, onednn.OneDnnLinear) and quick.state_dict().keys() == plain.state_dict().keys()
     found = []
     for layer in (plain, quick):
@@ -80,30 +82,21 @@ def test_gradients_of_a_layer_are_torchs(bias: bool) -> None:
 
 
 def test_on_intel_training_stays_with_mkl(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(onednn, "processor_vendor", lambda: onednn.INTEL)
-    layer = nn.Linear(8, 4)
-    onednn.use_onednn(layer)
-    assert type(layer) is nn.Linear
+    monkeypatch.setattr(onednn, "on_intel", lambda: True)
+    holder = nn.Sequential(nn.Linear(8, 4))
+    onednn.use_onednn(holder)
+    assert type(holder[0]) is nn.Linear
 
 
-@pytest.mark.parametrize(
-    ("said", "vendor"),
-    [
-        ("processor\t: 0\nvendor_id\t: GenuineIntel\nmodel: 1\n", onednn.INTEL),
-        ("CPU part\t: 0xd40\n", ""),
-        (None, ""),
-    ],
-)
-def test_the_vendor_is_what_the_system_says(said: str | None, vendor: str, tmp_path: Path) -> None:
-    if said is not None:
-        (tmp_path / "cpuinfo").write_text(said)
-    assert vendor_read(tmp_path / "cpuinfo") == vendor
+@pytest.mark.parametrize(("content", "intel"), [("vendor_id\t: GenuineIntel\n", True), ("CPU part\n", False)])
+def test_the_vendor_is_what_the_system_says(content: str, intel: bool, tmp_path: Path) -> None:
+    assert not real_on_intel(tmp_path / "cpuinfo")
+    (tmp_path / "cpuinfo").write_text(content)
+    assert real_on_intel(tmp_path / "cpuinfo") == intel
 
 
 def test_frozen_weights_and_other_dtypes_are_left_alone() -> None:
-    layer = nn.Linear(8, 4)
-    onednn.use_onednn(layer)
-    layer.requires_grad_(False)
+    layer = onednn.OneDnnLinear(nn.Linear(8, 4)).requires_grad_(False)
     x = torch.randn(3, 8, requires_grad=True)
     layer(x).sum().backward()
     assert x.grad is not None and layer.weight.grad is None

@@ -17,8 +17,13 @@ PROGRAM = Path(__file__).with_name("sharded_program.py")
 
 @pytest.mark.slow  # two processes import LeRobot, 10 s each
 def test_a_sharded_step_is_the_whole_policys_step(make_policy, make_batch, tmp_path, run_to_the_end):
-    still = {"sampling_noise": 0.0, "touch_dropout": 0.0, "touch_noise": 0.0, "camera_variation": 0.0}
-    policy = make_policy(**still, action_objective="regression")
+    still = {
+        "sampler__noise_scale": 0.0,
+        "augment__touch_dropout": 0.0,
+        "augment__touch_noise": 0.0,
+        "augment__camera_variation": 0.0,
+    }
+    policy = make_policy(**still, action__objective="regression")
     policy.save_pretrained(tmp_path / "begun")
     batch = {k: v.contiguous() for k, v in make_batch(policy, 4, actions=True).items() if torch.is_tensor(v)}
     save_file(batch, tmp_path / "batch.safetensors")

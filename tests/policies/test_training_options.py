@@ -1,14 +1,19 @@
-"""Each way to train: who gets a gradient, who doesn't, and that nobody waits for one that never comes."""
+"""Each way to train: which weights get a gradient, what is adapted, and what is drawn anew per sample."""
 
 from __future__ import annotations
 
 import importlib.util
+import re
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from lerobot.configs import FeatureType
+from policy_samples import SITES, alive
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.augment import VariationRange, vary
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.keys import next_latent_key
 
@@ -17,25 +22,17 @@ OPTIONS = {
     "full": {},
     "expert_only": {"train_expert_only": True},
     "frozen_vision": {"freeze_vision_encoder": True},
-    "whole_pad": {"hear_whole_pad": True},
-    "next_force": {"next_force_weight": 0.5},
-    "no_touch": {"touch_input": "none", "touch_slots": {}},
+    "scored": {"recipe": "scored", "augment__sensor_transfer": 0.0, "touch__directions": 0},
+    "next_force": {"touch__next_force_weight": 0.5},
+    "no_touch": {"touch__input": "none", "touch__slots": {}},
 }
 BY_SYMMETRY = (
     "k_proj.bias"  # a key's bias moves all scores of a row alike: its gradient is 0 but for rounding
 )
 
 
-def alive(policy):
-    """Adaptive norms start as zeros, which shut the expert's residuals and their gradients."""
-    for name, p in policy.named_parameters():
-        if "norm.dense.weight" in name:
-            torch.nn.init.normal_(p, std=0.1)
-    return policy.train()
-
-
 def what_comes(policy, size=2):
-    shape = (size, policy.config.tokens_per_slot * policy.config.latent_size)
+    shape = (size, 96)
     return {next_latent_key(slot): torch.randn(shape) for slot in policy.config.slots}
 
 
@@ -52,13 +49,18 @@ def without_gradient(policy):
     return [n for n, p in trained.items() if p.grad is None or not bool(p.grad.abs().max() > 0)]
 
 
-@pytest.mark.parametrize("site", ["prefix", "suffix"])
+@SITES
 @pytest.mark.parametrize("gated", [False, True])
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_trained_weight_gets_a_gradient(option, gated, site, make_policy, make_batch):
     """Else data-parallel training without a search for unused parameters would stop at the second step."""
-    settings = {"token_site": site, "start_at_base": gated, "action_objective": "flow", **OPTIONS[option]}
-    policy = alive(make_policy(**settings))
+    settings = {
+        "touch__site": site,
+        "touch__start_at_base": gated,
+        "action__objective": "flow",
+        **OPTIONS[option],
+    }
+    policy = alive(make_policy(**settings), std=0.1).train()
     step(policy, make_batch)
     assert without_gradient(policy) == []
     frozen = {n for n, p in policy.named_parameters() if not p.requires_grad}
@@ -68,7 +70,7 @@ def test_every_trained_weight_gets_a_gradient(option, gated, site, make_policy, 
 
 
 def test_next_force_is_learnt_and_leaves_nothing_behind(make_policy, make_batch, tmp_path):
-    policy = alive(make_policy(next_force_weight=0.5, token_site="suffix"))
+    policy = alive(make_policy(touch__next_force_weight=0.5, touch__site="suffix"), std=0.1).train()
     facts = step(policy, make_batch)
     assert 0.1 < facts["next_force_loss"] < 10
     batch = make_batch(policy, actions=True)
@@ -87,17 +89,19 @@ def test_next_force_is_learnt_and_leaves_nothing_behind(make_policy, make_batch,
 
 def test_next_force_needs_latents(make_config):
     with pytest.raises(ContractError, match="next_force_weight"):
-        make_config(next_force_weight=0.1, touch_input="wrench")
+        make_config(touch__next_force_weight=0.1, touch__input="wrench")
 
 
 @pytest.mark.skipif(not HAS_PEFT, reason="peft isn't installed (an extra of LeRobot's)")
-@pytest.mark.parametrize("site", ["prefix", "suffix"])
+@SITES
 def test_lora_trains_its_targets_and_the_new_modules(site, make_policy, make_batch, tmp_path):
-    start = make_policy(token_site=site, start_at_base=True, action_objective="flow")
+    start = make_policy(touch__site=site, touch__start_at_base=True, action__objective="flow")
     start.save_pretrained(tmp_path / "start")
     policy = PI05UniforcePolicy.from_pretrained(tmp_path / "start")
     policy.config.pretrained_path = tmp_path / "start"
-    wrapped = alive(policy.wrap_with_peft(peft_cli_overrides={"method_type": "LORA", "r": 2}))
+    wrapped = alive(
+        policy.wrap_with_peft(peft_cli_overrides={"method_type": "LORA", "r": 2}), std=0.1
+    ).train()
     for name, p in wrapped.named_parameters():
         if "lora_B" in name:  # starts as zeros: the other half would get no gradient
             torch.nn.init.normal_(p, std=0.1)
@@ -118,14 +122,68 @@ def test_lora_trains_its_targets_and_the_new_modules(site, make_policy, make_bat
 
 def test_lora_names_exist(make_policy):
     """Each target is there to be adapted, peft or not; LeRobot's own list names modules π0.5 lacks."""
-    import re
-
-    policy = make_policy(start_at_base=True)
+    policy = make_policy(touch__start_at_base=True)
     targets = policy._get_default_peft_targets()
     names = [n for n, m in policy.named_modules() if isinstance(m, torch.nn.Linear)]
     hit = [n for n in names if re.fullmatch(targets["target_modules"], n)]
-    assert sum("gemma_expert" in n for n in hit) == 7 * policy.config.tiny_depth
-    assert sum("language_model" in n for n in hit) == 2 * policy.config.tiny_depth - 1
+    assert sum("gemma_expert" in n for n in hit) == 7 * policy.config.tiny.depth
+    assert sum("language_model" in n for n in hit) == 2 * policy.config.tiny.depth - 1
     assert sum("_mlp_" in n or "action_" in n for n in hit) == 4
     assert {"force_tokens", "state_token", "touch_gate"} == set(targets["modules_to_save"])
     assert policy.config.output_features["action"].type == FeatureType.ACTION
+
+
+STILL = VariationRange(gain=0, tint=0, contrast=0, shade=0, shift=0, turn_rad=0, zoom=0)
+
+
+def pictures(count: int = 8, side: int = 56) -> torch.Tensor:
+    """Return smooth (count, 3, side, side) pictures in [-1, 1], away from black and white."""
+    coarse = torch.rand(count, 3, 7, 7, generator=torch.Generator().manual_seed(0))
+    return torch.nn.functional.interpolate(coarse, (side, side), mode="bicubic").clamp(0, 1) - 0.5
+
+
+def test_no_strength_and_no_range_leave_a_picture_as_it_is() -> None:
+    images = pictures()
+    assert vary(images, 0.0) is images
+    assert torch.allclose(vary(images, 1.0, STILL), images, atol=1e-5)
+
+
+@given(strength=st.floats(0.1, 4.0), side=st.sampled_from([14, 56]))
+def test_a_varied_picture_is_a_picture(strength: float, side: int) -> None:
+    varied = vary(pictures(4, side), strength)
+    assert varied.shape == (4, 3, side, side) and varied.isfinite().all()
+    assert varied.min() >= -1 and varied.max() <= 1
+
+
+def test_every_picture_gets_a_light_of_its_own() -> None:
+    one = pictures(1).expand(16, -1, -1, -1)
+    means = ((vary(one, 1.0) + 1) / 2).mean(dim=(2, 3))  # (16, 3)
+    assert means.std(dim=0).min() > 0.03
+    tint = means / means.mean(dim=1, keepdim=True)
+    assert tint.std(dim=0).min() > 0.01
+
+
+@pytest.mark.parametrize(("what", "most_px"), [({"shift": 0.03}, 0.03 * 56), ({"turn_rad": 0.03}, 0.03 * 28)])
+def test_a_nudged_camera_moves_the_picture_as_far_as_said(what: dict[str, float], most_px: float) -> None:
+    """A ramp across the picture reads the move in pixels at each place."""
+    px_per_unit = 28.0
+    ramp = torch.linspace(-1, 1, 57)[:-1] + 1 / 56
+    images = (0.5 * ramp).expand(64, 3, 56, 56)
+    varied = vary(images, 1.0, VariationRange(**{**vars(STILL), **what}))
+    moved_px = ((varied - images) / 0.5 * px_per_unit)[:, :, 3:-3, 3:-3].abs()
+    assert 0.7 * most_px < moved_px.max() <= most_px * 1.05
+
+
+def test_training_varies_what_the_cameras_show_and_a_rollout_does_not(make_policy, make_batch) -> None:
+    policy = make_policy(touch__input="none", augment__camera_variation=1.0)
+    batch = make_batch(policy)
+    cameras = len(policy.config.image_features)
+    policy.eval()
+    plain, again = (policy._preprocess_images(batch)[0] for _ in range(2))
+    policy.train()
+    varied = policy._preprocess_images(batch)[0]
+    for camera in range(cameras):
+        assert torch.equal(plain[camera], again[camera])
+        assert not torch.allclose(plain[camera], varied[camera], atol=0.01)
+    for told in range(cameras, len(plain)):  # the state is no picture
+        assert torch.equal(plain[told], varied[told])

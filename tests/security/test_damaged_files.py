@@ -113,13 +113,14 @@ def test_a_processors_state_that_is_damaged(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"tiny_depth": 10**9},
-        {"tiny_width": 10**9},
+        {"tiny": {"depth": 10**9}},
+        {"tiny": {"width": 10**9}},
         {"chunk_size": "16"},
         {"image_resolution": [10**9, 56]},
         {"type": "pi05"},
         {"type": ["pi05_uniforce"]},
-        {"touch_slots": 7},
+        {"touch": 7},
+        {"touch": {"slots": 7}},
         {"swap": 5},
     ],
 )

@@ -181,7 +181,7 @@ def test_a_checkpoint_follows_no_path_to_another_tokenizer(tmp_path: Path) -> No
     folder = copy_of_shipped(tmp_path / "policy")
     config = json.loads((folder / "config.json").read_text())
     (folder / "config.json").unlink()
-    config |= {"tokenizer_config": None, "tokenizer_path": "../../elsewhere"}
+    config["touch"] |= {"tokenizer": None, "tokenizer_path": "../../elsewhere"}
     (folder / "config.json").write_text(json.dumps(config))
     with pytest.raises(CheckpointError, match="never followed"):
         PolicyController(folder, {})

@@ -68,7 +68,7 @@ def test_saved_equals_loaded_and_strange_files_are_refused(tmp_path: Path) -> No
     assert again.kinds == ("a", "b") and again.tokenizer_hash == HASH
     assert all(torch.equal(value, transfer.state_dict()[name]) for name, value in again.state_dict().items())
     assert again.row("b") == 1
-    with pytest.raises(ContractError, match="sensor_transfer=0"):
+    with pytest.raises(ContractError, match=r"sensor_transfer=0"):
         again.row("c")
     with pytest.raises(CheckpointError, match="checkpoint"):
         SensorTransfer.from_pretrained(tmp_path / "nowhere", HASH)

@@ -101,7 +101,7 @@ class SensorTransfer(nn.Module):
             ContractError: a sensor these maps don't know.
         """
         if source not in self.kinds:
-            do = "Fit it with uniforce-sensor-transfer, or train with policy.sensor_transfer=0."
+            do = "Fit it with uniforce-sensor-transfer, or train with policy.augment.sensor_transfer=0."
             raise ContractError(expected("sensor of the demos", " | ".join(self.kinds), repr(source), do))
         return self.kinds.index(source)
 

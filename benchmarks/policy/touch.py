@@ -1,0 +1,113 @@
+"""What touch costs: two slots of 16 cached latents at either token site beside none, latency and training step.
+
+All variants are timed in turns in one process, so that a busy machine slows them alike; ratios are medians of ratios
+within a round. Random weights; the gate of ``start_at_base`` is on, as for size ``base``, and training steps run
+LeRobot's own layers, as ``base`` does. (Through torch's fused attention, which ``tiny`` trains by, a gate that learns
+costs a third of a step on a CPU: a mask with a gradient sends torch to its slow path. ``tiny`` has no gate.)
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+from benchmarks.policy.latency import (
+    BenchCase,
+    Given,
+    build,
+    lerobots_layers,
+    milliseconds,
+    observe,
+)
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
+from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+
+SLOTS = {"touch0": "right", "touch1": "left"}
+Call = Callable[[], Any]
+
+
+def variants() -> dict[str, TouchSettings]:
+    """Return settings per variant."""
+    return {
+        "none": TouchSettings(slots={}, input="none"),
+        "prefix": TouchSettings(slots=SLOTS, site="prefix", start_at_base=True),
+        "suffix": TouchSettings(slots=SLOTS, site="suffix", start_at_base=True),
+    }
+
+
+def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bool = True) -> dict[str, Any]:
+    """Return medians [ms] and ratios to "none" of a whole call, a refresh and (``train``) a training step."""
+    calls: dict[str, Call] = {}
+    trains: dict[str, Call] = {}
+    for name, settings in variants().items():
+        network = build(case, device, settings)
+        given, noise = _with_touch(network, *observe(case, network, device))
+        calls[name] = _sampling(network, given, noise, steps)
+        trains[name] = _training(network, given, noise)
+        if name == "suffix":
+            calls["refresh"] = _refresh(network, given, noise, steps)
+    report: dict[str, Any] = {"config": case.name, "tokens": len(SLOTS) * 16, "rounds": rounds}
+    with torch.no_grad():
+        report |= _in_turns(calls, device, rounds, "call")
+    if not train:
+        return report
+    return report | _in_turns(trains, device, max(3, rounds // 3), "train_step")
+
+
+def _with_touch(
+    network: PI05UniforcePytorch, given: Given, noise: torch.Tensor
+) -> tuple[Given, torch.Tensor]:
+    """Add cached latents of every slot and leave text padding out, as the trainer does for short prompts."""
+    images, masks, tokens, text_mask = given
+    config, used = network.config, int(text_mask.sum())
+    for _ in config.slots:
+        images = [*images, torch.randn(1, config.tokens_per_slot, config.latent_size, device=noise.device)]
+        masks = [*masks, torch.ones(1, dtype=torch.bool, device=noise.device)]
+    return (images, masks, tokens[:, :used], text_mask[:, :used]), noise
+
+
+def _sampling(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> Call:
+    return lambda: network.sample_actions(*given, noise=noise, num_steps=steps)
+
+
+def _refresh(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> Call:
+    """Return a call that runs the flow on new touch; the whole call before it in a round left the prefix."""
+    images, masks = given[0][-len(SLOTS) :], given[1][-len(SLOTS) :]
+
+    def refresh() -> torch.Tensor:
+        touch = network.touch_run(images, masks)
+        assert touch is not None and network.fast is not None, "built with touch in the suffix"
+        return network.fast.refresh(touch, noise, steps)
+
+    return refresh
+
+
+def _training(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -> Call:
+    optimizer = torch.optim.AdamW([p for p in network.parameters() if p.requires_grad], lr=0.0)
+    actions, time = torch.zeros_like(noise), noise.new_full((1,), 0.5)
+
+    def step() -> None:
+        with torch.enable_grad(), lerobots_layers(network):
+            network.forward(*given, actions, noise, time).mean().backward()
+        optimizer.step()
+        optimizer.zero_grad()
+
+    return step
+
+
+def _in_turns(calls: dict[str, Call], device: str, rounds: int, what: str) -> dict[str, Any]:
+    for call in calls.values():
+        call()  # warm
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            times[name].append(milliseconds(call, device))
+    ratios = {
+        name: statistics.median(a / b for a, b in zip(values, times["none"], strict=True))
+        for name, values in times.items()
+    }
+    medians = {name: statistics.median(values) for name, values in times.items()}
+    return {f"{what}_ms": medians, f"{what}_ratio_to_none": ratios}

@@ -1,0 +1,121 @@
+"""Measure how long the policy takes from an observation to a chunk, LeRobot's own loop beside ours."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from benchmarks.policy.latency import CASES, bench_case
+from benchmarks.policy.memory import bench_memory
+from benchmarks.policy.touch import bench_touch
+from uniforce_commands.boundary import command
+from uniforce_vtla.arguments import choose
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.figure_file import save_figure
+from uniforce_vtla.options import Count, Names, OutFolder, Pattern, Range
+from uniforce_vtla.results_file import provenance, write_json
+
+CPU_CASES, GPU_CASES = "tiny,mid_3_cameras,mid_2_of_3_cameras", "base_3_cameras"
+BAR_CASE = "mid_2_of_3_cameras"  # whose numbers stand at the top of the file
+
+
+Case = Annotated[str, Names(tuple(CASES))]
+Cases = Annotated[str, Names(tuple(CASES), many=True)]
+Device = Annotated[str, Pattern("cpu | cuda", r"cpu|cuda(:\d)?", "cpu")]
+FlowSteps = Annotated[int, Range(1, 1000)]
+
+
+@dataclass
+class BenchPolicyConfig:
+    """Time a chunk with random weights, stock and fast in turns; write policy_latency.json and a figure.
+
+    Example: python -m benchmarks.policy_speed rounds=9
+    With what touch costs and what loading takes: python -m benchmarks.policy_speed touch=mid_3_cameras memory=base
+    On a GPU: python -m benchmarks.policy_speed device=cuda rounds=30 touch=base_3_cameras touch_train=false
+    """
+
+    device: Device = "cpu"  # cpu (one thread) | cuda
+    only: Cases = ""  # cases, comma between them; empty = all that fit the device
+    rounds: Count = 9  # stock and fast once each per round; medians and the median of the ratios are reported
+    steps: FlowSteps = 10  # flow steps
+    touch: Case = ""  # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not
+    # a training step too: three networks with their optimisers at once, 94 GB for base
+    touch_train: bool = True
+    # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
+    memory: Literal["", "base"] = ""
+    out: OutFolder = "outputs/bench_policy"  # policy_latency.json and .png
+
+
+def measure(config: BenchPolicyConfig) -> dict[str, Any]:
+    """Return the chosen cases' reports.
+
+    Raises:
+        ContractError: an unknown case, or cuda where there is none.
+    """
+    if config.device.startswith("cuda") and not torch.cuda.is_available():
+        raise ContractError(expected("device", "a CUDA device", "none here", "Use device=cpu."))
+    on_gpu = config.device.startswith("cuda")
+    cases = choose(CASES, config.only or (GPU_CASES if on_gpu else CPU_CASES))
+    reports = {
+        case.name: bench_case(case, config.device, config.rounds, config.steps)
+        for case in tqdm(cases.values(), desc="cases")
+    }
+    head = reports.get(BAR_CASE) or next(iter(reports.values()))
+    short = {key: head[key] for key in ("config", "device", "stock_ms", "fast_ms", "ratio")}
+    more: dict[str, Any] = {}
+    if config.touch:
+        case = choose(CASES, config.touch)[config.touch]
+        more["touch"] = bench_touch(case, config.device, config.rounds, config.steps, config.touch_train)
+    if config.memory:
+        more["memory"] = {config.memory: bench_memory(size=config.memory, dtype="bfloat16")}
+    return more | {
+        "what": "random weights, batch 1, float32 on CPU, bfloat16 on GPU",
+        "cpu": None if on_gpu else short,
+        "gpu": short if on_gpu else "not run",
+        "cases": reports,
+    }
+
+
+def draw(content: dict[str, Any], path: Path) -> Path:
+    """Draw stock, fast and the floor per case; return the picture's path."""
+    cases = content["cases"]
+    figure = Figure(figsize=(3.2 * len(cases), 3.6), layout="constrained")
+    for panel, (name, report) in zip(
+        figure.subplots(1, len(cases), squeeze=False)[0], cases.items(), strict=True
+    ):
+        values = [report["stock_ms"], report["fast_ms"], report["floor_ms"]]
+        bars = panel.bar(["LeRobot", "fast", "floor"], values, color=["0.6", "C0", "0.85"])
+        panel.bar_label(bars, fmt="%.0f")
+        panel.set_title(f"{name}\n{report['ratio']:.2f}×, {report['operations_share']:.0%} of the operations")
+        panel.set_ylabel("ms per chunk")
+    return save_figure(figure, path)
+
+
+@command(BenchPolicyConfig)
+def main(config: BenchPolicyConfig) -> int:
+    """Entry of ``python -m benchmarks.policy_speed``."""
+    torch.set_num_threads(1)
+    content = measure(config)
+    path = write_json(Path(config.out) / "policy_latency.json", content | provenance())
+    draw(content, path.with_suffix(".png"))
+    for name, r in content["cases"].items():
+        print(
+            f"{name}: stock {r['stock_ms']:.1f} ms, fast {r['fast_ms']:.1f} ms ({r['ratio']:.2f}×), floor "
+            f"{r['floor_ms']:.1f} ms; operations {r['operations']['fast']} of {r['operations']['stock']}"
+        )
+    for name in ("touch", "memory"):
+        if name in content:
+            print(f"{name}: {json.dumps(content[name])}")
+    print(f"written to {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,208 @@
+"""Actions: what the network predicts, how that becomes the targets every robot takes, and what stops a policy.
+
+``target_delta``: step k of a chunk is the change of the commanded target since the last *issued* command.
+Why: with a hidden board height and stiffness, force control is an increment on the last command.  A change
+relative to the *measured* pose would be a force command by itself (impedance turns commanded − measured into
+newtons), so a blind policy could hold a press without touch; and the network must not see the last
+command, because commanded − measured predicts the press.  Hence the base is added outside the network.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from lerobot.processor import PolicyActionProcessorStep, ProcessorStepRegistry
+from torch import Tensor, nn
+
+from uniforce_vtla.errors import ContractError, RolloutError, expected
+from uniforce_vtla.keys import ACTION
+
+LARGEST_LEAP = 10.0  # of ``delta_scale`` in one control step: 40 mm in x, 0.5 rad; demos stay below 2
+
+
+class NetworkUnits(nn.Module):
+    """SI units ↔ what the network predicts, per axis: linear, or by logarithm (asinh) beyond a knee.
+
+    A newton of grip is a tenth of a millimetre of command where closing the hand is forty: squared errors of plain
+    moves hardly see forces.
+
+    Args:
+        scale: (A,) size of one network unit, SI.
+        knee: (A,) where the logarithm begins and the size of one unit below it, SI; 0 = linear; () = all linear.
+    """
+
+    def __init__(self, scale: Sequence[float], knee: Sequence[float] = ()) -> None:
+        super().__init__()
+        knees = torch.tensor(list(knee) or [0.0] * len(scale))
+        unit = torch.where(knees > 0, knees, torch.tensor(list(scale)))
+        self.register_buffer("bent", knees > 0, persistent=False)
+        self.register_buffer("unit", unit, persistent=False)
+
+    def to_network(self, moves: Tensor) -> Tensor:
+        """Turn (…, A) moves in SI units into network units."""
+        units = moves / self.unit
+        return torch.where(self.bent, units.asinh(), units)
+
+    def to_si(self, units: Tensor) -> Tensor:
+        """Invert :meth:`to_network`."""
+        return torch.where(self.bent, units.sinh(), units) * self.unit
+
+
+def to_deltas(actions: Tensor, is_pad: Tensor | None, measured: Tensor, units: NetworkUnits) -> Tensor:
+    """Return (B, chunk, A) changes since the last command, in network units.
+
+    Args:
+        actions: (B, 1 + chunk, A) absolute targets in SI units; the first is the last command issued.
+        is_pad: (B, 1 + chunk) bool, or None; a padded first column means the episode starts here.
+        measured: (B, A) measured state, the base where no command has been issued yet, as in a rollout.
+        units: of the network.
+    """
+    base = actions[:, 0]
+    if is_pad is not None:
+        base = torch.where(is_pad[:, :1], measured, base)
+    return units.to_network(actions[:, 1:] - base[:, None])
+
+
+def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
+    """Invert :func:`to_deltas`: (B, chunk, A) network units on a (B, A) base → absolute targets, SI units."""
+    return base[:, None] + units.to_si(deltas)
+
+
+def check_range(bounds: Sequence[Sequence[float]], axes: int) -> None:
+    """Raise ContractError unless ``bounds`` are a lowest and a highest target of so many axes, or []."""
+    fit = [len(bound) for bound in bounds] == [axes, axes]
+    if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
+        do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
+        raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
+
+
+def previous_move(commands: Tensor) -> Tensor:
+    """Return (B, A) how far the command moved before a sample, SI: from the first of its (B, T, A) to the second."""
+    return commands[:, 1] - commands[:, 0]
+
+
+class IssuedTarget:
+    """The last targets sent to each environment row; ``moved`` looks so many steps back."""
+
+    def __init__(self, steps: int = 0) -> None:
+        self._targets: deque[Tensor] = deque(maxlen=steps + 1)
+
+    def reset(self) -> None:
+        """Forget all targets."""
+        self._targets.clear()
+
+    def record(self, target: Tensor) -> None:
+        """Remember (B, A) targets just handed out."""
+        self._targets.append(target.detach().clone())
+
+    @property
+    def last(self) -> Tensor | None:
+        """The (B, A) targets sent last, None after a reset."""
+        return self._targets[-1] if self._targets else None
+
+    def base(self, measured: Tensor) -> Tensor:
+        """Return the (B, A) base of the next chunk: what was issued last, else the measured state.
+
+        Raises:
+            RolloutError: the number of environments changed without a reset.
+        """
+        if self.last is None:
+            return measured
+        if self.last.shape != measured.shape:
+            came = tuple(measured.shape)
+            raise RolloutError(expected("batch", tuple(self.last.shape), came, "Call policy.reset() first."))
+        return self.last
+
+    def moved(self, measured: Tensor) -> Tensor:
+        """Return (B, A) how far the target moved over the steps kept, 0 before the second; SI units.
+
+        Raises:
+            RolloutError: as ``base``.
+        """
+        if self.last is None:
+            return torch.zeros_like(measured)
+        return self.base(measured) - self._targets[0]
+
+
+def check_axes(state_size: int, action_size: int, scale: list[float], knee: list[float]) -> None:
+    """Raise ContractError unless state, action, ``delta_scale`` and any ``delta_knee`` describe the same axes."""
+    if knee and (len(knee) != len(scale) or min(knee) < 0):
+        do = "Give one per axis, 0 where moves stay linear, or [] for none."
+        raise ContractError(expected("delta_knee", f"{len(scale)} numbers from 0 on", knee, do))
+    if not state_size == action_size == len(scale):
+        came = f"{state_size}, {action_size} and {len(scale)}"
+        do = "Or use action.form=absolute."
+        raise ContractError(expected("state, action and delta_scale", "equal lengths", came, do))
+
+
+def check_leap(target: Tensor, last: Tensor | None, scale: Tensor) -> None:
+    """Raise RolloutError where a (B, A) target lies too far from the one before it; the first one always passes."""
+    if last is None or last.shape != target.shape:
+        return
+    leap = ((target - last).abs() / scale).max(dim=0).values  # (A,)
+    if bool((leap > LARGEST_LEAP).any()):
+        axis = int(leap.argmax())
+        wanted = f"at most {LARGEST_LEAP * float(scale[axis]):.3f} a step"
+        came = f"{float((target - last).abs()[:, axis].max()):.3f}"
+        raise RolloutError(expected(f"change of target, axis {axis}", wanted, came, "Hold the robot."))
+
+
+@ProcessorStepRegistry.register(name="uniforce_check_action")
+@dataclass
+class CheckActionStep(PolicyActionProcessorStep):
+    """Let an action pass that is finite and within the demos' range, widened by ``margin`` of its span on each side.
+
+    The last step of the postprocessor, so that it holds wherever LeRobot runs the policy. A robot's own guards come
+    after it and clamp; this one stops.
+    """
+
+    low: list[float] = field(
+        default_factory=list
+    )  # per axis, as the robot takes it; []: only finite is asked
+    high: list[float] = field(default_factory=list)
+    margin: float = 0.5  # of the span
+    least_room: float = 0.05  # m or rad on each side of an axis that the demos hardly moved
+
+    @classmethod
+    def of(cls, stats: dict[str, dict[str, Any]] | None) -> CheckActionStep:
+        """Return the step for these training statistics."""
+        action = (stats or {}).get(ACTION, {})
+        if "min" not in action or "max" not in action:
+            return cls()
+        return cls(*(torch.as_tensor(action[bound]).flatten().tolist() for bound in ("min", "max")))
+
+    def get_config(self) -> dict[str, Any]:
+        """Return what is saved with the policy."""
+        return {"low": self.low, "high": self.high, "margin": self.margin, "least_room": self.least_room}
+
+    def action(self, action: Tensor) -> Tensor:
+        """Return the action (…, A) unchanged.
+
+        Raises:
+            RolloutError: NaN, inf, or an axis outside the range: hold the robot.
+        """
+        if not bool(action.isfinite().all()):
+            do = "Hold the robot; the policy or its input is broken."
+            raise RolloutError(expected("action", "finite numbers", "NaN or inf", do))
+        if self.low:
+            self._in_range(action)
+        return action
+
+    def _in_range(self, action: Tensor) -> None:
+        low, high = (torch.tensor(bound, dtype=action.dtype) for bound in (self.low, self.high))
+        room = (self.margin * (high - low)).clamp_min(self.least_room)
+        outside = ((action.cpu() < low - room) | (action.cpu() > high + room)).flatten(0, -2).any(dim=0)
+        if bool(outside.any()):
+            axis = int(outside.nonzero()[0])
+            came = action.flatten(0, -2)[:, axis].tolist()
+            wanted = f"within {float((low - room)[axis]):.3f} … {float((high + room)[axis]):.3f}"
+            do = "Hold the robot; nothing like it was ever demonstrated."
+            raise RolloutError(expected(f"action, axis {axis}", wanted, came, do))
+
+    def transform_features(self, features: Any) -> Any:
+        """Leave the feature description alone."""
+        return features

@@ -1,0 +1,157 @@
+"""Replay the fast sampler's kernels from CUDA graphs: one for the prefill, one for the flow. NEVER RUN ON A GPU.
+
+An eager call launches thousands of small kernels, and launching takes longer than running them. A graph fixes shapes
+and addresses, so inputs are copied into buffers of its own, text is padded to one of a few lengths (one pair of graphs
+each), masks are always there, and what is returned is a copy. The flow's graph reads the keys and values where the
+first leaves them; a refresh of touch replays the flow alone.
+
+Whatever is captured is an ordinary function of tensors. ``capture=False`` runs the same functions on the same fixed
+buffers without a graph, on any device: that is what the tests do, and all that was ever run. RTC, which differentiates
+through the flow, is never captured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
+
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill
+from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
+from uniforce_vtla.errors import ContractError, expected
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler, StepTable
+
+Recordable = Callable[..., tuple[Tensor, ...]]
+BUCKETS = (48, 96, 200)  # text tokens: a short prompt, one with many state digits, π0.5's most
+KEPT = 6  # pairs of graphs: buckets times a camera that comes and goes; each holds its own buffers
+
+
+class Replayed:
+    """A function of tensors on fixed buffers, recorded into a CUDA graph or (without ``capture``) called again.
+
+    Args:
+        function: tensors in, a tuple of tensors out; no shape or branch may depend on values.
+        inputs: an example; shapes, dtypes and device stay.
+        capture: record a graph (CUDA).
+    """
+
+    def __init__(self, function: Recordable, inputs: list[Tensor], capture: bool) -> None:
+        self._function = function
+        self._inputs = [value.clone() for value in inputs]
+        self._graph: torch.cuda.CUDAGraph | None = None
+        if capture:
+            self._graph, self.outputs = _record(function, self._inputs)
+        else:
+            self.outputs = tuple(value.clone() for value in function(*self._inputs))
+
+    def __call__(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        """Return the outputs for ``inputs``, in buffers that the next call overwrites.
+
+        Raises:
+            ContractError: inputs of other shapes than the example's.
+        """
+        wanted, came = ([tuple(value.shape) for value in values] for values in (self._inputs, inputs))
+        if wanted != came:
+            do = "Call sample first; refreshing needs touch.site=suffix and the same slots."
+            raise ContractError(expected("inputs of a graph", wanted, came, do))
+        for own, new in zip(self._inputs, inputs, strict=True):
+            own.copy_(new)
+        if self._graph is not None:
+            self._graph.replay()
+            return self.outputs
+        for own, new in zip(self.outputs, self._function(*self._inputs), strict=True):
+            own.copy_(new)
+        return self.outputs
+
+
+class Pair(NamedTuple):
+    """The two graphs of one set of shapes; the flow's reads the buffers that the prefill's writes."""
+
+    prefill: Replayed
+    flow: Replayed
+
+
+class GraphedSampler:
+    """Samples like the ``FastSampler`` it is given, by replay; without ``capture`` (tests, CPU) by calling again."""
+
+    def __init__(self, sampler: FastSampler, capture: bool = True) -> None:
+        self._sampler, self._capture = sampler, capture
+        self._pairs: dict[tuple, Pair] = {}
+        self._latest: Pair | None = None
+        self._version = -1
+
+    def sample(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Tensor:
+        """Return (B, chunk, max_action_dim) actions of inputs without what nobody has."""
+        touch = self._sampler.network.suffix_touch(*inputs.extra)
+        observed = [*inputs.images, *inputs.img_masks, *bucketed(inputs.tokens, inputs.masks)]
+        suffix = [noise] if touch is None else [noise, touch.tokens, touch.mask]
+        pair = self._pair(observed, suffix, tables)
+        pair.prefill(*observed)
+        return pair.flow(*suffix)[0].clone()
+
+    def refresh(self, touch: SuffixTouch, noise: Tensor) -> Tensor | None:
+        """Return a chunk for new touch on the prefix of the latest sample; None before the first."""
+        if self._latest is None or self._version != self._sampler.prepared.version:
+            return None
+        return self._latest.flow(noise, touch.tokens, touch.mask)[0].clone()
+
+    def _pair(self, observed: list[Tensor], suffix: list[Tensor], tables: list[StepTable]) -> Pair:
+        if self._version != self._sampler.prepared.version:  # other weights: tables were made anew
+            self._pairs, self._version = {}, self._sampler.prepared.version
+        key = (len(tables), *(tuple(value.shape) for value in (*observed, *suffix)))
+        if key not in self._pairs:
+            while len(self._pairs) >= KEPT:
+                self._pairs.pop(next(iter(self._pairs)))
+            self._pairs[key] = self._record_pair(observed, suffix, tables)
+        self._latest = self._pairs[key]
+        return self._latest
+
+    def _record_pair(self, observed: list[Tensor], suffix: list[Tensor], tables: list[StepTable]) -> Pair:
+        encoder, images = self._sampler.encoder, len(observed) // 2 - 1
+        chunk, room = suffix[0].shape[1], sum(part.shape[1] for part in suffix[:2])
+        gated_at: list[int] = []  # first column of touch: a number, fixed with the shapes
+
+        def prefill(*given: Tensor) -> tuple[Tensor, ...]:
+            *pictures, tokens, masks = given
+            inputs = Inputs(pictures[:images], pictures[images:], tokens, masks)
+            made = encoder.prefill(inputs, room, always_mask=True)
+            gated_at[:] = [] if made.gated is None else [made.gated.first]
+            gate = () if made.gated is None else (made.gated.bias, made.gated.real)
+            return (made.pads, *gate, *made.cache)
+
+        recorded = Replayed(prefill, observed, self._capture)
+        pads, *rest = recorded.outputs
+        gated = GatedColumns(gated_at[0], *rest[:2]) if gated_at else None
+        whole = Prefill(rest[2 * len(gated_at) :], pads, gated)
+
+        def flow(noise: Tensor, *touch: Tensor) -> tuple[Tensor, ...]:
+            run = SuffixTouch(*touch) if touch else None
+            prefix = encoder.with_suffix(whole, run, chunk, always_mask=True)
+            return (self._sampler.flow(prefix, noise, tables),)
+
+        return Pair(recorded, Replayed(flow, suffix, self._capture))
+
+
+def bucketed(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
+    """Pad (B, L) text to the next of ``BUCKETS``, masked: a prompt of another length then finds its graph."""
+    room = next((size for size in BUCKETS if size >= tokens.shape[1]), tokens.shape[1]) - tokens.shape[1]
+    return F.pad(tokens, (0, room)), F.pad(masks.bool(), (0, room))
+
+
+def _record(function: Recordable, inputs: list[Tensor]) -> tuple[torch.cuda.CUDAGraph, tuple[Tensor, ...]]:
+    """Run twice aside, as torch asks for, then record; return the graph and the buffers it writes."""
+    aside = torch.cuda.Stream()
+    aside.wait_stream(torch.cuda.current_stream())
+    with torch.cuda.stream(aside):
+        for _ in range(2):
+            function(*inputs)
+    torch.cuda.current_stream().wait_stream(aside)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        outputs = function(*inputs)
+    return graph, outputs

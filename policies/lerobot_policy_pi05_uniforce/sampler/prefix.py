@@ -1,0 +1,194 @@
+"""Once per observation: cameras, text and extra tokens through the VLM, kept as keys and values of every layer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
+
+from lerobot_policy_pi05_uniforce.sampler import layers as ops
+from lerobot_policy_pi05_uniforce.sampler.onednn import gated_hidden, linear_plus
+from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
+from uniforce_vtla.errors import ContractError, expected
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.sampler.fast import Prepared
+
+
+class Inputs(NamedTuple):
+    """What ``PI05Pytorch.sample_actions`` takes: cameras, then state and touch; text.
+
+    Attributes:
+        images: (B, 3, H, W) cameras, (B, 1, S) state, (B, K, ·) per touch slot.
+        img_masks: (B,) bool each.
+        tokens: (B, L) text.
+        masks: (B, L) bool.
+    """
+
+    images: list
+    img_masks: list
+    tokens: Tensor
+    masks: Tensor
+
+    @property
+    def extra(self) -> tuple[list, list]:
+        """What rides behind the cameras, and its masks."""
+        cameras = sum(image.ndim == 4 for image in self.images)
+        return self.images[cameras:], self.img_masks[cameras:]
+
+
+@dataclass(frozen=True)
+class Prefill:
+    """Cameras, text and extra tokens after the VLM.
+
+    Attributes:
+        cache: per layer (B, 2, L_prefix + L_suffix, head): key and value, the suffix's places still empty.
+        pads: (B, L_prefix) bool, which kept tokens are real.
+        gated: the weight of touch, or None: as any other token.
+    """
+
+    cache: list[Tensor]
+    pads: Tensor
+    gated: GatedColumns | None
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """A prefill ready for the flow: with touch in the suffix, and how the suffix attends.
+
+    Attributes:
+        prefill: keys and values; the suffix's own take their places in every step.
+        touch: force tokens in front of the actions, or None.
+        mask: (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or (touch behind a gate) additive; None: all see all.
+        rotary: of the suffix's positions, for queries, key and value; the value's turns nothing.
+    """
+
+    prefill: Prefill
+    touch: SuffixTouch | None
+    mask: Tensor | None
+    rotary: ops.Rotary
+
+
+class PrefixEncoder:
+    """Makes and refreshes prefixes for one network."""
+
+    def __init__(self, network: stock.PI05Pytorch, prepared: Prepared) -> None:
+        self._network = network
+        self._prepared = prepared
+
+    def encode(self, inputs: Inputs, chunk: int) -> Prefix:
+        """Encode an observation and make its prefix ready for a chunk of that many steps."""
+        touch = self._network.suffix_touch(*inputs.extra)
+        room = chunk + (0 if touch is None else touch.mask.shape[1])
+        return self.with_suffix(self.prefill(inputs, room), touch, chunk)
+
+    def prefill(self, inputs: Inputs, room: int, always_mask: bool = False) -> Prefill:
+        """Run cameras, text and extra tokens through the VLM once and keep keys and values of every layer.
+
+        Args:
+            inputs: of the observation.
+            room: places to leave for the suffix.
+            always_mask: don't ask whether all tokens are real, which would wait for the device.
+        """
+        eps, gains = self._prepared.eps, self._prepared.gains
+        vlm = self._network.paligemma_with_expert.paligemma.model.language_model
+        x, pads, gated = self._embed(inputs)
+        x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)
+        plain = not always_mask and bool(pads.all())
+        mask = None if plain else pads[:, None, None, :]  # what a padded token sees, nobody reads
+        if gated is not None and gated.first < pads.shape[1]:  # touch is in the prefix
+            mask = _additive(mask, pads, gated, x.dtype)
+        rotary, cache = ops.rotary_of(vlm, x, _positions(pads, gated)), []
+        for depth, layer in enumerate(vlm.layers):
+            turned = ops.rotated(ops.project(layer, ops.rms(x, eps).mul_(gains[depth][0])), rotary)
+            cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
+            if depth == len(vlm.layers) - 1:
+                break  # nobody reads what the last layer makes of the prefix
+            mixed = ops.attend(turned[:, :-2], turned[:, -2:], mask)
+            x = linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
+            normed = ops.rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
+            x = linear_plus(gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
+        return Prefill(cache, pads, gated)
+
+    def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:
+        """Return the same cameras and text with new touch: nothing of the VLM runs again.
+
+        Raises:
+            ContractError: a network whose touch is not in the suffix.
+        """
+        if prefix.touch is None or prefix.touch.tokens.shape != touch.tokens.shape:
+            came = None if prefix.touch is None else tuple(prefix.touch.tokens.shape)
+            do = "Refreshing needs touch.site=suffix and the slots the prefix was made with."
+            raise ContractError(expected("touch of the prefix", tuple(touch.tokens.shape), came, do))
+        return self.with_suffix(prefix.prefill, touch, chunk)
+
+    def with_suffix(
+        self, prefill: Prefill, touch: SuffixTouch | None, chunk: int, always_mask: bool = False
+    ) -> Prefix:
+        """Return whom the suffix attends to and where it stands; ``always_mask`` as in :meth:`prefill`."""
+        expert = self._network.paligemma_with_expert.gemma_expert.model
+        gated, behind = prefill.gated, prefill.pads.new_ones(len(prefill.pads), chunk)
+        if touch is not None:
+            gated = None if gated is None else replace(gated, real=touch.mask)
+            behind = torch.cat([touch.mask, behind], dim=1)  # (B, L_suffix)
+        real = torch.cat([prefill.pads, behind], dim=1)  # (B, L_prefix + L_suffix)
+        after = _positions(real, gated)[:, prefill.pads.shape[1] :]
+        columns = real[:, None, None, :]
+        mask = None if touch is None and not always_mask and bool(columns.all()) else columns
+        if touch is not None:  # touch sees the prefix and itself, actions see everything
+            rows = real.new_ones(behind.shape[1], columns.shape[-1])
+            rows[: touch.mask.shape[1], -chunk:].fill_(False)
+            mask = columns & rows
+        mask = _additive(mask, real, gated, prefill.cache[0].dtype)
+        return Prefix(prefill, touch, mask, ops.rotary_of(expert, prefill.cache[0], after))
+
+    def _embed(self, inputs: Inputs) -> tuple[Tensor, Tensor, GatedColumns | None]:
+        """Return (B, L, D) tokens in LeRobot's order, (B, L) whether each is real, and the weight of touch."""
+        model = self._network.paligemma_with_expert
+        cameras = [image for image in inputs.images if image.ndim == 4]
+        parts: list[Tensor] = []
+        if cameras:
+            parts += ops.embed_cameras(model.paligemma.model, torch.cat(cameras)).chunk(len(cameras))
+        masks = [*inputs.img_masks[: len(cameras)]]
+        pads = [mask[:, None].expand(-1, part.shape[1]) for part, mask in zip(parts, masks, strict=True)]
+        parts.append(model.embed_language_tokens(inputs.tokens))
+        pads.append(inputs.masks.bool())
+        before = sum(part.shape[1] for part in parts)
+        extra, gated = self._network.embed_extra(*inputs.extra, before)
+        for part, mask in extra:
+            parts.append(part.to(parts[0].dtype))
+            pads.append(mask[:, None].expand(-1, part.shape[1]))
+        return torch.cat(parts, dim=1), torch.cat(pads, dim=1), gated
+
+
+def drop_dead(inputs: Inputs) -> Inputs:
+    """Leave out cameras no row of the batch has, and text columns no prompt of the batch uses.
+
+    Positions count real tokens only, and nobody attends to masked ones, so nothing else changes. Extra tokens (state,
+    touch) stay in their places: which slot one belongs to is its place in the list.
+    """
+    images, img_masks, tokens, masks = inputs
+    kept = [(i, m) for i, m in zip(images, img_masks, strict=True) if i.ndim != 4 or bool(m.any())]
+    used = int(masks.any(dim=0).nonzero().max()) + 1 if bool(masks.any()) else 0
+    return Inputs([i for i, _ in kept], [m for _, m in kept], tokens[:, :used], masks[:, :used])
+
+
+def _positions(real: Tensor, gated: GatedColumns | None) -> Tensor:
+    """Return (B, L) positions: real tokens counted, touch behind a gate not."""
+    positions = real.cumsum(dim=1) - 1
+    return positions if gated is None else gated.placed(positions, real.shape[1])
+
+
+def _additive(
+    mask: Tensor | None, real: Tensor, gated: GatedColumns | None, dtype: torch.dtype
+) -> Tensor | None:
+    """Return a bool mask (B, 1, rows, L) as an additive one with touch's logits; unchanged without a gate."""
+    if gated is None:
+        return mask
+    seen = real.new_ones(1, 1, 1, real.shape[1]) if mask is None else mask
+    additive = torch.zeros(seen.shape, device=real.device).masked_fill_(~seen, -torch.inf)
+    return gated.masked(additive).to(dtype)

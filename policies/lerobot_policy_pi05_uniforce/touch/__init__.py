@@ -1,0 +1,1 @@
+"""Touch in a policy: inputs, the frozen tokenizer, force tokens, and what only training or a control needs."""

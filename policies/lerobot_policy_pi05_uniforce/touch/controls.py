@@ -1,0 +1,91 @@
+"""The benchmark's controls in place of latents: the true wrench, a hand-made descriptor, or the images by a CNN."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, taken
+from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
+from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
+from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+
+WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
+SHAPES = {
+    "wrench": (1, len(WRENCH_SCALE)),  # fx, fy, fz in N, torsion in Nmm
+    "descriptor": (1, DESCRIPTOR_SIZE),
+    "marker_pair": (2, PAIR_SIDE**2),  # flat: what has four axes counts as a camera
+}
+FROM_IMAGES = {
+    "descriptor": (descriptor_key, descriptors),
+    "marker_pair": (marker_pair_key, marker_pairs),
+}
+
+
+class ControlInput(TouchInput):
+    """Reads a control's input: cached, from the simulator, or computed from the marker images."""
+
+    def __init__(self, config: PI05UniforceConfig) -> None:
+        super().__init__(config, None, SHAPES[config.touch.input])
+
+    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
+        """Return (B, rows, numbers) of a slot; RolloutError where its sensor is lost."""
+        if self.config.touch.input == "wrench":
+            value = taken(batch, wrench_key(slot))
+        else:
+            key, compute = FROM_IMAGES[self.config.touch.input]
+            value = batch[key(slot)] if key(slot) in batch else self._computed(compute, batch, slot)
+        scale = 255 if value.dtype == torch.uint8 else 1
+        return (value.to(device, torch.float32) / scale).reshape(len(value), *self.shape)
+
+    def _computed(self, compute: Callable, batch: dict[str, Tensor], slot: str) -> Tensor:
+        finger = self.config.finger_by_slot()[slot]
+        pair = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in self.pair(batch, finger))
+        rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
+        return torch.from_numpy(np.concatenate(rows))
+
+
+class MarkerPairTokens(nn.Module):
+    """Marker images through a small CNN learnt with the policy, instead of the frozen tokenizer.
+
+    Args:
+        config: slots and tokens per slot.
+        width: of a token.
+    """
+
+    def __init__(self, config: PI05UniforceConfig, width: int) -> None:
+        super().__init__()
+        layers: list[nn.Module] = []
+        for before, after in pairwise((2, 32, 64, width)):
+            layers += [nn.Conv2d(before, after, 3, stride=2, padding=1), nn.GELU()]
+        pool = nn.AdaptiveAvgPool2d(config.latent_grid)
+        self.cnn = nn.Sequential(*layers, pool, nn.Conv2d(width, width, 1))
+        self.cell_embedding = nn.Parameter(0.5 * torch.randn(config.tokens_per_slot, width))
+        self.slot_embedding = nn.Parameter(0.5 * torch.randn(len(config.slots), width))
+        self.gain = nn.Parameter(torch.ones(1))  # not a scalar: FSDP shards none
+
+    def forward(self, pair: Tensor, slot: int) -> Tensor:
+        """Map (B, 2, S²) reference and current in [0, 1] to (B, K, D)."""
+        side = math.isqrt(pair.shape[-1])
+        hidden = self.cnn(pair.unflatten(-1, (side, side))).flatten(2).transpose(1, 2)  # (B, K, D)
+        hidden = hidden + self.cell_embedding + self.slot_embedding[slot]
+        return self.gain * nn.functional.rms_norm(hidden, hidden.shape[-1:])
+
+
+def control_tokens(config: PI05UniforceConfig, width: int) -> ForceTokens | MarkerPairTokens:
+    """Return the tokens of a policy with this control."""
+    if config.touch.input == "marker_pair":
+        return MarkerPairTokens(config, width)
+    tokens = ForceTokens(config, SHAPES[config.touch.input], width)
+    if config.touch.input == "wrench":
+        tokens.input_scale.copy_(torch.tensor(WRENCH_SCALE))
+    return tokens

@@ -1,0 +1,192 @@
+"""What each touch slot gives the network: cached latents, or marker images through the frozen tactile tokenizer."""
+
+from __future__ import annotations
+
+import functools
+import logging
+from contextlib import nullcontext
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from lerobot_policy_pi05_uniforce.weights import no_weights
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, expected
+from uniforce_vtla.keys import latent_key, tactile_key
+from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
+from uniforce_vtla.tokenizer.api import canonicaliser_facts
+from uniforce_vtla.tokenizer.entry import prepare_tensor
+from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
+from uniforce_vtla.tokenizer.weights import SIZES, content_hash
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+
+logger = logging.getLogger(__name__)
+
+ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where the package doesn't have them
+
+
+class TactileEncoder(nn.Module):
+    """A frozen tokenizer, always in eval mode; its decoder is kept too, so that its hash can be checked."""
+
+    def __init__(self, model: ForceAutoencoder, grid: int) -> None:
+        super().__init__()
+        self.model, self.grid = model, grid
+        self._references: dict[str, tuple[Tensor, ReferenceCache]] = {}
+        self.requires_grad_(False)
+        self.train(False)
+
+    def train(self, mode: bool = True) -> TactileEncoder:
+        """Stay in eval mode: LeRobot calls ``policy.train()`` at every step."""
+        return super().train(False)
+
+    def forget_references(self) -> None:
+        """Drop cached references; call it where an episode begins."""
+        self._references.clear()
+
+    @torch.no_grad()
+    def forward(self, slot: str, finger: Finger, reference: Tensor, current: Tensor) -> Tensor:
+        """Return (B, K, latent) pooled latents of a slot's pair, (B, H, W) each in [0, 1].
+
+        The slot is the key of the reference cache, the finger that wears the sensor decides the mirror.
+        """
+        cached = self._encode_reference(slot, finger, reference)
+        latent = self.model.encoder.encode_current(cached, self._prepare(current, finger, "current")).mean
+        return pool_latent(latent, self.grid)
+
+    def _encode_reference(self, slot: str, finger: Finger, reference: Tensor) -> ReferenceCache:
+        key = f"{slot}/{finger}"
+        known = self._references.get(key)
+        if known is not None and torch.equal(known[0], reference):
+            return known[1]
+        before = self._prepare(reference, finger, "reference")
+        if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
+            do = "Capture it again in free air."
+            raise ContractError(expected(f"reference of {slot}", "an image with markers", "all black", do))
+        cache = self.model.encoder.encode_reference(before)
+        self._references[key] = (reference.clone(), cache)
+        return cache
+
+    def _prepare(self, images: Tensor, finger: Finger, name: str) -> Tensor:
+        return prepare_tensor(images, right=finger == "right", side=self.model.config.side, name=name)
+
+
+@functools.cache
+def packaged_hashes() -> dict[str, str]:
+    """Return content hash → size of the tokenizers that come with the package."""
+    return {Tokenizer.from_pretrained(size).hash: size for size in SIZES}
+
+
+def is_packaged(config: PI05UniforceConfig) -> bool:
+    """Return whether the policy's tokenizer comes with the package, so that its checkpoint holds only the hash."""
+    return bool(config.tokenizer_hash) and config.tokenizer_hash in packaged_hashes()
+
+
+def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEncoder:
+    """Make a new policy's encoder and write its facts into the config, or the one a checkpoint's config knows.
+
+    That is the packaged tokenizer of its hash, or one that is rebuilt, ``empty``, and filled from the checkpoint.
+
+    Raises:
+        CheckpointError: it was made behind another canonicaliser.
+    """
+    facts = config.touch.tokenizer
+    if facts is not None and is_packaged(config):
+        packaged = Tokenizer.from_pretrained(packaged_hashes()[config.tokenizer_hash])
+        return TactileEncoder(packaged.model, config.latent_grid)
+    if facts is None:
+        tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
+        config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
+        return TactileEncoder(tokenizer.model, config.latent_grid)
+    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+    if stored != running:
+        do = "Use the version it was trained with, or train again."
+        raise CheckpointError(expected("canonicaliser of the checkpoint", stored, running, do))
+    with no_weights() if empty else nullcontext():
+        return TactileEncoder(build_model(TokenizerConfig(**facts["model"]), seed=0), config.latent_grid)
+
+
+def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
+    """Raise CheckpointError unless the loaded tokenizer is, bit by bit, the one the policy was trained with."""
+    facts = {name: fact for name, fact in (config.touch.tokenizer or {}).items() if name != "hash"}
+    found = content_hash(encoder.model, facts)
+    if found != config.tokenizer_hash:
+        do = "The tokenizer inside the checkpoint was changed; copy the checkpoint again."
+        raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
+
+
+class TouchInput:
+    """Turn a batch into one (B, rows, numbers) tensor (``shape``) and one (B,) mask per slot."""
+
+    def __init__(self, config: PI05UniforceConfig, encoder: Any, shape: tuple[int, int]) -> None:
+        self.config, self.shape = config, shape
+        self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
+        self.masked = False  # every slot masked: the control that takes touch away from a trained policy
+        self._logged: set[str] = set()
+
+    def reset(self) -> None:
+        """Forget cached references: the next episode takes its own."""
+        if self.encoder is not None:
+            self.encoder.forget_references()
+
+    def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
+        """Return the slots' tensors and masks, in slot order.
+
+        Raises:
+            RolloutError: a declared input is missing or not finite, and ``on_sensor_loss`` is "error".
+        """
+        touches = [self._read(batch, slot, device) for slot in self.config.slots]
+        masks = [touch.isfinite().flatten(1).all(dim=1) for touch in touches]  # (B,) each
+        if self.masked:
+            masks = [torch.zeros_like(mask) for mask in masks]
+        if training:
+            share = self.config.augment.touch_dropout
+            masks = [mask & (torch.rand_like(mask, dtype=torch.float32) >= share) for mask in masks]
+        return [touch.nan_to_num() for touch in touches], masks
+
+    def _read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
+        """Return a slot's input, NaN where its sensor is lost."""
+        try:
+            touch = self.read(batch, slot, device)
+        except RolloutError as error:
+            self._lost(str(error))
+            size = len(next(v for k, v in batch.items() if k.startswith("observation.")))
+            return torch.full((size, *self.shape), torch.nan, device=device)
+        if not bool(touch.isfinite().all()):
+            self._lost(expected(slot, "finite numbers", "NaN or inf", "Check the sensor or the dataset."))
+        return touch
+
+    def _lost(self, message: str) -> None:
+        if self.config.touch.on_sensor_loss == "error":
+            raise RolloutError(message)
+        if message not in self._logged:
+            self._logged.add(message)
+            logger.warning("on_sensor_loss=mask: going on without touch. %s", message)
+
+    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
+        """Return a slot's (B, K, latent) latents, cached or encoded now; RolloutError where its sensor is lost."""
+        if latent_key(slot) in batch:
+            latent = batch[latent_key(slot)].to(device, torch.float32)
+            return latent.reshape(len(latent), *self.shape)
+        finger = self.config.finger_by_slot()[slot]
+        reference, current = (image.to(device) for image in self.pair(batch, finger))
+        return self.encoder(slot, finger, reference, current)
+
+    def pair(self, batch: dict[str, Tensor], finger: Finger) -> list[Tensor]:
+        """Return a finger's reference and current marker images, (B, H, W)."""
+        return [_grey(taken(batch, tactile_key(finger, reference))) for reference in (True, False)]
+
+
+def taken(batch: dict[str, Tensor], key: str) -> Tensor:
+    """Return an entry of the batch; RolloutError where it is lost."""
+    if key not in batch:
+        do = "Check the sensor of that finger."
+        raise RolloutError(expected(key, "a tensor in the observation", "none", do))
+    return batch[key]
+
+
+def _grey(images: Tensor) -> Tensor:
+    """Return (B, H, W) from (B, H, W) or (B, 3, H, W), RGB copies of one binary channel."""
+    return images[:, 0] if images.ndim == 4 else images

@@ -1,0 +1,50 @@
+"""The policy bench: what it counts is exact and held to the bar; what it times is only asked to be there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks import policy_speed
+from benchmarks.policy.latency import CASES, BenchCase, bench_case
+from benchmarks.policy.touch import bench_touch
+from benchmarks.policy_speed import main
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
+
+SMALL = {"tiny": TinySettings(width=64, depth=2, mlp_dim=32)}
+
+
+def test_a_tiny_call_takes_at_most_two_fifths_of_the_operations() -> None:
+    report = bench_case(CASES["tiny"], "cpu", rounds=1, steps=10)
+    assert report["operations_share"] <= 0.40
+    assert report["max_abs_difference"] < 1e-4
+    assert min(report["floor_ms"], report["fast_ms"], *report["parts_ms"].values()) > 0
+
+
+def test_the_command_writes_its_table_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(policy_speed.CASES, "tiny", BenchCase("tiny", missing=1, prompt=12, settings=SMALL))
+    assert main(["only=tiny", "rounds=2", "steps=2", f"out={tmp_path}"]) == 0
+    table = json.loads((tmp_path / "policy_latency.json").read_text())
+    assert table["gpu"] == "not run" and table["cpu"]["stock_ms"] > 0
+    assert table["cases"]["tiny"]["cameras"] == 2
+    assert (tmp_path / "policy_latency.png").stat().st_size > 5_000
+
+
+def test_touch_is_timed_in_turns_with_none() -> None:
+    report = bench_touch(BenchCase("small", prompt=12, settings=SMALL), "cpu", rounds=2, steps=2)
+    assert report["tokens"] == 32
+    assert set(report["call_ms"]) == {"none", "prefix", "suffix", "refresh"}
+    assert set(report["train_step_ms"]) == {"none", "prefix", "suffix"}
+    assert report["call_ratio_to_none"]["none"] == 1 and report["call_ms"]["refresh"] > 0
+
+
+@pytest.mark.parametrize(("given", "says"), [("only=huge", "base_3_cameras"), ("device=cuda", "CUDA")])
+def test_what_is_not_there_is_said(given: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    import torch
+
+    if given == "device=cuda" and torch.cuda.is_available():
+        pytest.skip("a CUDA device is here")
+    assert main([given]) == 2
+    assert says in capsys.readouterr().out

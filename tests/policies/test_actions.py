@@ -1,0 +1,440 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, make_pi05_uniforce_pre_post_processors
+from lerobot_policy_pi05_uniforce.action import (
+    CheckActionStep,
+    IssuedTarget,
+    NetworkUnits,
+    check_leap,
+    check_range,
+    previous_move,
+    to_deltas,
+    to_targets,
+)
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, SPAN_FLOOR, floor_quantiles
+from uniforce_vtla.errors import ContractError, RolloutError
+from uniforce_vtla.keys import ACTION
+
+UNITS = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003])  # the default delta_scale
+BENT = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003], [0, 0, 0.003, 0, 0.0003])
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    size=st.integers(1, 4),
+    steps=st.integers(1, 8),
+    units=st.sampled_from([UNITS, BENT]),
+)
+def test_deltas_and_targets_are_inverse(seed, size, steps, units):
+    actions = torch.rand(size, 1 + steps, 5, generator=torch.Generator().manual_seed(seed))
+    deltas = to_deltas(actions, None, torch.zeros(size, 5), units)
+    assert torch.allclose(to_targets(deltas, actions[:, 0], units), actions[:, 1:], atol=1e-6)
+
+
+def test_an_episode_starts_from_the_measured_state_as_a_rollout_does():
+    actions, measured = torch.rand(2, 4, 5), torch.rand(2, 5)
+    is_pad = torch.tensor([[True, False, False, False], [False] * 4])
+    deltas = to_deltas(actions, is_pad, measured, UNITS)
+    assert torch.allclose(to_targets(deltas, measured, UNITS)[0], actions[0, 1:], atol=1e-6)
+    assert torch.allclose(to_targets(deltas, actions[:, 0], UNITS)[1], actions[1, 1:], atol=1e-6)
+
+
+def test_issued_target_refuses_another_batch():
+    issued = IssuedTarget()
+    issued.record(torch.zeros(3, 5))
+    with pytest.raises(RolloutError, match="reset"):
+        issued.base(torch.zeros(2, 5))
+
+
+def constant_delta(policy, monkeypatch, rows):
+    """Let the network answer one fixed delta per row and step, in network units."""
+
+    def sample(images, masks, tokens, text_mask, **kwargs):
+        out = torch.zeros(len(tokens), policy.config.chunk_size, policy.config.max_action_dim)
+        out[:, :, :5] = rows[: len(tokens), None]
+        return out
+
+    monkeypatch.setattr(policy.model, "sample_actions", sample)
+
+
+def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_batch, monkeypatch):
+    policy = make_policy(touch__input="none", n_action_steps=2)
+    rows = torch.tensor([[0.1] * 5, [-0.2] * 5])
+    constant_delta(policy, monkeypatch, rows)
+    first = make_batch(policy)
+    policy.reset()
+    a = [policy.select_action(first) for _ in range(2)]
+    assert torch.allclose(a[1], first[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6)
+    elsewhere = make_batch(policy)  # the measured state moved: it must not matter any more
+    b = policy.select_action(elsewhere)
+    assert torch.allclose(b, a[1] + rows * UNITS.unit, atol=1e-6)
+    policy.select_action(elsewhere)
+    policy.reset()
+    assert torch.allclose(
+        policy.select_action(elsewhere), elsewhere[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6
+    )
+
+
+def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats, monkeypatch, tmp_path):
+    """Changes add up: a hand that had risen out of the demos went on rising."""
+    low, high = [0.3, -0.1, 0.0, -0.5, 0.0], [0.5, 0.1, 0.2, 0.5, 0.08]
+    known = stats | {ACTION: stats[ACTION] | {"min": torch.tensor(low), "max": torch.tensor(high)}}
+    for inside in (True, False):
+        policy = PI05UniforcePolicy(make_config(), dataset_stats=known if inside else None)
+        policy.save_pretrained(tmp_path / str(inside))
+        policy = PI05UniforcePolicy.from_pretrained(tmp_path / str(inside))
+        up = torch.full((2, policy.config.chunk_size, 5), 9.0)
+        monkeypatch.setattr(policy.model, "sample_actions", lambda *_, up=up, **__: up)
+        policy.issued.record(torch.tensor(high).expand(2, 5))
+        batch = make_batch(policy)
+        chunk = policy.predict_action_chunk(batch)
+        assert torch.allclose(chunk.amax(dim=(0, 1)), torch.tensor(high)) == inside
+        assert bool((chunk > torch.tensor(high) + 1e-3).any()) != inside
+
+
+@pytest.mark.parametrize("bounds", [[[0.0] * 5], [[0.0] * 4, [1.0] * 4], [[0.0] * 5, [1.0] * 4 + [-1.0]]])
+def test_a_range_that_is_none_is_refused(bounds):
+    with pytest.raises(ContractError, match="target_range"):
+        check_range(bounds, 5)
+
+
+def test_postprocessor_leaves_targets_in_si_units(make_policy, make_batch, stats):
+    policy = make_policy(touch__input="none")
+    _, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    action = policy.select_action(make_batch(policy))
+    assert torch.equal(after(action), action)
+
+
+def test_absolute_actions_are_normalised_by_lerobot(make_policy, stats):
+    policy = make_policy(touch__input="none", action__form="absolute")
+    assert policy.config.action_delta_indices == list(range(16))
+    _, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    low = after(-torch.ones(1, 5))
+    assert np.allclose(low.numpy()[0], stats["action"]["q01"], atol=1e-6)
+
+
+def test_the_network_never_sees_the_last_command(make_policy, make_batch):
+    policy = make_policy(touch__input="none")
+    policy.train()
+    batch = make_batch(policy, actions=True)
+    moved = {**batch, "action": batch["action"] + 0.5}  # same deltas, another absolute place
+    losses = []
+    for b in (batch, moved):
+        torch.manual_seed(3)
+        losses.append(policy.forward(b)[0])
+    assert torch.allclose(*losses, rtol=1e-4)
+
+
+@pytest.mark.parametrize("reduction", ["mean", "none"])
+def test_padded_steps_and_axes_give_no_loss(make_policy, make_batch, monkeypatch, reduction):
+    policy = make_policy(touch__input="none")
+    batch = make_batch(policy, actions=True)
+    batch["action_is_pad"][:, 5:] = True  # the last command and four steps are real
+    losses = torch.full((2, 16, 8), 1e6)
+    losses[:, :4, :5] = 2.0
+    monkeypatch.setattr(policy.model, "forward", lambda *args: losses)
+    loss, _ = policy.forward(batch, reduction=reduction)
+    assert torch.allclose(loss, torch.tensor(2.0))
+    assert loss.shape == (() if reduction == "mean" else (2,))
+
+
+def test_a_batch_without_the_measured_state_is_refused(make_policy, make_batch):
+    policy = make_policy(touch__input="none")
+    batch = make_batch(policy)
+    del batch[MEASURED_STATE]
+    with pytest.raises(ContractError, match="preprocessor"):
+        policy.select_action(batch)
+
+
+def test_beyond_the_knee_a_move_is_its_logarithm():
+    small, large = torch.full((5,), 1e-5), torch.full((5,), 0.04)
+    assert torch.allclose(BENT.to_network(small)[4], torch.tensor(1e-5 / 3e-4), rtol=1e-3)
+    assert torch.allclose(
+        BENT.to_network(large)[[2, 4]], (2 * large[[2, 4]] / BENT.unit[[2, 4]]).log(), atol=0.01
+    )
+    assert torch.equal(BENT.to_network(large)[[0, 1, 3]], UNITS.to_network(large)[[0, 1, 3]])
+
+
+@pytest.mark.parametrize("knee", [[0.001], [0, 0, -0.001, 0, 0]])
+def test_a_knee_that_does_not_fit_the_axes_is_refused(make_policy, knee):
+    with pytest.raises(ContractError, match="delta_knee"):
+        make_policy(action__delta_knee=knee)
+
+
+def test_delta_scale_must_fit_the_action(make_policy):
+    with pytest.raises(ContractError, match="delta_scale"):
+        make_policy(action__delta_scale=[0.1, 0.1])
+
+
+@given(
+    low=st.lists(st.floats(-1, 1), min_size=5, max_size=5),
+    span=st.lists(st.floats(0, 0.2), min_size=5, max_size=5),
+)
+def test_quantile_spans_are_floored(low, span):
+    stat = {"q01": np.array(low), "q99": np.array(low) + np.array(span)}
+    floored = floor_quantiles({"observation.state": stat, "other": stat})
+    wide = floored["observation.state"]["q99"] - floored["observation.state"]["q01"]
+    assert np.allclose(wide, np.maximum(span, SPAN_FLOOR), atol=1e-9)
+    centre = (floored["observation.state"]["q99"] + floored["observation.state"]["q01"]) / 2
+    assert np.allclose(centre, np.array(low) + np.array(span) / 2)
+    assert floored["other"] is stat
+
+
+def test_a_still_axis_cannot_explode(make_config, stats):
+    still = {k: {**v, "q01": v["q01"].copy(), "q99": v["q99"].copy()} for k, v in stats.items()}
+    still["observation.state"]["q99"][3] = still["observation.state"]["q01"][3]
+    before, _ = make_pi05_uniforce_pre_post_processors(make_config(touch__input="none"), still)
+    state = torch.tensor(still["observation.state"]["q01"], dtype=torch.float32)
+    state[3] += 0.01  # rad
+    batch = before({"observation.state": state, "task": "wipe"})
+    assert batch["observation.state"].abs().max() < 3
+
+
+def test_only_the_state_is_normalised(make_policy, make_batch):
+    batch = make_batch(make_policy(touch__input="wrench"))
+    assert batch["observation.state"].abs().max() <= 1.001
+    assert batch["observation.wrench.touch0"].abs().max() > 2
+
+
+def test_local_text_tokenizer_round_trips(make_config, stats, monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    before, _ = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    state = torch.tensor([0.5, 0.0, 0.1, 0.0, 0.04])
+    batch = before({"observation.state": state, "task": "wipe the züge_off"})
+    tokens, mask = batch["observation.language.tokens"], batch["observation.language.attention_mask"]
+    assert tokens.shape == (1, 64) and mask.sum() < 40
+    step = next(s for s in before.steps if hasattr(s, "input_tokenizer"))
+    text = step.input_tokenizer.decode(tokens[0][mask[0]][1:])
+    assert text == "Task: wipe the züge off, State: 128 128 85 128 128;\nAction: "
+
+
+def test_a_cut_prompt_is_said(make_config, stats, caplog):
+    before, _ = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    before({"observation.state": torch.tensor([0.5, 0.0, 0.1, 0.0, 0.04]), "task": "x" * 100})
+    assert any("may be cut" in r.message for r in caplog.records)
+
+
+def test_tiny_samples_from_the_centre_and_is_repeatable(make_policy, make_batch):
+    policy = make_policy(touch__input="none")
+    batch = make_batch(policy)
+    first = policy.predict_action_chunk(batch)
+    assert torch.equal(policy.predict_action_chunk(batch), first)
+    policy.config.sampler.noise_scale = 1.0
+    assert not torch.allclose(policy.predict_action_chunk(batch), first)
+
+
+def test_larger_camera_frames_shrink_as_training_views_do(make_policy, make_batch):
+    policy = make_policy(touch__input="none")
+    batch = make_batch(policy)
+    key = next(iter(policy.config.image_features))
+    side = policy.config.image_resolution[0]
+    large = torch.rand(len(batch[key]), 3, 4 * side, 4 * side)
+    shrunk = policy._shrunk({**batch, key: large})[key]
+    assert torch.allclose(
+        shrunk, large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5)), atol=1e-6
+    )
+
+
+def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
+    """Its loss is the squared error of the chunk that one step from zero noise gives."""
+    policy = make_policy(touch__input="none", action__objective="regression")
+    assert policy.config.num_inference_steps == 1
+    batch = make_batch(policy, actions=True)
+    chunk = policy.predict_action_chunk(batch)  # absolute targets, from the measured state on
+    said = (chunk - batch[MEASURED_STATE][:, None]) / UNITS.unit
+    wanted = policy.prepare_action(batch)[..., :5]
+    loss, _ = policy.forward(batch)
+    assert float(loss) == pytest.approx(float((said - wanted).square().mean()), rel=1e-4)
+    again, _ = policy.forward(batch)
+    assert float(again) == float(loss)  # nothing random is left in it
+    noise = torch.randn(len(chunk), policy.config.chunk_size, policy.config.max_action_dim)
+    assert torch.equal(policy.predict_action_chunk(batch, noise=noise), chunk)
+
+
+def test_evaluation_mode_reaches_a_module_that_was_set_apart(make_policy):
+    policy = make_policy()
+    modules = list(policy.modules())
+    policy.eval()
+    assert not any(module.training for module in modules)
+    modules[-1].train()  # somebody's own doing: asking again mends it
+    policy.eval()
+    assert not modules[-1].training
+    policy.train()
+    assert policy.training and policy.model.training
+
+
+@examples(30)
+@given(length=st.integers(1, 30), steps=st.integers(1, 6), data=st.data())
+def test_a_rollout_has_the_previous_action_of_the_sample_it_was_trained_on(length, steps, data):
+    """Frame t of an episode: commands are clipped to the episode as training views do; a rollout issued 0 … t − 1."""
+    frame = data.draw(st.integers(0, length - 1))
+    commands = torch.rand(length, 5)
+    seen = torch.tensor([frame - 1 - steps, frame - 1]).clip(0, length - 1)
+    issued = IssuedTarget(steps)
+    for target in commands[:frame]:
+        issued.record(target[None])
+    assert torch.allclose(issued.moved(torch.zeros(1, 5)), previous_move(commands[seen][None]))
+
+
+def test_the_previous_action_of_another_batch_is_refused():
+    issued = IssuedTarget(2)
+    issued.record(torch.zeros(3, 5))
+    with pytest.raises(RolloutError, match="reset"):
+        issued.moved(torch.zeros(2, 5))
+
+
+def test_where_the_command_came_from_decides_when_all_else_is_equal(make_policy, make_batch):
+    """In mid-stroke a picture doesn't tell which way; a sample's own commands and a rollout's do."""
+    policy = make_policy(touch__input="none", action__previous_steps=3, n_action_steps=1)
+    policy.model.state_token.eval()
+    assert policy.config.action_delta_indices[:3] == [-4, -1, 0]
+    batch = make_batch(policy)
+    way = torch.tensor([0.0, 0.02, 0.0, 0.0, 0.0])
+    chunks = {}
+    for sign in (-1, 0, 1):
+        policy.reset()
+        for step in (4, 3, 2, 1, 0):
+            policy.issued.record(batch[MEASURED_STATE] - sign * step * way)
+        chunks[sign] = policy.predict_action_chunk(batch)
+        commands = torch.stack([batch[MEASURED_STATE] - sign * 3 * way, batch[MEASURED_STATE]], dim=1)
+        told = policy.predict_action_chunk({**batch, "action": commands})
+        assert torch.allclose(told, chunks[sign], atol=1e-6)
+    assert (chunks[1] - chunks[-1]).abs().max() > 1e-4
+    policy.reset()
+    still = policy.predict_action_chunk(batch)  # nothing issued yet: nothing moved
+    assert torch.allclose(still, chunks[0], atol=1e-6)
+
+
+def test_training_reads_the_move_in_front_of_the_chunk_and_blurs_it(make_policy, make_batch):
+    policy = make_policy(touch__input="none", action__previous_steps=3)
+    batch, size = make_batch(policy), policy.config.chunk_size
+    actions = torch.rand(2, 2 + size, 5)
+    is_pad = torch.zeros(2, 2 + size, dtype=torch.bool)
+    padded = policy.prepare_action({**batch, "action": actions, "action_is_pad": is_pad})[..., :5]
+    assert torch.allclose(padded, to_deltas(actions[:, 1:], None, batch[MEASURED_STATE], UNITS))
+    seen: list[torch.Tensor] = []
+    policy.model.state_token.proj.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
+    policy.train()
+    loss, _ = policy({**batch, "action": actions, "action_is_pad": is_pad})
+    loss.backward()
+    told = (actions[:, 1] - actions[:, 0]) / UNITS.unit
+    assert seen[0].shape == (2, 1, 10) and torch.equal(seen[0][:, 0, :5], batch["observation.state"])
+    assert 0.02 < (seen[0][:, 0, 5:] - told).abs().mean() < 0.3
+
+
+def test_of_the_previous_action_only_the_axes_asked_for_are_given(make_policy, make_batch):
+    policy = make_policy(touch__input="none", action__previous_steps=3, action__previous_axes=[1, 2])
+    batch = make_batch(policy)
+    from_m = batch[MEASURED_STATE]
+
+    def chunk(move: list[float]) -> torch.Tensor:
+        commands = torch.stack([from_m - torch.tensor(move), from_m], dim=1)
+        return policy.predict_action_chunk({**batch, "action": commands})
+
+    still = chunk([0.0] * 5)
+    assert policy.model.state_token.proj[0].in_features == 5 + 2
+    assert torch.equal(chunk([0.02, 0.0, 0.0, 0.1, 0.01]), still)
+    assert (chunk([0.0, 0.02, 0.0, 0.0, 0.0]) - still).abs().max() > 1e-4
+
+
+@pytest.mark.parametrize("axes", [[5], [-1], [1, 1]])
+def test_axes_no_target_has_are_refused(axes, make_config):
+    with pytest.raises(ContractError, match="previous_axes"):
+        make_config(action__previous_steps=4, action__previous_axes=axes)
+
+
+@pytest.mark.parametrize(
+    "given", [{"action__form": "absolute"}, {"size": "base"}, {"action__previous_steps": -1}]
+)
+def test_a_previous_action_needs_a_state_token_and_deltas(given, make_config):
+    with pytest.raises(ContractError, match="previous_steps"):
+        make_config(**{"action__previous_steps": 4, **given})
+
+
+STEP = CheckActionStep(low=[0.0, -1.0], high=[1.0, 1.0], margin=0.5)
+
+
+@given(st.lists(st.tuples(st.floats(-0.49, 1.49), st.floats(-1.99, 1.99)), min_size=1, max_size=4))
+def test_what_is_near_the_demos_passes(rows) -> None:
+    action = torch.tensor(rows)
+    assert torch.equal(STEP.action(action), action)
+    assert torch.equal(STEP.action(action[None]), action[None])  # a chunk
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ([float("nan"), 0.0], "finite"),
+        ([0.0, float("inf")], "finite"),
+        ([1.6, 0.0], "axis 0"),
+        ([0.5, -2.1], "axis 1"),
+    ],
+)
+def test_what_is_not_stops(row, says) -> None:
+    with pytest.raises(RolloutError, match=says):
+        STEP.action(torch.tensor([[0.5, 0.0], row]))
+
+
+def test_without_statistics_only_finite_is_asked() -> None:
+    free = CheckActionStep.of(None)
+    assert torch.equal(free.action(torch.full((1, 2), 1e6)), torch.full((1, 2), 1e6))
+    with pytest.raises(RolloutError):
+        free.action(torch.full((1, 2), float("nan")))
+
+
+def test_the_check_travels_with_the_policy(make_config, stats, tmp_path) -> None:
+    _, after = make_pi05_uniforce_pre_post_processors(make_config(action__stop_outside_demos=True), stats)
+    after.save_pretrained(tmp_path)
+    saved = json.loads((tmp_path / "policy_postprocessor.json").read_text())["steps"][-1]
+    assert saved["registry_name"] == "uniforce_check_action"
+    assert saved["config"]["high"] == pytest.approx(list(stats["action"]["max"]))
+    with pytest.raises(RolloutError, match="axis 2"):
+        after(torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]]))
+
+
+def test_an_axis_the_demos_never_moved_has_some_room() -> None:
+    still = CheckActionStep(low=[0.2], high=[0.2])
+    assert torch.equal(still.action(torch.tensor([[0.24]])), torch.tensor([[0.24]]))
+    with pytest.raises(RolloutError):
+        still.action(torch.tensor([[0.26]]))
+
+
+def test_unless_asked_a_poor_policy_is_scored_not_stopped(make_config, stats) -> None:
+    _, after = make_pi05_uniforce_pre_post_processors(make_config(), stats)
+    after(torch.tensor([[0.5, 0.0, 5.0, 0.0, 0.04]]))
+    with pytest.raises(RolloutError, match="finite"):
+        after(torch.tensor([[0.5, 0.0, float("nan"), 0.0, 0.04]]))
+
+
+def test_a_leap_stops_and_the_first_target_never_does() -> None:
+    scale = torch.tensor([0.01, 0.1])
+    last = torch.tensor([[0.5, 0.0]])
+    check_leap(torch.tensor([[9.0, 9.0]]), None, scale)
+    check_leap(torch.tensor([[0.59, -0.9]]), last, scale)
+    with pytest.raises(RolloutError, match="axis 0"):
+        check_leap(torch.tensor([[0.61, 0.0]]), last, scale)
+
+
+def test_a_policy_that_leaps_issues_nothing(make_policy, make_batch, monkeypatch) -> None:
+    policy = make_policy(touch__input="none", n_action_steps=2)
+
+    def sample(images, masks, tokens, text_mask, **kwargs):
+        out = torch.zeros(len(tokens), policy.config.chunk_size, policy.config.max_action_dim)
+        out[:, 1, 0] = 11.0  # of delta_scale
+        return out
+
+    monkeypatch.setattr(policy.model, "sample_actions", sample)
+    batch = make_batch(policy)
+    first = policy.select_action(batch)
+    with pytest.raises(RolloutError, match="change of target"):
+        policy.select_action(batch)
+    assert torch.equal(policy.issued.last, first)

@@ -1,0 +1,332 @@
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from lerobot.configs import PreTrainedConfig
+from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from lerobot.utils.import_utils import register_third_party_plugins
+from safetensors.torch import load_file, save_file
+from torch import nn
+from transformers import AutoTokenizer
+
+from benchmarks.policy import text_tokenizer
+from benchmarks.policy.memory import bench_memory
+from lerobot_policy_pi05_uniforce import (
+    PI05UniforceConfig,
+    PI05UniforcePolicy,
+    make_pi05_uniforce_pre_post_processors,
+    migration,
+)
+from lerobot_policy_pi05_uniforce.checkpoint import check_sensors
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
+from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
+from lerobot_policy_pi05_uniforce.migration import grouped
+from lerobot_policy_pi05_uniforce.model_card import model_card
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
+    FOLDER,
+    SAVED,
+    VOCABULARY,
+    UniforceTokenizerProcessorStep,
+)
+from lerobot_policy_pi05_uniforce.weights import fill, no_weights
+from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+
+
+@pytest.fixture
+def checkpoint(make_policy, tmp_path):
+    make_policy().save_pretrained(tmp_path)
+    return tmp_path
+
+
+def tensors_of(policy):
+    return {k: v.clone() for k, v in policy.state_dict().items()}
+
+
+def test_lerobot_finds_the_policy_by_name():
+    register_third_party_plugins()
+    assert "pi05_uniforce" in PreTrainedConfig.get_known_choices()
+    assert get_policy_class("pi05_uniforce") is PI05UniforcePolicy
+    name = importlib.metadata.distribution("lerobot_policy_pi05_uniforce").metadata["Name"]
+    assert name == "lerobot_policy_pi05_uniforce"  # a hyphen would hide it from LeRobot
+
+
+def test_every_tensor_comes_back(make_policy, tmp_path):
+    policy = make_policy()
+    policy.save_pretrained(tmp_path)
+    loaded = PI05UniforcePolicy.from_pretrained(tmp_path)
+    assert not loaded.training
+    saved, came = tensors_of(policy), tensors_of(loaded)
+    assert saved.keys() == came.keys()
+    assert all(torch.equal(saved[k], came[k]) for k in saved)
+    assert sum("tactile_encoder" in k for k in saved) > 10
+
+
+def test_loading_needs_no_tokenizer_file(make_config, make_policy, make_batch, tmp_path):
+    policy = make_policy()
+    policy.config.touch.tokenizer_path = "/gone"
+    policy.save_pretrained(tmp_path)
+    loaded = PI05UniforcePolicy.from_pretrained(tmp_path)
+    assert loaded.config.tokenizer_hash == policy.config.tokenizer_hash != ""
+    torch.manual_seed(1)
+    batch = make_batch(policy)
+    start = torch.randn(2, 16, 8)
+    assert torch.equal(
+        policy.predict_action_chunk(batch, noise=start), loaded.predict_action_chunk(batch, noise=start)
+    )
+
+
+def damage_missing(tensors):
+    del tensors["model.force_tokens.proj.0.weight"]
+
+
+def damage_extra(tensors):
+    tensors["model.surplus"] = torch.zeros(3)
+
+
+def damage_shape(tensors):
+    tensors["model.action_in_proj.bias"] = torch.zeros(7)
+
+
+def damage_tokenizer(tensors):
+    name = next(k for k in tensors if "tactile_encoder" in k and k.endswith("weight"))
+    tensors[name] = tensors[name] + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (damage_missing, "missing.*force_tokens.proj.0.weight"),
+        (damage_extra, "unexpected.*model.surplus"),
+        (damage_shape, "misshapen.*action_in_proj.bias"),
+        (damage_tokenizer, "tokenizer hash"),
+    ],
+)
+def test_a_tensor_that_does_not_fit_raises(checkpoint, damage, said):
+    path = checkpoint / "model.safetensors"
+    tensors = load_file(path)
+    damage(tensors)
+    save_file(tensors, path)
+    with pytest.raises(CheckpointError, match=said):
+        PI05UniforcePolicy.from_pretrained(checkpoint)
+
+
+def test_truncated_or_missing_files_raise(checkpoint):
+    weights = checkpoint / "model.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-100])
+    with pytest.raises(CheckpointError, match="cut or damaged"):
+        PI05UniforcePolicy.from_pretrained(checkpoint)
+    weights.unlink()
+    with pytest.raises(CheckpointError, match=r"model\.safetensors"):
+        PI05UniforcePolicy.from_pretrained(checkpoint)
+    (checkpoint / "config.json").write_text("{")
+    with pytest.raises(CheckpointError, match="JSON"):
+        PI05UniforcePolicy.from_pretrained(checkpoint)
+    with pytest.raises(CheckpointError, match=r"config\.json"):
+        PI05UniforcePolicy.from_pretrained(checkpoint / "nowhere")
+
+
+def test_swap_runs_the_same_checkpoint(make_policy, make_batch, tmp_path):
+    make_policy(touch__slots={"touch0": "right"}).save_pretrained(tmp_path)
+    config = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--swap=touch0:left"])
+    policy = PI05UniforcePolicy.from_pretrained(tmp_path, config=config)
+    batch = make_batch(policy)
+    chunk = policy.predict_action_chunk({k: v for k, v in batch.items() if "tactile_right" not in k})
+    assert chunk.shape == (2, 16, 5) and torch.isfinite(chunk).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("directions", 2), ("site", "suffix")],
+)
+def test_touch_settings_must_be_the_checkpoints_own(checkpoint, name, value):
+    config = PreTrainedConfig.from_pretrained(checkpoint)
+    setattr(config.touch, name, value)
+    with pytest.raises(CheckpointError, match=f"touch settings.*'{name}'") as error:
+        PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
+    others = {"slots", "tokenizer", "directions", "site"} - {name}
+    assert not any(f"'{other}'" in str(error.value) for other in others)  # only what differs is named
+
+
+def test_other_sensors_must_be_asked_for(make_config):
+    trained = {"touch0": "tactip", "touch1": "gelsight"}
+    mounted = {"left": "uskin", "right": "tactip"}
+    with pytest.raises(CheckpointError, match="left_sensor=uskin"):
+        check_sensors(make_config(touch__trained_sensors=trained), mounted)
+    notes = check_sensors(make_config(touch__trained_sensors=trained, left_sensor="uskin"), mounted)
+    assert len(notes) == 1 and "gelsight" in notes[0] and "uskin" in notes[0]
+    assert (
+        check_sensors(make_config(touch__trained_sensors=trained), {"left": "gelsight", "right": "tactip"})
+        == []
+    )
+    one = make_config(
+        touch__slots={"touch0": "right"}, touch__trained_sensors={"touch0": "tactip"}, swap="touch0:left"
+    )
+    assert len(check_sensors(one, mounted)) == 1
+
+
+def test_a_view_made_by_another_tokenizer_is_refused(make_config, tmp_path):
+    class Meta:
+        root = tmp_path
+
+    (tmp_path / "uniforce_view.json").write_text(json.dumps({"tokenizer_hash": "other"}))
+    with pytest.raises(DatasetError, match="other"):
+        PI05UniforcePolicy(make_config(), dataset_meta=Meta())
+
+
+def test_sensors_of_the_training_view_are_stored(make_config, tmp_path):
+    sensors = {"left": ["gelsight", "uskin"], "right": ["tactip"]}
+    meta = SimpleNamespace(root=tmp_path, sensors=sensors, total_episodes=9, used_episodes=4)
+    (tmp_path / "uniforce_view.json").write_text("{}")
+    config = make_config(touch__input="wrench")
+    PI05UniforcePolicy(config, dataset_meta=meta)
+    assert config.touch.trained_sensors == {"touch0": "tactip", "touch1": "gelsight+uskin"}
+    assert config.trained_on["episodes"] == "4"
+    assert check_sensors(config, {"left": "uskin", "right": "tactip"}) == []
+    with pytest.raises(CheckpointError, match="right_sensor=uskin"):
+        check_sensors(config, {"left": "uskin", "right": "uskin"})
+
+
+def test_processors_survive_a_round_trip(make_policy, make_batch, stats, tmp_path, monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    policy = make_policy()
+    before, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+    before.save_pretrained(tmp_path), after.save_pretrained(tmp_path)
+    stored = json.loads((tmp_path / "policy_preprocessor.json").read_text())
+    text = next(s for s in stored["steps"] if s["registry_name"] == "uniforce_tokenizer_processor")
+    assert not text["config"]["tokenizer_name"].startswith("/")  # a moved installation must still load
+    again, _ = make_pre_post_processors(policy.config, pretrained_path=str(tmp_path))
+    raw = {"observation.state": torch.tensor([[0.5, 0.0, 0.1, 0.0, 0.04]]), "task": ["wipe"]}
+    one, two = before(dict(raw)), again(dict(raw))
+    assert all(torch.equal(one[k], two[k]) for k in one if isinstance(one[k], torch.Tensor))
+
+
+def test_the_packages_tokenizer_is_stored_once(make_policy, make_batch, tmp_path):
+    """A checkpoint then holds its hash; one that still has the weights loads as well."""
+    policy = make_policy(touch__tokenizer_path=None)
+    policy.save_pretrained(tmp_path)
+    stored = load_file(tmp_path / "model.safetensors")
+    assert not any("tactile_encoder" in name for name in stored)
+    batch = make_batch(policy)
+    for extra in ({}, {k: v for k, v in policy.state_dict().items() if "tactile_encoder" in k}):
+        save_file(stored | extra, tmp_path / "model.safetensors")
+        loaded = PI05UniforcePolicy.from_pretrained(tmp_path)
+        assert torch.equal(loaded.predict_action_chunk(batch), policy.predict_action_chunk(batch))
+
+
+FLAT = json.loads(
+    (Path(__file__).parent / "flat_config.json").read_text()
+)  # of the V+T policy of version 0.1.0
+
+
+def test_settings_of_0_1_0_are_migrated(tmp_path):
+    shipped = json.loads((shipped_checkpoint() / "config.json").read_text())
+    assert grouped(FLAT) == shipped == grouped(shipped)
+    turned_off = {"keep_inside_demos": False, "cuda_graphs": False}
+    assert grouped(FLAT | turned_off)["action"]["target_range"] == []
+    assert grouped(FLAT | turned_off)["sampler"]["kind"] == "eager"
+    (tmp_path / "config.json").write_text(json.dumps(FLAT))
+    with pytest.raises(CheckpointError, match=r"migration FOLDER"):
+        PI05UniforcePolicy.from_pretrained(tmp_path)
+
+
+def test_a_folder_of_0_1_0_is_rewritten_in_place_and_its_weights_still_load(tmp_path, capsys):
+    folder = Path(shutil.copytree(shipped_checkpoint(), tmp_path / "old"))
+    whole = PI05UniforcePolicy.from_pretrained(folder).state_dict()
+    (folder / "config.json").write_text(json.dumps(FLAT))
+    save_file(dict(whole), folder / "model.safetensors")  # the tactile tokenizer among them
+    assert migration.main([str(folder)]) == 0 and migration.main([str(folder)]) == 0
+    assert "rewritten" in capsys.readouterr().out
+    again = PI05UniforcePolicy.from_pretrained(folder).state_dict()
+    assert all(torch.equal(again[name], tensor) for name, tensor in whole.items())
+    assert migration.main([str(tmp_path / "nowhere")]) == 2
+
+
+def test_an_empty_module_is_filled_and_equal(tmp_path: Path) -> None:
+    full = nn.Sequential(nn.Linear(4, 3), nn.BatchNorm1d(3))
+    save_file(full.state_dict(), tmp_path / "w.safetensors")
+    with no_weights():
+        empty = nn.Sequential(nn.Linear(4, 3), nn.BatchNorm1d(3))
+    assert empty[0].weight.is_meta
+    fill(empty, tmp_path / "w.safetensors")
+    x = torch.randn(5, 4)
+    assert torch.equal(full.eval()(x), empty.eval()(x))
+    assert empty[0].weight.requires_grad
+
+
+def test_tensors_lie_where_new_ones_would(tmp_path: Path) -> None:
+    """A checkpoint's own layout would show in the last bits of what a policy answers."""
+    layer = nn.Sequential(nn.Linear(3, 5), nn.Linear(5, 1))
+    save_file({name: value.clone() for name, value in layer.state_dict().items()}, tmp_path / "w.safetensors")
+    fill(layer, tmp_path / "w.safetensors")
+    assert all(weight.data_ptr() % 64 == 0 for weight in layer.parameters())
+
+
+def test_every_tensor_that_does_not_fit_is_named(tmp_path: Path) -> None:
+    tensors = {"weight": torch.zeros(3, 5), "other": torch.zeros(1), "left.over": torch.zeros(1)}
+    save_file(tensors, tmp_path / "w.safetensors")
+    with pytest.raises(CheckpointError) as error:
+        fill(nn.Linear(4, 3), tmp_path / "w.safetensors")
+    assert all(word in str(error.value) for word in ("misshapen", "weight", "bias", "other", "left.over"))
+
+
+def test_names_are_changed_dropped_or_left_to_the_module(tmp_path: Path) -> None:
+    save_file({"net.weight": torch.ones(3, 4), "head": torch.zeros(1)}, tmp_path / "w.safetensors")
+    module = nn.Linear(4, 3)
+    own = module.bias.detach().clone()
+    names = {"net.weight": "weight"}
+    fill(module, tmp_path / "w.safetensors", names.get, fresh=("bias",))
+    assert bool((module.weight == 1).all()) and torch.equal(module.bias, own)
+
+
+@pytest.mark.slow  # a fresh process imports LeRobot: 10 s
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc")
+def test_a_checkpoint_is_never_held_twice() -> None:
+    """200 MB of weights in a process of their own: memory grows by the weights and little else."""
+    wide = {"tiny": TinySettings(width=1024, depth=3, mlp_dim=2048)}
+    found = bench_memory(size="tiny", image_resolution=(28, 28), **wide)
+    assert found["checkpoint_GB"] > 0.15
+    assert 0.9 < found["ratio"] < 1.15 + 0.02 / found["checkpoint_GB"]  # 20 MB: buffers of a forward
+
+
+def test_base_passes_the_gemma_terms_on_and_tiny_is_free() -> None:
+    base = model_card(PI05UniforceConfig(size="base", device="cpu"))
+    assert base.data.license == "gemma" and "ai.google.dev/gemma/terms" in base.text
+    assert base.data.base_model == "lerobot/pi05_base"
+    tiny = model_card(PI05UniforceConfig(size="tiny", device="cpu"))
+    assert tiny.data.license == "apache-2.0" and "gemma/terms" not in tiny.text
+    assert "Not scored" in tiny.text and "right finger" in tiny.text
+
+
+def test_every_saved_policy_has_a_card(make_policy, tmp_path) -> None:
+    policy = make_policy()
+    policy.save_pretrained(tmp_path)
+    assert policy.config.tokenizer_hash in (tmp_path / "README.md").read_text()
+    assert "tactile" in policy.generate_model_card("x/y", "pi05_uniforce", None, None).data.tags
+
+
+def test_scores_must_be_scores() -> None:
+    with pytest.raises(ContractError, match="arms"):
+        model_card(PI05UniforceConfig(size="tiny", device="cpu"), scores={"level": "easy"})
+
+
+def test_a_tokenizer_of_ones_own_moves_with_the_preprocessor(tmp_path) -> None:
+    text_tokenizer.build(tmp_path)
+    packaged = AutoTokenizer.from_pretrained(FOLDER)
+    assert AutoTokenizer.from_pretrained(tmp_path).get_vocab() == packaged.get_vocab()
+    assert len(packaged) < VOCABULARY
+    own = UniforceTokenizerProcessorStep(tokenizer_name=str(tmp_path), max_length=16)
+    assert own.get_config()["tokenizer_name"] == SAVED
+    again = UniforceTokenizerProcessorStep(**own.get_config())
+    with pytest.raises(CheckpointError, match="text tokenizer"):
+        again._tokenize_text("wipe")
+    again.load_state_dict(own.state_dict())
+    assert torch.equal(*(step._tokenize_text("wipe it")["input_ids"] for step in (own, again)))
+    assert again.get_config() == own.get_config() and again.state_dict().keys() == own.state_dict().keys()
+    packaged = UniforceTokenizerProcessorStep(max_length=16)
+    assert packaged.state_dict() == {} and packaged.get_config()["tokenizer_name"] != SAVED

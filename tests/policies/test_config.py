@@ -1,0 +1,116 @@
+"""Settings: groups on the command line and in files, what sizes and recipes set, and what doesn't go together."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+
+import draccus
+import pytest
+from lerobot.configs import PreTrainedConfig
+from lerobot.scripts import lerobot_train
+
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.recipes import PLAIN, SCORED, SCORED_LATENT, SCORED_ONE_SLOT, SCORED_TOUCH
+from uniforce_vtla.errors import ContractError
+
+GROUPS = ("touch", "action", "augment", "tiny", "sampler")
+
+
+def parsed(*given: str) -> PI05UniforceConfig:
+    return draccus.parse(PI05UniforceConfig, args=["--size=tiny", "--device=cpu", *given])
+
+
+def value(config: PI05UniforceConfig, path: str) -> object:
+    group, _, name = path.rpartition(".")
+    return getattr(getattr(config, group) if group else config, name)
+
+
+def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
+    config = parsed(
+        "--touch.slots={touch1: left}", "--action.form=absolute", "--tiny.width=64", "--swap=touch1:right"
+    )
+    assert config.slots == ("touch1",) and config.finger_by_slot() == {"touch1": "right"}
+    assert config.action.form == "absolute" and config.action.objective == "regression"
+    assert (config.tiny.width, config.tiny.depth, config.augment.touch_noise) == (64, 4, 0.2)
+
+
+def test_lerobots_help_names_our_settings(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Argparse chokes on a lone % in a comment."""
+    monkeypatch.setattr(sys, "argv", ["lerobot-train", "--policy.type=pi05_uniforce", "--help"])
+    with pytest.raises(SystemExit) as stop:
+        lerobot_train.main()
+    assert stop.value.code in (0, None) and "--policy.touch.slots" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("recipe", ["plain", "scored"])
+def test_a_config_survives_a_round_trip(recipe, make_config, tmp_path) -> None:
+    config = make_config(recipe=recipe, swap="touch0:left", left_sensor="uskin")
+    config._save_pretrained(tmp_path)
+    again = PreTrainedConfig.from_pretrained(tmp_path)
+    assert isinstance(again, PI05UniforceConfig) and again == config
+    later = PreTrainedConfig.from_pretrained(
+        tmp_path, cli_overrides=["--swap=touch0:right", "--touch.site=suffix"]
+    )
+    assert later.swap == "touch0:right" and later.touch.slots == config.touch.slots
+    assert later.touch.site == "suffix" and later.augment == config.augment
+
+
+def test_the_default_is_the_plain_recipe_and_the_scored_one_its_nine_settings() -> None:
+    nine = SCORED | SCORED_TOUCH | SCORED_LATENT | SCORED_ONE_SLOT
+    plain, scored = parsed(), parsed("--recipe=scored")
+    assert plain == parsed("--recipe=plain") and len(nine) == 9
+    assert {path: value(scored, path) for path in nine} == nine
+    assert {path: value(plain, path) for path in PLAIN} == PLAIN
+    differing = {
+        f.name for f in dataclasses.fields(plain) if getattr(plain, f.name) != getattr(scored, f.name)
+    }
+    assert differing == {"recipe", "n_action_steps", "touch", "action", "augment"}
+    assert parsed("--recipe=scored", "--n_action_steps=8", "--touch.directions=2").touch.directions == 2
+
+
+@pytest.mark.parametrize(
+    ("given", "unset"),
+    [
+        (["--touch.input=none"], SCORED_TOUCH | SCORED_LATENT),
+        (["--touch.input=wrench"], SCORED_LATENT),
+        (["--touch.slots={touch0: right, touch1: left}"], {}),
+    ],
+)
+def test_a_scored_arm_takes_what_its_touch_allows(given, unset) -> None:
+    plain, arm = parsed(*given), parsed("--recipe=scored", *given)
+    assert all(value(arm, path) == value(plain, path) for path in (unset | SCORED_ONE_SLOT))
+    assert all(value(arm, path) == wanted for path, wanted in SCORED.items())
+
+
+def test_there_are_at_most_35_settings_of_our_own() -> None:
+    own = {f.name for f in dataclasses.fields(PI05UniforceConfig)}
+    own -= {f.name for f in dataclasses.fields(PI05UniforceConfig.__base__)} | set(GROUPS)
+    assert len(own) + sum(len(dataclasses.fields(getattr(parsed(), group))) for group in GROUPS) <= 35
+
+
+def test_auto_size_is_tiny_on_a_cpu() -> None:
+    assert PI05UniforceConfig(device="cpu").size == "tiny"
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"touch__slots": {"thumb": "left"}}, "touch slot"),
+        ({"touch__slots": {"touch0": "middle"}}, "finger"),
+        ({"swap": "touch9:left"}, "swap"),
+        ({"swap": "touch0"}, "finger"),
+        ({"touch__site": "middle"}, "suffix"),
+        ({"touch__input": "video"}, r"touch\.input"),
+        ({"action__form": "velocity"}, r"action\.form"),
+        ({"action__objective": "diffusion"}, r"flow \| regression"),
+        ({"recipe": "secret"}, "plain"),
+        ({"dtype": "bfloat16"}, "float32"),
+        ({"image_resolution": (28, 56)}, "square"),
+    ],
+)
+def test_bad_settings_say_what_is_wrong(make_config, settings, said) -> None:
+    with pytest.raises(ContractError, match=said):
+        make_config(**settings)

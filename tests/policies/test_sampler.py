@@ -1,0 +1,139 @@
+"""The fast sampler against LeRobot's own loop: same weights, same noise, same actions."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from lerobot.policies.rtc.configuration_rtc import RTCConfig
+from policy_samples import OPEN, SITES, alive, inputs, lerobots_own, ours, start_noise
+
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_dead
+from uniforce_vtla.errors import ContractError
+
+TOLERANCE = 1e-4  # on actions in network units, of order 1
+BFLOAT16 = 5e-3  # stated in docs/design.md; measured 2e-3 at π0.5's depth, where bfloat16 itself errs by 8e-3
+GATED = pytest.mark.parametrize("gate", [None, OPEN])
+
+
+def gated_policy(make_policy, site, gate, **settings):
+    settings = {"touch__input": "wrench", "touch__site": site, **settings}
+    return alive(make_policy(touch__start_at_base=gate is not None, **settings), gate)
+
+
+@SITES
+@pytest.mark.parametrize("touch", ["none", "latent", "wrench"])
+@pytest.mark.parametrize("steps", [1, 10])
+def test_equals_the_stock_loop(touch, steps, site, make_policy, make_batch):
+    policy = alive(make_policy(touch__input=touch, touch__site=site))
+    given, noise = inputs(policy, make_batch(policy, size=3)), start_noise(policy, 3)
+    slow = lerobots_own(policy, given, noise, steps)
+    assert (slow - noise).abs().max() > 0.05  # the network moves the noise at all
+    assert (slow - ours(policy, given, noise, steps)).abs().max() < TOLERANCE
+
+
+@SITES
+@GATED
+@pytest.mark.parametrize("size", [1, 3])
+def test_rows_with_other_prompts_and_a_lost_finger_stay_apart(size, site, gate, make_policy, make_batch):
+    policy = gated_policy(make_policy, site, gate)
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy, size=size))
+    if size > 1:
+        text_mask = text_mask.clone()
+        text_mask[1, 12:] = False  # a shorter prompt
+        masks = [*masks[:-1], masks[-1] & torch.tensor([True, True, False])]
+    given, noise = (images, masks, tokens, text_mask), start_noise(policy, size)
+    assert (lerobots_own(policy, given, noise) - ours(policy, given, noise)).abs().max() < TOLERANCE
+
+
+def test_a_camera_nobody_has_costs_nothing_and_changes_nothing(make_policy, make_batch):
+    policy = alive(make_policy(touch__input="none"))
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    given = images, [masks[0], torch.zeros_like(masks[1]), *masks[2:]], tokens, text_mask
+    noise = start_noise(policy)
+    assert (lerobots_own(policy, given, noise) - ours(policy, given, noise)).abs().max() < TOLERANCE
+    kept = drop_dead(Inputs(*given))
+    assert len(kept[0]) == len(images) - 1
+    assert kept[2].shape[1] == int(text_mask.sum(dim=1).max()) < tokens.shape[1]
+
+
+def test_changed_weights_are_noticed(make_policy, make_batch):
+    policy = alive(make_policy(touch__input="none"))
+    given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
+    ours(policy, given, noise)
+    with torch.no_grad():
+        for p in policy.model.paligemma_with_expert.gemma_expert.parameters():
+            p.mul_(1.3)  # as an optimiser or load_state_dict does
+    assert (lerobots_own(policy, given, noise) - ours(policy, given, noise)).abs().max() < TOLERANCE
+
+
+def test_the_stock_loop_can_be_asked_for(make_policy, make_batch):
+    policy = make_policy(touch__input="none", sampler__kind="stock")
+    assert policy.model.fast is None
+    assert policy.predict_action_chunk(make_batch(policy)).isfinite().all()
+
+
+@GATED
+def test_real_time_chunking_guides_both_alike(gate, make_policy, make_batch):
+    """RTC differentiates through the velocity towards what is left of the chunk before."""
+    rtc = RTCConfig(enabled=True, execution_horizon=4)
+    policy = gated_policy(make_policy, "prefix", gate, rtc_config=rtc)
+    given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
+    free = ours(policy, given, noise)
+    left = {"prev_chunk_left_over": free[:, 2:, :] + 0.5, "inference_delay": 1, "execution_horizon": 4}
+    fast = ours(policy, given, noise, **left)
+    assert (fast - free).abs().max() > 0.01  # it was guided at all
+    assert (lerobots_own(policy, given, noise, **left) - fast).abs().max() < TOLERANCE
+
+
+@GATED
+def test_touch_is_refreshed_without_the_cameras(gate, make_policy, make_batch):
+    """What a whole new call would give, had the cameras shown the same."""
+    policy = gated_policy(make_policy, "suffix", gate)
+    batch = make_batch(policy)
+    first = policy.predict_action_chunk(batch)
+    assert torch.allclose(policy.refresh_action_chunk(batch), first, atol=1e-5)
+    harder = {key: 3 * value if "wrench" in key else value for key, value in batch.items()}
+    joint = policy.model.paligemma_with_expert
+    joint.embed_image = joint.embed_language_tokens = None  # nobody may run cameras or text
+    again = policy.refresh_action_chunk(harder)
+    del joint.embed_image, joint.embed_language_tokens
+    assert (again - first).abs().max() > 1e-5
+    assert torch.allclose(again, policy.predict_action_chunk(harder), atol=1e-5)
+
+
+def test_a_refresh_needs_touch_in_the_suffix(make_policy, make_batch):
+    policy = make_policy(touch__input="wrench")
+    batch = make_batch(policy)
+    with pytest.raises(ContractError, match="sample before"):
+        policy.refresh_action_chunk(batch)
+    policy.predict_action_chunk(batch)
+    with pytest.raises(ContractError, match=r"touch\.site=suffix"):
+        policy.refresh_action_chunk(batch)
+    with pytest.raises(ContractError, match="Only touch"):
+        make_policy(touch__input="none").refresh_action_chunk(batch)
+
+
+@SITES
+@GATED
+def test_in_bfloat16_it_is_as_near_to_float32_as_lerobots_loop(site, gate, make_policy, make_batch):
+    policy = gated_policy(make_policy, site, gate)
+    given, noise = inputs(policy, make_batch(policy)), start_noise(policy)
+    exact = lerobots_own(policy, given, noise, 10)
+    policy.model.paligemma_with_expert.to_bfloat16_for_selected_params("bfloat16")  # as size base
+    slow, fast = lerobots_own(policy, given, noise, 10), ours(policy, given, noise, 10)
+    assert (slow - exact).abs().max() > 1e-5  # it was bfloat16
+    assert (fast - slow).abs().max() < BFLOAT16
+    assert (fast - exact).square().mean() < 1.5 * (slow - exact).square().mean()
+
+
+@pytest.mark.slow  # dynamo traces for some seconds
+@torch.no_grad()
+def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
+    policy = gated_policy(make_policy, "suffix", OPEN)
+    fast, given = policy.model.fast, drop_dead(Inputs(*inputs(policy, make_batch(policy))))
+    tables, noise = fast.prepared.tables(2), start_noise(policy)
+    prefix = fast.encoder.encode(given, noise.shape[1])
+    step = torch._dynamo.explain(fast.velocity)(prefix, noise, tables[0])
+    prefill = torch._dynamo.explain(fast.encoder.prefill)(given, 48, always_mask=True)
+    reasons = step.break_reasons, prefill.break_reasons
+    assert (step.graph_break_count, prefill.graph_break_count) == (0, 0), reasons

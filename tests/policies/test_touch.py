@@ -1,0 +1,306 @@
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+from policy_samples import OPEN, SITES, alive, inputs, start_noise
+
+from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
+from uniforce_vtla.errors import ContractError, RolloutError
+from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
+from uniforce_vtla.probes.plain_touch import descriptors, marker_pairs
+
+
+class PlainNetwork(stock.PI05Pytorch):
+    """LeRobot's own network around somebody else's modules."""
+
+    def __init__(self, other: stock.PI05Pytorch) -> None:
+        torch.nn.Module.__init__(self)
+        self.config, self.rtc_processor = other.config, None
+        self.gradient_checkpointing_enabled = False
+        for name in (
+            "paligemma_with_expert",
+            "action_in_proj",
+            "action_out_proj",
+            "time_mlp_in",
+            "time_mlp_out",
+        ):
+            setattr(self, name, getattr(other, name))
+
+
+def test_no_touch_is_bit_equal_to_plain_pi05(make_policy, make_batch):
+    policy = make_policy(sampler__kind="stock", touch__input="none")
+    policy.model.state_token = None
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    assert len(images) == 2  # cameras only
+    plain, start = PlainNetwork(policy.model), start_noise(policy)
+    ours = policy.model.sample_actions(images, masks, tokens, text_mask, noise=start)
+    assert torch.equal(ours, plain.sample_actions(images, masks, tokens, text_mask, noise=start))
+    assert not any("force" in key or "tactile" in key for key in policy.state_dict())
+
+
+@SITES
+def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
+    policy = make_policy(touch__site=site)
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    start = start_noise(policy)
+    off = [*masks[:3], *(torch.zeros_like(m) for m in masks[3:])]  # two cameras, state, then slots
+    masked = policy.model.sample_actions(images, off, tokens, text_mask, noise=start)
+    without = policy.model.sample_actions(images[:3], masks[:3], tokens, text_mask, noise=start)
+    felt = policy.model.sample_actions(images, masks, tokens, text_mask, noise=start)
+    assert torch.allclose(masked, without, atol=1e-6)
+    assert (felt - without).abs().max() > 1e-3
+
+
+@SITES
+@pytest.mark.parametrize("gate", [None, OPEN])
+def test_joint_training_velocity_equals_sampling_velocity(site, gate, make_policy, make_batch):
+    policy = alive(make_policy(touch__site=site, touch__start_at_base=gate is not None), gate)
+    images, masks, tokens, text_mask = inputs(policy, make_batch(policy))
+    x, time = start_noise(policy), torch.tensor([0.7, 0.3])
+    actions = torch.zeros_like(x)
+    x_t = time[:, None, None] * x
+    squared = policy.model.forward(images, masks, tokens, text_mask, actions, x, time)  # (u − v)², u = x − 0
+    prefix, pads, atts = policy.model.embed_prefix(images, masks, tokens, text_mask)
+    mask = stock.prepare_attention_masks_4d(stock.make_att_2d_masks(pads, atts))
+    _, cache = policy.model.paligemma_with_expert.forward(
+        mask, torch.cumsum(pads, 1) - 1, None, [prefix, None], use_cache=True
+    )
+    velocity = policy.model.denoise_step(pads, cache, x_t, time)
+    assert torch.allclose(squared.sqrt(), (x - velocity).abs(), atol=1e-4)
+
+
+def test_fused_layers_equal_lerobots_own(make_policy, make_batch, monkeypatch):
+    policy = alive(make_policy())
+    args = inputs(policy, make_batch(policy))
+    x, time = start_noise(policy), torch.tensor([0.7, 0.3])
+    fused = policy.model.forward(*args, torch.zeros_like(x), x, time)
+    sampled = policy.model.sample_actions(*args, noise=x)
+    backbone = policy.model.paligemma_with_expert
+    monkeypatch.setattr(type(backbone), "forward", stock.PaliGemmaWithExpertModel.forward)
+    eager = policy.model.forward(*args, torch.zeros_like(x), x, time)
+    assert torch.allclose(fused, eager, atol=1e-4)
+    assert torch.allclose(sampled, policy.model.sample_actions(*args, noise=x), atol=1e-5)
+
+
+def test_gradient_reaches_force_projection_and_not_the_tokenizer(make_policy, make_batch):
+    policy = make_policy()
+    policy.train()
+    policy.forward(make_batch(policy, actions=True))[0].backward()
+    assert policy.model.force_tokens.proj[0].weight.grad.abs().sum() > 0
+    assert policy.model.force_tokens.slot_embedding.grad.abs().sum() > 0
+    assert all(p.grad is None and not p.requires_grad for p in policy.model.tactile_encoder.parameters())
+    assert not policy.model.tactile_encoder.training
+    trained = {id(p) for group in policy.get_optim_params() for p in group["params"]}
+    assert trained == {id(p) for p in policy.parameters() if p.requires_grad}
+
+
+def test_marker_images_act_through_tokens_alone(make_policy, make_batch):
+    policy = make_policy()
+    batch = make_batch(policy)
+    images, masks, tokens, text_mask = inputs(policy, batch)
+    changed = {**batch, tactile_key("right"): 1 - batch[tactile_key("right")]}
+    others, *_ = inputs(policy, changed)
+    assert all(torch.equal(a, b) for a, b in zip(images[:3], others[:3], strict=True))
+    assert not torch.equal(images[3], others[3]) and torch.equal(images[4], others[4])
+    embedded = policy.model.embed_prefix(images, masks, tokens, text_mask)[0]
+    assert embedded.shape[1] == 2 * 4 + tokens.shape[1] + 1 + 2 * 16  # 28² = 4 patches per camera
+
+
+def test_force_tokens_keep_amplitude(make_policy):
+    tokens = make_policy().model.force_tokens
+    touch = torch.randn(1, 16, 6)
+    assert (tokens(touch, 0) - tokens(3 * touch, 0)).abs().mean() > 0.05
+    assert torch.allclose(tokens(touch, 0).square().mean(-1), torch.ones(1, 16), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("settings", "whole"),
+    [
+        ({}, True),
+        ({"touch__input": "wrench"}, False),
+        ({"size": "base"}, False),
+        ({"recipe": "scored"}, False),
+    ],
+)
+def test_a_token_of_tiny_also_holds_the_whole_map(settings, whole, make_config):
+    config = make_config(**{**settings, "tiny__width": 64})
+    shape = (16, 6) if config.touch.input == "latent" else (1, 4)
+    tokens = ForceTokens(config, shape, 32)
+    assert (tokens.whole is not None) == whole
+    if whole:
+        touch = torch.randn(1, 16, 6)
+        elsewhere = touch.clone()
+        elsewhere[:, 5] += 1
+        moved = (tokens(touch, 0) - tokens(elsewhere, 0)).abs().sum(dim=-1)[0] > 0
+        assert moved.all()
+
+
+def test_cached_latents_equal_encoding_the_images(make_policy, make_batch):
+    policy = make_policy()
+    batch = make_batch(policy)
+    images, _ = policy._preprocess_images(batch)
+    cached = {k: v for k, v in batch.items() if "tactile" not in k}
+    cached |= {latent_key(slot): images[3 + i].flatten(1) for i, slot in enumerate(("touch0", "touch1"))}
+    again, _ = policy._preprocess_images(cached)
+    assert all(torch.equal(a, b) for a, b in zip(images, again, strict=True))
+
+
+def test_swap_fills_the_slot_from_the_other_finger(make_policy, make_batch):
+    policy = make_policy(touch__slots={"touch0": "right"})
+    batch = make_batch(policy)
+    policy.config.swap = "touch0:left"
+    swapped, _ = policy._preprocess_images(batch)
+    mirrored = {k: v.flip(-1) for k, v in batch.items() if "tactile" in k}
+    policy.config.swap = ""
+    batch |= {tactile_key("right", r): mirrored[tactile_key("left", r)] for r in (False, True)}
+    policy.reset()
+    right, _ = policy._preprocess_images(batch)  # the right finger's mirror undoes the flip
+    assert torch.allclose(swapped[-1], right[-1], atol=1e-6)
+
+
+def test_reference_is_encoded_once_until_reset(make_policy, make_batch, monkeypatch):
+    policy = make_policy(touch__slots={"touch0": "right"})
+    batch, calls = make_batch(policy), []
+    encoder = policy.model.tactile_encoder.model.encoder
+    real = encoder.encode_reference
+    monkeypatch.setattr(encoder, "encode_reference", lambda x: calls.append(1) or real(x))
+    for _ in range(3):
+        policy._preprocess_images(batch)
+    assert len(calls) == 1
+    policy.reset()
+    policy._preprocess_images(batch)
+    assert len(calls) == 2
+    policy._preprocess_images({**batch, tactile_key("right", True): batch[tactile_key("left", True)]})
+    assert len(calls) == 3
+
+
+def test_lost_touch_is_an_error(make_policy, make_batch):
+    policy = make_policy()
+    batch = make_batch(policy)
+    gone = {k: v for k, v in batch.items() if k != tactile_key("left")}
+    with pytest.raises(RolloutError, match="tactile_left"):
+        policy.predict_action_chunk(gone)
+    with pytest.raises(ContractError, match="all black"):
+        policy.predict_action_chunk({**batch, tactile_key("left", True): batch[tactile_key("left")] * 0})
+
+
+def test_lost_touch_can_be_masked_and_is_logged_once(make_policy, make_batch, caplog):
+    policy = make_policy(touch__on_sensor_loss="mask")
+    batch = make_batch(policy)
+    gone = {k: v for k, v in batch.items() if k != tactile_key("left")}
+    with caplog.at_level(logging.WARNING):
+        for _ in range(2):
+            _, masks = policy._preprocess_images(gone)
+    assert masks[3].all() and not masks[4].any()
+    assert sum("tactile_left" in r.message for r in caplog.records) == 1
+
+
+def test_nan_wrench_is_lost_touch(make_policy, make_batch):
+    policy = make_policy(touch__input="wrench")
+    batch = make_batch(policy)
+    batch["observation.wrench.touch0"][1, 2] = float("nan")
+    with pytest.raises(RolloutError, match="NaN"):
+        policy.predict_action_chunk(batch)
+
+
+def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, make_batch):
+    one, two = {"touch0": "right"}, {"touch0": "right", "touch1": "left"}
+    for slots, asked, hidden in ((one, None, False), (one, 0.5, True), (two, None, True), (two, 0.0, False)):
+        policy = make_policy(touch__slots=slots, augment__touch_dropout=asked)
+        batch = make_batch(policy, size=32)
+        policy.train()
+        _, masks = policy._preprocess_images(batch)
+        assert (not all(m.all() for m in masks)) == hidden
+        policy.eval()
+        _, masks = policy._preprocess_images(batch)
+        assert all(m.all() for m in masks)
+
+
+def test_touch_noise_is_for_training_alone(make_policy):
+    torch.manual_seed(0)
+    tokens = make_policy(augment__touch_noise=0.5).model.force_tokens
+    felt = torch.randn(3, 16, 6) * tokens.input_scale
+    quiet = tokens.eval()(felt, 0)
+    assert torch.equal(quiet, tokens(felt, 0))
+    assert not torch.equal(quiet, tokens.train()(felt, 0))
+    tokens.noise = 0.0
+    assert torch.equal(quiet, tokens(felt, 0))
+
+
+def test_state_noise_is_for_training_alone_and_for_the_axes_it_names(make_policy):
+    token = make_policy(augment__state_noise=[0.0, 0.0, 0.2, 0.0, 0.0]).model.state_token
+    pose = torch.rand(4000, 1, 5)
+    seen: list[torch.Tensor] = []
+    token.proj.register_forward_pre_hook(lambda _, given: seen.append(given[0] - pose))
+    token(pose)
+    token.train()(pose)
+    assert not seen[0].any() and not seen[1][..., [0, 1, 3, 4]].any()
+    assert 0.18 < float(seen[1][..., 2].std()) < 0.22
+    with pytest.raises(ContractError, match="state_noise"):
+        make_policy(augment__state_noise=[0.1])
+
+
+def with_dots(batch):
+    """Marker images that show markers: a grid per finger, moved by a pixel or two in the current frame."""
+    shown = dict(batch)
+    for index, finger in enumerate(("left", "right")):
+        grid = torch.zeros(len(batch[tactile_key(finger)]), 3, 48, 64)
+        for row in range(4, 40, 8):
+            for column in range(4, 56, 8 + index):
+                grid[..., row : row + 3, column : column + 3] = 1
+        shown[tactile_key(finger, True)] = grid
+        shown[tactile_key(finger)] = grid.roll((1 + index, 2), dims=(-2, -1))
+    return shown
+
+
+@pytest.mark.parametrize("kind", ["descriptor", "marker_pair"])
+def test_controls_are_the_same_cached_or_live(make_policy, make_batch, kind):
+    policy = make_policy(touch__input=kind)
+    batch = with_dots(make_batch(policy))
+    live, _ = policy.touch.gather(batch, torch.device("cpu"), training=False)
+    assert policy.model.tactile_encoder is None
+    compute = {"descriptor": descriptors, "marker_pair": marker_pairs}[kind]
+    key = {"descriptor": descriptor_key, "marker_pair": marker_pair_key}[kind]
+    cached = dict(batch)
+    for slot, finger in policy.config.finger_by_slot().items():
+        before, after = (
+            (batch[tactile_key(finger, r)][:, 0] * 255).round().to(torch.uint8).numpy() for r in (True, False)
+        )
+        values = [compute(b, a[None], finger) for b, a in zip(before, after, strict=True)]
+        cached[key(slot)] = torch.from_numpy(np.concatenate(values))
+        del cached[tactile_key(finger)]  # the cache is enough
+    stored, _ = policy.touch.gather(cached, torch.device("cpu"), training=False)
+    for a, b in zip(live, stored, strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+    images, masks = policy._preprocess_images(cached)
+    tokens = [tokens for tokens, _ in policy.model.embed_extra(images[2:], masks[2:], 0)[0]]
+    assert [t.shape[1] for t in tokens] == [1, 16, 16]
+
+
+@pytest.mark.parametrize("kind", ["descriptor", "marker_pair"])
+def test_controls_act_on_touch_and_mirror_the_right_finger(make_policy, make_batch, kind):
+    policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, sampler__noise_scale=0.0)
+    batch = with_dots(make_batch(policy))
+    first = policy.predict_action_chunk(batch)
+    other = {**batch, tactile_key("right"): batch[tactile_key("left")]}
+    assert not torch.equal(first, policy.predict_action_chunk(other))
+    flipped = {
+        tactile_key("left", r): batch[tactile_key("right", r)].flip(-1) for r in (True, False)
+    }  # a left finger would have seen it so
+    policy.config.swap = "touch0:left"
+    torch.testing.assert_close(policy.predict_action_chunk({**batch, **flipped}), first)
+
+
+def test_a_masked_policy_acts_without_touch(make_policy, make_batch):
+    policy = make_policy(sampler__noise_scale=0.0)
+    batch = make_batch(policy)
+    felt = policy.predict_action_chunk(batch)
+    policy.touch.masked = True
+    other = {**batch, tactile_key("right"): batch[tactile_key("left")]}
+    muted = policy.predict_action_chunk(batch)
+    torch.testing.assert_close(muted, policy.predict_action_chunk(other))
+    assert not torch.equal(muted, felt)

@@ -1,0 +1,215 @@
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import torch
+from accelerate import PartialState
+from lerobot.datasets import factory
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from safetensors.torch import load_file
+
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from uniforce_commands import share, train
+from uniforce_vtla.errors import ContractError, DatasetError
+
+AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes of ten frames with cameras, state, cached latents and absolute targets."""
+    root = tmp_path_factory.mktemp("data") / "wipe"
+    image = {"dtype": "image", "shape": (28, 28, 3), "names": ["height", "width", "channels"]}
+    five = {"dtype": "float32", "shape": (5,), "names": AXES}
+    latent = {"dtype": "float32", "shape": (96,), "names": [f"z{i}" for i in range(96)]}
+    features = {"observation.images.front": image, "observation.images.wrist": image}
+    features |= {"observation.state": five, "action": five, "observation.latent.touch0": latent}
+    made = LeRobotDataset.create("local/wipe", fps=30, features=features, root=root, use_videos=False)
+    random = np.random.default_rng(0)
+    for _ in range(2):
+        for _ in range(10):
+            frame = {k: random.integers(0, 255, (28, 28, 3), dtype=np.uint8) for k in list(features)[:2]}
+            frame |= {k: random.random(5, dtype=np.float32) for k in ("observation.state", "action")}
+            frame["observation.latent.touch0"] = (7 + 4 * random.standard_normal(96)).astype(np.float32)
+            made.add_frame({**frame, "task": "wipe the ink off the board"})
+        made.save_episode()
+    made.finalize()
+    return root
+
+
+def latents_in(dataset: Path) -> np.ndarray:
+    """Return (20, 96) latents of the dataset, with a mean far from zero."""
+    rows = pq.read_table(dataset / "data", columns=["observation.latent.touch0"]).to_pydict()
+    return np.array(rows["observation.latent.touch0"], dtype=np.float32)
+
+
+SMALL = "tiny.width=64 tiny.depth=2 tiny.mlp_dim=32 image_resolution=[28,28]"
+
+
+def policy_settings(tokenizer_path: Path) -> list[str]:
+    model = [f"policy.{entry}" for entry in SMALL.split()]
+    touch = [f"policy.touch.tokenizer_path={tokenizer_path}", "policy.touch.slots={touch0: right}"]
+    return ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *model, *touch]
+
+
+def run_settings(dataset: Path, out: Path, steps: int = 2) -> list[str]:
+    data = ["dataset.repo_id=local/wipe", f"dataset.root={dataset}", f"output_dir={out}", "num_workers=0"]
+    often = f"steps={steps} batch_size={max(2, steps // 5)} log_freq=1 save_freq={max(2, steps // 2)}"
+    return [*data, *often.split(), "env_eval_freq=0"]
+
+
+def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    out = tmp_path / "run"
+    train.train([*policy_settings(tokenizer_path), *run_settings(dataset, out, steps=20)])
+    last = out / "checkpoints" / "last" / "pretrained_model"
+    early = load_file(out / "checkpoints" / "000010" / "pretrained_model" / "model.safetensors")
+    late = load_file(last / "model.safetensors")
+    moved = {k for k in early if not torch.equal(early[k], late[k])}
+    assert any("force_tokens.proj" in k for k in moved) and any("vision_tower" in k for k in moved)
+    assert not any("tactile_encoder" in k for k in moved)
+    hashed = json.loads((last / "hashes.json").read_text()).keys()
+    assert hashed == {path.name for path in last.iterdir()} - {"hashes.json"}
+    assert {"train_config.json", "policy_postprocessor.json"} < hashed
+    policy = PI05UniforcePolicy.from_pretrained(last)
+    tokens = policy.model.force_tokens
+    latents = torch.from_numpy(latents_in(dataset)).reshape(20, 16, 6)
+    standardised = (latents - tokens.input_mean) / tokens.input_scale
+    assert standardised.mean(dim=0).abs().max() < 1e-4
+    assert standardised.square().mean() == pytest.approx(1.0, rel=0.01)
+    assert policy.config.push_to_hub is False
+
+    train.train(["resume=true", f"config_path={last / 'train_config.json'}", "steps=24"])
+    assert json.loads((out / "checkpoints/last/training_state/training_step.json").read_text())["step"] == 24
+
+    tuned = tmp_path / "tuned"  # from a checkpoint, on new data statistics: LeRobot rebuilds the normaliser
+    train.train([f"policy.path={last}", "policy.device=cpu", *run_settings(dataset, tuned)])
+    saved = load_file(
+        next((tuned / "checkpoints/last/pretrained_model").glob("*normalizer_processor.safetensors"))
+    )
+    assert "observation.state.q99" in saved
+
+
+def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
+    module = ModuleType("uniforce_datasets.training_view")
+    module.make_training_dataset = lambda cfg, stock, verify: ("view", stock)
+    monkeypatch.setitem(sys.modules, "uniforce_datasets.training_view", module)
+    stock = factory.make_dataset
+    cfg = SimpleNamespace(dataset=SimpleNamespace(root=tmp_path, eval_split=0.0))
+    (tmp_path / train.VIEW_MARKER).write_text("{}")
+    with train.training_views():
+        assert factory.make_dataset(cfg) == ("view", stock)
+        cfg.dataset.eval_split = 0.1
+        with pytest.raises(ContractError, match="eval_split"):
+            factory.make_dataset(cfg)
+    assert factory.make_dataset is stock
+
+
+def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, monkeypatch):
+    root = Path(shutil.copytree(dataset, tmp_path / "copy"))
+    monkeypatch.setattr(factory, "make_dataset", lambda cfg: SimpleNamespace(root=root))
+    local = SimpleNamespace(root=root, repo_id="local/wipe", streaming=False, episodes=None)
+    shared = SimpleNamespace(root=None, repo_id="somebody/wipe", streaming=False, episodes=None)
+    with train.training_views():
+        assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
+        next((root / "data").rglob("*.parquet")).unlink()
+        for given in (local, shared):
+            with pytest.raises(DatasetError, match="parquet"):
+                factory.make_dataset(SimpleNamespace(dataset=given))
+    with train.training_views("off"):
+        assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
+
+
+def test_command_line_becomes_lerobots():
+    flags = train.to_lerobot(["policy=pi05_uniforce", "steps=5", "--policy.size=tiny", "wandb.enable=true"])
+    assert flags[:4] == [
+        "--policy.type=pi05_uniforce",
+        "--steps=5",
+        "--policy.size=tiny",
+        "--wandb.enable=true",
+    ]
+    assert flags[4:] == ["--policy.push_to_hub=false"]
+    assert train.take_verify(["steps=5", "verify=off"]) == ("off", ["steps=5"])
+    assert train.take_verify(["steps=5"]) == ("", ["steps=5"])
+    assert train.to_lerobot(["resume=true", "config_path=a=b.json"]) == [
+        "--resume=true",
+        "--config_path=a=b.json",
+    ]
+
+
+def test_help_teaches_with_an_example(capsys):
+    train.main(["--help"])
+    assert "python scripts/train.py policy=pi05_uniforce" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(importlib.util.find_spec("peft") is None, reason="peft isn't installed (an extra)")
+def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_path, tmp_path, monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    gated = [*policy_settings(tokenizer_path), "policy.touch.start_at_base=true"]
+    train.train([*gated, *run_settings(dataset, tmp_path / "start")])
+    start = tmp_path / "start/checkpoints/last/pretrained_model"
+    more = [f"policy.path={start}", "policy.device=cpu", "--peft.method_type=LORA", "--peft.r=2"]
+    train.train([*more, *run_settings(dataset, tmp_path / "lora")])
+    trained = tmp_path / "lora/checkpoints/last/pretrained_model"
+    assert (trained / "adapter_model.safetensors").exists() and not (trained / "model.safetensors").exists()
+    assert share.main([f"checkpoint={trained}", f"out={tmp_path / 'shared'}"]) == 0
+    merged, before = (load_file(folder / "model.safetensors") for folder in (tmp_path / "shared", start))
+    assert merged.keys() == before.keys()
+    moved = {name for name in merged if not torch.equal(merged[name], before[name])}
+    assert any("gemma_expert" in name for name in moved) and "model.touch_gate.gate" in moved
+    assert not any("vision_tower" in name or "tactile_encoder" in name for name in moved)
+    assert not PI05UniforcePolicy.from_pretrained(tmp_path / "shared").config.use_peft
+
+
+@pytest.mark.slow  # two processes import LeRobot, 10 s each
+def test_two_processes_train_without_a_search_for_unused_parameters(
+    dataset, tokenizer_path, tmp_path, run_to_the_end
+):
+    """The second step would stop with an error, had any weight of any process been left without a gradient."""
+    launch = "torch.distributed.run --standalone --nproc-per-node=2 --module uniforce_commands.train"
+    call = [sys.executable, "-m", *launch.split()]
+    call += [*policy_settings(tokenizer_path), "policy.augment.touch_dropout=0.5"]
+    call += run_settings(dataset, tmp_path / "run")
+    quiet = {"HF_HUB_OFFLINE": "1", "ACCELERATE_USE_CPU": "true", "OMP_NUM_THREADS": "1"}
+    quiet["GLOO_SOCKET_IFNAME"] = "lo"  # the address of this machine's name may lead nowhere
+    said = run_to_the_end(call, os.environ | quiet, tmp_path / "said", seconds=200)
+    assert (tmp_path / "run/checkpoints/last/pretrained_model/model.safetensors").exists()
+    assert "Effective batch size: 2 x 2" in said
+
+
+def test_the_process_group_outlives_the_trainer(monkeypatch):
+    """PyTorch deadlocks where the trainer's last frame is the last to hold the group: here it is not."""
+    monkeypatch.setattr(train, "KEPT_GROUPS", [])
+    monkeypatch.setenv("GLOO_SOCKET_IFNAME", "lo")
+    dist = torch.distributed
+    stock = PartialState.destroy_process_group
+    dist.init_process_group("gloo", store=dist.HashStore(), rank=0, world_size=1)
+    group = torch.nn.parallel.DistributedDataParallel(torch.nn.Linear(2, 2)).process_group
+    with train.process_group_kept():
+        PartialState.destroy_process_group(SimpleNamespace(fork_launched=False))
+    (kept,) = train.KEPT_GROUPS
+    assert kept is group and not dist.is_initialized()
+    assert PartialState.destroy_process_group is stock
+
+
+def test_only_our_policy_skips_the_search(tmp_path):
+    from accelerate import utils
+
+    stock = utils.DistributedDataParallelKwargs
+    with train.every_weight_used(["--policy.type=act"]):
+        assert utils.DistributedDataParallelKwargs is stock
+    (tmp_path / "config.json").write_text('{"type": "pi05_uniforce"}')
+    for flags in (["--policy.type=pi05_uniforce"], [f"--policy.path={tmp_path}"]):
+        with train.every_weight_used(flags):
+            handler = utils.DistributedDataParallelKwargs(find_unused_parameters=True)
+            assert handler.find_unused_parameters is False
+    assert utils.DistributedDataParallelKwargs is stock

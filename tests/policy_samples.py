@@ -1,0 +1,55 @@
+"""What tests of the policy's network share: its inputs, norms that do something, LeRobot's own loop beside ours."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+
+from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import LANGUAGE
+
+SITES = pytest.mark.parametrize("site", ["prefix", "suffix"])
+OPEN = [0.6, 1.5]  # gates of two slots
+
+
+def inputs(policy, batch):
+    images, masks = policy._preprocess_images(batch)
+    return images, masks, batch[LANGUAGE[0]], batch[LANGUAGE[1]]
+
+
+def start_noise(policy, size=2):
+    return torch.randn(size, policy.config.chunk_size, policy.config.max_action_dim)
+
+
+def alive(policy, gate=None, std=0.3):
+    """Let the adaptive norms do something (they start as zeros, which shut the expert); open the gate if asked."""
+    generator = torch.Generator().manual_seed(1)
+    for name, p in policy.named_parameters():
+        if "norm.dense.weight" in name:
+            p.data = std * torch.randn(p.shape, generator=generator)
+    if gate is not None:
+        policy.model.touch_gate.gate.data[:] = torch.tensor(gate)
+    return policy
+
+
+@contextmanager
+def lerobots_layers(network: Any) -> Any:
+    """Run LeRobot's own layers in the tiny network, whose training path is ours."""
+    network.paligemma_with_expert.fused = False
+    try:
+        yield
+    finally:
+        network.paligemma_with_expert.fused = True
+
+
+def lerobots_own(policy, given, noise, steps=4, **rtc):
+    """Sample with LeRobot's loop and LeRobot's layers: nothing of ours but the weights and the extra tokens."""
+    with lerobots_layers(policy.model):
+        return stock.PI05Pytorch.sample_actions(policy.model, *given, noise=noise, num_steps=steps, **rtc)
+
+
+def ours(policy, given, noise, steps=4, **rtc):
+    return policy.model.sample_actions(*given, noise=noise, num_steps=steps, **rtc)
