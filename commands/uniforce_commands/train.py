@@ -225,6 +225,8 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
         raise ContractError(
             expected("settings", "what LeRobot takes", _said(error), "See --help.")
         ) from error
+    finally:
+        logging.disable(logging.NOTSET)
     return settings
 
 

@@ -12,6 +12,7 @@ from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
 from lerobot_policy_pi05_uniforce.recipes import SCORED
 from uniforce_vtla.errors import CheckpointError, UniForceError
+from uniforce_vtla.file_hashes import HASHES, check_hashes, write_hashes
 from uniforce_vtla.json_file import read_object
 
 OWN = ("size", "swap", "left_sensor", "right_sensor", "text_tokenizer_name", "trained_on")
@@ -54,14 +55,19 @@ def grouped(saved: dict[str, Any]) -> dict[str, Any]:
 
 
 def migrate(folder: Path) -> bool:
-    """Rewrite a checkpoint's ``config.json`` in place; return whether anything was to do.
+    """Rewrite a checkpoint's ``config.json`` in place, and its hashes; return whether anything was to do.
 
     Raises:
-        CheckpointError: no checkpoint.
+        CheckpointError: no checkpoint, or files that don't have the hashes they were saved with.
     """
     saved = read_object(folder / "config.json", CheckpointError)
+    if not is_flat(saved):
+        return False
+    if (folder / HASHES).is_file():
+        check_hashes(folder, CheckpointError)
     (folder / "config.json").write_text(json.dumps(grouped(saved), indent=4))
-    return is_flat(saved)
+    write_hashes(folder)
+    return True
 
 
 def main(argv: Sequence[str] | None = None) -> int:

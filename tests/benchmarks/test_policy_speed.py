@@ -47,4 +47,4 @@ def test_what_is_not_there_is_said(given: str, says: str, capsys: pytest.Capture
     if given == "device=cuda" and torch.cuda.is_available():
         pytest.skip("a CUDA device is here")
     assert main([given]) == 2
-    assert says in capsys.readouterr().out
+    assert says in capsys.readouterr().err

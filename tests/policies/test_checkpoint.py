@@ -36,6 +36,7 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
 )
 from lerobot_policy_pi05_uniforce.weights import fill, no_weights
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.file_hashes import write_hashes
 
 
 @pytest.fixture
@@ -240,6 +241,9 @@ def test_a_folder_of_0_1_0_is_rewritten_in_place_and_its_weights_still_load(tmp_
     whole = PI05UniforcePolicy.from_pretrained(folder).state_dict()
     (folder / "config.json").write_text(json.dumps(FLAT))
     save_file(dict(whole), folder / "model.safetensors")  # the tactile tokenizer among them
+    with pytest.raises(CheckpointError, match=r"config\.json"):
+        migration.migrate(folder)  # not the files that were saved
+    write_hashes(folder)
     assert migration.main([str(folder)]) == 0 and migration.main([str(folder)]) == 0
     assert "rewritten" in capsys.readouterr().out
     again = PI05UniforcePolicy.from_pretrained(folder).state_dict()
