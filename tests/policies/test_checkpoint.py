@@ -22,6 +22,7 @@ from lerobot_policy_pi05_uniforce import (
     PI05UniforcePolicy,
     make_pi05_uniforce_pre_post_processors,
     migration,
+    weights,
 )
 from lerobot_policy_pi05_uniforce.checkpoint import check_sensors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
@@ -334,3 +335,47 @@ def test_a_tokenizer_of_ones_own_moves_with_the_preprocessor(tmp_path) -> None:
     assert again.get_config() == own.get_config() and again.state_dict().keys() == own.state_dict().keys()
     packaged = UniforceTokenizerProcessorStep(max_length=16)
     assert packaged.state_dict() == {} and packaged.get_config()["tokenizer_name"] != SAVED
+
+
+def test_a_number_that_is_not_finite_is_named(checkpoint):
+    path = checkpoint / "model.safetensors"
+    tensors = load_file(path)
+    tensors["model.action_in_proj.bias"][0] = torch.nan
+    save_file(tensors, path)
+    with pytest.raises(CheckpointError, match=r"model.action_in_proj.bias of .*NaN or inf"):
+        PI05UniforcePolicy.from_pretrained(checkpoint)
+
+
+def test_only_who_loads_chooses_how_files_are_verified(make_policy, tmp_path):
+    policy = make_policy(verify="quick")
+    policy.save_pretrained(tmp_path)
+    assert policy.config.verify == "quick"
+    stored = json.loads((tmp_path / "config.json").read_text())
+    assert stored["verify"] == "full"
+    write_hashes(tmp_path)
+    (tmp_path / "config.json").write_text(json.dumps(stored | {"verify": "off"}))
+    with pytest.raises(CheckpointError, match=r"config\.json of"):
+        PI05UniforcePolicy.from_pretrained(tmp_path)
+    config = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--verify=off"])
+    with pytest.raises(CheckpointError, match="Only who loads"):
+        PI05UniforcePolicy.from_pretrained(tmp_path, config=config)
+    policy.save_pretrained(tmp_path)  # over it: hashes of the files before are gone
+    PI05UniforcePolicy.from_pretrained(tmp_path)
+
+
+def test_files_of_a_hub_repository_are_fetched_and_verified(checkpoint, monkeypatch):
+    write_hashes(checkpoint)
+    fetched = []
+
+    def download(source, name, **_):
+        fetched.append(name)
+        if not (checkpoint / name).is_file():
+            raise OSError(name)
+        return str(checkpoint / name)
+
+    monkeypatch.setattr(weights, "hf_hub_download", download)
+    weights.check_files("somebody/policy", "full", None, False)
+    assert {"hashes.json", "model.safetensors", "README.md"} <= set(fetched)
+    (checkpoint / "config.json").write_text("{}")
+    with pytest.raises(CheckpointError, match=r"config\.json of 2 bytes"):
+        weights.check_files("somebody/policy", "full", None, False)
