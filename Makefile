@@ -4,7 +4,7 @@ STAMP := .venv/.ready
 export HF_HUB_OFFLINE ?= 1
 export TOKENIZERS_PARALLELISM ?= false
 
-.PHONY: help setup demo test lint properties faults fuzz ci clean lock
+.PHONY: help setup demo test lint properties faults fuzz ci canary clean lock
 
 help:
 	@echo "make setup   fill .venv (Python 3.12, locked dependencies)"
@@ -22,7 +22,7 @@ $(STAMP): requirements.lock requirements-clients.lock pyproject.toml scripts/set
 	@touch $(STAMP)
 
 demo: setup
-	@$(PY) scripts/demo.py
+	@$(PY) -m uniforce_cli.main demo
 
 lint: setup
 	.venv/bin/ruff check .
@@ -55,6 +55,10 @@ LOCK = $$(command -v uv || echo .venv-uv/bin/uv) pip compile --python-version 3.
 lock:
 	$(LOCK) --override scripts/lock_overrides.txt --group dev pyproject.toml -o requirements.lock
 	$(LOCK) --constraint requirements.lock --group clients -o requirements-clients.lock
+
+canary: setup
+	$$(command -v uv || echo .venv-uv/bin/uv) pip install --python $(PY) "lerobot @ git+https://github.com/huggingface/lerobot"
+	$(PY) -m pytest -m "not realtime" tests/policies tests/datasets tests/test_layering.py
 
 clean:
 	rm -rf .venv outputs .mypy_cache .ruff_cache .pytest_cache

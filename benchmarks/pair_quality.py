@@ -11,7 +11,7 @@ import cv2
 import torch
 from tqdm import tqdm
 
-from uniforce_commands.boundary import command
+from uniforce_cli.boundary import command
 from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN, SEEN
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed
@@ -52,8 +52,8 @@ def measure(config: PairQualityConfig) -> dict[str, Any]:
     from benchmarks.pairs.evaluation import score_session
     from benchmarks.pairs.figure import draw_scores
     from benchmarks.pairs.report import report
-    from uniforce_pair_recording import pair_judge
-    from uniforce_pair_recording.rehearsal import Rehearsal
+    from uniforce_robots.pairs import pair_judge
+    from uniforce_robots.pairs.rehearsal import Rehearsal
 
     rigs, names = _rigs(config), _names(config)
     if config.train:

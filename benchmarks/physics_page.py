@@ -17,7 +17,7 @@ GREY, BLUE, ORANGE, RED, GREEN = "0.45", "#1f6fb2", "#d9822b", "#c23b3b", "#3f8f
 
 
 def draw_page(panels: dict[str, Any], path: Path) -> Path:
-    """Draw six panels from the numbers of ``uniforce-physics`` and return the picture's path."""
+    """Draw six panels from the numbers of ``python -m benchmarks.physics`` and return the picture's path."""
     figure = Figure(figsize=(13, 7.4), layout="constrained")
     axes = figure.subplots(2, 3)
     _indentation(axes[0, 0], panels["indentation"])

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from benchmarks.policy.latency import CASES, bench_case
 from benchmarks.policy.memory import bench_memory
 from benchmarks.policy.touch import bench_touch
-from uniforce_commands.boundary import command
+from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.figure_file import save_figure

@@ -19,7 +19,7 @@ from uniforce_vtla.evaluation.comparison import AtMostWorse
 class Arm:
     """One line of the table: which checkpoint, on which rig, and what was changed at rollout time.
 
-    ``checkpoint`` is the name of a folder of checkpoints, or a script's of ``uniforce-score``: expert | blind.
+    ``checkpoint`` is the name of a folder of checkpoints, or a script's of ``uniforce score``: expert | blind.
     """
 
     name: str

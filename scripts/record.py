@@ -1,8 +1,8 @@
-"""See commands/uniforce_commands/record.py."""
+"""``python scripts/record.py key=value …``, the same as ``uniforce record``."""
 
 import sys
 
-from uniforce_commands.record import main
+from uniforce_cli.main import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["record", *sys.argv[1:]]))

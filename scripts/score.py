@@ -1,8 +1,8 @@
-"""See commands/uniforce_commands/score.py."""
+"""``python scripts/score.py key=value …``, the same as ``uniforce score``."""
 
 import sys
 
-from uniforce_commands.score import main
+from uniforce_cli.main import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["score", *sys.argv[1:]]))

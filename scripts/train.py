@@ -1,8 +1,8 @@
-"""See commands/uniforce_commands/train.py."""
+"""``python scripts/train.py key=value …``, the same as ``uniforce train``."""
 
 import sys
 
-from uniforce_commands.train import main
+from uniforce_cli.main import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(["train", *sys.argv[1:]]))

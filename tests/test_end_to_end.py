@@ -12,13 +12,13 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_env_uniforce_wiping import draw_scene
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
-from uniforce_commands.record import RecordConfig, record
-from uniforce_commands.score import score
-from uniforce_commands.score_config import ScoreConfig
-from uniforce_commands.score_recording import ScoreRecordingConfig, score_recording
-from uniforce_commands.score_recording import main as score_recording_main
-from uniforce_commands.train import train
-from uniforce_commands.view import ViewConfig, make_view
+from uniforce_cli.estimate import ScoreRecordingConfig, score_recording
+from uniforce_cli.estimate import main as score_recording_main
+from uniforce_cli.record import RecordConfig, record
+from uniforce_cli.score import score
+from uniforce_cli.score_config import ScoreConfig
+from uniforce_cli.train import train
+from uniforce_cli.view import ViewConfig, make_view
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 TINY = ["policy.tiny.width=64", "policy.tiny.depth=2", "policy.tiny.mlp_dim=32"]

@@ -1,139 +1,123 @@
-"""Data flows one way: a stage imports only from stages to its left."""
+"""Data flows one way: a package, and in the library a stage, imports only from those below it."""
 
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SHARED = {
-    "contracts",
-    "errors",
-    "keys",
-    "results_file",
-    "figure_file",
-    "json_file",
-    "file_hashes",
-    "array_file",
-    "arguments",
-    "options",
-}
-MAY_IMPORT = {
+LIBRARY = "uniforce_vtla"
+STAGES = {  # the library's folders and what each may import of the others
     "sensors": set(),
     "markers": {"sensors"},
     "contact": {"sensors", "markers"},
     "tokenizer": {"sensors", "markers", "contact"},
-    "probes": {"sensors", "markers", "contact", "tokenizer"},
-    "peers": {"sensors", "markers", "contact", "tokenizer", "probes"},
     "evaluation": set(),
 }
+ENVS, DATASETS, ROBOTS = "lerobot_env_uniforce_wiping", "uniforce_datasets", "uniforce_robots"
+POLICIES, COMMAND, BENCHMARKS = "lerobot_policy_pi05_uniforce", "uniforce_cli", "benchmarks"
+PACKAGES = {  # folder, and the packages it may import
+    LIBRARY: (ROOT / LIBRARY, set()),
+    ENVS: (ROOT / "envs" / ENVS, {LIBRARY}),
+    DATASETS: (ROOT / "datasets" / DATASETS, {LIBRARY}),
+    POLICIES: (ROOT / "policies" / POLICIES, {LIBRARY}),
+    ROBOTS: (ROOT / "robots" / ROBOTS, {LIBRARY, ENVS, DATASETS}),
+    COMMAND: (ROOT / "scripts" / COMMAND, {LIBRARY, ENVS, DATASETS, POLICIES, ROBOTS}),
+    BENCHMARKS: (ROOT / BENCHMARKS, {LIBRARY, ENVS, DATASETS, POLICIES, ROBOTS, COMMAND}),
+}
+REGISTERS = (
+    ROOT / "policies" / POLICIES / "__init__.py"
+)  # LeRobot imports it to find all the distribution brings
 
 
-def imported_stages(file: Path) -> set[str]:
-    modules: list[str] = []
+def modules_of(file: Path) -> Iterator[str]:
+    """Yield every module a file imports, anywhere in it."""
     for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            modules.append(node.module)
+        if isinstance(node, ast.ImportFrom):
+            yield node.module or ""
         elif isinstance(node, ast.Import):
-            modules += [alias.name for alias in node.names]
-    return {m.split(".")[1] for m in modules if m.startswith("uniforce_vtla.")}
+            yield from (alias.name for alias in node.names)
 
 
-@pytest.mark.parametrize("stage", MAY_IMPORT)
+def foreign_imports(folder: Path, forbidden: set[str]) -> list[str]:
+    """Return "file: module" for each import of a package, or of a module in one, that is forbidden."""
+    return [
+        f"{file.relative_to(ROOT)}: {module}"
+        for file in folder.rglob("*.py")
+        if file != REGISTERS
+        for module in modules_of(file)
+        if any(module == name or module.startswith(f"{name}.") for name in forbidden)
+    ]
+
+
+def test_every_package_has_its_place() -> None:
+    found = {p.parent.relative_to(ROOT) for p in ROOT.glob("*/*/__init__.py")} | {
+        p.parent.relative_to(ROOT) for p in ROOT.glob("*/__init__.py")
+    }
+    inner = {path for path in found if path.parent in found}
+    assert {path.name for path in found - inner} == set(PACKAGES)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_arrows_point_down(package: str) -> None:
+    folder, may = PACKAGES[package]
+    assert not foreign_imports(folder, set(PACKAGES) - {package} - may)
+
+
+@pytest.mark.parametrize("stage", STAGES)
 def test_stage_imports_only_from_its_left(stage: str) -> None:
-    for file in (ROOT / "uniforce_vtla" / stage).rglob("*.py"):
-        foreign = imported_stages(file) - SHARED - {stage} - MAY_IMPORT[stage]
-        assert not foreign, f"{file.relative_to(ROOT)} imports {foreign}"
+    others = {f"{LIBRARY}.{name}" for name in set(STAGES) - {stage} - STAGES[stage]}
+    assert not foreign_imports(ROOT / LIBRARY / stage, others)
 
 
-def test_nothing_left_of_the_seam_knows_policies_environments_or_robots() -> None:
-    others = {p.parent.name for p in ROOT.glob("*/*/__init__.py")} - set(MAY_IMPORT)
-    assert {"lerobot_policy_pi05_uniforce", "lerobot_env_uniforce_wiping", "uniforce_commands"} < others
-    assert not foreign_imports(ROOT / "uniforce_vtla", ("lerobot", *others))
-
-
-def foreign_imports(folder: Path, forbidden: tuple[str, ...]) -> list[str]:
-    found = []
-    for file in folder.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            found += [f"{file.relative_to(ROOT)}: {m}" for m in modules if m.split(".")[0] in forbidden]
-    return found
-
-
-def test_nothing_but_scripts_and_trials_of_whole_sessions_knows_the_commands() -> None:
-    may = ("commands", "scripts", "tests", "benchmarks", "uniforce_recorder_trials")
-    for folder in {p.parent for p in ROOT.glob("*/*/__init__.py")}:
-        if folder.parent.name not in may and folder.name not in may:
-            assert not foreign_imports(folder, ("uniforce_commands",)), f"{folder.name} imports a command"
+def test_the_library_knows_no_lerobot() -> None:
+    assert not foreign_imports(ROOT / LIBRARY, {"lerobot"})
 
 
 def test_the_arms_stand_in_knows_nothing_of_the_project() -> None:
     """It stands for a device, and starts without torch; tactile ones show what the contact simulator says."""
-    ours = (
-        "uniforce_vtla",
-        "lerobot",
-        "lerobot_robot_uniforce_franka",
-        "lerobot_env_uniforce_wiping",
-        "torch",
-    )
-    assert not foreign_imports(ROOT / "standins" / "uniforce_standins" / "fci", ours)
+    standins = f"{ROBOTS}.standins.fci"
+    ours = {m for m in PACKAGES if m != ROBOTS} | {"lerobot", "torch"}
+    folder = ROOT / "robots" / ROBOTS / "standins" / "fci"
+    assert not foreign_imports(folder, ours)
+    robots = [line for line in foreign_imports(folder, {ROBOTS}) if standins not in line]
+    assert all(f"{ROBOTS}.standins." in line for line in robots), robots
 
 
-def test_the_robot_knows_no_policy_and_its_children_not_even_the_robot() -> None:
-    robot = ROOT / "robots" / "lerobot_robot_uniforce_franka"
-    assert not foreign_imports(
-        robot, ("lerobot_policy_pi05_uniforce", "lerobot_env_uniforce_wiping", "uniforce_standins")
-    )
-    assert not foreign_imports(
-        robot / "children", ("uniforce_vtla", "lerobot", "lerobot_robot_uniforce_franka")
-    )
+def test_the_arms_children_import_nothing_of_ours() -> None:
+    assert not foreign_imports(ROOT / "robots" / ROBOTS / "franka" / "children", {*PACKAGES, "lerobot"})
 
 
-def test_recording_knows_no_policy_and_no_stand_in() -> None:
-    forbidden = ("lerobot_policy_pi05_uniforce", "uniforce_standins", "uniforce_recorder_trials")
-    assert not foreign_imports(ROOT / "recording" / "uniforce_recording", forbidden)
-    for folder in ("robots", "devices", "datasets", "envs", "policies"):
-        assert not foreign_imports(ROOT / folder, ("uniforce_recording",)), f"{folder} imports the recorder"
+@pytest.mark.parametrize(
+    ("room", "forbidden"),
+    [
+        ("franka", {"teleop", "recorder", "pairs", "standins"}),
+        ("sensors", {"franka", "teleop", "recorder", "pairs", "standins"}),
+        ("teleop", {"recorder", "pairs"}),
+        ("recorder", {"pairs", "standins"}),
+        ("pairs", {"standins"}),
+    ],
+)
+def test_rooms_of_the_robot_stay_apart(room: str, forbidden: set[str]) -> None:
+    folder = ROOT / "robots" / ROBOTS / room
+    assert not foreign_imports(folder, {f"{ROBOTS}.{name}" for name in forbidden})
+
+
+def test_devices_know_sensors_and_markers_only() -> None:
+    others = {f"{LIBRARY}.{name}" for name in ("contact", "tokenizer", "evaluation")}
+    assert not foreign_imports(ROOT / "robots" / ROBOTS / "sensors", others)
 
 
 def test_vendors_clients_are_loaded_where_they_are_needed_only() -> None:
     """Both in one process fail, and neither is a core dependency: no module imports one at its top."""
-    robot = ROOT / "robots" / "lerobot_robot_uniforce_franka"
-    for file in robot.rglob("*.py"):
+    for file in (ROOT / "robots" / ROBOTS / "franka").rglob("*.py"):
         top = ast.parse(file.read_text()).body
         names = [alias.name for node in top if isinstance(node, ast.Import) for alias in node.names]
         names += [node.module or "" for node in top if isinstance(node, ast.ImportFrom)]
         assert not {"franky", "pylibfranka"} & set(names), f"{file.relative_to(ROOT)} imports a client"
-
-
-def test_devices_know_sensors_and_markers_only() -> None:
-    allowed = SHARED | {"sensors", "markers"}
-    for file in (ROOT / "devices" / "lerobot_camera_uniforce").rglob("*.py"):
-        foreign = imported_stages(file) - allowed
-        assert not foreign, f"{file.relative_to(ROOT)} imports {foreign}"
-        assert "uniforce_standins" not in file.read_text(), (
-            f"{file.name}: drivers must not know their stand-ins"
-        )
-
-
-def test_teleoperators_know_no_policy_and_of_stand_ins_the_published_kinematics_only() -> None:
-    teleoperators = ROOT / "teleoperators" / "lerobot_teleoperator_uniforce"
-    assert not foreign_imports(teleoperators, ("lerobot_policy_pi05_uniforce", "uniforce_datasets"))
-    for file in teleoperators.rglob("*.py"):
-        others = [line for line in file.read_text().splitlines() if "uniforce_standins" in line]
-        assert all("fci.kinematics" in line for line in others), f"{file.name}: {others}"
-
-
-def test_what_scores_pairs_never_sees_the_truth() -> None:
-    recording = ROOT / "recording" / "uniforce_pair_recording"
-    for file in recording.glob("*.py"):
-        if file.name not in ("rehearsal.py", "guided_grasp.py"):
-            text = file.read_text()
-            assert "rehearsal" not in text and "truths" not in text, f"{file.name} knows the truth"
 
 
 def test_no_folder_shadows_the_datasets_library() -> None:

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_pair_recording.gate import MotionLimits
-from uniforce_pair_recording.pair_judge import PairJudge
-from uniforce_pair_recording.rehearsal import LIMIT, Rehearsal, SimulatedRig
-from uniforce_pair_recording.rig import RigFrame
-from uniforce_pair_recording.track import FingerReaders, GraspTrack
+from uniforce_robots.pairs.gate import MotionLimits
+from uniforce_robots.pairs.pair_judge import PairJudge
+from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig
+from uniforce_robots.pairs.rig import RigFrame
+from uniforce_robots.pairs.track import FingerReaders, GraspTrack
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.pairs.evaluation import ScoredPairs
-from uniforce_pair_recording.rehearsal import LIMIT
+from uniforce_robots.pairs.rehearsal import LIMIT
 from uniforce_vtla.figure_file import save_figure
 
 FLOOR = 0.003  # errors are drawn on a logarithmic axis

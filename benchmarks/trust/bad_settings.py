@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from lerobot_robot_uniforce_franka.arm import ArmSettings, Gains
-from lerobot_robot_uniforce_franka.config import NESTED, UniforceFrankaConfig
-from lerobot_robot_uniforce_franka.guards import GuardLimits
-from lerobot_robot_uniforce_franka.hand import HandSettings
-from lerobot_robot_uniforce_franka.limits import HARD_LIMITS, Range
-from lerobot_robot_uniforce_franka.stream import StreamSettings
+from uniforce_robots.franka.arm import ArmSettings, Gains
+from uniforce_robots.franka.config import NESTED, UniforceFrankaConfig
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.franka.hand import HandSettings
+from uniforce_robots.franka.limits import HARD_LIMITS, Range
+from uniforce_robots.franka.stream import StreamSettings
 from uniforce_vtla.errors import ContractError
 
 NEEDS: dict[type, dict[str, Any]] = {

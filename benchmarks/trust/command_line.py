@@ -25,7 +25,7 @@ from benchmarks.trust.bad_words import BadInput, Room, bad_inputs
 from benchmarks.trust.command_worker import CommandWorker, Ended, import_once
 from benchmarks.trust.report import update
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
-from uniforce_commands.boundary import REFUSED, guarded
+from uniforce_cli.boundary import REFUSED, guarded
 from uniforce_vtla.arguments import Option, options_of, parse, split_words
 from uniforce_vtla.options import Existing, Names, OutFile, Positive, Workers, split
 
@@ -100,7 +100,7 @@ def _sound(options: Mapping[str, Option], room: Room) -> tuple[str, ...]:
 
 def _train_trials(room: Room) -> list[Trial]:
     """Return bad inputs for a sample of LeRobot's and the policy's settings."""
-    from uniforce_commands.train import RANGES, settings_known
+    from uniforce_cli.train import RANGES, settings_known
 
     known = settings_known()
     rest = [name for name in known if name not in RANGES and not name.startswith("job.")]
@@ -126,8 +126,8 @@ def _train_trials(room: Room) -> list[Trial]:
 
 def _robot_trials(room: Room) -> list[Trial]:
     """Return bad inputs for the settings of the robot and of what steers it, read by LeRobot's parser."""
-    from lerobot_robot_uniforce_franka.config import UniforceFrankaConfig
-    from lerobot_teleoperator_uniforce import UniforceKeyboardConfig
+    from uniforce_robots.franka.config import UniforceFrankaConfig
+    from uniforce_robots.teleop import UniforceKeyboardConfig
 
     robot, teleop = options_of(UniforceFrankaConfig, "robot."), options_of(UniforceKeyboardConfig, "teleop.")
     return [Trial("record", bad, ROBOT) for options in (robot, teleop) for bad in bad_inputs(options, room)]

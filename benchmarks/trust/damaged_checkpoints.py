@@ -15,8 +15,8 @@ from safetensors.torch import load_file, save_file
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.file_hashes import HASHES, write_hashes
-from uniforce_vtla.probes.touch_gauge import SCENE, SHIPPED, TouchGauge
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer.descriptor_head import SCENE, SHIPPED, DescriptorHead
 from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 from uniforce_vtla.tokenizer.weights import ASSETS
 
@@ -164,8 +164,8 @@ def _load_maps(folder: Path) -> None:
     SensorTransfer.from_pretrained(folder, Tokenizer.from_pretrained().hash)
 
 
-def _load_gauge(folder: Path) -> None:
-    TouchGauge.from_pretrained(folder.name, folder.parent)
+def _load_descriptor_head(folder: Path) -> None:
+    DescriptorHead.from_pretrained(folder.name, folder.parent)
 
 
 def _policy(name: str, damage: Damage) -> CheckpointDamage:
@@ -223,9 +223,9 @@ CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (
         _load_maps,
     ),
     CheckpointDamage(
-        "scene gauge: of another sensor, saved so",
+        "descriptor head: of another sensor, saved so",
         set_in_config(sensor="gelsight"),
-        SHIPPED / f"gauge_{SCENE}" / "tactip",
-        _load_gauge,
+        SHIPPED / f"descriptor_heads_{SCENE}" / "tactip",
+        _load_descriptor_head,
     ),
 )

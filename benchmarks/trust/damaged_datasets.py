@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from uniforce_datasets.bench import BlockMeans
+from benchmarks.speed.loader import BlockMeans
 from uniforce_datasets.cards import card_path
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.raw_video import raw_path

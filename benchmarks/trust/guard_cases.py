@@ -17,13 +17,13 @@ from unittest import mock
 import numpy as np
 
 from benchmarks.trust.guard_oracle import SLACK, axes_of, pose_of, wrong_action, wrong_pose
-from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
-from lerobot_robot_uniforce_franka import robot as robot_module
-from lerobot_robot_uniforce_franka.arm import ArmState, Gains
-from lerobot_robot_uniforce_franka.guards import GuardLimits
-from lerobot_robot_uniforce_franka.hand import HandReading
-from lerobot_robot_uniforce_franka.poses import ToolPose
-from lerobot_robot_uniforce_franka.stream import ArmStream, StreamSettings
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka import robot as robot_module
+from uniforce_robots.franka.arm import ArmState, Gains
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.franka.hand import HandReading
+from uniforce_robots.franka.poses import ToolPose
+from uniforce_robots.franka.stream import ArmStream, StreamSettings
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lerobot_robot_uniforce_franka import UniforceFranka, UniforceFrankaConfig
-from lerobot_robot_uniforce_franka.guards import GuardLimits
-from lerobot_robot_uniforce_franka.hand import LOST_s
-from uniforce_standins.fci.process import StandIn
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.franka.hand import LOST_s
+from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 

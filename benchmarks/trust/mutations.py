@@ -22,7 +22,7 @@ from benchmarks.trust.report import update
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, expected
 
-PACKAGE = Path(str(importlib.util.find_spec("lerobot_robot_uniforce_franka").origin)).parent  # type: ignore[union-attr]
+PACKAGE = Path(str(importlib.util.find_spec("uniforce_robots.franka").origin)).parent  # type: ignore[union-attr]
 SEEDS, EPISODES = 8, 25
 SEND, GUARDS, STREAM, STATE, ROBOT = "send_check.py", "guards.py", "stream.py", "state_check.py", "robot.py"
 # A last check without its look at NaN is none of these: its box refuses NaN, too.
@@ -112,7 +112,7 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
 }
 PRELOAD = [
     "lerobot.robots",
-    "lerobot_camera_uniforce",
+    "uniforce_robots.sensors",
 ]  # once, since they take seconds; never the package itself
 
 

@@ -161,7 +161,7 @@ def _check_marker(episode: Episode, key: str, frame: np.ndarray) -> None:
     between = bool((frame + np.uint8(1) > 1).any())  # 255 + 1 is 0
     if between or not (frame[..., 1:] == frame[..., :1]).all():
         came = "values between" if between else "colours"
-        do = "The video was encoded with loss: record or convert it again with h264 crf 0 (uniforce-record does)."
+        do = "The video was encoded with loss: record or convert it again with h264 crf 0 (uniforce record does)."
         raise DatasetError(expected(_place(episode, key), "only 0 and 255 after decoding", came, do))
 
 

@@ -26,7 +26,7 @@ def read_info(root: Path, within: Path | None = None) -> dict[str, Any]:
     """
     file = root / INFO
     if not file.is_file():
-        do = "Give the folder that uniforce-record wrote."
+        do = "Give the folder that uniforce record wrote."
         raise DatasetError(expected(str(root), str(INFO), "none", do))
     check_links(root, within or root)
     info = read_object(file, DatasetError)

@@ -48,8 +48,8 @@ def check_verify(verify: str) -> Verify:
 
 def _what_to_do(root: Path) -> str:
     if (root / VIEW_MARKER).is_file():
-        return "Build the view again with uniforce-view."
-    edited = f"uniforce-verify root={root} verify=full rehash=true"
+        return "Build the view again with uniforce view."
+    edited = f"uniforce verify root={root} verify=full rehash=true"
     return f"Restore it from a copy; if LeRobot's own tools changed the dataset: {edited}"
 
 
@@ -109,7 +109,7 @@ def write_hashes(root: Path, hashes: Hashes) -> None:
 def stage_hashes(root: Path, episode: int | None = None) -> None:
     """Write into the staging folder what ``hashes.json`` will be once the staged files are moved in.
 
-    Nothing where the dataset was begun without hashes: ``uniforce-verify rehash=true`` gives it some.
+    Nothing where the dataset was begun without hashes: ``uniforce verify rehash=true`` gives it some.
     """
     known = read_hashes(root)
     if known is None and (root / INFO).exists():

@@ -62,7 +62,7 @@ def check_whole(root: Path, verify: Verify, within: Path | None = None) -> Sourc
     for finger in source.fingers:
         if tactile_key(finger, reference=True) not in source.features:
             came = f"{tactile_key(finger)} alone"
-            do = "Touch is read against a free-air reference: record it again with uniforce-record."
+            do = "Touch is read against a free-air reference: record it again with uniforce record."
             raise DatasetError(expected("dataset", tactile_key(finger, reference=True), came, do))
     check_content(source, verify)
     return source

@@ -34,9 +34,9 @@ from uniforce_datasets.view_plan import (
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
-from uniforce_vtla.probes.plain_touch import descriptors, marker_pairs
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 logger = logging.getLogger(__name__)
 

@@ -24,7 +24,7 @@ def read_marker(root: Path) -> dict[str, Any]:
     """
     file = root / VIEW_MARKER
     if not file.is_file():
-        raise DatasetError(expected(str(root), VIEW_MARKER, "none", "Build the view with uniforce-view."))
+        raise DatasetError(expected(str(root), VIEW_MARKER, "none", "Build the view with uniforce view."))
     check_links(root, root)
     marker = read_object(file, DatasetError)
     missing = [name for name in (*CAMERAS, STATE, ACTION, *TOUCH) if not (root / f"{name}.npy").is_file()]

@@ -29,7 +29,7 @@ def model_card(
     training: Mapping[str, Any] | None = None,
     scores: Mapping[str, Any] | None = None,
 ) -> ModelCard:
-    """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce-score``.
+    """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce score``.
 
     Raises:
         ContractError: scores without arms.
@@ -71,7 +71,7 @@ def _scores(scores: Mapping[str, Any] | None) -> str:
     if scores is None:
         return "Not scored."
     if not isinstance(scores.get("arms"), Mapping):
-        do = "Give the wiping.json that uniforce-score wrote."
+        do = "Give the wiping.json that uniforce score wrote."
         raise ContractError(expected("scores", "a table of arms", sorted(scores), do))
     level = scores.get("level", "not stated")
     head = [f"Simulated wiping, level `{level}`:", "", "| arm | clean | success |", "|---|---|---|"]

@@ -288,7 +288,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self._notice_adapters()
         if touch is None or self.model.fast is None or self.model.adapted:
             came = f"{self.config.touch.input}, {self.config.sampler.kind}, LoRA {self.model.adapted}"
-            do = "Only touch can be refreshed, by the fast sampler; uniforce-share merges LoRA."
+            do = "Only touch can be refreshed, by the fast sampler; uniforce share merges LoRA."
             raise ContractError(expected("refresh", "touch and the fast sampler", came, do))
         noise = self._start_noise(len(touch.tokens), device)
         chunk = self.model.fast.refresh(touch, noise, self.config.num_inference_steps)
@@ -298,7 +298,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         """Let LeRobot's loop sample while PEFT's adapters are in: the fast one reads plain weights."""
         adapted = hasattr(self, "peft_config")
         if adapted and not self.model.adapted and self.model.fast is not None:
-            logger.warning("LoRA isn't merged: LeRobot's loop samples, slowly. uniforce-share merges it.")
+            logger.warning("LoRA isn't merged: LeRobot's loop samples, slowly. uniforce share merges it.")
         self.model.adapted = adapted
 
     def _targets(self, chunk: Tensor, batch: dict[str, Tensor]) -> Tensor:

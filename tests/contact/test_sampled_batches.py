@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.speed.contact import bench_contact
 from uniforce_vtla.contact import (
     PAPER_RANGE,
     PRETRAIN,
@@ -20,7 +21,6 @@ from uniforce_vtla.contact import (
     force_sequences,
     pair_batches,
 )
-from uniforce_vtla.contact.bench import bench_contact
 from uniforce_vtla.contact.grid import cell_positions_mm
 from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, sample_loads, sample_objects
 from uniforce_vtla.contact.sequences import press_shear_release

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from uniforce_datasets.bench import BlockMeans
+from benchmarks.speed.loader import BlockMeans
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
 

@@ -27,6 +27,6 @@ def test_whole_ones_are_accepted(whole: dict[str, Path]) -> None:
 def test_damage_is_refused_and_named(damage: Damage, whole: dict[str, Path], tmp_path: Path) -> None:
     line = damage.refused(whole[damage.of], tmp_path / "full", "full")
     assert line is not None and damage.said in line and "\n" not in line
-    assert "SHA-256" not in line or "uniforce-verify" in line or damage.of == "view"
+    assert "SHA-256" not in line or "uniforce verify" in line or damage.of == "view"
     quick = damage.refused(whole[damage.of], tmp_path / "quick", "quick")
     assert (quick is None) == (damage.name in ONLY_FULL_SEES)

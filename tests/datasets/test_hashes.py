@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
 
-from uniforce_commands import share, verify
+from uniforce_cli import share, verify
 from uniforce_datasets.hashes import PARTS, FileHash, files_of, read_hashes, write_hashes
 from uniforce_datasets.lossless import check_dataset, open_dataset
 from uniforce_datasets.recorder import EpisodeRecorder
@@ -62,7 +62,7 @@ def test_a_dataset_without_hashes_loads_with_one_line(copy: Path, caplog: pytest
     (copy / HASHES).unlink()
     with caplog.at_level(logging.WARNING, "uniforce_datasets"):
         check_dataset(copy)
-    assert [r.message.count("uniforce-verify") for r in caplog.records] == [1]
+    assert [r.message.count("uniforce verify") for r in caplog.records] == [1]
     record_synthetic(copy, 1, 4)  # it goes on without, and says so
     assert not (copy / HASHES).exists()
     assert ours(copy, "rehash=true") == 0 and check_dataset(copy, "full").num_frames == 64
@@ -79,7 +79,7 @@ def test_only_full_quick_and_off_are_depths(copy: Path) -> None:
 
 def test_a_changed_dataset_is_not_continued(copy: Path) -> None:
     (copy / "meta" / "stats.json").write_text("{}")
-    with pytest.raises(DatasetError, match=r"stats\.json.*uniforce-verify"):
+    with pytest.raises(DatasetError, match=r"stats\.json.*uniforce verify"):
         EpisodeRecorder(copy, "local/x", "gelsight", "tactip", FPS)
 
 
@@ -87,7 +87,7 @@ def test_a_changed_dataset_is_not_continued(copy: Path) -> None:
 def test_edited_by_lerobot_then_hashed_again(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert ours(copy) == 0 and "as it was saved" in capsys.readouterr().out
     modify_tasks(open_dataset(copy), new_task="another")
-    assert ours(copy) == 2 and f"uniforce-verify root={copy}" in capsys.readouterr().err
+    assert ours(copy) == 2 and f"uniforce verify root={copy}" in capsys.readouterr().err
     assert ours(copy, "rehash=true") == 0 and ours(copy) == 0
     assert {episode.task for episode in check_dataset(copy, "full").episodes} == {"another"}
 
@@ -124,7 +124,7 @@ def test_content_that_cannot_be_trusted_gets_no_hashes(
 
 def test_a_view_is_checked_and_never_hashed_again(view: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert ours(view) == 0 and "view of 3 episodes" in capsys.readouterr().out
-    assert ours(view, "rehash=true") == 2 and "uniforce-view" in capsys.readouterr().err
+    assert ours(view, "rehash=true") == 2 and "uniforce view" in capsys.readouterr().err
 
 
 def test_a_shared_dataset_is_checked_in_full_first(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from uniforce_datasets.bench import BlockMeans, bench_loader
+from benchmarks.speed.loader import BlockMeans, bench_loader
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.synthetic import FPS, dots
 from uniforce_datasets.training_view import VIEW_MARKER, TrainingView, build_view, make_training_dataset
@@ -28,7 +28,7 @@ from uniforce_vtla.keys import (
     truth_wrench_key,
     wrench_key,
 )
-from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors
+from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors
 
 EPISODES, FRAMES = 3, 20
 DELTAS = [-1, 0, 1, 2, 3]
@@ -233,7 +233,7 @@ def test_a_damaged_view_is_built_anew(demos: Path, tmp_path: Path) -> None:
     out = build_view(demos, tmp_path / "view", encoder=BlockMeans())
     kept = (out / "latent_left.npy").read_bytes()
     (out / "latent_left.npy").write_bytes(kept[:-1] + b"x")
-    with pytest.raises(DatasetError, match=r"latent_left.*uniforce-view"):
+    with pytest.raises(DatasetError, match=r"latent_left.*uniforce view"):
         TrainingView(out)
     build_view(demos, out, encoder=BlockMeans())
     assert (out / "latent_left.npy").read_bytes() == kept and len(TrainingView(out)) == EPISODES * FRAMES

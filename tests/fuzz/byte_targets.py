@@ -9,15 +9,13 @@ from itertools import chain
 import numpy as np
 from mutations import chunks
 
-from lerobot_camera_uniforce.http_capture import decode_bgr
-from lerobot_camera_uniforce.multipart_jpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg
-from lerobot_camera_uniforce.slcan_lines import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
-from lerobot_camera_uniforce.websocket import MAX_MESSAGE_BYTES, TEXT, FrameReader
-from lerobot_camera_uniforce.xela_message import read_message
-from lerobot_teleoperator_uniforce.dynamixel import StatusReader
-from lerobot_teleoperator_uniforce.spacemouse_reports import LARGEST_COUNT, SpaceMouseReports
-from uniforce_standins import spacemouse
-from uniforce_standins.fci.protocol import (
+from uniforce_robots.sensors.http_capture import decode_bgr
+from uniforce_robots.sensors.multipart_jpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg
+from uniforce_robots.sensors.slcan_lines import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
+from uniforce_robots.sensors.websocket import MAX_MESSAGE_BYTES, TEXT, FrameReader
+from uniforce_robots.sensors.xela_message import read_message
+from uniforce_robots.standins import spacemouse
+from uniforce_robots.standins.fci.protocol import (
     ARM_HEADER,
     ARM_VERSION,
     HAND_HEADER,
@@ -34,11 +32,13 @@ from uniforce_standins.fci.protocol import (
     ProtocolError,
     RobotState,
 )
-from uniforce_standins.fci.raw_client import RawArm, RawClient, RawHand
-from uniforce_standins.gello import status
-from uniforce_standins.mjpeg import encode, part
-from uniforce_standins.slcan import scan_lines
-from uniforce_standins.xela import frame, message
+from uniforce_robots.standins.fci.raw_client import RawArm, RawClient, RawHand
+from uniforce_robots.standins.gello import status
+from uniforce_robots.standins.mjpeg import encode, part
+from uniforce_robots.standins.slcan import scan_lines
+from uniforce_robots.standins.xela import frame, message
+from uniforce_robots.teleop.dynamixel import StatusReader
+from uniforce_robots.teleop.spacemouse_reports import LARGEST_COUNT, SpaceMouseReports
 from uniforce_vtla.errors import SensorError, TeleoperatorError
 
 

@@ -13,6 +13,8 @@ import numpy as np
 import torch
 from lerobot.configs import FeatureType, PolicyFeature
 
+from benchmarks.baselines.checkpoint import read_tensors
+from benchmarks.speed.loader import BlockMeans
 from lerobot_policy_pi05_uniforce import (
     PI05UniforceConfig,
     PI05UniforcePolicy,
@@ -21,7 +23,6 @@ from lerobot_policy_pi05_uniforce import (
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets import hashes as dataset_hashes
-from uniforce_datasets.bench import BlockMeans
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import episode_frames
@@ -31,11 +32,10 @@ from uniforce_vtla.array_file import read_array, read_arrays
 from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.file_hashes import HASHES, check_hashes, write_hashes
 from uniforce_vtla.keys import ACTION, STATE
-from uniforce_vtla.peers.checkpoint import read_tensors
-from uniforce_vtla.probes.descriptor import DESCRIPTOR_NAMES
-from uniforce_vtla.probes.touch_gauge import TouchGauge
 from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
+from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES
+from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.sensor_transfer import FOLDER, SensorTransfer
 from uniforce_vtla.tokenizer.training_state import load_state, save_state
@@ -63,7 +63,7 @@ class FileTarget:
 
 
 def dataset(folder: Path) -> FileTarget:
-    """Read a recording as uniforce-view and uniforce-show-dataset do: metadata, columns, every video."""
+    """Read a recording as uniforce view and uniforce show do: metadata, columns, every video."""
     logging.getLogger("lerobot").setLevel(logging.ERROR)
     root = record_synthetic(folder / "data", 1, 3)
     (root / ".recorder.lock").unlink(missing_ok=True)
@@ -116,12 +116,12 @@ def force_head(folder: Path) -> FileTarget:
     return FileTarget(root, lambda: ForceHead.from_pretrained(path=root))
 
 
-def gauge(folder: Path) -> FileTarget:
+def descriptor_head(folder: Path) -> FileTarget:
     config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
-    TouchGauge(ForceRegressor(config), "tactip").save(folder / "data")
+    DescriptorHead(ForceRegressor(config), "tactip").save(folder / "data")
     felt = np.zeros((2, len(DESCRIPTOR_NAMES)))
     return FileTarget(
-        folder / "data", lambda: TouchGauge.from_pretrained("tactip", folder / "data").read(felt)
+        folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(felt)
     )
 
 
@@ -206,7 +206,7 @@ FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones firs
     "foreign": foreign,
     "training_state": training_state,
     "adapter": adapter,
-    "gauge": gauge,
+    "descriptor_head": descriptor_head,
     "force_head": force_head,
     "transfer": transfer,
     "tokenizer": tokenizer,

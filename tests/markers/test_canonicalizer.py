@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.speed.canonicalizer import bench_canonicalizer, synthetic_frame
 from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
-from uniforce_vtla.markers.bench import bench_canonicalizer, synthetic_frame
 from uniforce_vtla.markers.reference import capture_taxel_reference
 from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.sensors.uskin_csv import read_uskin_csv

@@ -11,7 +11,7 @@ from policy_samples import OPEN, SITES, alive, inputs, start_noise
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
 from uniforce_vtla.errors import ContractError, RolloutError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
-from uniforce_vtla.probes.plain_touch import descriptors, marker_pairs
+from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 
 class PlainNetwork(stock.PI05Pytorch):

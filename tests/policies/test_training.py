@@ -18,7 +18,7 @@ from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from safetensors.torch import load_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-from uniforce_commands import share, train
+from uniforce_cli import share, train
 from uniforce_vtla.errors import ContractError, DatasetError
 
 AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
@@ -175,7 +175,7 @@ def test_two_processes_train_without_a_search_for_unused_parameters(
     dataset, tokenizer_path, tmp_path, run_to_the_end
 ):
     """The second step would stop with an error, had any weight of any process been left without a gradient."""
-    launch = "torch.distributed.run --standalone --nproc-per-node=2 --module uniforce_commands.train"
+    launch = "torch.distributed.run --standalone --nproc-per-node=2 --module uniforce_cli.train"
     call = [sys.executable, "-m", *launch.split()]
     call += [*policy_settings(tokenizer_path), "policy.augment.touch_dropout=0.5"]
     call += run_settings(dataset, tmp_path / "run")

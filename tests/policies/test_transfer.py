@@ -120,7 +120,7 @@ def test_training_without_a_view_is_refused_and_not_done_without_maps(make_confi
 
 def test_maps_of_another_tokenizer_are_refused(make_config, view):
     maps("another").save(f"{view.tokenizer}/transfer", {})
-    with pytest.raises(CheckpointError, match="uniforce-sensor-transfer"):
+    with pytest.raises(CheckpointError, match=r"python -m benchmarks\.sensor_transfer"):
         trained(make_config, view)
 
 
@@ -166,7 +166,7 @@ def test_noise_along_directions_is_what_fingers_of_a_grasp_disagree_by(make_conf
 
 def test_directions_need_the_tokenizers_own_maps(make_config, view):
     maps("another").save(f"{view.tokenizer}/transfer", {})
-    with pytest.raises(CheckpointError, match="uniforce-sensor-transfer"):
+    with pytest.raises(CheckpointError, match=r"python -m benchmarks\.sensor_transfer"):
         PI05UniforcePolicy(make_config(touch__tokenizer_path=view.tokenizer, touch__directions=3))
 
 

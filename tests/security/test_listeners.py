@@ -9,11 +9,11 @@ import socket
 import psutil
 import pytest
 
-from uniforce_standins.fci.__main__ import parse
-from uniforce_standins.fci.process import StandIn as FciStandIn
-from uniforce_standins.fci.protocol import ARM_HEADER
-from uniforce_standins.fci.raw_client import RawClient
-from uniforce_standins.process import StandIn
+from uniforce_robots.standins.fci.__main__ import parse
+from uniforce_robots.standins.fci.process import StandIn as FciStandIn
+from uniforce_robots.standins.fci.protocol import ARM_HEADER
+from uniforce_robots.standins.fci.raw_client import RawClient
+from uniforce_robots.standins.process import StandIn
 
 EVERYWHERE = ("0.0.0.0", "''", '""', "'::'", "INADDR_ANY")
 LISTENING = ("bind", "create_server", "HTTPServer", "ThreadingHTTPServer", "start_server", "serve")

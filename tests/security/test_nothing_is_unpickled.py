@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.baselines.checkpoint import read_tensors
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_datasets.readers import read_genforce  # noqa: F401  (importing the readers runs none of them)
 from uniforce_vtla.array_file import read_array, read_arrays
 from uniforce_vtla.errors import CheckpointError, DatasetError
 from uniforce_vtla.file_hashes import drop_hashes
-from uniforce_vtla.peers.checkpoint import read_tensors
 
 ROOT = Path(__file__).parents[2]
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
@@ -35,7 +35,7 @@ NEVER = {
     "torch.jit.load",
 }
 # Foreign encoders exist as torch.save files only: tensors and plain containers alone are let through (weights_only).
-FOREIGN = "uniforce_vtla/peers/checkpoint.py"
+FOREIGN = "benchmarks/baselines/checkpoint.py"
 
 
 def breaches(source: str, name: str) -> Iterator[str]:

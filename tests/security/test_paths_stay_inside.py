@@ -14,12 +14,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from uniforce_commands.pretrain import PRESETS, PretrainCommand
-from uniforce_commands.show_dataset import ShowDatasetConfig, show_dataset
+from benchmarks.speed.loader import BlockMeans
+from uniforce_cli.pretrain import PRESETS, PretrainCommand
+from uniforce_cli.show import ShowDatasetConfig, show_dataset
 from uniforce_datasets import dataset_paths
-from uniforce_datasets.bench import BlockMeans
 from uniforce_datasets.lossless import open_dataset
-from uniforce_datasets.readers import read_taf_lerobot
 from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view, make_training_dataset
@@ -31,7 +30,6 @@ OPENERS: dict[str, Callable[[Path], Any]] = {
     "read_source": read_source,
     "open_dataset": open_dataset,
     "build_view": lambda root: build_view(root, root.parent / "view", encoder=BlockMeans()),
-    "read_taf_lerobot": lambda root: list(read_taf_lerobot(root)),
     "show_dataset": lambda root: show_dataset(
         ShowDatasetConfig(root=str(root), out=str(root.parent / "out"))
     ),

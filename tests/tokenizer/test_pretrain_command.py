@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from uniforce_commands.pretrain import main
+from uniforce_cli.pretrain import main
 from uniforce_vtla.tokenizer.api import Tokenizer
 
 SMALL = [

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from uniforce_commands import sensor_transfer
-from uniforce_commands.sensor_transfer import draw_latents
+from benchmarks import sensor_transfer
+from benchmarks.sensor_transfer import draw_latents
 from uniforce_vtla.contact import TactileSimulator
 from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contact.sampling import ForceRange

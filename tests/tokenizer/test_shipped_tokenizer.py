@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from uniforce_vtla.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled
-from uniforce_vtla.probes.zero_shot import encode_set, predict, score, shipped_cell
+from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled
+from benchmarks.probes.zero_shot import encode_set, predict, score, shipped_cell
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head

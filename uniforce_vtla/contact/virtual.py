@@ -6,7 +6,7 @@ pretrained on.  GelSight-D (diamonds on a staggered lattice) is the one the pape
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,3 +71,35 @@ def as_virtual(sensor: str | VirtualSensor) -> VirtualSensor:
 def half_extent_px(sensor: VirtualSensor) -> np.ndarray:
     """Return (2,) how far the layout reaches from the image's centre, in pixels."""
     return np.abs(sensor.spec.layout_mm).max(axis=0) * np.asarray(sensor.spec.px_per_mm)
+
+
+def hidden_sensors() -> dict[str, VirtualSensor]:
+    """Return three sensors that look usual and answer unlike the family: for label-free calibration."""
+    gel, dome, taxels = MATERIALS["gelsight"], MATERIALS["tactip"], MATERIALS["uskin"]
+    assert (
+        isinstance(gel, PadMaterial) and isinstance(dome, PadMaterial) and isinstance(taxels, TaxelMaterial)
+    )
+    stiff = replace(
+        gel,
+        rated_force_N=gel.rated_force_N * 1.6,
+        dilation_per_N=gel.dilation_per_N / 1.6,
+        drag_mm_per_N=gel.drag_mm_per_N / 1.6,
+        area_per_N=gel.area_per_N / 1.6,
+    )
+    soft = replace(
+        dome,
+        rated_force_N=dome.rated_force_N * 0.65,
+        dilation_per_N=dome.dilation_per_N * 1.5,
+        drag_mm_per_N=dome.drag_mm_per_N * 1.5,
+    )
+    keen = replace(taxels, normal_counts_per_N=1000.0, shear_counts_per_N=320.0)
+    return {
+        "gelsight_stiff": _renamed("gelsight", "gelsight_stiff", stiff),
+        "tactip_soft": _renamed("tactip", "tactip_soft", soft),
+        "uskin_keen": _renamed("uskin", "uskin_keen", keen),
+    }
+
+
+def _renamed(base: str, name: str, material: PadMaterial | TaxelMaterial) -> VirtualSensor:
+    sensor = as_virtual(base)
+    return VirtualSensor(replace(sensor.spec, name=name), material, like=base)

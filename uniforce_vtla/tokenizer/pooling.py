@@ -11,6 +11,8 @@ from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.latent import Latent
 
+POOL = 4  # regions per side of a pooled map: what heads, calibrations and policies read
+
 
 def as_map(z: torch.Tensor) -> torch.Tensor:
     """Return latents (B, P, L) as a square map (B, L, g, g)."""
@@ -22,7 +24,7 @@ def as_map(z: torch.Tensor) -> torch.Tensor:
     return z.transpose(1, 2).unflatten(2, (side, side))  # (B, L, g, g)
 
 
-def pool_latent(z: torch.Tensor, grid: int = 4) -> torch.Tensor:
+def pool_latent(z: torch.Tensor, grid: int = POOL) -> torch.Tensor:
     """Return (B, grid², L): means over neighbouring patches of (B, P, L), with their origin if they have one."""
     cells = as_map(z)
     check_count("grid of pooled latents", grid, cells.shape[-1])

@@ -80,7 +80,7 @@ class SensorTransfer(nn.Module):
         super().__init__()
         if not 1 <= len(kinds) <= MAX_KINDS or not 1 <= numbers <= MAX_NUMBERS:
             came = f"{len(kinds)} sensors, {numbers} numbers"
-            do = "Fit it again with uniforce-sensor-transfer."
+            do = "Fit it again with python -m benchmarks.sensor_transfer."
             raise CheckpointError(expected("transfer", f"up to {MAX_KINDS}, {MAX_NUMBERS}", came, do))
         self.kinds, self.tokenizer_hash = tuple(kinds), tokenizer_hash
         square = (len(kinds), len(kinds), numbers, numbers)
@@ -101,7 +101,7 @@ class SensorTransfer(nn.Module):
             ContractError: a sensor these maps don't know.
         """
         if source not in self.kinds:
-            do = "Fit it with uniforce-sensor-transfer, or train with policy.augment.sensor_transfer=0."
+            do = "Fit it with python -m benchmarks.sensor_transfer, or train with policy.augment.sensor_transfer=0."
             raise ContractError(expected("sensor of the demos", " | ".join(self.kinds), repr(source), do))
         return self.kinds.index(source)
 
@@ -132,10 +132,10 @@ class SensorTransfer(nn.Module):
             kinds, numbers = [str(kind) for kind in facts["kinds"]], int(facts["numbers"])
             made_for = str(facts["tokenizer_hash"])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            do = "Fit it again with uniforce-sensor-transfer."
+            do = "Fit it again with python -m benchmarks.sensor_transfer."
             raise CheckpointError(expected(str(folder), "kinds, numbers, hash", error, do)) from error
         if made_for != tokenizer_hash:
-            do = "Run uniforce-sensor-transfer for this tokenizer."
+            do = "Run python -m benchmarks.sensor_transfer for this tokenizer."
             raise CheckpointError(expected("tokenizer of the maps", tokenizer_hash, made_for, do))
         return load_model(folder, lambda: cls(kinds, numbers, tokenizer_hash))
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Iterable
 from pathlib import Path
-from types import ModuleType
 
 import cv2
 import numpy as np
@@ -13,20 +11,11 @@ import pandas as pd
 
 from uniforce_datasets.dataset_paths import inside
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected
 
 MIDDLE = (64, 192)  # grey levels that JPEG rings of a binary image don't reach, but for edges
 MAX_MIDDLE_SHARE = 0.05  # of pixels; the antialiased edges of 16 large discs make 2 %
 _ENDS = {b"\xff\xd8": b"\xff\xd9", b"\x89P": b"IEND\xaeB`\x82"}  # how JPEG and PNG begin and end
-
-
-def require(module: str) -> ModuleType:
-    """Import an optional dependency; raise ContractError with the pip line where it is missing."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        do = "pip install lerobot_policy_pi05_uniforce[readers]"
-        raise ContractError(expected(module, "installed", "none", do)) from error
 
 
 def existing_folder(folder: str | Path) -> Path:

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, taken
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
-from uniforce_vtla.probes.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
+from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig

@@ -1,4 +1,4 @@
-"""Auxiliary head of training: the latents when the next chunk begins; ``uniforce-share`` leaves it out."""
+"""Auxiliary head of training: the latents when the next chunk begins; ``uniforce share`` leaves it out."""
 
 from __future__ import annotations
 
@@ -38,6 +38,6 @@ class NextForce(nn.Module):
     def _next(self, batch: dict[str, Tensor], slot: str) -> Tensor:
         key = next_latent_key(slot)
         if key not in batch:
-            do = "Train on a view (uniforce-view), or set policy.touch.next_force_weight=0."
+            do = "Train on a view (uniforce view), or set policy.touch.next_force_weight=0."
             raise ContractError(expected(key, "latents one chunk ahead", "none", do))
         return batch[key].reshape(len(batch[key]), self._size)

@@ -1,4 +1,4 @@
-"""What was fitted to a tokenizer before any policy existed (``uniforce-sensor-transfer``), as a new policy takes it.
+"""What was fitted to a tokenizer before any policy existed (``benchmarks.sensor_transfer``), as a new policy takes it.
 
 Maps between sensors, for training alone: nothing of them is stored in a checkpoint or runs when actions are sampled.
 The directions on which all sensors agree: a checkpoint keeps them.
@@ -58,7 +58,7 @@ def tokenizer_maps(config: PI05UniforceConfig) -> SensorTransfer:
     transfer = SensorTransfer.from_pretrained(config.touch.tokenizer_path, config.tokenizer_hash)
     wanted, came = config.tokens_per_slot * config.latent_size, transfer.rest.shape[-1]
     if came != wanted:
-        do = f"Run uniforce-sensor-transfer with fit.grid={config.latent_grid}."
+        do = f"Run python -m benchmarks.sensor_transfer with fit.grid={config.latent_grid}."
         raise CheckpointError(expected("numbers of the maps", wanted, came, do))
     return transfer
 

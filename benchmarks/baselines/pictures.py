@@ -1,0 +1,76 @@
+"""What a row may look at when it predicts: pictures, never labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from benchmarks.probes.labelled_set import LabelledSet
+from uniforce_vtla.errors import ContractError, expected
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The images of a labelled set, without its forces: a predictor can't read what it isn't given.
+
+    Attributes:
+        reference: (n, S, S) uint8.
+        frames: (n, T, S, S) uint8.
+    """
+
+    reference: np.ndarray
+    frames: np.ndarray
+
+    def tensors(
+        self, rows: np.ndarray | slice, frames: slice = slice(None)
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return references (B, 1, S, S) and frames (B, F, S, S), float32 in [0, 1]."""
+        return _floats(self.reference[rows][:, None]), _floats(self.frames[rows][:, frames])
+
+
+Predictor = Callable[[Pictures], np.ndarray]  # → (n, T, 3) N
+
+
+def pictures(labelled: LabelledSet) -> Pictures:
+    """Return the images of a set.
+
+    Raises:
+        ContractError: images that aren't square uint8, or references and frames that don't fit each other.
+    """
+    reference, frames = labelled.reference, labelled.frames
+    fits = (
+        reference.dtype == frames.dtype == np.uint8
+        and reference.ndim == 3
+        and frames.ndim == 4
+        and frames.shape[1] > 0
+        and len(reference) == len(frames) > 0
+        and reference.shape[1] == reference.shape[2]
+        and frames.shape[2:] == reference.shape[1:]
+    )
+    if not fits:
+        came = f"{reference.dtype} {reference.shape} and {frames.dtype} {frames.shape}"
+        raise ContractError(
+            expected("labelled set", "uint8 (n, S, S) and (n, T, S, S)", came, "Draw it with draw_labelled.")
+        )
+    return Pictures(reference, frames)
+
+
+def labels(labelled: LabelledSet) -> torch.Tensor:
+    """Return a *source* set's forces, (n, T, 3) float32 N.
+
+    Raises:
+        ContractError: another shape than the frames', or a force that isn't finite.
+    """
+    wanted = (*pictures(labelled).frames.shape[:2], 3)
+    if labelled.force_N.shape != wanted or not bool(np.isfinite(labelled.force_N).all()):
+        raise ContractError(
+            expected("forces of the source", f"finite {wanted}", labelled.force_N.shape, "Check the set.")
+        )
+    return torch.from_numpy(labelled.force_N).float()
+
+
+def _floats(images: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(images)).float() / 255

@@ -1,0 +1,164 @@
+"""Size and speed of every encoder, ours included, side by side in one run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from benchmarks.baselines.anytouch import AnyTouchEncoder
+from benchmarks.baselines.frozen import Brightness, PeerEncoder, size_facts
+from benchmarks.baselines.t3 import T3Encoder
+from benchmarks.baselines.unit import UniTEncoder
+from uniforce_vtla.contact.pairs import equilibrium_pairs
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.model import Encoder, TokenizerConfig
+
+OURS = "UniForce"
+PEERS: dict[str, Callable[[], PeerEncoder]] = {
+    "UniT": UniTEncoder,
+    "T3-medium": T3Encoder,
+    "AnyTouch": AnyTouchEncoder,
+}
+
+
+@dataclass(frozen=True)
+class SpeedConfig:
+    """How long to measure."""
+
+    repeats: int = 5  # rounds; in each every encoder takes its turn, so that a busy machine slows all alike
+    ours_per_round: int = 10  # ours is so much faster that one call is too short to time
+
+
+@dataclass(frozen=True)
+class Taken:
+    """Time per frame of one turn: by the clock, and of the processor alone (which no other job lengthens)."""
+
+    ms: float
+    cpu_ms: float
+
+
+@torch.no_grad()
+def speed_report(
+    tokenizer: Tokenizer, config: SpeedConfig | None = None, peers: dict[str, PeerEncoder] | None = None
+) -> dict[str, Any]:
+    """Return per encoder its size, ``ms_per_frame`` and ``cpu_ms_per_frame``, and both over ours.
+
+    One 480×640 marker image to latents, resize included, one thread, batch 1, our reference cached. Without
+    ``peers`` they have random weights: speed doesn't depend on what the weights are.
+
+    Raises:
+        ContractError: nothing to repeat.
+    """
+    config = config or SpeedConfig()
+    if config.repeats < 1 or config.ours_per_round < 1:
+        raise ContractError(expected("speed rounds", "at least 1", config, "Raise them."))
+    peers = random_peers() if peers is None else peers
+    reference, current = _images()
+    turns = {OURS: _ours(tokenizer, reference, current, config.ours_per_round)}
+    turns |= {name: _turn(peer.eval(), current) for name, peer in peers.items()}
+    with one_thread():
+        taken = interleaved(turns, config.repeats)
+    facts = {OURS: our_size(tokenizer)} | {name: size_facts(peer) for name, peer in peers.items()}
+    encoders = {name: facts[name] | _timing(taken, name) for name in turns}
+    return {
+        "what": "one marker image, one CPU thread, medians",
+        "repeats": config.repeats,
+        "encoders": encoders,
+    }
+
+
+def random_peers() -> dict[str, PeerEncoder]:
+    """Return every peer at its published size with random weights, for timing only."""
+    return {name: build() for name, build in PEERS.items()}
+
+
+def our_size(tokenizer: Tokenizer) -> dict[str, Any]:
+    """Return ``params`` of our encoder, ``flops_per_frame`` with the reference cached, and of the reference."""
+    config: TokenizerConfig = tokenizer.config
+    with torch.device("meta"):  # the counter doesn't know the CPU's fused attention
+        encoder = Encoder(config)
+        image = torch.empty(1, 1, config.side, config.side)
+    with torch.no_grad():
+        with FlopCounterMode(display=False) as once:
+            cache = encoder.encode_reference(image)
+        with FlopCounterMode(display=False) as each:
+            encoder.encode_current(cache, image)
+    return {
+        "params": sum(p.numel() for p in tokenizer.model.encoder.parameters()),
+        "flops_per_frame": int(each.get_total_flops()),
+        "flops_per_reference": int(once.get_total_flops()),
+        "input_px": [config.side, config.side],
+    }
+
+
+def interleaved(turns: dict[str, Callable[[], int]], repeats: int) -> dict[str, list[Taken]]:
+    """Return the times of every turn, round by round; a turn returns how many frames it took."""
+    for turn in turns.values():
+        turn()  # caches, memory
+    taken: dict[str, list[Taken]] = {name: [] for name in turns}
+    for _ in range(repeats):
+        for name, turn in turns.items():
+            start, cpu_start = time.perf_counter(), time.process_time()
+            frames = turn()
+            clock, cpu = time.perf_counter() - start, time.process_time() - cpu_start
+            taken[name].append(Taken(1000 * clock / frames, 1000 * cpu / frames))
+    return taken
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Run torch on one thread within the block."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _timing(taken: dict[str, list[Taken]], name: str) -> dict[str, float]:
+    """Return median times and the medians over rounds of their ratios to ours."""
+    rounds = list(zip(taken[name], taken[OURS], strict=True))
+    return {
+        "ms_per_frame": median(theirs.ms for theirs, _ in rounds),
+        "cpu_ms_per_frame": median(theirs.cpu_ms for theirs, _ in rounds),
+        "times_ours": median(theirs.ms / ours.ms for theirs, ours in rounds),
+        "cpu_times_ours": median(theirs.cpu_ms / ours.cpu_ms for theirs, ours in rounds),
+    }
+
+
+def _ours(tokenizer: Tokenizer, reference: np.ndarray, current: np.ndarray, frames: int) -> Callable[[], int]:
+    def turn() -> int:
+        for _ in range(frames):
+            tokenizer.encode(reference, current)
+        return frames
+
+    return turn
+
+
+def _turn(peer: PeerEncoder, current: np.ndarray) -> Callable[[], int]:
+    images = torch.from_numpy(current)
+    side = images.shape[-1]
+    bar = (side - images.shape[-2]) // 2
+
+    def turn() -> int:
+        square = torch.nn.functional.pad(images.float() / 255, (0, 0, bar, bar))  # (1, 640, 640)
+        peer(square, Brightness(0.1, 0.3))
+        return 1
+
+    return turn
+
+
+def _images() -> tuple[np.ndarray, np.ndarray]:
+    """Return one reference and one contact image, (1, 480, 640) uint8."""
+    pairs = equilibrium_pairs(np.random.default_rng(0), 1, "gelsight", "tactip")
+    return pairs.left_reference[:1], pairs.left_current[:1]

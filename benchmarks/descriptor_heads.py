@@ -1,0 +1,184 @@
+"""Make the heads that score recordings of one scene: newtons from hand descriptors, sensor by sensor.
+
+Experts of all strengths wipe in simulation; what their pads showed and bore is what a head learns. The shipped force
+heads won't do: they read the tokenizer a policy may act on, and they know small indenters alone, so that a handle which
+fills the pad looks like far more force.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from benchmarks.probes.zero_shot import score
+from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
+from lerobot_env_uniforce_wiping.disturbance import Nudge
+from lerobot_env_uniforce_wiping.episodes import walk
+from lerobot_env_uniforce_wiping.expert import TouchSettings
+from uniforce_cli.boundary import command
+from uniforce_cli.option_types import Level
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.evaluation.episode import (
+    WIPING_PHASE,
+    EpisodeTrace,
+    ScoreLimits,
+    press_events,
+    score_episode,
+)
+from uniforce_vtla.evaluation.finger_estimates import estimate_events
+from uniforce_vtla.keys import tactile_name
+from uniforce_vtla.options import Count, OutFile, OutFolder, Range, Seed
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
+from uniforce_vtla.tokenizer.plain_touch import descriptors
+
+LEFT_SENSORS = ("gelsight", "uskin")  # the right finger wears the TacTip
+GRIP_RANGE_N, PRESS_RANGE_N = (4.0, 13.0), (4.0, 14.0)  # from sliding to too deep, from streaks to too hard
+
+
+Scenes = Annotated[int, Range(2, 10_000)]  # half of them on each rig
+
+
+@dataclass
+class DescriptorHeadsConfig:
+    """Let experts of all strengths wipe, fit a head per sensor to their forces, score it on scenes it never saw.
+
+    Example: uniforce-scene-head scenes=60 out=outputs/descriptor_heads_wiping
+    """
+
+    level: Level = "paper"  # locked level
+    scenes: Scenes = 60  # expert episodes to learn from, half of them on each rig
+    test_scenes: Count = 32  # episodes to score on
+    first_seed: Seed = 70_000  # not used elsewhere; test scenes count up from 71,000
+    # frames of a training sequence: 1.5 s, so that a head's memory is used to long stretches
+    stretch: Count = 45
+    steps: Count = 1600  # optimiser steps
+    out: OutFolder = "outputs/scene_gauge"  # folder of heads
+    results: OutFile = "outputs/scene_gauge/scene_gauge.json"  # error per sensor on unseen scenes
+
+
+@dataclass(frozen=True)
+class EpisodeForces:
+    """One wipe: hand descriptors (n, 6) and true forces (n, 3) N per finger, and what happened."""
+
+    felt: dict[Finger, np.ndarray]
+    force_N: dict[Finger, np.ndarray]
+    sensors: dict[str, str]
+    tool_z_m: np.ndarray
+    pad_friction: tuple[float, float]
+    trace: EpisodeTrace
+
+
+def felt_episodes(level: str, seeds: range) -> Iterator[EpisodeForces]:
+    """Yield wipes by experts whose grip and press are drawn per scene, the rigs in turns."""
+    envs = [WipeEnv(level, left) for left in LEFT_SENSORS]
+    for number, seed in enumerate(tqdm(seeds, desc=f"wiping from {seeds.start}", unit="scene")):
+        yield _felt_episode(envs[number % len(envs)], seed)
+
+
+def _felt_episode(env: WipeEnv, seed: int) -> EpisodeForces:
+    rng = np.random.default_rng([seed, 9])
+    wanted = TouchSettings(float(rng.uniform(*PRESS_RANGE_N)), float(rng.uniform(*GRIP_RANGE_N)))
+    expert, nudge = WipeExpert(settings=wanted), Nudge(seed)
+    felt: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
+    forces: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
+    heights = []
+    for _ in walk(env, expert, seed, nudge):
+        pixels, wrench = env.observe()["pixels"], env.true_wrench()
+        for finger in FINGERS:
+            reference, current = pixels[tactile_name(finger, reference=True)], pixels[tactile_name(finger)]
+            felt[finger].append(descriptors(reference[..., 0], current[None, ..., 0], finger)[0])
+            forces[finger].append(wrench[finger][:3])
+        heights.append(float(env.state[2]))
+    return EpisodeForces(
+        {finger: np.stack(felt[finger]) for finger in FINGERS},
+        {finger: np.stack(forces[finger]) for finger in FINGERS},
+        env.sensors,
+        np.asarray(heights),
+        env.scene.pad_friction,
+        env.trace,
+    )
+
+
+def worn(episodes: list[EpisodeForces]) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
+    """Return sensor → (descriptors, forces) of every finger that wore it."""
+    found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for episode in episodes:
+        for finger in FINGERS:
+            pair = episode.felt[finger], episode.force_N[finger]
+            found.setdefault(episode.sensors[finger], []).append(pair)
+    return found
+
+
+def errors(head: DescriptorHead, wipes: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, list[float]]:
+    """Return R² and MAE per axis over whole episodes, each read from its first frame on."""
+    said = np.concatenate([head.read(felt) for felt, _ in wipes])
+    truth = np.concatenate([force_N for _, force_N in wipes])
+    return score(truth[None], said[None])
+
+
+def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str, Any]:
+    """Return the truth of one episode beside what its fingers alone say of it."""
+    read = [heads[episode.sensors[finger]].read(episode.felt[finger]) for finger in FINGERS]
+    trace, truth = episode.trace, score_episode(episode.trace)
+    forces = np.stack(read, axis=1)  # (n, 2, 3)
+    found = estimate_events(trace.time_s, forces, episode.tool_z_m, episode.pad_friction)
+    wiping = trace.phase == WIPING_PHASE
+    return {
+        "slippage": [truth.slippage, bool(found.slippage or found.lost)],
+        "press_above_limit": [
+            bool(press_events(trace.press_N, trace.time_s, ScoreLimits())),
+            bool(found.excess_force),
+        ],
+        "slip_max_mm": float(trace.slip_mm.max()),
+        "press_max_N": [float(trace.press_N.max()), float(found.press_N.max())],
+        "press_mae_N": float(np.abs(found.press_N - trace.press_N)[wiping].mean()) if wiping.any() else None,
+    }
+
+
+def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
+    """Fit, score and save the heads; return the report."""
+    first = config.first_seed
+    lessons = worn(list(felt_episodes(config.level, range(first, first + config.scenes))))
+    heads = {s: DescriptorHead.fit(s, wipes, config.stretch, config.steps) for s, wipes in lessons.items()}
+    tests = list(felt_episodes(config.level, range(first + 1000, first + 1000 + config.test_scenes)))
+    for head in heads.values():
+        head.save(Path(config.out))
+    return {
+        "what": "simulated; hand descriptors read by a head per sensor, on scenes, grips and presses it never saw",
+        "level": config.level,
+        "level_hash": level_hash(LEVELS[config.level]),
+        "scenes": config.scenes,
+        "test_scenes": config.test_scenes,
+        "sensors": {sensor: errors(heads[sensor], wipes) for sensor, wipes in worn(tests).items()},
+        "episodes": [judge(heads, episode) for episode in tests],
+        "heads": config.out,
+    }
+
+
+@command(DescriptorHeadsConfig)
+def main(config: DescriptorHeadsConfig) -> int:
+    """Entry of ``uniforce-scene-head``."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    report = make_heads(config)
+    path = write_json(Path(config.results), report | provenance())
+    for sensor, cell in report["sensors"].items():
+        print(f"{sensor:10s} R² {np.round(cell['r2'], 2)}  MAE {np.round(cell['mae_N'], 2)} N (fx, fy, fz)")
+    for event in ("slippage", "press_above_limit"):
+        agree = sum(truth == said for truth, said in (episode[event] for episode in report["episodes"]))
+        print(f"{event}: estimate and truth agree in {agree} of {len(report['episodes'])} episodes")
+    print(f"heads in {report['heads']}; report in {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

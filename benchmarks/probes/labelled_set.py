@@ -1,0 +1,96 @@
+"""Force-labelled sequences for heads and for the frozen zero-shot set; the latter is named by its hash.
+
+Every sensor feels the *same* contacts (one seed): what differs between cells of the table is the sensor alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from uniforce_vtla.contact.indenters import SEEN, UNSEEN
+from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange
+from uniforce_vtla.contact.sequences import force_sequences
+from uniforce_vtla.tokenizer.descriptor import describe
+from uniforce_vtla.tokenizer.pair_cache import shrink
+
+SENSORS = ("gelsight", "tactip", "uskin")
+
+
+@dataclass(frozen=True)
+class SetConfig:
+    """What a labelled set is drawn from."""
+
+    name: str  # for people
+    seed: int  # of contacts, units and noise
+    sequences: int  # per sensor, each from its own unit and indenter placement
+    length: int  # frames per sequence
+    indenters: tuple[str, ...]  # names drawn from
+    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is felt too
+
+
+FROZEN = SetConfig("zero_shot_v1", seed=7_001, sequences=120, length=12, indenters=UNSEEN)
+HEAD_TRAINING = SetConfig("head_training_v1", seed=7_002, sequences=400, length=12, indenters=SEEN)
+
+
+@dataclass(frozen=True)
+class LabelledSet:
+    """One sensor's sequences, n × T frames.
+
+    Attributes:
+        reference: (n, S, S) uint8, area-resized.
+        frames: (n, T, S, S) uint8.
+        descriptor: (n, T, 6) float32, the hand descriptor of every frame.
+        force_N: (n, T, 3) canonical.
+        digest: sha256 over full-size images and forces.
+    """
+
+    reference: np.ndarray
+    frames: np.ndarray
+    descriptor: np.ndarray
+    force_N: np.ndarray
+    digest: str
+
+
+def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
+    """Return ``sensor``'s sequences, at the model's size, with descriptors of the full-size images."""
+    rng = np.random.default_rng(config.seed)
+    batch = force_sequences(
+        rng, sensor, config.sequences, config.length, config.indenters, config.force_range
+    )
+    digest = hashlib.sha256(sensor.encode())
+    reference, frames, descriptor = [], [], []
+    for before, after in zip(batch.reference, batch.frames, strict=True):
+        digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes())
+        reference.append(shrink(before[None], side)[0])
+        frames.append(shrink(after, side))
+        descriptor.append(describe(before, after))
+    digest.update(np.ascontiguousarray(batch.force_N).tobytes())
+    return LabelledSet(
+        np.stack(reference), np.stack(frames), np.stack(descriptor), batch.force_N, digest.hexdigest()
+    )
+
+
+def set_facts(config: Any, digests: dict[str, str]) -> dict[str, Any]:
+    """Return what is committed before training: the set's recipe and one hash over all sensors."""
+    return {
+        "recipe": asdict(config),
+        "digests": digests,
+        "set": config.name,
+        "set_hash": set_hash(digests),
+    }
+
+
+def set_hash(digests: dict[str, str]) -> str:
+    """Return one hash over all sensors' digests."""
+    joined = "".join(f"{sensor} {digests[sensor]}\n" for sensor in sorted(digests))
+    return hashlib.sha256(joined.encode()).hexdigest()
+
+
+def within(force_N: np.ndarray, bounds: ForceRange = PAPER_RANGE) -> np.ndarray:
+    """Return which forces (..., 3) lie in the paper's range: 0–12 N normal, ±3 N shear."""
+    shear = np.abs(force_N[..., :2]).max(axis=-1)
+    return (shear <= bounds.shear_N) & (force_N[..., 2] <= bounds.normal_N)

@@ -1,0 +1,147 @@
+"""Users' recordings → what the force table takes: windows at the model's size."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from benchmarks.probes.labelled_set import LabelledSet
+from uniforce_datasets.readers.recording import LabelledRecording
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.tokenizer.descriptor import describe
+from uniforce_vtla.tokenizer.pair_cache import shrink
+
+log = logging.getLogger(__name__)
+MIN_SHEAR_N = 0.2  # frames with less say nothing about the direction of shear
+
+
+@dataclass(frozen=True)
+class WindowConfig:
+    """How recordings of any length are cut into sequences of one length."""
+
+    length: int = 12  # frames per sequence, as in the simulated sets
+    stride: int = 1  # recorded frames per frame kept: 3 turns 30 fps into 10
+    hop: int = 0  # frames kept between the starts of two windows; 0 = ``length``: they touch, none overlaps
+    per_recording: int = 0  # at most so many windows of a recording, evenly spread; 0 = all
+
+    def __post_init__(self) -> None:
+        """Raise ContractError for lengths that make no window."""
+        if min(self.length, self.stride) < 1 or min(self.hop, self.per_recording) < 0:
+            raise ContractError(expected("windows", "length, stride ≥ 1; hop ≥ 0", self, "Choose others."))
+
+    def starts(self, frames: int) -> list[int]:
+        """Return the first frames of all windows that fit into ``frames``."""
+        span = (self.length - 1) * self.stride + 1
+        fitting = list(range(0, frames - span + 1, (self.hop or self.length) * self.stride))
+        if not self.per_recording or len(fitting) <= self.per_recording:
+            return fitting
+        return [fitting[i] for i in np.linspace(0, len(fitting) - 1, self.per_recording).round().astype(int)]
+
+
+@dataclass
+class _Collected:
+    reference: list[np.ndarray] = field(default_factory=list)
+    frames: list[np.ndarray] = field(default_factory=list)
+    descriptor: list[np.ndarray] = field(default_factory=list)
+    force_N: list[np.ndarray] = field(default_factory=list)
+    too_short: int = 0
+
+
+def to_labelled_set(
+    recordings: Iterable[LabelledRecording], side: int, windows: WindowConfig | None = None
+) -> LabelledSet:
+    """Return one sensor's recordings as a labelled set: n windows of T frames at the model's size.
+
+    Full-size images are dropped recording by recording; what stays is (T + 1) · side² bytes per window.
+
+    Args:
+        recordings: of one sensor, e.g. ``of_sensor(read_genforce(folder), "gelsight")``.
+        side: pixels per side of the model, ``tokenizer.config.side``.
+        windows: how to cut.
+
+    Raises:
+        DatasetError: recordings of several sensors, no window at all, or a reference with too few markers.
+    """
+    windows = windows or WindowConfig()
+    kept, digest, sensor = _Collected(), hashlib.sha256(), ""
+    for recording in recordings:
+        if sensor not in ("", recording.sensor):
+            came = f"{sensor} and {recording.sensor}"
+            raise DatasetError(expected("labelled set", "one sensor", came, "Choose one with of_sensor."))
+        if not sensor:
+            sensor = recording.sensor
+            digest.update(sensor.encode())
+        _collect(kept, recording, side, windows, digest)
+    if not kept.frames:
+        came = f"none; {kept.too_short} recordings are shorter"
+        wanted = f"a window of {windows.length} frames, stride {windows.stride}"
+        raise DatasetError(expected("labelled set", wanted, came, "Is the folder right? Or shorten them."))
+    if kept.too_short:
+        log.warning("%s: %d recordings shorter than a window left out", sensor, kept.too_short)
+    force_N = np.stack(kept.force_N)
+    digest.update(np.ascontiguousarray(force_N).tobytes())
+    return LabelledSet(
+        np.stack(kept.reference),
+        np.stack(kept.frames),
+        np.stack(kept.descriptor),
+        force_N,
+        digest.hexdigest(),
+    )
+
+
+def _collect(
+    kept: _Collected, recording: LabelledRecording, side: int, windows: WindowConfig, digest: hashlib._Hash
+) -> None:
+    starts = windows.starts(len(recording.frames))
+    if not starts:
+        kept.too_short += 1
+        return
+    small = shrink(recording.reference[None], side)[0]
+    packed = np.packbits(recording.reference > 0).tobytes()
+    for start in starts:
+        rows = slice(start, start + (windows.length - 1) * windows.stride + 1, windows.stride)
+        frames = recording.frames[rows]  # (T, H, W)
+        digest.update(packed + np.packbits(frames > 0).tobytes())
+        kept.reference.append(small)
+        kept.frames.append(shrink(frames, side))
+        kept.descriptor.append(_described(recording, frames))
+        kept.force_N.append(recording.force_N[rows])
+
+
+def _described(recording: LabelledRecording, frames: np.ndarray) -> np.ndarray:
+    try:
+        return describe(recording.reference, frames)
+    except ContractError as error:
+        raise DatasetError(f"{recording}: {error}") from error
+
+
+def of_sensor(recordings: Iterable[LabelledRecording], sensor: str) -> Iterator[LabelledRecording]:
+    """Yield the recordings of one kind of sensor."""
+    return (recording for recording in recordings if recording.sensor == sensor)
+
+
+def of_indenters(
+    recordings: Iterable[LabelledRecording], indenters: Collection[str]
+) -> Iterator[LabelledRecording]:
+    """Yield the recordings of some indenters, e.g. ``contact.UNSEEN``."""
+    return (recording for recording in recordings if recording.indenter in indenters)
+
+
+def shear_agreement(labelled: LabelledSet) -> np.ndarray:
+    """Return (2,) correlations of the markers' mean motion with shear force, x and y.
+
+    Markers are dragged the way the object pushes, whatever the sensor. So both must be clearly positive; a negative
+    one says that this axis needs the other sign in ``ForceAxes``, two near zero that x and y may be swapped.
+    NaN where there is no shear.
+    """
+    motion = labelled.descriptor[..., :2].reshape(-1, 2)
+    shear = labelled.force_N[..., :2].reshape(-1, 2)
+    told = np.hypot(*shear.T) >= MIN_SHEAR_N
+    if told.sum() < 3:
+        return np.full(2, np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.array([np.corrcoef(motion[told, axis], shear[told, axis])[0, 1] for axis in range(2)])

@@ -1,0 +1,114 @@
+"""The frozen sets a tokenizer is reported on: which sensors, drawn how, with heads trained on what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from benchmarks.probes.hard_sets import (
+    HELDOUT_HIDDEN,
+    HELDOUT_VISIBLE,
+    HELDOUT_VISIBLE_2,
+    HETERO_HARD,
+    HETERO_HARD_TRAINING,
+    HardSettings,
+    draw_hard,
+    hetero_sensors,
+    visible_sensors,
+    visible_sensors_2,
+)
+from benchmarks.probes.labelled_cache import cached
+from benchmarks.probes.labelled_set import (
+    FROZEN,
+    HEAD_TRAINING,
+    SENSORS,
+    LabelledSet,
+    SetConfig,
+    draw_labelled,
+)
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, hidden_sensors
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.nominal_scale import nominal_zoom
+
+Sensors = dict[str, VirtualSensor]
+
+
+@dataclass(frozen=True)
+class ReportSet:
+    """A frozen set and the set that heads are trained on.
+
+    Attributes:
+        frozen: recipe of what is scored (unseen indenters).
+        training: recipe of what heads are trained on (seen indenters).
+        sources: sensors heads are trained on, one head each.
+        targets: sensors that are scored.
+        table: file of the table, inside the results folder.
+    """
+
+    frozen: SetConfig | HardSettings
+    training: SetConfig | HardSettings
+    sources: Callable[[], Sensors]
+    targets: Callable[[], Sensors]
+    table: str
+
+    @property
+    def name(self) -> str:
+        """The set's name."""
+        return self.frozen.name
+
+    @property
+    def facts_file(self) -> str:
+        """File that holds the recipe and hash, committed before training."""
+        return "zero_shot_set.json" if self.name == FROZEN.name else f"{self.name}_set.json"
+
+    def draw(self, recipe: SetConfig | HardSettings, sensors: Sensors, side: int, folder: Path) -> dict:
+        """Return name → LabelledSet, drawn once and kept in ``folder``."""
+        bar = tqdm(sensors.items(), desc=f"drawing {recipe.name}")
+        return {name: self._one(recipe, name, sensor, side, folder) for name, sensor in bar}
+
+    @staticmethod
+    def _one(
+        recipe: SetConfig | HardSettings, name: str, sensor: VirtualSensor, side: int, folder: Path
+    ) -> LabelledSet:
+        zoom = nominal_zoom(sensor.spec)
+        return cached(folder, recipe, name, side, lambda: draw(recipe, sensor, side), zoom)
+
+
+def draw(recipe: SetConfig | HardSettings, sensor: VirtualSensor, side: int) -> LabelledSet:
+    """Return one sensor's sequences by the recipe's own way of drawing."""
+    if isinstance(recipe, SetConfig):
+        return draw_labelled(recipe, sensor.name, side)
+    return draw_hard(recipe, sensor, side)
+
+
+def _registry_sensors() -> Sensors:
+    return {name: as_virtual(name) for name in SENSORS}
+
+
+REPORT_SETS = {
+    "zero_shot_v1": ReportSet(
+        FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"
+    ),
+    "hetero_hard_v1": ReportSet(
+        HETERO_HARD, HETERO_HARD_TRAINING, hetero_sensors, hetero_sensors, "zero_shot_force_hard.json"
+    ),
+    "heldout_visible_v1": ReportSet(
+        HELDOUT_VISIBLE, HETERO_HARD_TRAINING, hetero_sensors, visible_sensors, "heldout_visible.json"
+    ),
+    "heldout_visible_v2": ReportSet(
+        HELDOUT_VISIBLE_2, HETERO_HARD_TRAINING, hetero_sensors, visible_sensors_2, "heldout_visible_2.json"
+    ),
+    "heldout_hidden_v1": ReportSet(
+        HELDOUT_HIDDEN, HETERO_HARD_TRAINING, hetero_sensors, hidden_sensors, "heldout_hidden.json"
+    ),
+}
+
+
+def get_report_set(name: str) -> ReportSet:
+    """Return the set called ``name``; ContractError lists the known ones."""
+    if name not in REPORT_SETS:
+        raise ContractError(expected("set", " | ".join(REPORT_SETS), repr(name), "Name one."))
+    return REPORT_SETS[name]

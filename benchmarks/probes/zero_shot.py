@@ -1,0 +1,177 @@
+"""Zero-shot force: train a head on one sensor, read another through the same tokenizer.
+
+Sets are frozen: they must draw to the hash committed before the shipped checkpoint was trained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.probes.labelled_set import SENSORS, LabelledSet, set_facts, set_hash, within
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.pooling import POOL, pool_latent
+
+LETTER = {"gelsight": "G", "gelsight_d": "G", "tactip": "T", "uskin": "U"}  # as in the paper's table
+
+Features = dict[str, torch.Tensor]  # sensor → (n, T, P, L)
+Cells = dict[str, dict[str, list[float]]]  # "G->T" → {"r2": [fx, fy, fz], "mae_N": …}
+
+
+def transfers() -> list[tuple[str, str]]:
+    """Return the ordered pairs (source, target) of different sensors: six for three."""
+    return [(source, target) for source in SENSORS for target in SENSORS if source != target]
+
+
+def transfer_name(source: str, target: str) -> str:
+    """Return a transfer's name in the table, e.g. ``G->T``."""
+    return f"{LETTER.get(source, source)}->{LETTER.get(target, target)}"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Labelled sets by sensor: ``training`` for heads (seen indenters), ``frozen`` for scores (unseen)."""
+
+    training: dict[str, LabelledSet]
+    frozen: dict[str, LabelledSet]
+    head: HeadTrainingConfig = field(default_factory=HeadTrainingConfig)
+
+    def transfers(self) -> list[tuple[str, str]]:
+        """Return the ordered pairs (source, target) of different sensors."""
+        return [(source, target) for source in self.training for target in self.frozen if source != target]
+
+    def forces(self, sensor: str) -> np.ndarray:
+        """Return the frozen set's true forces, (n, T, 3) N."""
+        return self.frozen[sensor].force_N
+
+
+def check_frozen(facts: dict[str, Any], frozen: dict[str, LabelledSet]) -> None:
+    """Raise DatasetError unless the set just drawn is the one that was committed."""
+    drawn = set_hash({sensor: labelled.digest for sensor, labelled in frozen.items()})
+    if drawn != facts["set_hash"]:
+        raise DatasetError(
+            expected(
+                "frozen zero-shot set", facts["set_hash"], drawn, "The contact model changed: freeze anew."
+            )
+        )
+
+
+def set_facts_of(recipe: Any, frozen: dict[str, LabelledSet]) -> dict[str, Any]:
+    """Return what is committed before training: a set's recipe, digests and hash."""
+    return set_facts(recipe, {sensor: labelled.digest for sensor, labelled in frozen.items()})
+
+
+@torch.no_grad()
+def encode_set(tokenizer: Tokenizer, labelled: LabelledSet) -> torch.Tensor:
+    """Return pooled latents (n, T, POOL², L) of a labelled set (worn on the left finger)."""
+    rows = [
+        pool_latent(tokenizer.encode(before, after), POOL)
+        for before, after in zip(labelled.reference, labelled.frames, strict=True)
+    ]
+    return torch.stack(rows)
+
+
+def descriptor_features(labelled: LabelledSet) -> torch.Tensor:
+    """Return the hand descriptor in natural units as a map of one region, (n, T, 1, 6)."""
+    return torch.from_numpy(labelled.descriptor / np.asarray(NATURAL_UNITS, np.float32))[:, :, None]
+
+
+def descriptor_row(table: Table, seeds: int) -> Cells:
+    """Return the hand descriptor's row: the same head, no spread below one natural unit taken for signal."""
+    head = replace(table.head, smallest_spread=1.0)
+    return learnt_row(replace(table, head=head), descriptor_features, seeds, grid=1)
+
+
+def learnt_row(table: Table, features: Callable[[LabelledSet], torch.Tensor], seeds: int, grid: int) -> Cells:
+    """Return a row of the table: per transfer the mean over ``seeds`` heads."""
+    frozen = {sensor: features(labelled) for sensor, labelled in table.frozen.items()}
+    cells: dict[str, list[dict[str, list[float]]]] = {}
+    for source in table.training:
+        z = features(table.training[source])
+        for seed in range(seeds):
+            head = train_head(z, table.training[source].force_N, sized_head(table.head, z, grid), seed)
+            for target in table.frozen:
+                cell = score(table.forces(target), predict(head, frozen[target]))
+                cells.setdefault(transfer_name(source, target), []).append(cell)
+    return mean_cells(cells)
+
+
+def mean_row(table: Table) -> Cells:
+    """Return the row that always says the source's mean force."""
+    row: Cells = {}
+    for source, target in table.transfers():
+        mean = table.training[source].force_N.reshape(-1, 3).mean(axis=0)
+        truth = table.forces(target)
+        row[transfer_name(source, target)] = score(truth, np.broadcast_to(mean, truth.shape))
+    return row
+
+
+@torch.no_grad()
+def predict(head: ForceRegressor, z: torch.Tensor) -> np.ndarray:
+    """Return (n, T, 3) N."""
+    return head(z).numpy()
+
+
+def score(truth_N: np.ndarray, said_N: np.ndarray) -> dict[str, list[float]]:
+    """Return R² and MAE per axis over all frames, and over those within the paper's range."""
+    small = within(truth_N)
+    return {
+        "r2": _r2(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
+        "mae_N": _mae(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
+        "r2_paper_range": _r2(truth_N[small], said_N[small]),
+        "mae_N_paper_range": _mae(truth_N[small], said_N[small]),
+    }
+
+
+def summary(row: Cells, pairs: list[tuple[str, str]] | None = None) -> dict[str, float]:
+    """Return what the bars ask of a row: means and worst cells over transfers between different sensors."""
+    names = [transfer_name(a, b) for a, b in (pairs or transfers())]
+    r2 = np.array([row[name]["r2"] for name in names])  # (transfers, 3)
+    mae = np.array([row[name]["mae_N_paper_range"] for name in names]).mean(axis=0)
+    return {
+        "fz_mean": float(r2[:, 2].mean()),
+        "fz_worst": float(r2[:, 2].min()),
+        "shear_mean": float(r2[:, :2].mean()),
+        "shear_worst": float(r2[:, :2].min()),
+        "mean": float(r2.mean()),
+        "mae_fx_N": float(mae[0]),
+        "mae_fy_N": float(mae[1]),
+        "mae_fz_N": float(mae[2]),
+    }
+
+
+def shipped_cell(head: ForceHead, tokenizer: Tokenizer, labelled: LabelledSet) -> dict[str, list[float]]:
+    """Return the score of a shipped head on another sensor's frozen set."""
+    return score(labelled.force_N, head.sequence(encode_set(tokenizer, labelled)).numpy())
+
+
+def sized_head(config: HeadTrainingConfig, z: torch.Tensor, grid: int) -> HeadTrainingConfig:
+    """Return ``config`` with the head's input sized for features (n, T, P, L) on grid × grid regions."""
+    head: HeadConfig = replace(config.head, channels=z.shape[-1], grid=grid)
+    return replace(config, head=head)
+
+
+def _r2(truth: np.ndarray, said: np.ndarray) -> list[float]:
+    residual = ((truth - said) ** 2).sum(axis=0)
+    spread = ((truth - truth.mean(axis=0)) ** 2).sum(axis=0)
+    return [float(v) for v in 1 - residual / spread]
+
+
+def _mae(truth: np.ndarray, said: np.ndarray) -> list[float]:
+    return [float(v) for v in np.abs(truth - said).mean(axis=0)]
+
+
+def mean_cells(scores: dict[str, list[dict[str, list[float]]]]) -> Cells:
+    """Return the mean over seeds of every number: transfer → one score per seed in, one cell out."""
+    return {
+        name: {key: [float(v) for v in np.mean([one[key] for one in seeds], axis=0)] for key in seeds[0]}
+        for name, seeds in scores.items()
+    }

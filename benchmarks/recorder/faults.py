@@ -1,0 +1,86 @@
+"""Every fault as often as wanted: was the robot held in time, was the outcome the right one, did nothing hang?"""
+
+from __future__ import annotations
+
+import random
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks.recorder.device_faults import BREAKAGES, Breakage, attended, unattended
+from benchmarks.recorder.ending_faults import ENDINGS, Bench
+from benchmarks.recorder.ledger import Ledger
+from benchmarks.recorder.plan import Plan
+from benchmarks.recorder.rig import Rig
+from uniforce_vtla.errors import UniForceError
+
+NAMES = (*BREAKAGES, *ENDINGS)
+
+
+def run(plan: Plan, ledger: Ledger, names: tuple[str, ...] = NAMES) -> dict[str, Any]:
+    """Inject what is missing of each fault; return the findings of all."""
+    left = [name for name in names if len(ledger.read(name)) < plan.times]
+    if left:
+        with Rig(plan, plan.work / "faults" / "rig") as rig:
+            _break_devices({n: BREAKAGES[n] for n in left if n in BREAKAGES}, ledger, rig)
+            for name in (n for n in left if n in ENDINGS):
+                while (done := len(ledger.read(name))) < plan.times:
+                    _noted(name, ledger, partial(ENDINGS[name], bench_of(name, done, rig)))
+    return {name: summary(ledger.read(name)) for name in NAMES if ledger.read(name)}
+
+
+def _break_devices(faults: dict[str, Breakage], ledger: Ledger, rig: Rig) -> None:
+    """All but the last injection of each in one session, the last one in an unattended session."""
+    root, by_hand = rig.plan.work / "faults" / "attended", max(rig.plan.times - 1, 1)
+    while any(len(ledger.read(name)) < by_hand for name in faults):
+        rig.new_arm()
+        attended(faults, rig, ledger, root, by_hand)
+        for fault in faults.values():
+            fault.mends(rig)
+    for name, fault in faults.items():
+        while len(ledger.read(name)) < rig.plan.times:
+            _noted(name, ledger, partial(unattended, name, fault, rig))
+            fault.mends(rig)
+
+
+def bench_of(name: str, number: int, rig: Rig) -> Bench:
+    """Return what the trial of a number needs, its folder empty."""
+    root = rig.plan.work / "faults" / name / str(number)
+    shutil.rmtree(root, ignore_errors=True)  # of a trial that was cut short
+    return Bench(rig, root, random.Random(f"{name}{number}{rig.plan.seed}"))
+
+
+def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> None:
+    """Add what a trial found; one that hung, died or left no dataset is a finding too."""
+    try:
+        ledger.add(name, trial())
+    except UniForceError as error:
+        ledger.add(name, {"right_outcome": False, "message": str(error)})
+
+
+def summary(findings: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return counts and the worst of a fault's findings."""
+    holds_s, rests_s, clocks = (_all(findings, key) for key in ("hold_s", "rest_s", "arm_clock"))
+    labels = sorted({finding["label"] for finding in findings if "label" in finding})
+    codes = sorted({finding["exit_code"] for finding in findings if "exit_code" in finding})
+    return {
+        "trials": len(findings),
+        "right_outcome": sum(bool(finding["right_outcome"]) for finding in findings),
+        "worst_hold_s": max(holds_s, default=None),
+        "worst_rest_s": max(rests_s, default=None),
+        "slowest_arm_clock": min(clocks, default=None),
+        "labels": labels,
+        "exit_codes": codes,
+        "example": next((_portable(f["message"]) for f in findings if f.get("message")), ""),
+    }
+
+
+def _all(findings: list[dict[str, Any]], key: str) -> list[float]:
+    return [finding[key] for finding in findings if finding.get(key) is not None]
+
+
+def _portable(message: str) -> str:
+    """Return a message whose paths below the working folder say so: results are committed, folders are mine."""
+    return message.replace(f"{Path.cwd()}/", "")

@@ -1,0 +1,82 @@
+"""``uniforce record`` as a program that starts at once: imported here, forked for every session.
+
+``python -m benchmarks.recorder.program FD``: FD is a socket; a line in is ``{"argv": […], "tty": PATH}``, lines
+out are ``{"ready": …}``, ``{"pid": …}`` and ``{"exit": …}``. A session runs on that terminal as its own leader, so
+that Ctrl-C reaches it as it would a person's; it is the command itself, with one more teleoperator registered.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import logging
+import os
+import socket
+import sys
+import warnings
+from pathlib import Path
+
+from uniforce_vtla.errors import ContractError, expected
+
+LOADED = (
+    "benchmarks.recorder.circle",  # registers its teleoperator
+    "uniforce_robots.recorder.assemble",
+    "uniforce_robots.recorder.build",
+    "uniforce_robots.recorder.robot_rig",
+    "uniforce_cli.record",
+)
+ARROWS_THREAD = "jemalloc_bg_thd"  # pyarrow's allocator starts it at import and itself looks after forks
+
+
+def main() -> int:
+    """Fork a session for each order until the socket ends; in a session, return its exit code."""
+    wire = socket.socket(fileno=int(sys.argv[1])).makefile("rw")
+    _import_all()
+    _say(wire, ready=os.getpid())
+    for line in wire:
+        order = json.loads(line)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # the one other thread has been looked at
+            pid = os.fork()
+        if not pid:
+            return record_on(order["tty"], order["argv"])
+        _say(wire, pid=pid)
+        _say(wire, exit=os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+    return 0
+
+
+def _say(wire: object, **words: int) -> None:
+    wire.write(json.dumps(words) + "\n")  # type: ignore[attr-defined]
+    wire.flush()  # type: ignore[attr-defined]
+
+
+def _import_all() -> None:
+    """Load what every session loads; no thread may run when it is forked."""
+    for module in LOADED:
+        importlib.import_module(module)
+    names = [(task / "comm").read_text().strip() for task in Path("/proc/self/task").iterdir()]
+    own = [name for name in names[1:] if name != ARROWS_THREAD]
+    if own:
+        do = "Set OMP_NUM_THREADS and OPENBLAS_NUM_THREADS to 1."
+        raise ContractError(expected("program to fork", "one thread", f"others: {own}", do))
+
+
+def record_on(tty: str, argv: list[str]) -> int:
+    """Run ``uniforce record`` on a terminal of its own."""
+    from uniforce_cli.record import main as record
+
+    os.setsid()
+    terminal = os.open(tty, os.O_RDWR)  # a session leader's first one becomes its controlling terminal
+    for standard in (0, 1, 2):
+        os.dup2(terminal, standard)
+    os.closerange(3, 1024)  # the orders' socket too: a killed session must leave no one listening
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    form = "%(levelname)s %(name)s: %(message)s"
+    logging.basicConfig(
+        level=logging.INFO, stream=sys.stdout, format=form, force=True
+    )  # over what imports set up
+    return record(argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,161 @@
+"""What else is asked of a tokenizer: correlation (Q1), reconstructions (Q2), real slip, a user's own recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from benchmarks.probes.hard_sets import HardSettings
+from benchmarks.probes.hardness import hardness
+from benchmarks.probes.hardness_figure import draw_hardness
+from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.latent_correlation import (
+    fit_rotation,
+    indenters_of,
+    latent_correlation,
+    pad_latent,
+)
+from benchmarks.probes.latent_correlation_figure import draw_correlations
+from benchmarks.probes.real_slip import real_slip
+from benchmarks.probes.real_slip_figure import draw_real_slip
+from benchmarks.probes.real_trials import read_trials
+from benchmarks.probes.reconstructions import reconstruction_report
+from benchmarks.probes.reconstructions_figure import draw_reconstructions
+from benchmarks.probes.recorded_set import (
+    WindowConfig,
+    of_indenters,
+    of_sensor,
+    shear_agreement,
+    to_labelled_set,
+)
+from benchmarks.probes.report_sets import ReportSet
+from benchmarks.probes.scale_error import scale_error
+from benchmarks.probes.scale_error_figure import draw_scale_error
+from benchmarks.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
+from uniforce_datasets.readers import read_genforce
+from uniforce_vtla.contact.indenters import SEEN, UNSEEN
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
+
+
+def correlation(tokenizer: Tokenizer, report_set: ReportSet, table: Table, results: Path) -> str:
+    """Write Q1: |r| of rotated latents with Fx, Fy, Fz on every sensor's unseen indenters."""
+    names = indenters_of(report_set.frozen)
+    content = latent_correlation(
+        tokenizer, table.training["tactip"], table.frozen, dict.fromkeys(table.frozen, names)
+    )
+    content |= {"set": report_set.name, "tokenizer_hash": tokenizer.hash} | provenance()
+    path = write_json(results / "latent_correlation.json", content)
+    draw_correlations(content, path.with_suffix(".png"))
+    lines = [f"{sensor}: |r| Fx, Fy, Fz {_short(r)}" for sensor, r in content["best_abs_r"].items()]
+    return "\n".join([*lines, f"written to {path}"])
+
+
+def reconstructions(tokenizer: Tokenizer, results: Path) -> str:
+    """Write Q2: self and cross reconstructions, their errors and the worst cases."""
+    content, rigs = reconstruction_report(tokenizer)
+    path = write_json(
+        results / "reconstructions.json", content | {"tokenizer_hash": tokenizer.hash} | provenance()
+    )
+    draw_reconstructions(rigs, path.with_suffix(".png"))
+    return f"written to {path}"
+
+
+def slip(tokenizer: Tokenizer, uskin: LabelledSet, recordings: str, results: Path) -> str:
+    """Write what the latent says of real two-finger uSkin recordings.
+
+    Args:
+        tokenizer: encodes both fingers.
+        uskin: simulated uSkin sequences; the direction of Fz in the latent comes from them.
+        recordings: folder with the trials' CSV files.
+        results: where the report goes.
+
+    Raises:
+        DatasetError: no recordings there.
+    """
+    if not recordings or not Path(recordings).is_dir():
+        do = "Pass recordings=<folder of the bilateral uSkin trials>."
+        raise DatasetError(expected("recordings", "a folder", repr(recordings), do))
+    rotation = fit_rotation(pad_latent(tokenizer, uskin), uskin.force_N, "uskin")
+    trials = read_trials(Path(recordings))
+    content, signals, scores = real_slip(tokenizer, trials, rotation)
+    path = write_json(results / "real_slip.json", content | {"tokenizer_hash": tokenizer.hash} | provenance())
+    draw_real_slip(content, trials, signals, scores, rotation, path.with_suffix(".png"))
+    return f"written to {path}"
+
+
+def hardness_chart(
+    tokenizer: Tokenizer,
+    report_set: ReportSet,
+    training: dict[str, LabelledSet],
+    seeds: int,
+    cache: Path,
+    results: Path,
+) -> str:
+    """Write the chart of what each hardness of ``hetero_hard_v1`` costs, in newtons."""
+
+    def draw(recipe: HardSettings) -> dict[str, LabelledSet]:
+        return report_set.draw(recipe, report_set.targets(), tokenizer.config.side, cache)
+
+    content = hardness(tokenizer, training, draw, seeds) | {"tokenizer_hash": tokenizer.hash} | provenance()
+    path = write_json(results / "chart_hardness.json", content)
+    draw_hardness(content, path.with_suffix(".png"))
+    lines = [
+        f"without {name:14s} transfers {_short(found['transfers']['mae_N_paper_range'])} N"
+        for name, found in content["without"].items()
+    ]
+    oracle = f"oracle {_short(content['oracle']['mae_N_paper_range'])} N"
+    return "\n".join([*lines, oracle, f"written to {path}"])
+
+
+def scale_chart(tokenizer: Tokenizer, report_set: ReportSet, table: Table, seeds: int, results: Path) -> str:
+    """Write the chart of what a misstated px/mm costs on a set's sensors."""
+    content = scale_error(tokenizer, table, seeds)
+    content |= {"set": report_set.name, "tokenizer_hash": tokenizer.hash, "seeds": seeds} | provenance()
+    path = write_json(results / "chart_scale.json", content)
+    draw_scale_error(content, path.with_suffix(".png"))
+    return f"written to {path}"
+
+
+def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
+    """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
+
+    Raises:
+        DatasetError: a format nobody knows, or fewer than two sensors with both kinds of indenters.
+    """
+    windows, side = WindowConfig(), tokenizer.config.side
+    sensors = sorted({recording.sensor for recording in read_genforce(folder)})
+    if len(sensors) < 2:
+        do = "A transfer needs a source and a target sensor."
+        raise DatasetError(expected(folder, "two sensors or more", sensors, do))
+
+    def sets(indenters: tuple[str, ...]) -> dict[str, LabelledSet]:
+        found = {s: of_indenters(of_sensor(read_genforce(folder), s), indenters) for s in sensors}
+        return {s: to_labelled_set(recordings, side, windows) for s, recordings in found.items()}
+
+    table = Table(sets(SEEN), sets(UNSEEN))
+    content: dict[str, Any] = {
+        "what": f"GenForce recordings in {folder}; heads trained on seen, scored on unseen indenters",
+        "tokenizer_hash": tokenizer.hash,
+        "seeds": seeds,
+        "shear_agreement": {s: shear_agreement(table.training[s]).tolist() for s in sensors},
+        "rows": {
+            "UniForce": learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL),
+            "hand descriptor": descriptor_row(table, seeds),
+            "mean": mean_row(table),
+        },
+    }
+    path = write_json(results / "force_on_data.json", content | provenance())
+    lines = [f"{name}: R² {_short(cell['r2'])}" for name, cell in content["rows"]["UniForce"].items()]
+    return "\n".join([*lines, f"written to {path}; check shear_agreement: −1 there means a wrong sign"])
+
+
+def unknown(question: str) -> ContractError:
+    """Return the error for a question nobody asks."""
+    known = "force | correlation | reconstructions | slip | hardness | scale"
+    return ContractError(expected("question", known, repr(question), "Ask one of these."))
+
+
+def _short(values: list[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)

@@ -1,0 +1,332 @@
+"""What the tokenizer is worth: zero-shot force on frozen sets, correlation, reconstructions, real recordings."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import cv2
+import torch
+from tqdm import tqdm
+
+from benchmarks import tokenizer_questions as questions
+from benchmarks.baselines import rows as peer_rows
+from benchmarks.baselines.checkpoint import read_tensors
+from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
+from benchmarks.probes.zero_shot import (
+    POOL,
+    Cells,
+    Table,
+    check_frozen,
+    descriptor_row,
+    encode_set,
+    learnt_row,
+    mean_row,
+    set_facts_of,
+    shipped_cell,
+    summary,
+    transfer_name,
+)
+from benchmarks.probes.zero_shot_figure import draw_table
+from uniforce_cli.boundary import command
+from uniforce_vtla.arguments import choose
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.options import (
+    Count,
+    CountOrZero,
+    FileName,
+    FilePath,
+    FolderPath,
+    Names,
+    OutFolder,
+    Range,
+    Text,
+    TokenizerFolder,
+)
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.weights import checkpoint_folder
+
+REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
+OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
+OF_THE_PEERS = ("published_encoders", "speed")  # parts of the table that ``peers=true`` measures
+SHIPPED_HEADS_SET = (
+    "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
+)
+
+
+OF_PEERS = ("pairs", "anytouch", "t3", "t3_encoder", "unit")
+Heads = Annotated[int, Range(1, 100)]
+ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
+
+
+@dataclass
+class TokenizerReportCommand:
+    """Answer one question about a tokenizer; or freeze a set, train the shipped heads, replay a committed table.
+
+    Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v1 seeds=3
+    """
+
+    # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | charts: hardness, scale
+    question: Literal["force", "correlation", "reconstructions", "slip", "hardness", "scale"] = "force"
+    # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
+    data: FolderPath = ""
+    recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
+    # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 or _v2 | heldout_hidden_v1
+    set: ReportSetName = "zero_shot_v1"
+    tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
+    # tables and figures; of replay and only: where the table is read
+    results: OutFolder = "outputs/tokenizer_report"
+    facts: FolderPath = "docs/results"  # the frozen sets' recipes and hashes; freeze writes into results
+    # drawn sets, kept for the next run; delete it after changing contact/
+    cache: OutFolder = "outputs/labelled"
+    seeds: Heads = 3  # heads per cell
+    freeze: bool = False  # only draw the set and write its hash
+    # also write tokenizer and heads into the package (set=zero_shot_v1)
+    ship: Literal["", "small", "nano"] = ""
+    table: FileName = ""  # another name for the table's file; empty = the set's own
+    # also the rows that train networks of their own: hours on two cores, one row at a time
+    peers: bool = False
+    twin_steps: Count = 6000  # of the objective twins; the shipped checkpoint's own number
+    pairs: FolderPath = ""  # pair cache of the tokenizer's recipe, for the twins; empty = drawn live
+    anytouch: FilePath = ""  # official checkpoint file; empty = row n/a
+    t3: FolderPath = ""  # folder with encoders/ and trunk.pth; empty = row n/a
+    t3_encoder: FileName = ""  # which of T3's encoders reads our sensors; must be named
+    unit: FilePath = ""  # official checkpoint file; empty = row n/a
+    only: Text = ""  # measure just these rows (comma between them), keep the others from the committed table
+    # only re-measure so many cells of the UniForce row, or of the shipped heads, and compare
+    replay: CountOrZero = 0
+
+
+def freeze(command: TokenizerReportCommand, report_set: ReportSet, side: int) -> Path:
+    """Write a frozen set's recipe and hash."""
+    frozen = report_set.draw(report_set.frozen, report_set.targets(), side, Path(command.cache))
+    facts = set_facts_of(report_set.frozen, frozen)
+    return write_json(Path(command.results) / report_set.facts_file, facts | provenance())
+
+
+def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> dict[str, Any]:
+    """Return the table's content; every learnt row is trained here, on the source sensor alone."""
+    facts = _facts(command, report_set)
+    table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+    check_frozen(facts, table.frozen)
+    if command.ship:
+        ship(command.ship, table, tokenizer)
+    untrained = Tokenizer.random(tokenizer.config)
+    seeds = command.seeds
+    makers: dict[str, Callable[[], Cells]] = {
+        "UniForce": lambda: learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL),
+        "hand descriptor": lambda: descriptor_row(table, seeds),
+        "random encoder": lambda: learnt_row(table, lambda s: encode_set(untrained, s), seeds, POOL),
+        "mean": lambda: mean_row(table),
+    }
+    if command.peers:
+        makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps, command.pairs)
+    chosen = choose(makers, command.only)
+    _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
+    measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
+    committed = _committed_table(
+        command, report_set, facts
+    )  # once more: another row may have come in meanwhile
+    rows = in_order(committed, _still_true(committed, tokenizer) | measured)
+    origin = provenance()
+    content = {
+        "what": "simulated; head trained on the source sensor, seen indenters; scored on unseen indenters",
+        "set": facts["set"],
+        "set_hash": facts["set_hash"],
+        "seeds": seeds,
+        "tokenizer_hash": tokenizer.hash,
+        "summary": {name: summary(row, table.transfers()) for name, row in rows.items()},
+        "rows": rows,
+        "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
+    }
+    content |= {part: committed[part] for part in OF_THE_PEERS if part in committed}
+    if command.peers:
+        paths = {"anytouch": command.anytouch, "t3": command.t3, "unit": command.unit}
+        content |= peer_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
+    if report_set.name == SHIPPED_HEADS_SET and not command.table:
+        content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
+    return content | origin
+
+
+def in_order(committed: dict[str, Any], rows: dict[str, Cells]) -> dict[str, Cells]:
+    """Return ``rows`` in the committed table's order, new ones last: pictures then keep their order too."""
+    names = dict.fromkeys([*committed.get("rows", {}), *rows])
+    return {name: rows[name] for name in names if name in rows}
+
+
+def kept_origins(committed: dict[str, Any], rows: Mapping[str, Cells]) -> dict[str, Any]:
+    """Return which command measured each row taken over from a committed table, and when.
+
+    A table written before rows had origins of their own says so only once, for the last of them.
+    """
+    return {name: origin for name, origin in committed.get("measured_by", {}).items() if name in rows}
+
+
+def draw_sets(report_set: ReportSet, side: int, cache: Path) -> Table:
+    """Return the table's sets: sources with seen indenters, targets with unseen ones."""
+    training = report_set.draw(report_set.training, report_set.sources(), side, cache)
+    return Table(training, report_set.draw(report_set.frozen, report_set.targets(), side, cache))
+
+
+def _table_path(command: TokenizerReportCommand, report_set: ReportSet) -> Path:
+    return Path(command.results) / (command.table or report_set.table)
+
+
+def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, Any]:
+    path = Path(command.facts) / report_set.facts_file
+    if not path.exists():
+        do = f"Freeze it first: python -m benchmarks.tokenizer_report set={report_set.name} freeze=true"
+        raise DatasetError(expected(str(path), "the frozen set's recipe and hash", "no such file", do))
+    return dict(json.loads(path.read_text()))
+
+
+def _committed_table(
+    command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any]
+) -> dict[str, Any]:
+    """Return the committed table whose rows ``only=`` keeps; empty where nothing is kept.
+
+    Raises:
+        DatasetError: a table of another set or other seeds.
+    """
+    path = _table_path(command, report_set)
+    if not command.only or not path.exists():
+        return {}
+    table = json.loads(path.read_text())
+    came, wanted = (table["set_hash"], table["seeds"]), (facts["set_hash"], command.seeds)
+    if came != wanted:
+        raise DatasetError(expected("committed table", wanted, came, "Measure all rows: leave out only=."))
+    return dict(table)
+
+
+def _still_true(table: dict[str, Any], tokenizer: Tokenizer) -> dict[str, Cells]:
+    """Return a table's rows that hold for ``tokenizer``: after a new one, those that never saw the old one."""
+    rows = dict(table.get("rows", {}))
+    if not rows or table["tokenizer_hash"] == tokenizer.hash:
+        return rows
+    gone = sorted(OF_THE_TOKENIZER & set(rows))
+    print(
+        f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}"
+    )
+    return {name: row for name, row in rows.items() if name not in OF_THE_TOKENIZER}
+
+
+def ship(size: str, table: Table, tokenizer: Tokenizer) -> None:
+    """Write the tokenizer and one head per source sensor into the package."""
+    tokenizer.save(checkpoint_folder(size, "tokenizer"))
+    for source, labelled in tqdm(table.training.items(), desc="shipped heads"):
+        model = train_head(encode_set(tokenizer, labelled), labelled.force_N, HeadTrainingConfig(), seed=0)
+        ForceHead(model, source, tokenizer.hash).save(checkpoint_folder(size, f"force_head_{source}"))
+
+
+def shipped_row(tokenizer: Tokenizer, table: Table, count: int) -> Cells:
+    """Return the first ``count`` transfers as the shipped heads do them."""
+    cells = {}
+    for source, target in table.transfers()[:count]:
+        head = ForceHead.from_pretrained(source)
+        cells[transfer_name(source, target)] = shipped_cell(head, tokenizer, table.frozen[target])
+    return cells
+
+
+def replay(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> float:
+    """Re-measure cells from the shipped weights; return the largest difference of R² to the committed table.
+
+    ``zero_shot_v1`` replays the shipped heads; the other sets train their heads again from the same seeds.
+    """
+    table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+    _say_if_redrawn(command, report_set, table.frozen)
+    committed = json.loads((_table_path(command, report_set)).read_text())
+    if report_set.name == SHIPPED_HEADS_SET:
+        again, before = shipped_row(tokenizer, table, command.replay), committed["shipped_heads"]
+    else:
+        again = learnt_row(table, lambda s: encode_set(tokenizer, s), committed["seeds"], POOL)
+        names = [transfer_name(a, b) for a, b in table.transfers()[: command.replay]]
+        again, before = {name: again[name] for name in names}, committed["rows"]["UniForce"]
+    return max(
+        abs(x - y) for name in again for x, y in zip(again[name]["r2"], before[name]["r2"], strict=True)
+    )
+
+
+def _say_if_redrawn(
+    command: TokenizerReportCommand, report_set: ReportSet, frozen: dict[str, LabelledSet]
+) -> None:
+    """Another CPU may round a marker's edge otherwise: the numbers must still agree, so go on, but say so."""
+    try:
+        check_frozen(_facts(command, report_set), frozen)
+    except DatasetError as error:
+        print(f"note: {error}")
+
+
+def _check_peers(command: TokenizerReportCommand) -> None:
+    """Refuse other people's weights that are damaged, or not asked about, before hours of work."""
+    given = [name for name in OF_PEERS if getattr(command, name)]
+    if given and not command.peers:
+        raise ContractError(expected(", ".join(given), "peers=true beside it", "peers=false", "Add it."))
+    for file in filter(None, (command.anytouch, command.unit)):
+        read_tensors(Path(file))
+
+
+def _report(command: TokenizerReportCommand) -> str:
+    results, report_set = Path(command.results), get_report_set(command.set)
+    tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
+    _check_peers(command)
+    if command.freeze:
+        return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
+    if command.replay:
+        worst = replay(command, report_set, tokenizer)
+        verdict = "agrees with" if worst <= REPLAY_TOLERANCE else "DIFFERS FROM"
+        path = _table_path(command, report_set)
+        return f"replay of {command.replay} cells {verdict} {path}: largest difference {worst:.4f}"
+    if command.data:
+        return questions.user_data(tokenizer, command.data, command.seeds, results)
+    if command.question != "force":
+        return _other_question(command, report_set, tokenizer)
+    content = measure(command, report_set, tokenizer)
+    path = write_json(_table_path(command, report_set), content)
+    draw_table(content, path.with_suffix(".png"))
+    lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
+    return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])
+
+
+def _other_question(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
+    results = Path(command.results)
+    if command.question == "reconstructions":
+        return questions.reconstructions(tokenizer, results)
+    if command.question not in ("correlation", "slip", "hardness", "scale"):
+        raise questions.unknown(command.question)
+    if command.question == "hardness":
+        cache = Path(command.cache)
+        training = report_set.draw(report_set.training, report_set.sources(), tokenizer.config.side, cache)
+        return questions.hardness_chart(tokenizer, report_set, training, command.seeds, cache, results)
+    table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+    if command.question == "scale":
+        return questions.scale_chart(tokenizer, report_set, table, command.seeds, results)
+    if command.question == "correlation":
+        return questions.correlation(tokenizer, report_set, table, results)
+    return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
+
+
+def _numbers(values: dict[str, float]) -> str:
+    return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
+
+
+@command(TokenizerReportCommand)
+def main(command: TokenizerReportCommand) -> int:
+    """Entry of ``python -m benchmarks.tokenizer_report``."""
+    logging.basicConfig(level=logging.INFO)
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    print(_report(command))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,1 +1,0 @@
-"""Trials of the recorder against stand-ins: whole sessions, kill -9, faults, overhead; ``uniforce-recorder-trials``."""

@@ -1,0 +1,188 @@
+"""What any arm backend does, and the data that flow through it.
+
+Poses are (4, 4) ``ee_to_base``: the frame between the finger tips in the robot's base frame, metres. On a Franka Hand
+the fingers close along that frame's y axis and z points out of the hand. A backend belongs to one thread.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from uniforce_robots.franka.limits import FORCE_N, TORQUE_Nm, require_in_limits, require_one_of
+from uniforce_vtla.errors import ContractError, RobotError, expected
+
+# A mode in which nothing may move, and the RobotError.fault it means.
+STOPPED_MODES = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
+# Every fault of an arm that has stopped by itself and can still be read.
+UNBELIEVED = ("bad_state", "jump", "speed", "frozen", "connection", "stale")  # faults of readings themselves
+ROBOT_STOPS = (*STOPPED_MODES.values(), "communication", "discontinuity", "limit")
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """One reading of the arm.
+
+    Attributes:
+        time_s: host clock (``time.monotonic``) at receipt.
+        robot_time_s: the robot's own clock.
+        q_rad: (7,) joint angles.
+        dq_rad_s: (7,) joint speeds.
+        ee_to_base: (4, 4) measured pose.
+        wrench_N: (6,) the robot's estimate of the external force N and moment Nm at the hand, base frame. An estimate
+            from motor currents, poor near singularities: never the only guard.
+        mode: ``idle``, ``move``, ``guiding``, ``reflex``, ``user_stopped``, ``recovery`` or ``other``.
+        success_rate: share of the last 100 control commands that reached the robot in time; 0 without control.
+        errors: the robot's own names of what stopped it, as libfranka spells them.
+    """
+
+    time_s: float
+    robot_time_s: float
+    q_rad: np.ndarray
+    dq_rad_s: np.ndarray
+    ee_to_base: np.ndarray
+    wrench_N: np.ndarray
+    mode: str
+    success_rate: float
+    errors: tuple[str, ...] = ()
+
+
+def refuse_stopped(state: ArmState) -> None:
+    """Refuse an arm that may not move.
+
+    Raises:
+        RobotError: named after what stopped it: ``communication`` (commands came too late), ``discontinuity`` (a
+            command jumped), ``limit`` (of a joint, a speed or power), ``reflex``, ``user_stop`` or ``guiding``.
+    """
+    if state.mode in STOPPED_MODES:
+        fault = fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
+        came = f"{state.mode} {', '.join(state.errors)}".strip()
+        raise RobotError(
+            expected("arm mode", "idle or move", came, "See to the robot, then call recover()."), fault
+        )
+
+
+def fault_of_errors(errors: tuple[str, ...]) -> str:
+    """Return the ``RobotError.fault`` of the robot's own error names."""
+    kinds = {"communication": "communication", "discontinuity": "discontinuity", "violation": "limit"}
+    text = " ".join(errors)
+    return next((fault for word, fault in kinds.items() if word in text), "reflex")
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Stiffness of the Cartesian impedance, in the hand's frame, and how far the target may lead.
+
+    The spring's force is bounded by stiffness × ``clip_m`` whatever target comes: the cheapest hard bound there is. Its
+    length, over every turn of a hand that points down, stays below ``limits.FORCE_N``.
+
+    Attributes:
+        stiffness_N_m: along the hand's x, y (the fingers close along y) and z.
+        rotation_Nm_rad: about the same axes.
+        clip_m: largest position error the spring sees along the base frame's x, y, z.
+        clip_rad: largest rotation error it sees, about each axis.
+    """
+
+    stiffness_N_m: tuple[float, float, float]
+    rotation_Nm_rad: tuple[float, float, float] = (60.0, 60.0, 60.0)
+    clip_m: tuple[float, float, float] = (0.018, 0.018, 0.018)
+    clip_rad: float = 0.2
+
+    def __post_init__(self) -> None:
+        require_in_limits(self)
+        # The clips are along the base's axes and the stiffness along the hand's, which turns about the vertical.
+        level_N = max(self.stiffness_N_m[:2]) * math.hypot(*self.clip_m[:2])
+        force_N = math.hypot(level_N, self.stiffness_N_m[2] * self.clip_m[2])
+        torque_Nm = max(self.rotation_Nm_rad) * self.clip_rad * math.sqrt(3)
+        if force_N > FORCE_N or torque_Nm > TORQUE_Nm:
+            wanted = f"a spring of at most {FORCE_N:g} N and {TORQUE_Nm:g} Nm, stiffness × clip of all axes"
+            came = f"{force_N:.1f} N, {torque_Nm:.1f} Nm"
+            raise ContractError(expected("gains", wanted, came, "Soften the arm or clip more."))
+
+    def matrix_in_base(self, rotation: np.ndarray) -> np.ndarray:
+        """Return the (6, 6) stiffness in the base frame, K = R K_ee Rᵀ for each block.
+
+        A tracker takes its gains in the base frame; with the hand turned, the closing axis is stiff only through
+        off-diagonal terms.
+
+        Args:
+            rotation: (3, 3) of ``ee_to_base``.
+        """
+        K = np.zeros((6, 6))
+        K[:3, :3] = rotation @ np.diag(self.stiffness_N_m) @ rotation.T
+        K[3:, 3:] = rotation @ np.diag(self.rotation_Nm_rad) @ rotation.T
+        return K
+
+    def force_bound(self, rotation: np.ndarray) -> np.ndarray:
+        """(3,) largest spring force along each base axis, Σ |K_ij| clip_j, N."""
+        return np.abs(self.matrix_in_base(rotation)[:3, :3]) @ np.array(self.clip_m)
+
+
+# The simulated scene's own stiffness: 800 N/m × 18 mm bounds the press at 14.4 N.
+ROLLOUT = Gains((2000.0, 2000.0, 800.0))
+# For a person who leads the hand: soft but along the closing axis, so that a squeeze does not drag the arm.
+HAND_GUIDED = Gains((200.0, 2000.0, 200.0), (20.0, 20.0, 20.0))
+
+
+@dataclass(frozen=True)
+class ArmSettings:
+    """How a backend connects.
+
+    Attributes:
+        address: of the robot's controller, or of the stand-in.
+        connect_deadline_s: after the client is loaded; a robot that does not answer by then is an error. With the
+            client's own start, a person waits about 3 s.
+        reflex_torque_Nm, reflex_force_N: the robot stops by reflex above these, at any joint and along any axis. 40 N
+            lies above the press that 800 N/m × 18 mm allows and below what breaks a gel.
+        gains: to start with.
+        realtime: ``ignore`` works on any kernel, ``enforce`` refuses one without PREEMPT_RT.
+    """
+
+    address: str
+    connect_deadline_s: float = 2.5
+    reflex_torque_Nm: float = 40.0
+    reflex_force_N: float = 40.0
+    gains: Gains = field(default_factory=lambda: ROLLOUT)
+    realtime: str = "ignore"
+
+    def __post_init__(self) -> None:
+        require_in_limits(self)
+        require_one_of("realtime", self.realtime, ("ignore", "enforce"))
+
+
+class Arm(Protocol):
+    """A seven-jointed arm under Cartesian impedance control.
+
+    Every method may raise RobotError; its ``fault`` says what happened.
+    """
+
+    def connect(self) -> None:
+        """Open the connection within the configured deadline and set the reflex thresholds. Nothing moves."""
+
+    def state(self) -> ArmState:
+        """Return the newest reading."""
+
+    def set_target(self, ee_to_base: np.ndarray) -> None:
+        """Pull towards a pose from now on. The first call takes control of the arm.
+
+        Repeat it: a backend whose loop lives elsewhere holds the measured pose when it hears nothing for 0.3 s.
+        """
+
+    def set_gains(self, gains: Gains) -> None:
+        """Change the stiffness; before the first target it becomes the one to start with."""
+
+    def stop(self, at_once: bool = False) -> None:
+        """Give up control; the arm comes to rest and holds. Does nothing without control.
+
+        Args:
+            at_once: leave the braking to the robot: for readings that can't be believed, by which nothing can brake.
+        """
+
+    def recover(self) -> None:
+        """Clear a reflex. Nothing moves; the next target takes control again."""
+
+    def close(self) -> None:
+        """Stop and hang up. Safe to call twice."""

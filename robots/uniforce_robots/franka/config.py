@@ -1,0 +1,79 @@
+"""Settings of the robot ``uniforce_franka``; nested ones are set as ``--robot.guards.step_m=0.03``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lerobot.cameras import CameraConfig
+from lerobot.robots.config import RobotConfig
+
+from uniforce_robots.franka.arm import ROLLOUT, ArmSettings, Gains
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.franka.hand import HandSettings
+from uniforce_robots.franka.limits import require_in_limits, require_kind, require_one_of
+from uniforce_robots.franka.stream import StreamSettings
+from uniforce_robots.sensors.config_uniforce import TactileFingerConfig
+
+NESTED = {"gains": Gains, "guards": GuardLimits, "stream": StreamSettings, "gripper": HandSettings}
+
+
+@RobotConfig.register_subclass("uniforce_franka")
+@dataclass(kw_only=True)
+class UniforceFrankaConfig(RobotConfig):
+    """A Franka Research 3 with its hand; hard limits of every number in ``limits.HARD_LIMITS``.
+
+    Attributes:
+        address: of the robot's controller; 127.0.0.N for the stand-in.
+        backend: ``franky`` (extra ``franka``) or ``pylibfranka`` (extra ``franka-official``); one per process.
+        fps: actions per second of whoever drives; a target is reached within one period.
+        gains: stiffness and clip; the force bound is their product.
+        guards: limits every action passes.
+        stream: rhythm and watchdog; its ``action_period_s`` follows ``fps``.
+        gripper: how widths become commands.
+        reflex_torque_Nm, reflex_force_N: the robot's own stop.
+        connect_deadline_s: for an answer, once the client is loaded.
+        realtime: ``ignore`` or ``enforce`` (needs PREEMPT_RT).
+        cameras: scene and tactile cameras by name; each is one image of the observation, and a tactile one two: its
+            free-air reference is ``NAME_ref``.
+        open_width_m: fingers at least so far apart count as open, which a free-air reference needs.
+    """
+
+    address: str = "172.16.0.2"  # the controller's default
+    backend: Literal["franky", "pylibfranka"] = "franky"
+    fps: float = 30.0
+    gains: Gains = field(default_factory=lambda: ROLLOUT)
+    guards: GuardLimits = field(default_factory=GuardLimits)
+    stream: StreamSettings = field(default_factory=StreamSettings)
+    gripper: HandSettings = field(default_factory=HandSettings)
+    reflex_torque_Nm: float = 40.0
+    reflex_force_N: float = 40.0
+    connect_deadline_s: float = 2.5
+    realtime: Literal["ignore", "enforce"] = "ignore"
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)
+    open_width_m: float = 0.06  # the hand opens to 0.08
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_in_limits(self)
+        for name, kind in NESTED.items():
+            require_kind(f"UniforceFrankaConfig.{name}", getattr(self, name), kind)
+        require_one_of("backend", self.backend, ("franky", "pylibfranka"))
+        require_one_of("realtime", self.realtime, ("ignore", "enforce"))
+
+    @property
+    def fingers(self) -> dict[str, TactileFingerConfig]:
+        """The tactile ones of the cameras."""
+        return {name: c for name, c in self.cameras.items() if isinstance(c, TactileFingerConfig)}
+
+    @property
+    def arm_settings(self) -> ArmSettings:
+        """What the arm's backend wants to know."""
+        return ArmSettings(
+            address=self.address,
+            connect_deadline_s=self.connect_deadline_s,
+            reflex_torque_Nm=self.reflex_torque_Nm,
+            reflex_force_N=self.reflex_force_N,
+            gains=self.gains,
+            realtime=self.realtime,
+        )

@@ -1,0 +1,291 @@
+"""The LeRobot robot: five axes and cameras in, five guarded axes out."""
+
+from __future__ import annotations
+
+import logging
+import math
+import reprlib
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from lerobot.cameras import Camera, make_cameras_from_configs
+from lerobot.robots import Robot
+
+from uniforce_robots.franka.arm import ArmState
+from uniforce_robots.franka.config import UniforceFrankaConfig
+from uniforce_robots.franka.guards import GuardChain
+from uniforce_robots.franka.hand import HandReading, HandThread, require_open
+from uniforce_robots.franka.make_backend import make_backend
+from uniforce_robots.franka.poses import ToolPose
+from uniforce_robots.franka.shutdown import forbid_return_motion
+from uniforce_robots.franka.stream import ArmStream
+from uniforce_vtla.errors import RobotError, SensorError, expected
+from uniforce_vtla.keys import AXES
+
+log = logging.getLogger(__name__)
+
+
+class UniforceFranka(Robot):
+    """A Franka arm under Cartesian impedance control, with its hand and cameras.
+
+    Actions are absolute targets in the robot's base frame, axes as in ``keys.AXES``: x, y, z m, yaw rad, width m. Each
+    passes the guards, becomes a ramp at 100 Hz, and pulls through a clipped spring. Any fault ends motion; only
+    ``recover`` allows it again. No call but ``connect``, ``recover`` and ``disconnect`` waits for anything.
+    """
+
+    config_class = UniforceFrankaConfig
+    name = "uniforce_franka"
+
+    def __init__(self, config: UniforceFrankaConfig, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(config)
+        self.config = config = replace(config)  # checks it again: a field may have been set since it was made
+        self._clock = clock
+        self.cameras = make_cameras_from_configs(config.cameras)
+        self.guards = GuardChain(config.guards)
+        self._arm, self._hand_driver = make_backend(config)
+        self._stream: ArmStream | None = None
+        self._hand: HandThread | None = None
+        self._fault: RobotError | None = None
+
+    # --- features ----------------------------------------------------------------------------------------------------
+
+    @property
+    def observation_features(self) -> dict[str, Any]:
+        """Five measured axes, (height, width, 3) for each camera, and again for each finger's reference."""
+        images = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
+        images |= {f"{name}_ref": images[name] for name in self.config.fingers}
+        return {**dict.fromkeys(AXES, float), **images}
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Five target axes."""
+        return dict.fromkeys(AXES, float)
+
+    # --- life --------------------------------------------------------------------------------------------------------
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether arm, hand and cameras are; a fault does not disconnect, so that its data can be kept."""
+        return self._stream is not None
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Always: the arm knows its joints."""
+        return True
+
+    def calibrate(self) -> None:
+        """Do nothing; the hand is homed on the robot's own page, since that moves the fingers."""
+
+    def configure(self) -> None:
+        """Do nothing; ``connect`` sets the reflex thresholds."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Connect arm, hand and cameras. Nothing moves before the first action.
+
+        Raises:
+            RobotError: already connected, no answer within the deadline, wrong version, no client installed.
+            SensorError: a camera or finger without signal, another sensor than configured, or no free air for its
+                reference.
+        """
+        if self.is_connected:
+            raise RobotError(
+                "robot: expected a robot not connected, got one that is. Disconnect first.", "other"
+            )
+        forbid_return_motion()
+        try:
+            self._connect_all()
+        finally:
+            if self._stream is None:  # something on the way failed, cameras included
+                self.disconnect()
+
+    def _connect_all(self) -> None:
+        self._arm.connect()
+        hand = HandThread(self._hand_driver, self.config.gripper)
+        hand.start()
+        self._hand = hand
+        if any(finger.reference_on_connect for finger in self.config.fingers.values()):
+            require_open(hand.reading, self.config.open_width_m)
+        for camera in self.cameras.values():
+            camera.connect()
+        self._start_stream()
+
+    def require_open_hand(self) -> None:
+        """Refuse a free-air reference while the fingers may hold something.
+
+        Raises:
+            SensorError: the hand is not open.
+            RobotError: a fault of the hand, or not connected.
+        """
+        require_open(self._parts()[1].reading, self.config.open_width_m)
+
+    def _start_stream(self) -> None:
+        if self._hand is None:
+            raise RobotError("robot: expected a hand, got none. Call connect().", "ended")
+        settings = replace(self.config.stream, action_period_s=1 / self.config.fps)
+        stream = ArmStream(self._arm, settings, self.config.guards, self._hand.check, self._clock)
+        stream.start()
+        self._stream = stream
+        self._fault = None
+        self.guards.reset()
+
+    def recover(self) -> None:
+        """Clear a reflex on an operator's word. Nothing moves; the first target starts from the measured pose.
+
+        Raises:
+            RobotError: the cause is still there (a pressed stop, a hand that is gone), or the robot is not connected.
+        """
+        stream, hand = self._parts()
+        hand.recover()
+        stream.stop()
+        self._arm.recover()
+        self._start_stream()
+
+    def disconnect(self) -> None:
+        """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice.
+
+        Threads left inside a C++ client at the interpreter's end abort the process (exit code 134).
+        """
+        stream, self._stream = self._stream, None
+        hand, self._hand = self._hand, None
+        stale_count = stream.stale_count if stream is not None else 0
+        with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
+            closing.callback(log.info, "guards acted: %s", {**self.guards.counts, "watchdog": stale_count})
+            for camera in self.cameras.values():
+                closing.callback(_disconnect_camera, camera)
+            closing.callback(self._arm.close)
+            closing.callback(self._hand_driver.close)
+            if hand is not None:
+                closing.callback(hand.stop)
+            if stream is not None:
+                closing.callback(stream.stop)
+
+    # --- observation and action --------------------------------------------------------------------------------------
+
+    def measured(self) -> np.ndarray:
+        """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
+
+        Raises:
+            RobotError: not connected, a fault of arm or hand, or a reading too old.
+        """
+        stream, hand = self._parts()
+        pose = ToolPose.from_ee(stream.state.ee_to_base)
+        return np.array([*pose.position_m, pose.yaw_rad, hand.reading.width_m])
+
+    @property
+    def reading(self) -> tuple[ArmState, HandReading]:
+        """All that arm and hand told last, for a recorder. Never blocks.
+
+        Raises:
+            RobotError: as ``measured``.
+        """
+        stream, hand = self._parts()
+        return stream.state, hand.reading
+
+    @property
+    def guard_counts(self) -> dict[str, int]:
+        """How often each guard acted since this object was made; ``watchdog`` since the last connect."""
+        watchdog = 0 if self._stream is None else self._stream.stale_count
+        return {**self.guards.counts, "watchdog": watchdog}
+
+    def get_observation(self) -> dict[str, Any]:
+        """Return the measured axes and the newest image of each camera.
+
+        Raises:
+            RobotError: a fault of arm or hand.
+            SensorError, RuntimeError, OSError: a camera or finger that is lost, stale or frozen; the arm has stopped.
+        """
+        with self._halting():
+            axes = dict(zip(AXES, self.measured().tolist(), strict=True))
+        images = {name: self._image(name, camera) for name, camera in self.cameras.items()}
+        return {**axes, **images, **{f"{name}_ref": self._reference(name) for name in self.config.fingers}}
+
+    def _image(self, name: str, camera: Camera) -> np.ndarray:
+        try:
+            image: np.ndarray = camera.read_latest()
+        except (SensorError, RuntimeError, OSError) as error:  # how LeRobot's own cameras fail: the last two
+            self.guards.count_sensor_fault(name, error)
+            self._halt(RobotError(f"{name}: {error}", "sensor"))
+            raise
+        return image
+
+    def _reference(self, name: str) -> np.ndarray:
+        image: np.ndarray = self.cameras[name].reference_image()
+        return image.copy()  # what LeRobot gets it may write to
+
+    def hold(self) -> None:
+        """Let the arm rest where it is, at once; nothing is refused afterwards. Does nothing once it has stopped."""
+        if self._stream is not None:
+            self._stream.hold()
+        self.guards.reset()
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, float]:
+        """Guard an action and make it the target; return what was sent. Never blocks.
+
+        Raises:
+            RobotError: an axis is missing or no finite number, or the robot has a fault. The arm rests then, and every
+                action is refused until ``recover``.
+        """
+        with self._halting():
+            sent = self._send(action)
+        return dict(zip(AXES, sent.tolist(), strict=True))
+
+    def _send(self, action: dict[str, Any]) -> np.ndarray:
+        if self._fault is not None:
+            raise self._fault
+        stream, hand = self._parts()
+        hand.check()
+        missing = [axis for axis in AXES if axis not in action]
+        if missing:
+            raise RobotError(expected("action", AXES, f"{missing} missing", "Send all five."), "action")
+        wanted = np.array([_number(axis, action[axis]) for axis in AXES])
+        sent = self.guards(wanted, self.measured(), self._clock())
+        stream.submit(ToolPose(sent[:3], float(sent[3])))
+        hand.submit(float(sent[4]))
+        return sent
+
+    @contextmanager
+    def _halting(self) -> Iterator[None]:
+        """Let nothing that is raised leave the arm pulling at its last target."""
+        try:
+            yield
+        except RobotError as fault:
+            self._halt(fault)
+            raise
+        except Exception as error:  # whatever a policy hands over: the arm must not go on
+            do = "The policy or the teleoperator is broken; the robot stops."
+            broken = RobotError(expected("action", "five numbers by name", repr(error), do), "action")
+            self._halt(broken)
+            raise broken from error
+        except BaseException:  # Ctrl-C
+            self.hold()
+            raise
+
+    def _halt(self, fault: RobotError) -> None:
+        """Latch a fault; the stream's thread lets go of the arm, and no caller waits for it."""
+        if self._stream is not None and self._fault is None:
+            self._fault = fault
+            self._stream.halt(fault)
+
+    def _parts(self) -> tuple[ArmStream, HandThread]:
+        if self._stream is None or self._hand is None:
+            raise RobotError("robot: expected a connected one, got none. Call connect().", "ended")
+        return self._stream, self._hand
+
+
+def _number(axis: str, value: Any) -> float:
+    """Return a number, also of a tensor of one; a text that reads like one is none."""
+    if isinstance(value, bool | str | bytes):
+        raise RobotError(expected(axis, "a number", reprlib.repr(value), "The robot stops."), "action")
+    number = float(value.item() if hasattr(value, "item") else value)
+    if not math.isfinite(number):
+        raise RobotError(expected(axis, "a finite number", number, "The robot stops."), "action")
+    return number
+
+
+def _disconnect_camera(camera: Camera) -> None:
+    if camera.is_connected:
+        camera.disconnect()

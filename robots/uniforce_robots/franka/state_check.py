@@ -1,0 +1,110 @@
+"""Is what the robot reports possible? Finite, continuous, within its own speed limits, from a clock that advances."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from uniforce_robots.franka.arm import ArmState
+from uniforce_vtla.errors import RobotError, expected
+
+# Franka Research 3 data sheet; a fifth more than a joint can do is no measurement.
+JOINT_SPEED_rad_s = 1.2 * np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
+HAND_SPEED_m_s, HAND_TURN_rad_s = 2.0, 3.0
+LONGEST_s = (
+    0.02  # after a longer pause the allowed distance is counted from here: a pause does not excuse a jump
+)
+NOISE_m, NOISE_rad = 0.005, 0.05
+ROTATION_ERROR = 1e-2  # of RᵀR from the identity
+LEAD_m = (
+    0.015  # closer to its target than this the spring is not clipped, so a target that moves moves the arm
+)
+FROZEN_m, FROZEN_READINGS = 0.005, 3  # a target went so far and no joint changed by a single bit
+
+
+class StateCheck:
+    """Compare each reading with the one before. ``reset`` by making a new one."""
+
+    def __init__(self) -> None:
+        self._last: ArmState | None = None
+        self._target_m: np.ndarray | None = None
+        self._unanswered_m, self._unchanged = 0.0, 0
+
+    def __call__(self, state: ArmState) -> None:
+        """Accept a reading.
+
+        Raises:
+            RobotError: ``bad_state`` (no numbers, no rotation, a clock that runs backwards), ``force`` (the force
+                estimate is lost), ``speed`` or ``jump`` (faster than the arm can be), ``frozen`` (its target moved and
+                the joints did not change by a single bit).
+        """
+        _require_possible(state)
+        if self._last is not None:
+            _require_continuous(self._last, state)
+            self._require_alive(self._last, state)
+        self._last = state
+
+    def follows(self, target_m: np.ndarray) -> None:
+        """Note where the arm is pulled to, (3,) base frame m."""
+        if self._target_m is not None and self._last is not None:
+            lead_m = float(np.linalg.norm(target_m - self._last.ee_to_base[:3, 3]))
+            step_m = float(np.linalg.norm(target_m - self._target_m))
+            self._unanswered_m += step_m if lead_m < LEAD_m else 0.0
+        self._target_m = target_m
+
+    def _require_alive(self, last: ArmState, state: ArmState) -> None:
+        if not np.array_equal(last.q_rad, state.q_rad):
+            self._unanswered_m, self._unchanged = 0.0, 0
+        self._unchanged += state.robot_time_s > last.robot_time_s
+        if self._unanswered_m > FROZEN_m and self._unchanged > FROZEN_READINGS:
+            came = f"none while the target moved {1000 * self._unanswered_m:.0f} mm"
+            raise RobotError(
+                expected("arm state", "joints that change", came, "Restart the robot's controller."), "frozen"
+            )
+
+
+def _require_possible(state: ArmState) -> None:
+    pose, joints = state.ee_to_base, (state.q_rad, state.dq_rad_s)
+    whole = np.isfinite(pose).all() and all(np.isfinite(row).all() for row in joints)
+    if not (whole and np.isfinite(state.robot_time_s)):
+        raise _bad("finite numbers", "NaN or infinity")
+    rotation = pose[:3, :3]
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > ROTATION_ERROR or np.linalg.det(rotation) < 0:
+        raise _bad("a rotation in its pose", rotation.round(3).tolist())
+    if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():
+        do = "Its encoders or the network lie; restart the robot's controller."
+        raise RobotError(
+            expected("joint speed", "within the data sheet's", state.dq_rad_s.round(2).tolist(), do), "speed"
+        )
+    if not np.isfinite(state.wrench_N).all():
+        do = "Without it nothing bounds a press; restart the robot's controller."
+        raise RobotError(
+            expected("force estimate", "finite numbers", state.wrench_N.round(2).tolist(), do), "force"
+        )
+
+
+def _require_continuous(last: ArmState, state: ArmState) -> None:
+    elapsed_s = state.robot_time_s - last.robot_time_s
+    if elapsed_s < 0:
+        raise _bad("a clock that advances", f"{1000 * elapsed_s:.0f} ms")
+    elapsed_s = min(elapsed_s, LONGEST_s)
+    moved_m = float(np.linalg.norm(state.ee_to_base[:3, 3] - last.ee_to_base[:3, 3]))
+    turned_rad = _angle(last.ee_to_base[:3, :3].T @ state.ee_to_base[:3, :3])
+    jumped = np.abs(state.q_rad - last.q_rad) > JOINT_SPEED_rad_s * elapsed_s + NOISE_rad
+    far = (
+        moved_m > HAND_SPEED_m_s * elapsed_s + NOISE_m or turned_rad > HAND_TURN_rad_s * elapsed_s + NOISE_rad
+    )
+    if far or jumped.any():
+        came = f"{1000 * moved_m:.0f} mm and {turned_rad:.2f} rad in {1000 * elapsed_s:.0f} ms"
+        raise RobotError(
+            expected("arm state", "a continuous motion", came, "Restart the robot's controller."), "jump"
+        )
+
+
+def _angle(rotation: np.ndarray) -> float:
+    """Return the angle of a (3, 3) rotation, rad."""
+    return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
+
+
+def _bad(wanted: str, came: object) -> RobotError:
+    do = "Nothing it says can be used; restart the robot's controller."
+    return RobotError(expected("arm state", wanted, came, do), "bad_state")

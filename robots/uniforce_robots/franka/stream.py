@@ -1,0 +1,319 @@
+"""The one thread that owns the arm: reads it and streams targets to it at 100 Hz, between actions that come at 30 Hz.
+
+A policy's steps become ramps; when actions stop coming the target becomes the measured pose, so that a spring that
+pressed lets go; a fault ends the stream and nothing moves until somebody recovers the arm. Each reading is checked
+before it is used, and each pose before it is sent.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from uniforce_robots.franka.arm import UNBELIEVED, Arm, ArmState, refuse_stopped
+from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
+from uniforce_robots.franka.limits import require_in_limits
+from uniforce_robots.franka.poses import ToolPose, between
+from uniforce_robots.franka.send_check import SendCheck
+from uniforce_robots.franka.state_check import StateCheck
+from uniforce_vtla.errors import RobotError, expected
+
+log = logging.getLogger(__name__)
+JOIN_s = 10.0  # a backend's own deadlines are shorter
+GOOD_RATE = 0.9  # share of commands in time, below which someone should look at the computer
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """Rhythm of the stream; hard limits in ``limits.HARD_LIMITS``.
+
+    Attributes:
+        rate_hz: targets per second.
+        action_period_s: how long a ramp to a new action takes; the policy's own period.
+        stale_s: an action older than this is no longer followed.
+        state_age_s: a reading older than this is not used; a robot whose clock stands still for so long is gone.
+    """
+
+    rate_hz: float = 100.0
+    action_period_s: float = 1 / 30
+    stale_s: float = 0.2
+    state_age_s: float = 0.2
+
+    def __post_init__(self) -> None:
+        require_in_limits(self)
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A straight way from one pose to another, begun at a time."""
+
+    start: ToolPose
+    end: ToolPose
+    begun_s: float
+    duration_s: float
+
+    def at(self, now_s: float) -> ToolPose:
+        """Return the pose at a time; before the start and after the end it rests."""
+        share = (now_s - self.begun_s) / self.duration_s if self.duration_s > 0 else 1.0
+        return between(self.start, self.end, min(max(share, 0.0), 1.0))
+
+
+class ArmStream:
+    """Own an arm that is connected: ``start``, ``submit`` actions, read ``state``, ``stop``.
+
+    Args:
+        arm: a connected backend; no other thread may call it until ``stop`` has returned.
+        settings: rhythm.
+        limits: what is sent obeys them, whatever was submitted.
+        watch: called each tick; what it raises ends the stream. For what else has to be well while the arm moves.
+        clock: seconds, monotonic, the one that stamps the arm's readings.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: StreamSettings | None = None,
+        limits: GuardLimits | None = None,
+        watch: Callable[[], None] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.settings = settings or StreamSettings()
+        self.stale_count = 0  # how often the watchdog took the target away
+        self._limits = limits or GuardLimits()
+        self._arm, self._watch, self._clock = arm, watch or (lambda: None), clock
+        self._check_state, self._check_sent = StateCheck(), SendCheck(self._limits)
+        self._lock = threading.Lock()
+        self._state: ArmState | None = None
+        self._ramp: Ramp | None = None
+        self._sent: ToolPose | None = None
+        self._sent_s = self._submitted_s = 0.0
+        self._robot_time_s = self._advanced_s = 0.0
+        self._asked_s: float | None = None  # since when the client owes us a reading
+        self._read_s = 0.0  # when it gave the last one
+        self._rest_wanted = self._holding = self._late = False
+        self._fault: RobotError | None = None
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="arm-stream")
+
+    def start(self) -> None:
+        """Read the arm once, so that a state is there, and begin.
+
+        Raises:
+            RobotError: no reading, or one that can't be.
+        """
+        self.read_first()
+        self._thread.start()
+
+    def read_first(self) -> None:
+        """Read the arm once without starting the thread.
+
+        Raises:
+            RobotError: no reading, or one that can't be.
+        """
+        state = self._arm.state()
+        self._check_state(state)
+        self._state = state
+        self._robot_time_s, self._advanced_s = state.robot_time_s, self._clock()
+
+    def stop(self) -> None:
+        """Let go of the arm and wait for the thread. Safe to call twice; the arm's fault, if any, stays readable."""
+        self._ending.set()
+        if self._thread.ident is None:
+            return
+        self._thread.join(JOIN_s)
+        if self._thread.is_alive():
+            do = "The client hangs; end the process."
+            raise RobotError(expected("arm thread", f"an end within {JOIN_s} s", "none", do), "connection")
+
+    def halt(self, fault: RobotError) -> None:
+        """End the stream for a reason; the thread lets go of the arm by itself. Never blocks."""
+        self._fault = self._fault or fault
+        self._ending.set()
+
+    @property
+    def fault(self) -> RobotError | None:
+        """What ended the stream, None while all is well."""
+        return self._fault
+
+    @property
+    def state(self) -> ArmState:
+        """The newest reading. Never blocks.
+
+        Raises:
+            RobotError: the arm has a fault, or the reading is older than ``state_age_s``.
+        """
+        self._check()
+        with self._lock:
+            state = self._state
+        if state is None:
+            raise RobotError(
+                "arm stream: expected start() first, got no reading. Connect the robot.", "ended"
+            )
+        self._refuse_old(state)
+        return state
+
+    def _refuse_old(self, state: ArmState) -> None:
+        now_s, limit_s = self._clock(), self.settings.state_age_s
+        age_s = now_s - state.time_s
+        if age_s <= limit_s:
+            return
+        owes = self._asked_s is not None and now_s - self._asked_s > age_s / 2  # the client does not answer
+        repeats = now_s - self._read_s < age_s / 2  # it answers with what it said before
+        if owes or repeats:
+            raise _silent(age_s)
+        wanted = f"a reading younger than {limit_s} s"
+        raise RobotError(
+            expected("arm state", wanted, f"{age_s:.2f} s", "Is the computer overloaded?"), "stale"
+        )
+
+    def submit(self, target: ToolPose) -> None:
+        """Go to a pose within an action's period. Never blocks.
+
+        Raises:
+            RobotError: the arm has a fault, or the stream has ended.
+        """
+        self._check()
+        if self._ending.is_set():
+            raise RobotError(
+                "arm: expected a running stream, got one that has ended. Connect again.", "ended"
+            )
+        with self._lock:
+            now = self._clock()
+            self._ramp = Ramp(self._sent or self._measured(), target, now, self.settings.action_period_s)
+            self._submitted_s, self._rest_wanted, self._holding = now, False, False
+
+    def hold(self) -> None:
+        """Pull towards where the arm is, from the next tick on. Does nothing before the first action."""
+        self._rest_wanted = True
+
+    def _check(self) -> None:
+        if self._fault is not None:
+            raise self._fault
+
+    def _measured(self) -> ToolPose:
+        if self._state is None:
+            raise RobotError("arm stream: expected start() first, got an action. Connect the robot.", "ended")
+        return ToolPose.from_ee(self._state.ee_to_base)
+
+    def _run(self) -> None:
+        """Stream until asked to end; whatever ends it, the arm is let go and nothing more is taken."""
+        try:
+            self._loop()
+        except RobotError as fault:
+            self._end_with(fault)
+        except Exception as error:  # the thread's outermost frame: the caller must learn why it ended
+            self._end_with(
+                RobotError(f"arm stream: {type(error).__name__}: {error}. Please report it.", "other")
+            )
+        finally:
+            self._ending.set()
+            self._let_go()
+
+    def _end_with(self, fault: RobotError) -> None:
+        self._fault = self._fault or fault
+        log.error("arm stopped (%s): %s", self._fault.fault, self._fault)
+
+    def _loop(self) -> None:
+        due = time.monotonic()
+        # Not a daemon, which would die inside the C++ client: it ends in order when the program does.
+        while not self._ending.is_set() and threading.main_thread().is_alive():
+            self.tick()
+            due = max(due + 1 / self.settings.rate_hz, time.monotonic())
+            self._ending.wait(due - time.monotonic())
+
+    def tick(self) -> None:
+        """Read, check, and send the next pose; what the thread does at ``rate_hz``.
+
+        Raises:
+            RobotError: nothing may be sent any more.
+        """
+        state = self._read()
+        self._watch()
+        with self._lock:
+            self._state = state
+            target = self._target(self._clock())
+        if target is not None:
+            self._send(target, state)
+
+    def _read(self) -> ArmState:
+        """Return a reading that can be believed, of an arm that may move."""
+        self._asked_s = self._clock()
+        state = self._arm.state()
+        self._asked_s, self._read_s = None, self._clock()
+        self._check_state(state)
+        self._refuse_silent(state)
+        refuse_stopped(state)
+        self._warn_of_late_commands(state)
+        return state
+
+    def _send(self, target: ToolPose, state: ArmState) -> None:
+        now = self._clock()
+        self._check_sent(target, ToolPose.from_ee(state.ee_to_base), now)
+        self._check_state.follows(target.position_m)
+        self._sent, self._sent_s = target, now
+        try:
+            self._arm.set_target(target.ee_to_base())
+        except RobotError:
+            self._read()  # a reading that is wrong is the better reason
+            raise
+
+    def _refuse_silent(self, state: ArmState) -> None:
+        """Notice a robot whose clock stands still; its client does so only after a second."""
+        now = self._clock()
+        if state.robot_time_s != self._robot_time_s:
+            self._robot_time_s, self._advanced_s = state.robot_time_s, now
+        if now - self._advanced_s > self.settings.state_age_s:
+            raise _silent(now - self._advanced_s)
+
+    def _warn_of_late_commands(self, state: ArmState) -> None:
+        late = state.mode == "move" and state.success_rate < GOOD_RATE
+        if late and not self._late:
+            log.warning("only %.0f%% of the commands reach the robot in time", 100 * state.success_rate)
+        self._late = late
+
+    def _target(self, now_s: float) -> ToolPose | None:
+        """Return where to pull now, None before the first action; the lock is held."""
+        if self._ramp is None:
+            return None
+        if not self._holding and now_s - self._submitted_s > self.settings.stale_s:
+            self.stale_count += 1
+            self._rest_wanted = True
+            log.warning("no action for %.0f ms: holding the measured pose", 1000 * self.settings.stale_s)
+        if self._rest_wanted:
+            self._rest_here(now_s)
+        return self._ramp.at(now_s) if self._holding else self._slowed(self._ramp.at(now_s), now_s)
+
+    def _slowed(self, goal: ToolPose, now_s: float) -> ToolPose:
+        """Return the goal, or as far towards it as speed × time allows: also a thread that was late makes no jump."""
+        if self._sent is None:
+            return self._measured()
+        limits = self._limits
+        elapsed_s = min(now_s - self._sent_s, limits.longest_gap_s)
+        return ToolPose(
+            towards(self._sent.position_m, goal.position_m, limits.speed_m_s * elapsed_s),
+            turn_towards(self._sent.yaw_rad, goal.yaw_rad, limits.speed_rad_s * elapsed_s),
+        )
+
+    def _rest_here(self, now_s: float) -> None:
+        """Take the measured pose as target, once: followed for ever it would let the arm sink under any load."""
+        here = self._measured()
+        self._ramp = Ramp(here, here, now_s, 0.0)
+        self._rest_wanted, self._holding = False, True
+
+    def _let_go(self) -> None:
+        unbelieved = self._fault is not None and self._fault.fault in UNBELIEVED
+        try:
+            self._arm.stop(at_once=unbelieved)
+        except RobotError as error:
+            log.error("arm did not stop in order: %s", error)
+            self._fault = self._fault or error
+
+
+def _silent(for_s: float) -> RobotError:
+    do = "Check the cable and the robot's controller."
+    return RobotError(
+        expected("arm", "new states from the robot", f"none for {for_s:.2f} s", do), "connection"
+    )

@@ -1,0 +1,216 @@
+"""Record equilibrium pairs: guide grasps of one indenter after the other until enough pairs are slow and balanced.
+
+A frame is kept when the hand is slow (``gate``), the score finds it balanced (``pair_judge``), and its force cell is
+not crowded yet (``coverage``). Kept pairs are saved chunk by chunk; a recorder started again goes on where the disk
+stops.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uniforce_robots.pairs.coverage import Coverage, contact_place
+from uniforce_robots.pairs.gate import MotionLimits
+from uniforce_robots.pairs.pair_judge import PairJudge, PairQuality
+from uniforce_robots.pairs.rig import PairRig
+from uniforce_robots.pairs.storage import MIN_CHUNK, Pair, PairStore, Session
+from uniforce_robots.pairs.track import FingerReaders, GraspTrack
+from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.errors import DatasetError, expected
+
+KEPT = "kept"
+LIVE_EVERY = 5  # frames between two live scores
+
+
+@dataclass(frozen=True)
+class RecordingPlan:
+    """What to record.
+
+    Attributes:
+        pairs: per indenter.
+        chunk: pairs saved at once; what a kill may cost.
+        limits: what counts as slow.
+        crowded: largest share of an indenter's pairs in one cell of force; more are left out.
+        longest_grasp: frames after which a grasp is judged although the fingers hold on.
+        give_up: frames per wanted pair after which an indenter is given up: something is wrong then.
+    """
+
+    pairs: int = 1000
+    chunk: int = 50
+    limits: MotionLimits = field(default_factory=MotionLimits)
+    crowded: float = 0.25
+    longest_grasp: int = 300
+    give_up: int = 60
+
+
+@dataclass(frozen=True)
+class Status:
+    """What an operator sees.
+
+    Attributes:
+        indenter, indenters: number of the current one, from 1, and of all.
+        name: of the indenter.
+        have, wanted: pairs.
+        error: live score of the newest pair.
+        reason: why the newest frame would not be kept; "" where it would.
+        coverage: of this indenter.
+    """
+
+    indenter: int
+    indenters: int
+    name: str
+    have: int
+    wanted: int
+    error: float
+    reason: str
+    coverage: Coverage
+
+
+@dataclass
+class SessionReport:
+    """What became of the frames.
+
+    Attributes:
+        outcomes: how many frames were kept, or why not.
+        kept: (grasp, frame within the grasp) of every kept pair, in order.
+    """
+
+    outcomes: Counter[str] = field(default_factory=Counter)
+    kept: list[tuple[int, int]] = field(default_factory=list)
+
+
+class PairRecorder:
+    """One session: references are taken once, then grasps come in.
+
+    Args:
+        rig: delivers frames.
+        store: keeps pairs.
+        plan: what to record.
+        show: called with the live status.
+    """
+
+    def __init__(
+        self, rig: PairRig, store: PairStore, plan: RecordingPlan, show: Callable[[Status], None]
+    ) -> None:
+        self._rig, self._store, self._plan, self._show = rig, store, plan, show
+        self._judge = PairJudge()
+        self.report = SessionReport()
+
+    def run(self) -> SessionReport:
+        """Record what is missing of every indenter.
+
+        Raises:
+            DatasetError: an indenter yields hardly any pairs, or the disk is full.
+            SensorError, RobotError: from the rig; what was saved stays.
+        """
+        missing = [i for i, have in enumerate(self._store.counts) if have < self._plan.pairs]
+        if missing:
+            session = Session(self._store.next_session, self._rig.references())
+            readers = FingerReaders(self._rig, session.references)
+            for indenter in missing:
+                self._record(_Pairs(indenter, self._store, self._plan, session), readers)
+        return self.report
+
+    def _record(self, pairs: _Pairs, readers: FingerReaders) -> None:
+        """Guide grasps of one indenter until enough is saved."""
+        track = GraspTrack(self._rig.mass_kg, readers)
+        for count, frame in enumerate(self._rig.frames(pairs.name), 1):
+            is_long = len(track.frames) >= self._plan.longest_grasp
+            if track.frames and (is_long or frame.grasp != track.frames[0].grasp):
+                self._finish(track, pairs)
+                track = GraspTrack(self._rig.mass_kg, readers)
+            if pairs.missing <= 0:
+                return
+            track.add(frame)
+            if count % LIVE_EVERY == 0:
+                self._show(self._status(track, pairs))
+            self._refuse_endless(count, pairs)
+
+    def _finish(self, track: GraspTrack, pairs: _Pairs) -> None:
+        """Judge a whole grasp, keep what is good, learn from all of it."""
+        quality = self._judge.judge(track.signals())
+        self._judge.learn(track.signals())
+        outcomes = pairs.take(track, quality, self._reasons(track, quality))
+        self.report.outcomes.update(outcomes)
+        number = track.frames[0].grasp
+        self.report.kept += [(number, k) for k, outcome in enumerate(outcomes) if outcome == KEPT]
+        self._show(self._status(track, pairs))
+
+    def _reasons(self, track: GraspTrack, quality: PairQuality) -> list[str]:
+        """Why each frame would not be kept, "" where it would."""
+        gate = track.gate(self._rig.rate_hz, self._plan.limits).tolist()
+        flags = zip(gate, quality.flagged, strict=True)
+        return [reason or ("out of balance" if flagged else "") for reason, flagged in flags]
+
+    def _status(self, track: GraspTrack, pairs: _Pairs) -> Status:
+        quality = self._judge.judge(track.signals())
+        return Status(
+            pairs.indenter + 1,
+            len(self._store.indenters),
+            pairs.name,
+            pairs.have,
+            self._plan.pairs,
+            float(quality.error[-1]),
+            self._reasons(track, quality)[-1],
+            self._store.coverage[pairs.indenter],
+        )
+
+    def _refuse_endless(self, frames: int, pairs: _Pairs) -> None:
+        if frames < self._plan.longest_grasp + self._plan.give_up * self._plan.pairs:
+            return
+        why = ", ".join(f"{name} {count}" for name, count in self.report.outcomes.most_common(4))
+        wanted = f"{self._plan.pairs} pairs of {pairs.name}"
+        do = "Hold the object from outside, lead slowly, take the references anew."
+        raise DatasetError(expected("guided grasps", wanted, f"{pairs.have} in {frames} frames ({why})", do))
+
+
+class _Pairs:
+    """Good pairs of one indenter on their way to the store."""
+
+    def __init__(self, indenter: int, store: PairStore, plan: RecordingPlan, session: Session) -> None:
+        self.indenter, self.name = indenter, store.indenters[indenter]
+        self._store, self._plan, self._session = store, plan, session
+        self._waiting: list[Pair] = []
+        self._cells = store.coverage[indenter].force.copy()  # with those that wait
+
+    @property
+    def have(self) -> int:
+        """Pairs saved or waiting."""
+        return int(self._store.counts[self.indenter]) + len(self._waiting)
+
+    @property
+    def missing(self) -> int:
+        """Pairs still wanted."""
+        return self._plan.pairs - self.have
+
+    def take(self, track: GraspTrack, quality: PairQuality, reasons: list[str]) -> list[str]:
+        """Keep a grasp's good pairs, save full chunks; return what became of each frame."""
+        place = contact_place(np.array(track.fields["left"]))
+        outcomes = []
+        for k, reason in enumerate(reasons):
+            force_N = {f: track.forces[f][k] for f in FINGERS}
+            pair = Pair(track.frames[k], force_N, place[k], float(quality.error[k]))
+            outcomes.append(reason or self._keep(pair))
+            if self._is_due():
+                self._store.add(self.indenter, self._session, self._waiting)
+                self._waiting = []
+        return outcomes
+
+    def _keep(self, pair: Pair) -> str:
+        if self.missing <= 0:
+            return "enough"
+        cell = Coverage.cell(pair.mean_force_N)
+        if self._cells[cell] >= max(1.0, self._plan.crowded * self._plan.pairs):
+            return "crowded"
+        self._cells[cell] += 1
+        self._waiting.append(pair)
+        return KEPT
+
+    def _is_due(self) -> bool:
+        """A full chunk, or the last one; the last but one leaves enough for a chunk behind."""
+        waits, after = len(self._waiting), self.missing
+        return waits >= MIN_CHUNK and (after <= 0 or (waits >= self._plan.chunk and after >= MIN_CHUNK))

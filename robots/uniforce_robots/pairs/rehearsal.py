@@ -1,0 +1,120 @@
+"""Guided grasps in simulation: two units, an indenter, and the images both fingers would see.
+
+Yields what a rig would deliver. The truth beside it is for whoever judges the score, never for the score. Forces are
+canonical (the left finger's frame), so that in equilibrium both are equal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uniforce_robots.pairs.guided_grasp import GraspSettings, draw_grasp
+from uniforce_robots.pairs.pair_judge import FLOOR_N
+from uniforce_robots.pairs.rig import RigFrame
+from uniforce_vtla.contact.indenters import gap_maps
+from uniforce_vtla.contact.mirror import mirrored
+from uniforce_vtla.contact.options import ContactOptions
+from uniforce_vtla.contact.views import draw_simulator, images_of
+from uniforce_vtla.contracts import FINGERS, ContactState, Finger
+
+LIMIT = 0.10  # true relative error above which a pair must not be trained on
+OPTIONS = ContactOptions()
+UNIT_STRENGTH = 1.0  # unit-to-unit variation
+MASS_kg = (0.15, 0.40)  # range of the object's mass with what moves of its holder; one per session
+MASS_KNOWN = 0.05  # relative standard deviation of the mass an operator enters
+MISALIGNED_mm = 0.5  # fingers that don't face each other exactly: the right contact lies off by up to so much
+REACH_mm = 4.0  # how far from the pad's centre an object is grasped
+CANONICAL = np.array([-1.0, 1.0, 1.0])  # the right finger's own x against the canonical one
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """One session's rig: registry names, the seed of units, grasps and noise, and how a hand guides."""
+
+    left_sensor: str = "gelsight"
+    right_sensor: str = "tactip"
+    seed: int = 0
+    grasps: GraspSettings = field(default_factory=GraspSettings)
+
+
+@dataclass(frozen=True)
+class GraspTruth:
+    """What only a simulator knows of a grasp: the pairs' true error (T,), and what went wrong."""
+
+    error: np.ndarray
+    fault: str
+
+
+def equilibrium_error(left_N: np.ndarray, right_N: np.ndarray) -> np.ndarray:
+    """Return (T,) ‖F_left − F_right‖ over the mean of both magnitudes, or over ``FLOOR_N`` where they are lighter.
+
+    Args:
+        left_N: (T, 3) force the left pad carries, canonical frame.
+        right_N: (T, 3) the right pad's, canonical frame.
+    """
+    mean = (np.linalg.norm(left_N, axis=-1) + np.linalg.norm(right_N, axis=-1)) / 2
+    return np.linalg.norm(left_N - right_N, axis=-1) / np.maximum(mean, FLOOR_N)
+
+
+class SimulatedRig:
+    """A ``PairRig``: two units that live for a session, and as many grasps of any indenter as one asks for.
+
+    Attributes:
+        truths: of each grasp so far.
+    """
+
+    def __init__(self, rehearsal: Rehearsal) -> None:
+        self.rehearsal = rehearsal
+        self.rate_hz = rehearsal.grasps.rate_hz
+        self.sensors: dict[Finger, str] = {"left": rehearsal.left_sensor, "right": rehearsal.right_sensor}
+        self.truths: list[GraspTruth] = []
+        self._rng = np.random.default_rng([rehearsal.seed, 77])
+        self._fingers = {
+            finger: draw_simulator(self._rng, sensor, UNIT_STRENGTH, OPTIONS)
+            for finger, sensor in self.sensors.items()
+        }
+        self._true_mass_kg = float(self._rng.uniform(*MASS_kg))
+        self.mass_kg = self._true_mass_kg * (1 + MASS_KNOWN * float(self._rng.standard_normal()))
+
+    def references(self) -> dict[Finger, np.ndarray]:
+        """Return both free-air marker images (480, 640)."""
+        return {finger: simulator.reference() for finger, simulator in self._fingers.items()}
+
+    def frames(self, indenter: str) -> Iterator[RigFrame]:
+        """Yield frames of grasps of one indenter without end."""
+        while True:
+            yield from self._grasp(indenter)
+
+    def _grasp(self, indenter: str) -> list[RigFrame]:
+        grasp = draw_grasp(self._rng, self.rehearsal.grasps, self._true_mass_kg, OPTIONS.friction)
+        contacts = self._contacts(indenter, grasp.left_N, grasp.right_N)
+        images = {f: images_of(self._fingers[f], contact) for f, contact in contacts.items()}
+        left, right = (self._fingers[f].carried(contact)[0] for f, contact in contacts.items())
+        number = len(self.truths)
+        self.truths.append(GraspTruth(equilibrium_error(left, right * CANONICAL), grasp.fault))
+        moments = zip(grasp.velocity_m_s, grasp.acceleration_m_s2, grasp.grip_N.tolist(), strict=True)
+        return [
+            RigFrame(number, {f: images[f][k] for f in FINGERS}, *moment) for k, moment in enumerate(moments)
+        ]
+
+    def _contacts(self, indenter: str, left_N: np.ndarray, right_N: np.ndarray) -> dict[Finger, ContactState]:
+        """Return each finger's contact in its own frame; the place stays the same for a grasp."""
+        rng = self._rng
+        centre = rng.uniform(-REACH_mm, REACH_mm, 2)
+        angle, scale = rng.uniform(-np.pi, np.pi), rng.uniform(0.85, 1.15)
+        off = rng.uniform(-1, 1, 2) * MISALIGNED_mm
+        states = [
+            _held(gap_maps([indenter], at[None], np.array([angle]), np.array([scale])), load)
+            for at, load in ((centre, left_N), (centre + off, right_N))
+        ]
+        return {"left": states[0], "right": mirrored(states[1])}
+
+
+def _held(gap: np.ndarray, load: np.ndarray) -> ContactState:
+    """Return the same object (1, G, G) in each frame of a load (T, 3), nothing where the pad carries nothing."""
+    gaps = np.repeat(gap, len(load), axis=0)
+    gaps[load[:, 2] <= 0] = np.inf
+    return ContactState(gaps.astype(np.float32), load.astype(np.float32), np.zeros(len(load), np.float32))

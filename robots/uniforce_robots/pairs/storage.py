@@ -1,0 +1,236 @@
+"""Kept pairs on disk, twice: as a LeRobot dataset and in the UniForce-pair layout. Each saved chunk survives a kill.
+
+The dataset comes first and is the one that counts: a chunk is an episode, committed in one step, marker images exact.
+The layout follows; where a kill leaves it behind, ``PairStore`` writes the missing images from the dataset when it
+opens.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from uniforce_datasets.features import MARKER_VIDEO_SHAPE, flat_column, scalar_column, vector_column
+from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.readers.recording import PairRecording
+from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.source import Episode, Source, episode_frames
+from uniforce_robots.pairs.coverage import Coverage
+from uniforce_robots.pairs.rig import RigFrame
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.keys import (
+    PAIR_ACCELERATION,
+    PAIR_ERROR,
+    PAIR_GRIP,
+    PAIR_INDENTER,
+    PAIR_PLACE,
+    PAIR_SESSION,
+    PAIR_VELOCITY,
+    TACTILE_KEYS,
+    pair_force_key,
+    sensor_key,
+    tactile_key,
+)
+
+LAYOUT, DATASET = "uniforce_pairs", "lerobot"
+PATTERN = "uniforce"
+MIN_CHUNK = 2  # LeRobot computes no statistics of fewer frames
+
+
+@dataclass(frozen=True)
+class Session:
+    """A number that counts reference captures, and the references: finger → (480, 640) uint8."""
+
+    number: int
+    references: dict[Finger, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A kept pair.
+
+    Attributes:
+        frame: images and motion.
+        force_N: finger → (3,) estimates, canonical frame.
+        place: (2,) estimated, see ``coverage.contact_place``.
+        error: estimated equilibrium error.
+    """
+
+    frame: RigFrame
+    force_N: dict[Finger, np.ndarray]
+    place: np.ndarray
+    error: float
+
+    @property
+    def mean_force_N(self) -> np.ndarray:  # noqa: N802  a unit
+        """(3,) of both fingers."""
+        return (self.force_N["left"] + self.force_N["right"]) / 2
+
+    def row(self) -> dict[str, Any]:
+        """Return the frame with the dataset's keys, all but the chunk's own."""
+        row: dict[str, Any] = {tactile_key(f): self.frame.images[f] for f in FINGERS}
+        numbers = {pair_force_key(f): self.force_N[f] for f in FINGERS} | {
+            PAIR_PLACE: self.place,
+            PAIR_ERROR: [self.error],
+            PAIR_VELOCITY: self.frame.velocity_m_s,
+            PAIR_ACCELERATION: self.frame.acceleration_m_s2,
+            PAIR_GRIP: [self.frame.grip_N],
+        }
+        return row | {key: np.asarray(value, np.float32) for key, value in numbers.items()}
+
+
+def pair_features() -> dict[str, dict]:
+    """Return LeRobot's features dict of recorded pairs."""
+    video = {"dtype": "video", "shape": MARKER_VIDEO_SHAPE, "names": ["height", "width", "channels"]}
+    features: dict[str, dict] = {key: dict(video) for key in TACTILE_KEYS}
+    features |= {pair_force_key(f): vector_column(["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
+    features |= {key: vector_column(["x", "y", "z"]) for key in (PAIR_VELOCITY, PAIR_ACCELERATION)}
+    features[PAIR_PLACE] = vector_column(["x", "y"])
+    features |= {key: scalar_column("float32") for key in (PAIR_ERROR, PAIR_GRIP)}
+    integers = (PAIR_INDENTER, PAIR_SESSION, *(sensor_key(f) for f in FINGERS))
+    return features | {key: flat_column(1, "int64") for key in integers}
+
+
+class PairStore:
+    """Appends chunks, or goes on with what is at ``root``.
+
+    Args:
+        root: folder; ``lerobot/`` and ``uniforce_pairs/`` below it.
+        left_sensor, right_sensor: registry names.
+        indenters: names, in the order of their indices.
+        rate_hz: frames per second, a whole number.
+        verify: how a dataset to go on with is checked, see ``check_dataset``.
+
+    Attributes:
+        counts: saved pairs of each indenter.
+        coverage: of each indenter.
+        next_session: number of a session that begins now.
+
+    Raises:
+        DatasetError: another recorder writes here, or other sensors, rates or features are there.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        left_sensor: str,
+        right_sensor: str,
+        indenters: tuple[str, ...],
+        rate_hz: int,
+        verify: str = "quick",
+    ) -> None:
+        self.root, self.indenters = Path(root), indenters
+        self.dataset, self.layout = self.root / DATASET, self.root / LAYOUT
+        # the layout names left and right by folders, which two sensors of one kind would share
+        same = left_sensor == right_sensor
+        self.names = (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
+        self._recorder = EpisodeRecorder(
+            self.dataset, "local/uniforce_pairs", left_sensor, right_sensor, rate_hz, features=pair_features()
+        )
+        self.counts = np.zeros(len(indenters), int)
+        self.coverage = [Coverage() for _ in indenters]
+        self.next_session = 0
+        if self._recorder.num_episodes:
+            self._go_on(verify)
+
+    def add(self, indenter: int, session: Session, pairs: Sequence[Pair]) -> None:
+        """Store pairs of one indenter and one session durably.
+
+        Raises:
+            ContractError: an unknown indenter, or fewer than two pairs.
+            DatasetError: the disk is full, or a frame could not be stored; what was saved before is intact.
+        """
+        if not 0 <= indenter < len(self.indenters) or len(pairs) < MIN_CHUNK:
+            came = f"indenter {indenter}, {len(pairs)} pairs"
+            wanted = f"one of {len(self.indenters)} indenters and ≥ {MIN_CHUNK} pairs"
+            raise ContractError(expected("chunk", wanted, came, "Collect more before saving."))
+        fixed = {tactile_key(f, reference=True): session.references[f] for f in FINGERS}
+        fixed |= {PAIR_INDENTER: np.array([indenter]), PAIR_SESSION: np.array([session.number])}
+        for pair in pairs:
+            self._recorder.add(fixed | pair.row(), f"hold the {self.indenters[indenter]}")
+        self._recorder.save(success=True, outcome="success", seed=0)  # a pair dataset has no such columns
+        forces, places = (
+            np.array(part) for part in zip(*((p.mean_force_N, p.place) for p in pairs), strict=True)
+        )
+        self._count(indenter, forces, places)
+        self.next_session = max(self.next_session, session.number + 1)
+        images = {f: np.stack([pair.frame.images[f] for pair in pairs]) for f in FINGERS}
+        self._write_layout(indenter, session, images)
+
+    def close(self) -> None:
+        """Let others write here."""
+        self._recorder.close()
+
+    def __enter__(self) -> PairStore:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _count(self, indenter: int, force_N: np.ndarray, place: np.ndarray) -> None:
+        self.counts[indenter] += len(force_N)
+        self.coverage[indenter].add(force_N, place)
+
+    # --- going on ----------------------------------------------------------------------------------------------------
+
+    def _go_on(self, verify: str) -> None:
+        """Count what is there and bring the layout up to it."""
+        source = check_dataset(self.dataset, verify)
+        forces = tuple(pair_force_key(f) for f in FINGERS)
+        columns = source.columns((PAIR_INDENTER, PAIR_SESSION, PAIR_PLACE, *forces))
+        indenter, session = (columns[key].reshape(-1) for key in (PAIR_INDENTER, PAIR_SESSION))
+        if indenter.max() >= len(self.indenters):
+            came = f"indenter {indenter.max()}"
+            do = "Give the same indenters as before."
+            raise DatasetError(expected(str(self.root), f"{len(self.indenters)} indenters", came, do))
+        force_N = (columns[forces[0]] + columns[forces[1]]) / 2
+        for index in np.unique(indenter):
+            self._count(int(index), force_N[indenter == index], columns[PAIR_PLACE][indenter == index])
+        self.next_session = int(session.max()) + 1
+        for place in sorted(set(zip(indenter.tolist(), session.tolist(), strict=True))):
+            self._catch_up(source, *place, rows=(indenter == place[0]) & (session == place[1]))
+
+    def _catch_up(self, source: Source, indenter: int, session: int, rows: np.ndarray) -> None:
+        """Write the layout's images that a kill left out; drop those the dataset does not know."""
+        pairs = self.layout / PATTERN / _date(session) / "_".join(self.names) / "marker"
+        stored = [sorted((pairs / name / self.indenters[indenter]).glob("[0-9]*.jpg")) for name in self.names]
+        have = min(int(rows.sum()), *map(len, stored))
+        for image in (image for images in stored for image in images[have:]):
+            image.unlink()
+        seen = 0
+        for episode in (episode for episode in source.episodes if rows[episode.start]):
+            if seen + episode.length > have:
+                self._write_episode(source, episode, indenter, session, max(have - seen, 0))
+            seen += episode.length
+
+    def _write_episode(
+        self, source: Source, episode: Episode, indenter: int, session: int, skip: int
+    ) -> None:
+        def frames(finger: Finger, reference: bool, count: int) -> np.ndarray:
+            span = episode.videos[tactile_key(finger, reference)]
+            return np.stack([image[..., 0] for image in episode_frames(span, count, source.fps)])
+
+        references = {f: frames(f, True, 1)[0] for f in FINGERS}
+        images = {f: frames(f, False, episode.length)[skip:] for f in FINGERS}
+        self._write_layout(indenter, Session(session, references), images)
+
+    def _write_layout(self, indenter: int, session: Session, images: dict[Finger, np.ndarray]) -> None:
+        references = session.references["left"], session.references["right"]
+        recording = PairRecording(
+            self.names, self.indenters[indenter], "", *references, images["left"], images["right"]
+        )
+        write_uniforce_pairs(self.layout, recording, PATTERN, _date(session.number))
+
+
+def _date(session: int) -> str:
+    """The layout's second level: a new session has new references, which may not share a folder."""
+    return f"session_{session:03d}"

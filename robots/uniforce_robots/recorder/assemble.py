@@ -1,0 +1,112 @@
+"""Connect the parts, run a session, and take everything apart again in order, whatever happens."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+from lerobot.teleoperators import Teleoperator
+
+from uniforce_datasets.source import read_source
+from uniforce_robots.recorder.disk_guard import DiskGuard
+from uniforce_robots.recorder.episode import Parts, Store
+from uniforce_robots.recorder.faults import Interrupts
+from uniforce_robots.recorder.live_view import LiveView
+from uniforce_robots.recorder.operators import KeyOperator, Operator, Unattended
+from uniforce_robots.recorder.rig import Rig, RigFacts
+from uniforce_robots.recorder.session import RecordingSession, SessionEnd, SessionSettings
+from uniforce_robots.recorder.steering import Steering
+from uniforce_robots.recorder.store import StoreProcess, StoreSettings
+from uniforce_robots.teleop.terminal_keys import TerminalKeys
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED
+
+# Python's own 5 ms between two threads' turns would be the largest part of a tick's lateness.
+SWITCH_s = 0.0005
+
+
+def make_operator(kind: str, verdict: str, quick_notes: Sequence[str], teleop: Teleoperator) -> Operator:
+    """Return what judges.
+
+    Args:
+        kind: ``keys`` or ``nobody``.
+        verdict: what every episode is called in an unattended session.
+        quick_notes: what digits mean.
+        teleop: where it reads the terminal itself, its other keys are used.
+
+    Raises:
+        ContractError: another kind.
+    """
+    match kind:
+        case "keys":
+            keys = getattr(teleop, "keys", None)
+            return KeyOperator(keys if isinstance(keys, TerminalKeys) else None, quick_notes)
+        case "nobody":
+            return Unattended(verdict)
+        case _:
+            raise ContractError(expected("operator", "keys | nobody", repr(kind), "Name one."))
+
+
+def judged_episodes(root: Path, have: int) -> int:
+    """Return how many saved episodes count: all but the aborted ones."""
+    if not have:
+        return 0
+    source = read_source(root)
+    outcomes = source.columns((OUTCOME,))[OUTCOME]
+    ends = np.array([episode.start for episode in source.episodes])
+    return int((outcomes[ends] != OUTCOME_NAMES.index("aborted")).sum())
+
+
+def next_seed(root: Path, have: int, first: int) -> int:
+    """Return the seed to go on with: seeds go on where the last session stopped."""
+    return int(read_source(root).columns((SEED,))[SEED].max()) + 1 if have else first
+
+
+def run_session(
+    rig: Rig,
+    teleop: Teleoperator,
+    operator: Operator,
+    store: StoreSettings,
+    settings: SessionSettings,
+    seed: int = 0,
+    out: TextIO | None = None,
+    open_store: Callable[[RigFacts, StoreSettings], Store] = StoreProcess,
+) -> SessionEnd:
+    """Connect, record, disconnect.
+
+    Args:
+        rig: not connected.
+        teleop: not connected.
+        operator: not started.
+        store: where to.
+        settings: what.
+        seed: of the first episode of an empty dataset.
+        out: where progress goes; None shows nothing.
+        open_store: opens the recorder; tests store in this process.
+
+    Raises:
+        UniForceError: nothing could be connected.
+        KeyboardInterrupt: interrupted twice; everything has been let go.
+    """
+    steering, interrupts = Steering(teleop), Interrupts()
+    with interrupts.counted(), ExitStack() as closing:
+        closing.callback(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(SWITCH_s)
+        recorder = open_store(rig.facts, store)
+        for close in (recorder.close, operator.stop, steering.close, rig.close, rig.hold):
+            closing.callback(close)  # last in, first done: the robot rests before anything is closed
+        rig.connect()
+        steering.connect()
+        operator.start()
+        raw_pixels = sum(shape[0] * shape[1] for shape in rig.facts.raw_frames.values())
+        disk = DiskGuard(store.root, recorder.features, raw_pixels, store.reserve_MB)
+        parts = Parts(rig, steering, operator, recorder, disk, LiveView(out, rig.facts.fps), interrupts)
+        have = recorder.num_episodes
+        session = RecordingSession(
+            parts, settings, judged_episodes(store.root, have), next_seed(store.root, have, seed)
+        )
+        return session.run()

@@ -1,0 +1,135 @@
+"""From a command line to devices: ``robot.KEY=…`` and ``teleop.KEY=…`` as LeRobot spells them, or a file."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import draccus
+import yaml
+from lerobot.robots import RobotConfig
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
+
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_vtla.arguments import Option, check, options_of, own_cause, read_value, refuse_unknown
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import check_text
+
+OUR_TELEOPERATORS = "uniforce_robots.teleop"
+ROBOTS = {"franka": "uniforce_franka"}
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Configs of what records: no robot means the simulated scene."""
+
+    robot: RobotConfig | None
+    teleop: TeleoperatorConfig
+
+
+def read_devices(flags: Sequence[str], robot: str, teleop: str, file: str = "") -> Devices:
+    """Return the configs.
+
+    Args:
+        flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``; dots lead into nested settings, also into one camera's.
+        robot: ``franka``, or "" for none.
+        teleop: a name from ``teleoperator_names``.
+        file: of LeRobot's form, with ``robot`` and ``teleop``; flags override it.
+
+    Raises:
+        ContractError: an unknown name, a file that isn't there, unknown settings.
+    """
+    names = teleoperator_names()
+    if teleop not in names:
+        known = " | ".join(["expert", *sorted(names)])
+        raise ContractError(expected("teleop", known, repr(teleop), "Name one."))
+    settings, options = (
+        _read_file(file),
+        options_of(TeleoperatorConfig.get_choice_class(names[teleop]), "teleop."),
+    )
+    settings.setdefault("teleop", {})["type"] = names[teleop]
+    if robot:
+        settings.setdefault("robot", {})["type"] = ROBOTS[robot]
+        options |= options_of(RobotConfig.get_choice_class(ROBOTS[robot]), "robot.")
+    _with_flags(settings, flags, options)
+    if not robot:
+        return Devices(None, _decode(TeleoperatorConfig, "teleop", settings))
+    return Devices(_decode(RobotConfig, "robot", settings), _decode(TeleoperatorConfig, "teleop", settings))
+
+
+def _read_file(file: str) -> dict[str, Any]:
+    if not file:
+        return {}
+    if not Path(file).is_file():
+        raise ContractError(expected("rig", "a config file", file, "Give the file of robot and teleop."))
+    content = yaml.safe_load(Path(file).read_text())  # JSON is YAML
+    if not isinstance(content, dict):
+        raise ContractError(
+            expected(file, "robot: {…} and teleop: {…}", type(content).__name__, "Look at it.")
+        )
+    return content
+
+
+def _with_flags(settings: dict[str, Any], flags: Sequence[str], options: Mapping[str, Option]) -> None:
+    """Put flags into the settings, checked as far as their options say what they may be.
+
+    Not through draccus' own parser, which stumbles over unrelated classes.
+    """
+    names = [flag.removeprefix("--").partition("=")[0] for flag in flags]
+    refuse_unknown([name for name in names if not any(name.startswith(f"{o}.") for o in options)], options)
+    for flag in flags:
+        name, _, text = flag.removeprefix("--").partition("=")
+        check_text(name, text)
+        *path, last = name.split(".")
+        inner = settings
+        for key in path:
+            inner = inner.setdefault(key, {})
+        inner[last] = read_value(options[name], text) if name in options else yaml.safe_load(text)
+        if name in options:
+            check(options[name], inner[last])
+
+
+def _decode[ConfigT](config_class: type[ConfigT], part: str, settings: dict[str, Any]) -> ConfigT:
+    try:
+        decoded: ConfigT = draccus.decode(config_class, settings[part])
+    except (draccus.utils.DecodingError, ValueError, TypeError) as error:
+        do = "See docs/franka.md and docs/tactile_devices.md."
+        raise ContractError(
+            expected(f"{part}.…", "settings it has", own_cause(error) or error, do)
+        ) from error
+    return decoded
+
+
+def teleoperator_names() -> dict[str, str]:
+    """Return short name → registered name; ours (``keyboard`` → ``uniforce_keyboard``) come before LeRobot's."""
+    if importlib.util.find_spec(OUR_TELEOPERATORS) is not None:
+        importlib.import_module(OUR_TELEOPERATORS)
+    known = list(TeleoperatorConfig.get_known_choices())
+    return {name: name for name in known} | {
+        n.removeprefix("uniforce_"): n for n in known if n.startswith("uniforce_")
+    }
+
+
+def make_teleoperator(config: TeleoperatorConfig) -> Teleoperator:
+    """Return the teleoperator, not connected.
+
+    Raises:
+        ContractError: LeRobot can't build it.
+    """
+    try:
+        return make_teleoperator_from_config(config)
+    except (ValueError, ImportError) as error:
+        do = "Check its settings and what it needs installed."
+        raise ContractError(expected("teleop", "one that can be built", error, do)) from error
+
+
+def make_robot(config: RobotConfig, teleop: Teleoperator) -> UniforceFranka:
+    """Return the robot, not connected, with the stiffness the teleoperator needs while it steers, if it needs one."""
+    franka = cast("UniforceFrankaConfig", config)
+    gains = getattr(teleop, "wants_gains", None)
+    if gains is not None:
+        franka.gains = gains
+    return UniforceFranka(franka)

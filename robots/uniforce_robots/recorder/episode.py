@@ -1,0 +1,190 @@
+"""One episode: tick by tick observe, steer, act, store. Whatever ends it, the rig holds before anything is said."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_robots.recorder.disk_guard import DiskGuard
+from uniforce_robots.recorder.faults import Interrupts, StopRequestedError, cause_of
+from uniforce_robots.recorder.live_view import LiveView
+from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operator, Phase
+from uniforce_robots.recorder.rig import Rig
+from uniforce_robots.recorder.rows import make_row, raw_frames
+from uniforce_robots.recorder.steering import Steering
+from uniforce_robots.recorder.store import StoreProcess
+from uniforce_robots.recorder.ticker import Ticker, TickStats
+from uniforce_vtla.errors import TeleoperatorError, UniForceError
+
+Store = EpisodeRecorder | StoreProcess
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What an episode needs, shared by all of a session."""
+
+    rig: Rig
+    steering: Steering
+    operator: Operator
+    recorder: Store
+    disk: DiskGuard
+    view: LiveView
+    interrupts: Interrupts
+
+    def refuse_interrupted(self) -> None:
+        """Raise StopRequestedError once the program is to end."""
+        if self.interrupts.count:
+            raise StopRequestedError("interrupted by Ctrl-C")
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How an episode ended.
+
+    Attributes:
+        ticks: how the beat was kept.
+        how: ``judged``, ``open`` (over, still to be judged), ``aborted``, or what the operator asked for.
+        outcome: one of ``keys.OUTCOME_NAMES``; means something where judged.
+        clean: whether it was a success without slip or excess force.
+        cause: where aborted, one of ``keys.ABORT_CAUSES``.
+        message: what happened, in words.
+        held_s: from the beginning of the tick that met a fault until the rig was held; 0 without a fault.
+        notes: what the operator wrote.
+        pauses: how often it was paused.
+        quits: whether the session shall end after it.
+    """
+
+    ticks: TickStats
+    how: Literal["judged", "open", "aborted", "discard", "rerecord"] = "open"
+    outcome: str = "aborted"
+    clean: bool = False
+    cause: str = "none"
+    message: str = ""
+    held_s: float = 0.0
+    notes: tuple[str, ...] = ()
+    pauses: int = 0
+    quits: bool = False
+
+    @property
+    def label(self) -> str:
+        """The ending in a word, e.g. ``success`` or ``aborted:stale_touch``."""
+        if self.how == "aborted":
+            return f"aborted:{self.cause}"
+        return self.outcome if self.how == "judged" else self.how
+
+
+def ending_of(event: Event) -> dict[str, Any]:
+    """Return the attributes of the ``Ending`` that a person's word makes; empty where it ends nothing."""
+    match event.command:
+        case Command.DISCARD:
+            return {"how": "discard"}
+        case Command.QUIT:
+            return {"how": "discard", "quits": True}
+        case Command.RERECORD:
+            return {"how": "rerecord"}
+        case command if command in VERDICTS:
+            return {"how": "judged", "outcome": VERDICTS[command], "clean": command is Command.SUCCESS}
+    return {}
+
+
+class _Over(Exception):  # noqa: N818  not an error: a person's word, from wherever in the tick it comes
+    def __init__(self, ending: dict[str, Any]) -> None:
+        super().__init__(ending["how"])
+        self.ending = ending
+
+
+class EpisodeLoop:
+    """Run one episode of at most ``max_frames`` rows; their storing is the session's business.
+
+    Args:
+        parts: the session's.
+        prompt: the instruction every row is stored with.
+        max_frames: the time limit.
+    """
+
+    def __init__(self, parts: Parts, prompt: str, max_frames: int) -> None:
+        self._parts, self._prompt, self._max_frames = parts, prompt, max_frames
+        self._ticker = Ticker(parts.rig.facts.fps, parts.rig.facts.paced)
+        self._notes: list[str] = []
+        self._pauses = 0
+        self._tick_begun_s = time.perf_counter()
+
+    def run(self) -> Ending:
+        """Record until a person or a fault ends it; never raises what an ``Ending`` can say."""
+        ending: dict[str, Any] = {}
+        fault: UniForceError | None = None
+        try:
+            self._record()
+        except _Over as over:
+            ending = over.ending
+        except UniForceError as error:
+            fault = error
+        self._parts.rig.hold()
+        if fault is not None:
+            ending = _fault(fault, time.perf_counter() - self._tick_begun_s)
+        return Ending(self._ticker.stats, notes=tuple(self._notes), pauses=self._pauses, **ending)
+
+    def _record(self) -> None:
+        parts = self._parts
+        parts.steering.start_from(parts.rig.axes())
+        begun_s = parts.rig.now_s()
+        self._ticker = Ticker(parts.rig.facts.fps, parts.rig.facts.paced)
+        for _ in range(self._max_frames):
+            self._ticker.wait()
+            self._tick_begun_s = time.perf_counter()
+            self._listen()
+            parts.disk.check()
+            self._tick(begun_s)
+            if parts.rig.is_done:
+                return
+
+    def _tick(self, begun_s: float) -> None:
+        parts = self._parts
+        tick_s = parts.rig.now_s()
+        seen = parts.rig.observe()
+        requested = parts.steering.target(seen.axes)
+        sent = parts.rig.act(requested)
+        stamps_s = (tick_s, seen.time_s, parts.rig.now_s())
+        row = make_row(seen, requested, sent, stamps_s, begun_s)
+        parts.recorder.add(row, self._prompt, raw_frames(seen))
+        parts.view.show(seen, parts.recorder.num_frames)
+
+    def _listen(self) -> None:
+        self._parts.refuse_interrupted()
+        for event in self._parts.operator.poll(Phase.RUNNING):
+            if event.command is Command.GO:
+                self._pause()
+            else:
+                self._obey(event)
+
+    def _obey(self, event: Event) -> None:
+        if event.command is Command.NOTE:
+            self._notes.append(event.text)
+        if ending := ending_of(event):
+            raise _Over(ending)
+
+    def _pause(self) -> None:
+        """Hold until a person goes on; nothing is stored meanwhile, and the times of the rows show the gap."""
+        parts, beat = self._parts, Ticker(self._parts.rig.facts.fps)
+        self._pauses += 1
+        parts.rig.hold()
+        parts.view.say("paused; space goes on")
+        paused = True
+        while paused:
+            beat.wait()
+            self._tick_begun_s = time.perf_counter()
+            parts.refuse_interrupted()
+            parts.rig.axes()  # a fault of the robot ends a pause too
+            for event in parts.operator.poll(Phase.PAUSED):
+                paused = paused and event.command is not Command.GO
+                self._obey(event)
+        parts.steering.start_from(parts.rig.axes())
+        self._ticker.resume()
+
+
+def _fault(error: UniForceError, held_s: float) -> dict[str, Any]:
+    if isinstance(error, TeleoperatorError) and error.fault == "ended":  # a replay that came to its end
+        return {"message": str(error)}
+    return {"how": "aborted", "cause": cause_of(error), "message": str(error), "held_s": held_s}

@@ -1,0 +1,100 @@
+"""The scripted expert's demonstrations in the simulated scene: nothing waits, seeds repeat exactly."""
+
+from __future__ import annotations
+
+import itertools
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.disturbance import Nudge, Rewrite
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_robots.recorder.assemble import next_seed
+from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.evaluation.episode import EpisodeResult
+from uniforce_vtla.keys import ACTION, STATE, age_key, time_key, truth_wrench_key
+
+GIVE_UP_FACTOR = 4  # attempts per wanted episode before a run without failures kept stops
+
+
+@dataclass(frozen=True)
+class ExpertDemos:
+    """What to record; see ``uniforce record --help`` for each."""
+
+    root: Path
+    repo_id: str
+    episodes: int
+    level: str
+    left_sensor: str
+    right_sensor: str
+    seed: int
+    nudge: float
+    keep_failures: bool
+
+
+def record_expert(demos: ExpertDemos) -> None:
+    """Record what is missing.
+
+    Raises:
+        ContractError: an unknown sensor or level, or an expert that fails too often.
+        DatasetError: see ``EpisodeRecorder``.
+    """
+    sensors = demos.left_sensor, demos.right_sensor
+    with closing(WipeEnv(demos.level, *sensors)) as env:
+        fps = int(env.metadata["render_fps"])
+        with EpisodeRecorder(demos.root, demos.repo_id, *sensors, fps) as recorder:
+            _fill(demos, env, recorder)
+
+
+def _fill(demos: ExpertDemos, env: WipeEnv, recorder: EpisodeRecorder) -> None:
+    have = recorder.num_episodes
+    first = next_seed(demos.root, have, demos.seed)
+    seeds = iter(range(first, first + GIVE_UP_FACTOR * max(demos.episodes - have, 0)))
+    with tqdm(total=demos.episodes, initial=have, desc="record", unit="episode") as bar:
+        while recorder.num_episodes < demos.episodes and (seed := next(seeds, None)) is not None:
+            result = record_episode(env, recorder, seed, demos.nudge)
+            if result.clean or demos.keep_failures:
+                recorder.save(success=result.clean, outcome=result.outcome, seed=seed)
+            else:
+                recorder.discard()
+            bar.update(recorder.num_episodes - bar.n)
+            bar.set_postfix_str(f"seed {seed}: {'clean ' if result.clean else ''}{result.outcome}")
+    if recorder.num_episodes < demos.episodes:
+        wanted, do = f"{demos.episodes} successes", "Try an easier level."
+        raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
+
+
+def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int, nudge: float) -> EpisodeResult:
+    """Let the expert do one episode; its frames wait in the recorder.
+
+    Row t: observation and command at t, the command without the nudge that was added to it.
+    """
+    expert, push, rewrite = WipeExpert(), Nudge(seed, nudge), Rewrite(seed)
+    observation, _ = env.reset(seed=seed)
+    expert.reset(env)
+    for step in itertools.count():
+        action = np.asarray(expert.act(env), dtype=np.float32)
+        recorder.add(_frame(env, observation, action, step), env.task)
+        if nudge:
+            rewrite.apply(env.sim.ink, expert.phase == "wipe")
+        observation, _, terminated, truncated, _ = env.step(push.apply(action, expert.phase))
+        if terminated or truncated:
+            break
+    return env.result()
+
+
+def _frame(env: WipeEnv, observation: dict[str, Any], action: np.ndarray, step: int) -> dict[str, Any]:
+    frame = {f"observation.images.{name}": image for name, image in observation["pixels"].items()}
+    frame |= {STATE: observation["agent_pos"], ACTION: action}
+    for finger, wrench in env.true_wrench().items():
+        frame[truth_wrench_key(finger)] = np.asarray(wrench, dtype=np.float32)
+    for finger in FINGERS:  # simulated sensors are captured at the observation itself
+        frame[time_key(finger)] = np.array([step / env.metadata["render_fps"]])
+        frame[age_key(finger)] = np.zeros(1, dtype=np.float32)
+    return frame

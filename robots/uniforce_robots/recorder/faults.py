@@ -1,0 +1,89 @@
+"""Every fault of a recording by one name, the ``<cause>`` of ``aborted:<cause>``; Ctrl-C is one too."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import Literal
+
+from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
+from uniforce_vtla.errors import (
+    DatasetError,
+    DiskFullError,
+    DroppedFrameError,
+    RobotError,
+    SensorError,
+    TeleoperatorError,
+    UniForceError,
+)
+from uniforce_vtla.keys import ABORT_CAUSES
+
+log = logging.getLogger(__name__)
+HOW = ((LostSensorError, "lost"), (StaleSensorError, "stale"), (FrozenSensorError, "frozen"))
+
+
+class DeviceError(UniForceError):
+    """A camera or finger can't be recorded from; ``cause`` is one of ``keys.ABORT_CAUSES``."""
+
+    def __init__(self, cause: str, message: str) -> None:
+        super().__init__(message)
+        self.cause = cause
+
+
+class StopRequestedError(UniForceError):
+    """Ctrl-C or SIGTERM: the program is to end."""
+
+
+@contextmanager
+def named(kind: Literal["camera", "touch"], device: str) -> Iterator[None]:
+    """Turn a sensor's error into the fault of the device with this name in the robot's config."""
+    try:
+        yield
+    except SensorError as error:
+        how = next((name for error_type, name in HOW if isinstance(error, error_type)), "bad")
+        raise DeviceError(f"{how}_{kind}", f"{device}: {error}") from error
+
+
+CAUSES = (  # the first that fits
+    (TeleoperatorError, "teleop"),
+    (DiskFullError, "disk_full"),
+    (DroppedFrameError, "dropped_frame"),
+    (DatasetError, "storage"),
+    (StopRequestedError, "interrupt"),
+)
+
+
+def cause_of(error: UniForceError) -> str:
+    """Return the cause, one of ``keys.ABORT_CAUSES``."""
+    if isinstance(error, DeviceError):
+        return error.cause
+    if isinstance(error, RobotError):
+        name = f"robot_{error.fault}"
+        return name if name in ABORT_CAUSES else "robot_other"
+    return next((cause for error_type, cause in CAUSES if isinstance(error, error_type)), "other")
+
+
+class Interrupts:
+    """Ctrl-C: the first one ends the session in order, each further one raises KeyboardInterrupt where it stands."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    @contextmanager
+    def counted(self) -> Iterator[None]:
+        """Count while the block lasts; in the main thread only, as signals are."""
+        before = {number: signal.signal(number, self._take) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+        log.warning("interrupted (%s), %d time(s)", signal.Signals(number).name, self.count)
+        if self.count > 1:
+            raise KeyboardInterrupt

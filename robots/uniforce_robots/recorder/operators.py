@@ -1,0 +1,149 @@
+"""What begins an episode and says how it went: a person at the keys, or a rule."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from uniforce_robots.teleop.terminal_keys import TerminalKeys
+from uniforce_vtla.errors import ContractError, expected
+
+
+class Phase(Enum):
+    """Where the session stands."""
+
+    WAITING = "waiting"  # between episodes, nothing is recorded
+    RUNNING = "running"
+    PAUSED = "paused"
+    JUDGING = "judging"  # the episode is over, how it went is to be said
+
+
+class Command(Enum):
+    """What can be said."""
+
+    GO = "go"  # begin; pause; go on
+    SUCCESS = "success"  # a clean one: no slip, no excess force
+    RESIDUAL = "residual"  # failed: not wiped
+    FAILED_GRASP = "failed_grasp"
+    DISCARD = "discard"  # forget this episode
+    RERECORD = "rerecord"  # forget it and record the same one at once
+    NOTE = "note"
+    RECOVER = "recover"  # clear the robot's fault
+    QUIT = "quit"
+
+
+VERDICTS = {c: c.value for c in (Command.SUCCESS, Command.RESIDUAL, Command.FAILED_GRASP)}
+
+# Letters that LeRobot's and our keyboard teleoperators don't steer with.
+KEYS = {
+    "space": Command.GO,
+    "y": Command.SUCCESS,
+    "f": Command.RESIDUAL,
+    "g": Command.FAILED_GRASP,
+    "x": Command.DISCARD,
+    "r": Command.RERECORD,
+    "v": Command.RECOVER,
+    "q": Command.QUIT,
+}
+NOTE_KEY = "t"
+
+
+@dataclass(frozen=True)
+class Event:
+    """A command; ``text`` is a note's."""
+
+    command: Command
+    text: str = ""
+
+
+class Operator:
+    """Asked at every tick; ``is_attended`` says whether a person can be waited for."""
+
+    is_attended = True
+
+    def start(self) -> None:
+        """Begin to listen."""
+
+    def poll(self, phase: Phase) -> list[Event]:
+        """Return what was said since the last call. Never blocks."""
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Stop listening; safe to call twice."""
+
+
+class Unattended(Operator):
+    """Begins at once, and calls every episode that ended in time by one verdict.
+
+    Args:
+        verdict: the outcome to store; a person can look at the videos later.
+
+    Raises:
+        ContractError: another verdict than ``VERDICTS``.
+    """
+
+    is_attended = False
+
+    def __init__(self, verdict: str) -> None:
+        if verdict not in VERDICTS.values():
+            raise ContractError(expected("verdict", " | ".join(VERDICTS.values()), verdict, "Name one."))
+        go = Command.GO
+        self._answers = {Phase.WAITING: go, Phase.PAUSED: go, Phase.JUDGING: Command(verdict)}
+
+    def poll(self, phase: Phase) -> list[Event]:
+        """Begin where there is waiting, judge where judging is due."""
+        return [Event(self._answers[phase])] if phase in self._answers else []
+
+
+class KeyOperator(Operator):
+    """A person at a keyboard; ``t`` begins a note, Enter ends it, digits add a prepared one.
+
+    Args:
+        keys: of a keyboard teleoperator, which reads this terminal already; None reads it here.
+        quick_notes: what the digits 1, 2, … mean.
+    """
+
+    def __init__(self, keys: TerminalKeys | None = None, quick_notes: Sequence[str] = ()) -> None:
+        self._is_own, self._keys = keys is None, keys or TerminalKeys({})
+        self._quick = {str(n): note for n, note in enumerate(quick_notes, 1)}
+        self._note: str | None = None
+
+    def start(self) -> None:
+        """Listen; raises ContractError where there is no terminal."""
+        if not self._is_own:
+            return
+        if not sys.stdin.isatty():
+            do = "Run it in a terminal, or choose operator=nobody."
+            raise ContractError(expected("operator=keys", "a terminal", "another input", do))
+        self._keys.start()
+
+    def poll(self, phase: Phase) -> list[Event]:
+        """Return what the keys since the last call mean."""
+        events = [self._meaning(key) for key in self._keys.take_others()]
+        return [event for event in events if event is not None]
+
+    def stop(self) -> None:
+        """Stop listening."""
+        if self._is_own:
+            self._keys.stop()
+
+    def _meaning(self, key: str) -> Event | None:
+        if self._note is not None:
+            return self._spell(self._note, key)
+        if key == NOTE_KEY:
+            self._note = ""
+        if key in self._quick:
+            return Event(Command.NOTE, self._quick[key])
+        return Event(KEYS[key]) if key in KEYS else None
+
+    def _spell(self, note: str, key: str) -> Event | None:
+        if key == "enter":
+            self._note = None
+            return Event(Command.NOTE, note) if note else None
+        if key == "backspace":
+            self._note = note[:-1]
+        elif len(key) == 1 or key == "space":
+            self._note = note + (" " if key == "space" else key)
+        return None

@@ -1,0 +1,80 @@
+"""An ordinary LeRobot camera as a source of stamped pictures that never repeats an old one in silence.
+
+LeRobot's cameras keep the newest frame and when it came (``latest_timestamp``, ``time.perf_counter``). What they don't
+see is a picture that stopped changing, and a camera whose thread has died still calls itself connected.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from lerobot.cameras import Camera
+
+from uniforce_robots.recorder.rig import Picture
+from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
+from uniforce_vtla.errors import ContractError, expected
+
+MAX_AGE_ms = 200  # an older frame is refused
+FROZEN_AFTER = 10  # frames of one content in a row mean a frozen camera
+TRIES = 5  # a frame that comes between the two looks at its stamp; twice in a row is rare already
+STRIDE = 4  # every 4th row and column is enough to see whether a noisy picture changed
+
+
+class PlainCamera:
+    """Read one camera.
+
+    Args:
+        name: how errors call it.
+        camera: any LeRobot camera with a ``latest_timestamp``.
+
+    Raises:
+        ContractError: the camera doesn't say when its frames were taken.
+    """
+
+    def __init__(self, name: str, camera: Camera) -> None:
+        if not hasattr(camera, "latest_timestamp"):
+            do = "Use uniforce_scene, opencv, intelrealsense or zmq."
+            raise ContractError(expected(name, "a camera with latest_timestamp", type(camera).__name__, do))
+        self._name, self._camera = name, camera
+        self._index, self._time_s = -1, float("nan")
+        self._repeats = 0
+        self._last: np.ndarray = np.zeros(0)
+
+    def picture(self) -> Picture:
+        """Return the newest frame.
+
+        Raises:
+            StaleSensorError: it is too old.
+            LostSensorError: the camera's thread has ended, or it is disconnected.
+            FrozenSensorError: the content hasn't changed for ``FROZEN_AFTER`` frames.
+        """
+        image, time_s = self._newest()
+        if time_s != self._time_s:
+            self._index, self._time_s = self._index + 1, time_s
+            thinned = image[::STRIDE, ::STRIDE].copy()
+            self._repeats = self._repeats + 1 if np.array_equal(thinned, self._last) else 0
+            self._last = thinned
+        if self._repeats >= FROZEN_AFTER:
+            came = f"the same content {self._repeats + 1} times in a row"
+            raise FrozenSensorError(expected(self._name, "changing frames", came, "Replug the camera."))
+        return Picture(image, self._index, time_s)
+
+    def _newest(self) -> tuple[np.ndarray, float]:
+        camera: Any = self._camera
+        for _ in range(TRIES):
+            before = camera.latest_timestamp
+            image = self._read()
+            if before is not None and before == camera.latest_timestamp:
+                return image, float(before)
+        raise StaleSensorError(expected(self._name, "a frame that holds still", "none", "Lower its rate."))
+
+    def _read(self) -> np.ndarray:
+        do = "Check cable, power and USB load."
+        try:
+            image: np.ndarray = self._camera.read_latest(max_age_ms=MAX_AGE_ms)
+        except TimeoutError as error:
+            raise StaleSensorError(expected(self._name, "a fresh frame", error, do)) from error
+        except (RuntimeError, OSError) as error:  # ended thread; DeviceNotConnectedError is a ConnectionError
+            raise LostSensorError(expected(self._name, "a running camera", error, do)) from error
+        return image

@@ -1,0 +1,171 @@
+"""One tick as a row of the dataset, the columns it needs beside the usual ones, and memory that carries rows across.
+
+Rows go to the storing process through memory that both share: nothing is pickled.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from multiprocessing.context import SpawnContext
+from typing import Any
+
+import numpy as np
+
+from uniforce_datasets.features import dataset_features, flat_column, scalar_column, vector_column
+from uniforce_robots.recorder.rig import FingerTouch, Observation, RigFacts
+from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, TAXEL_SHAPE, Finger
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.keys import (
+    ACTION,
+    AXES,
+    CAUSE,
+    OUTCOME,
+    REQUESTED,
+    SEED,
+    STAMP_NAMES,
+    STAMPS,
+    STATE,
+    SUCCESS,
+    TACTILE_KEYS,
+    age_key,
+    camera_key,
+    counts_key,
+    index_key,
+    sensor_key,
+    tactile_key,
+    tactile_name,
+    time_key,
+    window_key,
+    window_time_key,
+)
+
+TAXEL_NUMBERS = int(np.prod(TAXEL_SHAPE))
+RECORDERS_OWN = {SUCCESS, OUTCOME, SEED, CAUSE, *(sensor_key(finger) for finger in FINGERS)}
+REFERENCES = tuple(tactile_key(finger, reference=True) for finger in FINGERS)
+
+
+def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
+    """Return the features of all columns a rig needs beside ``dataset_features``' own."""
+    columns: dict[str, dict[str, Any]] = {
+        REQUESTED: vector_column(AXES),
+        STAMPS: vector_column(STAMP_NAMES, "float64"),
+        CAUSE: scalar_column("int64"),
+    }
+    for camera in facts.cameras:
+        columns |= {time_key(camera): scalar_column("float64"), age_key(camera): scalar_column("float32")}
+    columns |= {index_key(source): scalar_column("int64") for source in (*facts.cameras, *facts.sensors)}
+    for finger, size in facts.windows.items():
+        columns[counts_key(finger)] = flat_column(TAXEL_NUMBERS, "int32")
+        columns[window_key(finger)] = flat_column(size * TAXEL_NUMBERS, "int32")
+        columns[window_time_key(finger)] = flat_column(size, "float64")
+    return columns | facts.measured
+
+
+def make_row(
+    seen: Observation, requested: np.ndarray, sent: np.ndarray, stamps_s: tuple[float, ...], begun_s: float
+) -> dict[str, Any]:
+    """Return a row for ``EpisodeRecorder.add``.
+
+    Args:
+        seen: what was observed.
+        requested: (5,) what the teleoperator asked for.
+        sent: (5,) what went to the robot.
+        stamps_s: one time per ``keys.STAMP_NAMES``, rig's clock.
+        begun_s: when the episode began; times are stored relative to it.
+    """
+    row: dict[str, Any] = {
+        STATE: seen.axes.astype(np.float32),
+        ACTION: sent.astype(np.float32),
+        REQUESTED: requested.astype(np.float32),
+        STAMPS: np.array(stamps_s) - begun_s,
+        **seen.measured,
+    }
+    row |= {camera_key(camera): picture.image for camera, picture in seen.cameras.items()}
+    for finger, touch in seen.fingers.items():
+        row |= _touch(finger, touch, begun_s)
+    for source, sample in seen.samples.items():
+        row[index_key(source)] = np.array([sample.index])
+        row[time_key(source)] = np.array([sample.time_s - begun_s])
+        row[age_key(source)] = np.array([seen.time_s - sample.time_s], dtype=np.float32)
+    return row
+
+
+def raw_frames(seen: Observation) -> dict[Finger, np.ndarray]:
+    """Return the raw camera frames of an observation by finger."""
+    return {f: t.raw for f, t in seen.fingers.items() if t.raw is not None and t.window is None}
+
+
+def _touch(finger: Finger, touch: FingerTouch, begun_s: float) -> dict[str, np.ndarray]:
+    row = {tactile_key(finger): touch.image, tactile_key(finger, reference=True): touch.reference}
+    if touch.raw is None or touch.window is None or touch.window_times_s is None:
+        return row
+    return row | {
+        counts_key(finger): touch.raw.reshape(-1).astype(np.int32),
+        window_key(finger): touch.window.reshape(-1).astype(np.int32),
+        window_time_key(finger): touch.window_times_s - begun_s,
+    }
+
+
+class RowSlots:
+    """A fixed number of rows in shared memory; goes into a child process as it is.
+
+    Args:
+        facts: of the rig; a marker image takes one channel, since its three are equal.
+        count: rows.
+        context: of the child process.
+    """
+
+    def __init__(self, facts: RigFacts, count: int, context: SpawnContext) -> None:
+        features = dataset_features(facts.cameras, facts.truth, further_columns(facts))
+        form = {key: _form(key, feature) for key, feature in features.items() if key not in RECORDERS_OWN}
+        form |= {_raw(finger): ("u1", shape) for finger, shape in facts.raw_frames.items()}
+        self._dtype = np.dtype([(key, *kind) for key, kind in form.items()], align=True)
+        self._memory = context.RawArray(ctypes.c_uint8, self._dtype.itemsize * count)
+        self._raw_fingers = tuple(facts.raw_frames)
+        self._references: dict[str, np.ndarray] = {}  # as the reader gave them last
+
+    @property
+    def _slots(self) -> np.ndarray:
+        return np.frombuffer(self._memory, self._dtype)
+
+    def write(self, slot: int, row: Mapping[str, Any], raw: Mapping[Finger, np.ndarray]) -> None:
+        """Copy a row, every column but the recorder's own, and raw frames by finger into a slot.
+
+        Raises:
+            ContractError: a key missing or too many, another shape or dtype.
+        """
+        whole = {**row, **{_raw(finger): frame for finger, frame in raw.items()}}
+        odd = sorted(whole.keys() ^ set(self._dtype.names or ()))
+        if odd:
+            raise ContractError(expected("frame", "the dataset's columns", f"others: {odd}", "See rows.py."))
+        slots = self._slots
+        for key, value in whole.items():
+            place, value = slots[key][slot], np.asarray(value)
+            if value.shape != place.shape or value.dtype != place.dtype:
+                wanted, came = f"{place.shape} {place.dtype}", f"{value.shape} {value.dtype}"
+                raise ContractError(expected(key, wanted, came, "Convert it before add()."))
+            np.copyto(place, value)
+
+    def read(self, slot: int) -> tuple[dict[str, np.ndarray], dict[Finger, np.ndarray]]:
+        """Return (row, raw) of a slot: pictures in place, valid until it is written again, numbers copied.
+
+        A reference that hasn't changed is the same array as before: the recorder prepares it once.
+        """
+        slots = self._slots
+        row = {key: slots[key][slot] for key in self._dtype.names or ()}
+        row |= {key: value.copy() for key, value in row.items() if value.ndim == 1}
+        for key in REFERENCES:
+            if key not in self._references or not np.array_equal(self._references[key], row[key]):
+                self._references[key] = row[key].copy()
+        raw = {finger: row.pop(_raw(finger)) for finger in self._raw_fingers}
+        return row | self._references, raw
+
+
+def _form(key: str, feature: Mapping[str, Any]) -> tuple[str, tuple[int, ...]]:
+    shape = MARKER_IMAGE_SHAPE if key in TACTILE_KEYS else tuple(feature["shape"])
+    return "u1" if feature["dtype"] == "video" else feature["dtype"], shape
+
+
+def _raw(finger: Finger) -> str:
+    return f"raw frame {tactile_name(finger)}"

@@ -1,0 +1,24 @@
+"""Tactile fingers, and scene cameras read like them, as LeRobot cameras.
+
+Importing this package registers ``uniforce_tactile``, ``uniforce_uskin`` and ``uniforce_scene``.
+
+device → ``SampleReader`` (thread, ring of stamped samples) → ``TactileFinger`` (reference, marker image) → robot.
+"""
+
+from uniforce_robots.sensors.config_uniforce import (
+    UniforceSceneCameraConfig,
+    UniforceTactileCameraConfig,
+    UniforceUskinConfig,
+)
+from uniforce_robots.sensors.scene_camera import UniforceSceneCamera
+from uniforce_robots.sensors.tactile_camera import UniforceTactileCamera
+from uniforce_robots.sensors.uskin_camera import UniforceUskin
+
+__all__ = [
+    "UniforceSceneCamera",
+    "UniforceSceneCameraConfig",
+    "UniforceTactileCamera",
+    "UniforceTactileCameraConfig",
+    "UniforceUskin",
+    "UniforceUskinConfig",
+]

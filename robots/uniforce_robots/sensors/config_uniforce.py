@@ -1,0 +1,202 @@
+"""Settings of the tactile fingers, as LeRobot camera configs: a robot lists them like any other camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from lerobot.cameras.configs import CameraConfig
+
+from uniforce_robots.sensors.capture import CaptureSettings
+from uniforce_robots.sensors.orientation import Orientation
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, check_finger
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.sensors import get_sensor
+
+CLOCKS = ("host", "driver")
+LINKS = ("slcan", "server", "replay")
+
+
+@dataclass(kw_only=True)
+class SampledCameraConfig(CameraConfig):
+    """What every camera read in the background has."""
+
+    fps: int | None = 30  # camera frames per second; for taxels the robot loop's, their own rate is measured
+    max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
+    connect_ms: float = 5000.0  # the first sample must come within
+    frozen_after: int = 10  # equal samples in a row that mean a frozen sensor; 0 never looks
+    rotation_deg: int = 0  # 0 | 90 | 180 | 270, counter-clockwise; see `uniforce touch check=orientation`
+
+    @property
+    def orientation(self) -> Orientation:
+        """How it is turned on its mount."""
+        return Orientation(self.rotation_deg)
+
+
+@dataclass(kw_only=True)
+class TactileFingerConfig(SampledCameraConfig):
+    """What every tactile finger has.
+
+    ``width`` and ``height`` become those of the delivered image, as LeRobot expects of a camera.
+    """
+
+    finger: str = "left"  # who wears it: left | right; names it in errors, nothing is mirrored here
+    check_identity: bool = True  # refuse another sensor than the configured one when connecting
+    reference_on_connect: bool = True  # take the free-air reference when connecting; needs open fingers
+    reference_samples: int = 10  # samples it is the median of; touched while they come = refused
+    sensor: str = ""  # registry name
+
+    def __post_init__(self) -> None:
+        check_finger(self.finger)
+        self.spec = get_sensor(self.sensor)
+        self.height, self.width = MARKER_IMAGE_SHAPE
+        if not self.max_age_ms > 0:
+            raise ContractError(expected("max_age_ms", "above 0", self.max_age_ms, "Give milliseconds."))
+
+    @property
+    def label(self) -> str:
+        """How errors call the sensor, e.g. ``tactip on the right finger``."""
+        return f"{self.sensor} on the {self.finger} finger"
+
+
+@CameraConfig.register_subclass("uniforce_tactile")
+@dataclass(kw_only=True)
+class UniforceTactileCameraConfig(TactileFingerConfig):
+    """A GelSight or TacTip behind a USB camera, or an MJPEG stream.
+
+    Example: ``{"type": "uniforce_tactile", "sensor": "tactip", "finger": "right", "source": "/dev/v4l/by-path/…"}``
+    """
+
+    sensor: str = "gelsight"  # gelsight | tactip
+    source: str = ""  # device number, /dev/v4l/by-path/… (two C270s have no serial numbers), or http://…
+    delivers: str = "markers"  # markers: the canonical marker image | raw: the camera's own frame
+    capture_width: int | None = 1280  # px asked of the camera; null takes what comes, as a stream needs
+    capture_height: int | None = 720
+    fourcc: str | None = "MJPG"  # null leaves the camera's own
+    exposure_100us: float | None = 100.0  # locked exposure, 100 µs units; null leaves the camera's automatic
+    white_balance_K: float | None = 4600.0  # locked; null leaves it
+    gain: float | None = 0.0  # locked; null leaves it
+    clock: str = "host"  # host: stamped on arrival | driver: stamped by the camera's driver
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        do = "Choose one."
+        if self.spec.signal != "camera":
+            raise ContractError(expected("sensor", "a camera sensor", self.sensor, "Use uniforce_uskin."))
+        if self.clock not in CLOCKS:
+            raise ContractError(expected("clock", " | ".join(CLOCKS), self.clock, do))
+        if self.delivers not in ("markers", "raw"):
+            raise ContractError(expected("delivers", "markers | raw", self.delivers, do))
+        if not self.source:
+            do = "Set source=/dev/v4l/by-path/… or http://…"
+            raise ContractError(expected("source", "a camera", "nothing", do))
+        if self.delivers == "raw":
+            self.height, self.width, _ = self.raw_shape
+
+    def capture_settings(self) -> CaptureSettings:
+        """What is asked of the camera."""
+        return CaptureSettings(
+            self.fourcc,
+            self.capture_width,
+            self.capture_height,
+            self.fps,
+            self.exposure_100us,
+            self.white_balance_K,
+            self.gain,
+        )
+
+    @property
+    def raw_shape(self) -> tuple[int, int, int]:
+        """(rows, columns, 3) of the camera's own frames, upright.
+
+        Raises:
+            ContractError: the config leaves the size to the camera.
+        """
+        if self.capture_width is None or self.capture_height is None:
+            do = "A dataset needs to know the size of raw frames."
+            raise ContractError(expected("capture_width, capture_height", "numbers", "null", do))
+        sideways = self.rotation_deg in (90, 270)
+        rows, columns = (
+            (self.capture_width, self.capture_height)
+            if sideways
+            else (self.capture_height, self.capture_width)
+        )
+        return rows, columns, 3
+
+
+@CameraConfig.register_subclass("uniforce_uskin")
+@dataclass(kw_only=True)
+class UniforceUskinConfig(TactileFingerConfig):
+    """A 4×4 uSkin patch; delivers the marker image its counts are drawn as.
+
+    Example: ``{"type": "uniforce_uskin", "finger": "left", "link": "slcan", "source": "/dev/serial/by-id/…"}``
+    """
+
+    sensor: str = "uskin"
+    link: str = "slcan"  # slcan: USB-CAN adapter | server: xela_server's WebSocket | replay: a recorded csv
+    source: str = ""  # serial port | host:port | csv file
+    controller: int = 0  # microcontroller id in the low bits of the CAN ids
+    can_ids: list[int] = field(default_factory=list)  # 16 ids, taxel by taxel; empty = a 4×4 patch's own
+    server_sensor: str = "1"  # which sensor of the server's message
+    replay_rate_hz: float = 100.0  # a csv holds no times; real 4×4 patches gave 95 to 133 scans per second
+    replay_loop: bool = False  # begin anew at the end instead of reporting it
+    flip: bool = False  # columns run the other way
+    resting_level: str = (
+        ""  # .npy of (16, 3) counts known to be free air: shows a steady touch at the reference
+    )
+    max_age_ms: float = 100.0
+    reference_samples: int = 50
+    frozen_after: int = 25  # scans, 0.3 s at the slowest rate seen; live taxels move by a few counts at rest
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.link not in LINKS:
+            raise ContractError(expected("link", " | ".join(LINKS), self.link, "Choose one."))
+        if not self.source:
+            raise ContractError(expected("source", "port, host:port or csv", "nothing", "Set source=…"))
+
+    @property
+    def orientation(self) -> Orientation:
+        """How it is turned on its finger."""
+        return Orientation(self.rotation_deg, self.flip)
+
+
+@CameraConfig.register_subclass("uniforce_scene")
+@dataclass(kw_only=True)
+class UniforceSceneCameraConfig(SampledCameraConfig):
+    """A camera that looks at the scene: like LeRobot's ``opencv``, but stamped, reopened, and refused once frozen.
+
+    Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 224, "height": 224,
+    "capture_width": 640, "capture_height": 480}``
+    """
+
+    source: str = ""  # device number, /dev/v4l/by-path/… or http://…
+    width: int | None = 640  # px delivered; the middle of what was captured, in this shape, made smaller
+    height: int | None = 480
+    capture_width: int | None = None  # px asked of the camera; null = as delivered
+    capture_height: int | None = None
+    fourcc: str | None = "MJPG"  # null leaves the camera's own
+    exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
+    white_balance_K: float | None = None  # locked; null leaves the automatic
+    gain: float | None = None  # locked; null leaves it
+    clock: str = "host"  # host: stamped on arrival | driver: stamped by the camera's driver
+
+    def __post_init__(self) -> None:
+        if not self.source:
+            do = "Set source=/dev/v4l/by-path/… or http://…"
+            raise ContractError(expected("source", "a camera", "nothing", do))
+        if self.clock not in CLOCKS:
+            raise ContractError(expected("clock", " | ".join(CLOCKS), self.clock, "Choose one."))
+
+    @property
+    def label(self) -> str:
+        """How errors call it."""
+        return "scene camera"
+
+    def capture_settings(self) -> CaptureSettings:
+        """What is asked of the camera; its frames are turned after that."""
+        sideways = self.rotation_deg in (90, 270)
+        width, height = (self.height, self.width) if sideways else (self.width, self.height)
+        width, height = self.capture_width or width, self.capture_height or height
+        return CaptureSettings(
+            self.fourcc, width, height, self.fps, self.exposure_100us, self.white_balance_K, self.gain
+        )

@@ -1,0 +1,54 @@
+"""Tactile images stay exact: LeRobot's own recorders are refused where they would compress them with loss.
+
+LeRobot has one codec for all cameras, with loss unless its flags say otherwise, and gives no camera its settings. They
+are in the frame of the function that connects the robot and its cameras, so they are read there.
+"""
+
+from __future__ import annotations
+
+import inspect
+
+from lerobot.configs.dataset import DatasetRecordConfig
+
+from uniforce_vtla.errors import DatasetError, expected
+
+# Measured with stored episodes: exact for images that hold only 0 and 255 with R = G = B.
+LOSSLESS = "--dataset.rgb_encoder.vcodec=h264 --dataset.rgb_encoder.crf=0 --dataset.streaming_encoding=false"
+
+
+def refuse_lossy_recording(label: str, only_markers: bool) -> None:
+    """Raise where the caller is one of LeRobot's recorders and would store a tactile sensor's images with loss.
+
+    Args:
+        label: names the sensor.
+        only_markers: its images hold 0 and 255 alone; raw frames survive no video that LeRobot writes.
+
+    Raises:
+        DatasetError: saying which flags store the images exactly.
+    """
+    settings = _recorders_settings()
+    if settings is None or not settings.video or (only_markers and _is_exact(settings)):
+        return
+    encoder = settings.rgb_encoder
+    came = f"{encoder.vcodec} crf {encoder.crf}, streaming_encoding={settings.streaming_encoding}"
+    flags = f"{LOSSLESS}, or --dataset.video=false" if only_markers else "--dataset.video=false"
+    do = f"Record with uniforce record, or add {flags}."
+    raise DatasetError(expected(f"recording of {label}", "lossless video", came, do))
+
+
+def _is_exact(settings: DatasetRecordConfig) -> bool:
+    """Return whether marker images survive; a streaming encoder that is late leaves frames out without an error."""
+    encoder = settings.rgb_encoder
+    exact = encoder.vcodec == "h264" and encoder.crf == 0 and not encoder.extra_options
+    return exact and not settings.streaming_encoding
+
+
+def _recorders_settings() -> DatasetRecordConfig | None:
+    """Return the settings of the LeRobot recorder that is connecting this camera, if one is."""
+    frame = inspect.currentframe()
+    while frame is not None:
+        settings = getattr(frame.f_locals.get("cfg"), "dataset", None)
+        if isinstance(settings, DatasetRecordConfig):
+            return settings
+        frame = frame.f_back
+    return None

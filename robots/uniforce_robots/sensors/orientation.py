@@ -1,0 +1,64 @@
+"""How a patch or camera is turned on its finger: raw stays raw, what is shown is brought upright.
+
+Which way a uSkin's rows run on a finger wasn't seen on hardware, so it is a setting, and ``uniforce touch
+check=orientation`` finds it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_vtla.contracts import TAXEL_SHAPE
+from uniforce_vtla.errors import ContractError, expected
+
+TURNS = (0, 90, 180, 270)
+SIDE = 4  # taxels per side
+FULL_SCALE = 65_535
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """Mirror first (left and right change places), then turn.
+
+    Attributes:
+        rotation_deg: counter-clockwise as the marker image shows it.
+        flip: mirrored; for taxels whose columns run the other way, never for a camera.
+
+    Raises:
+        ContractError: a rotation other than 0, 90, 180 or 270.
+    """
+
+    rotation_deg: int = 0
+    flip: bool = False
+
+    def __post_init__(self) -> None:
+        if self.rotation_deg not in TURNS:
+            raise ContractError(
+                expected("rotation_deg", TURNS, self.rotation_deg, "Turn by quarters, counter-clockwise.")
+            )
+
+    def of_counts(self, counts: np.ndarray) -> np.ndarray:
+        """Return (16, 3) uint16 counts with taxels moved to their place and shear turned along.
+
+        Counts are unsigned around mid-scale, so turning shear round mirrors it there; differences to a reference that
+        was turned likewise come out exactly turned.
+        """
+        grid: np.ndarray = counts.reshape(
+            SIDE, SIDE, 3
+        )  # rows from the bottom, columns from the left; x right, y up
+        for _ in range(self.flip):
+            grid = grid[:, ::-1].copy()
+            grid[..., 0] = FULL_SCALE - grid[..., 0]
+        for _ in range(self.rotation_deg // 90):
+            grid = np.rot90(
+                grid, -1
+            ).copy()  # rows run upwards here: rot90's clockwise is the image's other way
+            grid[..., 0], grid[..., 1] = FULL_SCALE - grid[..., 1], grid[..., 0].copy()
+        return np.ascontiguousarray(grid.reshape(TAXEL_SHAPE))
+
+    def of_frame(self, frame: np.ndarray) -> np.ndarray:
+        """Return a camera frame (H, W, 3) turned."""
+        turned = frame[:, ::-1] if self.flip else frame
+        return np.ascontiguousarray(np.rot90(turned, self.rotation_deg // 90))

@@ -1,0 +1,152 @@
+"""A LeRobot camera whose frames come from a ``SampleReader``: stamped, aged, and never an old one in silence."""
+
+from __future__ import annotations
+
+import contextlib
+from abc import abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lerobot.cameras.camera import Camera
+
+from uniforce_robots.sensors.config_uniforce import SampledCameraConfig
+from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
+from uniforce_robots.sensors.samples import Sample
+from uniforce_robots.sensors.sources import SampleSource, SourceCounts
+
+READ_MS = 1000.0  # ``read`` waits this long for the next sample
+
+
+@dataclass(frozen=True)
+class Touch:
+    """One sample of a finger or a camera.
+
+    Attributes:
+        raw: (H, W, 3) uint8 RGB or (16, 3) uint16 counts, upright.
+        index: of the sample since connecting; a gap tells how many were left out.
+        stamp_ns: when it was taken, host's monotonic clock.
+        age_ms: how old it was when asked for.
+    """
+
+    raw: np.ndarray
+    index: int
+    stamp_ns: int
+    age_ms: float
+
+
+class SampledCamera(Camera):
+    """Reads a device in the background; a subclass says which device and what its image is."""
+
+    capacity = 8  # samples kept; a subclass with small samples keeps more
+
+    def __init__(self, config: SampledCameraConfig) -> None:
+        super().__init__(config)
+        self.config: Any = config
+        self._source = self._make_source()
+        self._reader = SampleReader(self._source, ReaderLimits(self.capacity, config.frozen_after))
+        self._orientation = config.orientation
+        self._last_index = -1
+
+    @abstractmethod
+    def _make_source(self) -> SampleSource: ...
+
+    @abstractmethod
+    def _image(self, sample: Sample) -> np.ndarray: ...
+
+    def _on_connect(self) -> None:
+        """Do what has to be done with the first sample there; an error lets the device go."""
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether it is being read; whether it is alive, only a sample can tell."""
+        return self._reader.is_running
+
+    @staticmethod
+    def find_cameras() -> list[dict[str, Any]]:
+        """Return the video devices of this machine, each with the path that survives a reboot."""
+        paths = sorted(Path("/dev/v4l/by-path").glob("*"))
+        return [{"type": "uniforce_tactile", "id": str(path), "name": path.name} for path in paths]
+
+    def connect(self, warmup: bool = True) -> None:
+        """Open the device and wait for its first sample.
+
+        Raises:
+            SensorError: no device, no samples, another sensor than configured, or a reference taken in contact.
+        """
+        if self.is_connected:
+            return
+        self._reader.start()
+        self._last_index = -1
+        with contextlib.ExitStack() as undo:
+            undo.callback(self._reader.stop)  # a half-connected device would keep its port
+            self._reader.wait_newer(-1, self.config.connect_ms)
+            self._on_connect()
+            undo.pop_all()
+
+    def disconnect(self) -> None:
+        """Stop reading and let go of the device."""
+        self._reader.stop()
+
+    def read(self) -> np.ndarray:
+        """Wait for the next sample; return its image. Raises as ``read_latest``."""
+        return self.async_read(READ_MS)
+
+    def async_read(self, timeout_ms: float = 200.0) -> np.ndarray:
+        """Return the image of a sample not delivered before, waiting for it; raises as ``read_latest``."""
+        sample = self._reader.wait_newer(self._last_index, timeout_ms)
+        self._last_index = sample.index
+        return self._image(sample)
+
+    def read_latest(self, max_age_ms: float | None = None) -> np.ndarray:
+        """Return the newest sample's image at once.
+
+        Args:
+            max_age_ms: the oldest that is good enough; None takes the config's.
+
+        Raises:
+            StaleSensorError: older than that, or none yet (also a TimeoutError).
+            LostSensorError: not connected or unplugged (also a ConnectionError).
+            FrozenSensorError: the content stopped changing.
+            SensorError: no markers in the frame, or taxels all zero.
+            ContractError: taxels without a reference.
+        """
+        return self._image(self._reader.newest(self._age_limit(max_age_ms)))
+
+    def latest(self, max_age_ms: float | None = None) -> Touch:
+        """Return the newest raw sample with its time and age; raises as ``read_latest``."""
+        return self._touch(self._reader.newest(self._age_limit(max_age_ms)))
+
+    def next_touch(self, after: int, timeout_ms: float = READ_MS) -> Touch:
+        """Return the newest raw sample after index ``after``, waiting for it; raises as ``read_latest``."""
+        return self._touch(self._reader.wait_newer(after, timeout_ms))
+
+    @property
+    def rate_hz(self) -> float:
+        """The measured rate of the last two seconds."""
+        return self._reader.rate_hz()
+
+    @property
+    def counts(self) -> SourceCounts:
+        """Samples, lost and bad ones so far."""
+        return self._reader.counts
+
+    @property
+    def reconnects(self) -> int:
+        """How often the device was lost and found again."""
+        return self._reader.reconnects
+
+    @property
+    def settings_read_back(self) -> dict[str, float]:
+        """What the device says its settings are, to be stored with a dataset; empty where it has none."""
+        return {}
+
+    def _touch(self, sample: Sample) -> Touch:
+        return Touch(self._upright(sample.data), sample.index, sample.stamp_ns, sample.age_ms())
+
+    def _upright(self, raw: np.ndarray) -> np.ndarray:
+        return self._orientation.of_frame(raw)
+
+    def _age_limit(self, max_age_ms: float | None) -> float:
+        return self.config.max_age_ms if max_age_ms is None else max_age_ms

@@ -1,0 +1,206 @@
+"""How the stand-in's arm moves: joints with inertia under torques, and what it feels at the hand.
+
+Gravity and Coriolis forces are taken as compensated, as the real controller presents itself to a torque client. Good
+enough that commanded targets are reached and that pressing on the wall gives stiffness × distance; no dynamics model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from uniforce_robots.standins.fci.kinematics import (
+    HAND_TO_FLANGE,
+    JOINTS,
+    DQ_MAX_rad_s,
+    HOME_q_rad,
+    Posture,
+    Q_MAX_rad,
+    Q_MIN_rad,
+    TAU_MAX_Nm,
+    posture,
+    rotation_error,
+)
+from uniforce_robots.standins.fci.protocol import (
+    STATE_FLOAT_COUNT,
+    STATE_SLICES,
+    ErrorBit,
+    Generator,
+    RobotCommand,
+)
+
+TICK_s = 0.001
+INERTIA_kgm2 = np.array([1.0, 1.0, 0.8, 0.8, 0.25, 0.25, 0.12])  # at each joint, about 3 kg felt at the hand
+FRICTION_Nms = np.array([0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.1])
+FOLLOW_1_s = 50.0  # how fast the internal controllers close a position error
+BRAKE_SHARE = 0.9  # of the joint speed left each millisecond when something stops the arm: still after 50 ms
+STILL_rad_s = 1e-9
+GUIDING_DAMPING_Nms = 5.0  # a hand that pushes moves the arm, and it stops when the push does
+PINV_DAMPING = 0.05
+SPEED_MAX_m_s = 3.0  # of the hand (FR3 specification)
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A springy table: pushes up on a hand that is below it."""
+
+    height_m: float
+    stiffness_N_m: float = 5000.0
+    damping_Ns_m: float = 100.0
+
+
+@dataclass
+class Arm:
+    """Seven joints and the hand's frame. Times are the robot's own: one call of a method is one millisecond."""
+
+    q_rad: np.ndarray = field(default_factory=HOME_q_rad.copy)
+    dq_rad_s: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
+    tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
+    ne_to_flange: np.ndarray = field(default_factory=HAND_TO_FLANGE.copy)
+    ee_to_ne: np.ndarray = field(default_factory=lambda: np.eye(4))
+    k_to_ee: np.ndarray = field(default_factory=lambda: np.eye(4))
+    wrench_N: np.ndarray = field(
+        default_factory=lambda: np.zeros(6)
+    )  # set from outside; base frame, at the hand
+    wall: Wall | None = None
+    upper_torque_Nm: np.ndarray = field(default_factory=lambda: np.full(JOINTS, 20.0))
+    upper_force_N: np.ndarray = field(default_factory=lambda: np.full(6, 30.0))
+
+    def __post_init__(self) -> None:
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Recompute what follows from the joint angles and from what was set from outside."""
+        self._floats: np.ndarray | None = None
+        self.posture: Posture = posture(self.q_rad)
+        self.ee_to_base = self.posture.flange_to_base @ self.ne_to_flange @ self.ee_to_ne
+        self.jacobian = self.posture.jacobian(self.ee_to_base[:3, 3])
+        self.twist = self.jacobian @ self.dq_rad_s  # of the hand, m/s and rad/s
+        self.felt_N = self._felt()
+        self.tau_ext_Nm = self.jacobian.T @ self.felt_N
+
+    def _felt(self) -> np.ndarray:
+        """(6,) wrench on the hand: what was set, and the wall."""
+        felt = self.wrench_N.copy()
+        if self.wall is not None:
+            depth = self.wall.height_m - self.ee_to_base[2, 3]
+            if depth > 0:
+                speed = float(self.twist[2])
+                felt[2] += max(self.wall.stiffness_N_m * depth - self.wall.damping_Ns_m * speed, 0.0)
+        return felt
+
+    def drive(self, command: RobotCommand, generator: Generator) -> None:
+        """Follow a client's command for a millisecond."""
+        if generator == Generator.NONE:
+            self.tau_Nm = np.clip(command.tau_J_d, -TAU_MAX_Nm, TAU_MAX_Nm)
+            self._accelerate(self.tau_Nm + self.tau_ext_Nm - FRICTION_Nms * self.dq_rad_s)
+        else:
+            self.dq_rad_s = np.clip(self._wanted_speed(command, generator), -DQ_MAX_rad_s, DQ_MAX_rad_s)
+        self._integrate()
+
+    def _wanted_speed(self, command: RobotCommand, generator: Generator) -> np.ndarray:
+        if generator == Generator.JOINT_POSITION:
+            return FOLLOW_1_s * (command.q_c - self.q_rad)
+        if generator == Generator.JOINT_VELOCITY:
+            return command.dq_c
+        twist = command.O_dP_EE_c
+        if generator == Generator.CARTESIAN_POSITION:
+            target = command.O_T_EE_c.reshape(4, 4).T
+            turn = rotation_error(target[:3, :3], self.ee_to_base[:3, :3])
+            twist = FOLLOW_1_s * np.concatenate([target[:3, 3] - self.ee_to_base[:3, 3], turn])
+        J = self.jacobian
+        return J.T @ np.linalg.solve(J @ J.T + PINV_DAMPING**2 * np.eye(6), twist)
+
+    def hold(self) -> None:
+        """Brake for a millisecond: nothing commands the arm."""
+        if not self.tau_Nm.any() and np.abs(self.dq_rad_s).max() < STILL_rad_s:
+            return  # spares an idle arm, which is most of a test's time, its kinematics
+        self.tau_Nm = np.zeros(JOINTS)
+        self.dq_rad_s = self.dq_rad_s * BRAKE_SHARE
+        self._integrate()
+
+    def guide(self) -> None:
+        """Be pushed for a millisecond."""
+        self.tau_Nm = np.zeros(JOINTS)
+        self._accelerate(self.tau_ext_Nm - GUIDING_DAMPING_Nms * self.dq_rad_s)
+        self._integrate()
+
+    def _accelerate(self, torque_Nm: np.ndarray) -> None:
+        self.dq_rad_s = self.dq_rad_s + TICK_s * torque_Nm / INERTIA_kgm2
+
+    def _integrate(self) -> None:
+        self.q_rad = self.q_rad + TICK_s * self.dq_rad_s
+        self.refresh()
+
+    def set_ee(self, ee_to_ne: np.ndarray) -> None:
+        """Move the hand's frame; (4, 4)."""
+        self.ee_to_ne = ee_to_ne
+        self.refresh()
+
+    def violations(self) -> frozenset[int]:
+        """Return the error bits that would stop a motion now."""
+        found = set()
+        if np.any(np.abs(self.felt_N) > self.upper_force_N):
+            found.add(ErrorBit.CARTESIAN_REFLEX)
+        if np.any(np.abs(self.tau_ext_Nm) > self.upper_torque_Nm):
+            found.add(ErrorBit.JOINT_REFLEX)
+        if np.any(np.abs(self.dq_rad_s) > DQ_MAX_rad_s * 1.001):  # drive() clips to the limit itself
+            found.add(ErrorBit.JOINT_VELOCITY_VIOLATION)
+        if self.twist[:3] @ self.twist[:3] > SPEED_MAX_m_s**2:
+            found.add(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)
+        if np.any((self.q_rad < Q_MIN_rad) | (self.q_rad > Q_MAX_rad)):
+            found.add(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)
+        return frozenset(found)
+
+    def state_floats(self) -> np.ndarray:
+        """(320,) float32 of a state, in the order of ``STATE_FLOATS``."""
+        if self._floats is None:
+            self._floats = self._compose()
+        return self._floats
+
+    def _compose(self) -> np.ndarray:
+        floats = np.zeros(STATE_FLOAT_COUNT, np.float32)
+        for name, value in self._state_values().items():
+            floats[STATE_SLICES[name]] = value
+        return floats
+
+    def _state_values(self) -> dict[str, np.ndarray]:
+        pose = self.ee_to_base.T.ravel()
+        ee_to_flange = self.ne_to_flange @ self.ee_to_ne
+        turn = (self.ee_to_base @ self.k_to_ee)[:3, :3].T
+        return {
+            "O_T_EE": pose,
+            "O_T_EE_d": pose,
+            "O_T_EE_c": pose,
+            "F_T_EE": ee_to_flange.T.ravel(),
+            "EE_T_K": self.k_to_ee.T.ravel(),
+            "F_T_NE": self.ne_to_flange.T.ravel(),
+            "NE_T_EE": self.ee_to_ne.T.ravel(),
+            "tau_J": self.tau_Nm,
+            "tau_J_d": self.tau_Nm,
+            "q": self.q_rad,
+            "q_d": self.q_rad,
+            "theta": self.q_rad,
+            "dq": self.dq_rad_s,
+            "dq_d": self.dq_rad_s,
+            "dtheta": self.dq_rad_s,
+            "tau_ext_hat_filtered": self.tau_ext_Nm,
+            "O_F_ext_hat_K": self.felt_N,
+            "K_F_ext_hat_K": np.concatenate([turn @ self.felt_N[:3], turn @ self.felt_N[3:]]),
+            "O_dP_EE_c": self.twist,
+            "O_dP_EE_d": self.twist,
+            "O_ddP_O": np.array([0.0, 0.0, -9.81]),  # a client computes gravity from this
+        }
+
+    def describe(self) -> dict[str, object]:
+        """Return where the arm really is and what really drives it, whatever its states say."""
+        return {
+            "q_rad": self.q_rad.tolist(),
+            "position_m": self.ee_to_base[:3, 3].tolist(),
+            "rotation": self.ee_to_base[:3, :3].tolist(),
+            "speed_rad_s": float(np.abs(self.dq_rad_s).max()),
+            "felt_N": self.felt_N.tolist(),
+            "tau_Nm": self.tau_Nm.tolist(),
+            "command_force_N": np.linalg.lstsq(self.jacobian.T, self.tau_Nm, rcond=None)[0].tolist(),
+        }

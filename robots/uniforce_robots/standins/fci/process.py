@@ -1,0 +1,92 @@
+"""Start the stand-in as its own process, order its faults, and end it by its own handle."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+
+from uniforce_robots.standins.fci.journal import read_journal
+from uniforce_robots.standins.fci.server import CONTROL_PORT
+
+START_s = 30.0  # a busy machine needs long to import numpy
+ANSWER_s = 10.0
+
+
+class StandIn:
+    """A running stand-in. Use as a context manager; ``do`` orders a fault and returns what the arm and hand show."""
+
+    def __init__(self, address: str, *options: str, log: Path | None = None) -> None:
+        self.address, self.log = address, log
+        command = [sys.executable, "-m", "uniforce_robots.standins.fci", address, *options]
+        if log is not None:
+            command += ["--log", str(log)]
+        path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+        environment = {**os.environ, "PYTHONPATH": path}
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+        line = self.process.stdout.readline() if self.process.stdout else ""
+        if line.strip() != "ready":
+            self.close()
+            raise RuntimeError(
+                f"stand-in at {address}: expected 'ready', got {line!r}. See its error output."
+            )
+        self._control = socket.create_connection((address, CONTROL_PORT), ANSWER_s)
+        self._answers = self._control.makefile("r")
+
+    def do(self, what: str, **details: object) -> dict:
+        """Order something (see ``Server._do``) and return ``{"arm": …, "hand": …}`` as they are afterwards."""
+        self._control.sendall(json.dumps({"do": what, **details}).encode() + b"\n")
+        answer = json.loads(self._answers.readline())
+        if "error" in answer:
+            raise ValueError(answer["error"])
+        return answer
+
+    def die(self) -> None:
+        """Let the process vanish without a word to its clients."""
+        self._control.sendall(b'{"do": "die"}\n')
+        self.process.wait(ANSWER_s)
+
+    def wire(self) -> list[dict]:
+        """Return the log so far."""
+        if self.log is None:
+            raise RuntimeError("this stand-in was started without a log")
+        if self.process.poll() is None:
+            self.do("flush")
+        return read_journal(self.log)
+
+    def close(self) -> None:
+        """End the process."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            try:
+                self.process.wait(ANSWER_s)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+        if self.process.stdout:
+            self.process.stdout.close()
+        if hasattr(self, "_control"):
+            self._answers.close()
+            self._control.close()
+
+    def __enter__(self) -> StandIn:
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition") -> float:
+    """Poll a condition; return the seconds it took, or raise TimeoutError."""
+    start = time.monotonic()
+    while not condition():
+        if time.monotonic() - start > timeout_s:
+            raise TimeoutError(f"{what}: not within {timeout_s} s")
+        time.sleep(0.005)
+    return time.monotonic() - start

@@ -1,0 +1,194 @@
+"""Arm, hand and control socket in one single-threaded loop."""
+
+from __future__ import annotations
+
+import json
+import select
+import socket
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from uniforce_robots.standins.fci.arm import TICK_s, Wall
+from uniforce_robots.standins.fci.arm_service import ArmService
+from uniforce_robots.standins.fci.control_loop import ArmOptions
+from uniforce_robots.standins.fci.faults import Faults
+from uniforce_robots.standins.fci.hand_service import HandOptions, HandService
+from uniforce_robots.standins.fci.journal import Journal
+from uniforce_robots.standins.fci.link import Link
+
+CONTROL_PORT = 1339  # ours, beside the robot's two
+CATCH_UP_s = 0.05  # a loop that lags more forgets the lag instead of racing through it
+CONTROL_LINE_BYTES = 65536
+
+
+@dataclass(frozen=True)
+class ServerOptions:
+    """Where to serve and how to misbehave from the start.
+
+    Attributes:
+        address: loopback unless the command line says otherwise.
+        mute: accept connections and never answer.
+        log: file of JSON lines, one for each message.
+        fault: one of ``hostile.FAULTS`` from the first millisecond on.
+    """
+
+    address: str
+    arm: ArmOptions = field(default_factory=ArmOptions)
+    hand: HandOptions = field(default_factory=HandOptions)
+    mute: bool = False
+    log: Path | None = None
+    fault: str = "none"
+
+
+class Server:
+    """The stand-in."""
+
+    def __init__(self, options: ServerOptions) -> None:
+        self.journal = Journal(options.log)
+        self.arm = ArmService(options.address, options.arm, self.journal)
+        self.hand = HandService(options.address, options.hand, self.journal)
+        self.mute = options.mute
+        self.stopped = False
+        self.faults = Faults(self.arm, self.hand, self.journal)
+        self.faults.order(options.fault)
+        self._control = socket.create_server((options.address, CONTROL_PORT))
+        self._controllers: dict[socket.socket, bytes] = {}
+
+    def run(self) -> None:
+        """Serve until told to stop."""
+        due = time.monotonic()
+        while not self.stopped:
+            now = time.monotonic()
+            if now >= due and self.arm.is_due(now):
+                self._tick()
+                due = max(due + TICK_s, now - CATCH_UP_s)
+                now = time.monotonic()
+            self._serve(max(due - now, 0.0) if now < due else TICK_s / 5)
+
+    def close(self) -> None:
+        """Close every socket."""
+        self.arm.link.close()
+        self.hand.link.close()
+        for controller in self._controllers:
+            controller.close()
+        self._control.close()
+        self.journal.flush()
+
+    def _tick(self) -> None:
+        if not self.mute:
+            self.arm.tick()
+            self.hand.tick(time.monotonic())
+            self.faults.tick()
+
+    def _serve(self, timeout_s: float) -> None:
+        """Answer what has arrived, or wait for it. ``select`` waits in microseconds, ``epoll`` in milliseconds."""
+        devices = [] if self.mute else [*self.arm.link.sockets(), *self.hand.link.sockets()]
+        ready, _, _ = select.select([*devices, self._control, *self._controllers], [], [], timeout_s)
+        for ready_socket in ready:
+            self._route(ready_socket)
+
+    def _route(self, ready: socket.socket) -> None:
+        if ready is self._control:
+            self._controllers[self._control.accept()[0]] = b""
+        elif ready in self._controllers:
+            self._read_control(ready)
+        elif ready is self.arm.link.udp:
+            for datagram in self.arm.link.datagrams():
+                self.arm.receive_command(datagram)
+        elif ready is self.hand.link.udp:
+            list(self.hand.link.datagrams())  # the hand takes none
+        else:
+            self._read_device(self.arm if ready in self.arm.link.sockets() else self.hand, ready)
+
+    def _read_device(self, service: ArmService | HandService, ready: socket.socket) -> None:
+        link: Link = service.link
+        if ready is link.listener:
+            if link.accept():
+                service.client_gone()
+        elif ready is link.client:
+            for message in link.receive():
+                service.handle(message)
+            if link.client is None:
+                service.client_gone()
+
+    # --- control -----------------------------------------------------------------------------------------------------
+
+    def _read_control(self, controller: socket.socket) -> None:
+        """Obey whole lines; a controller that hangs up, or never ends its line, is dropped."""
+        try:
+            data = controller.recv(CONTROL_LINE_BYTES)
+            *lines, rest = (self._controllers[controller] + data).split(b"\n")
+            for line in lines:
+                controller.sendall(json.dumps(self._obey(line)).encode() + b"\n")
+        except ConnectionError:
+            data = rest = b""
+        self._controllers[controller] = rest
+        if not data or len(rest) > CONTROL_LINE_BYTES:
+            del self._controllers[controller]
+            controller.close()
+
+    def _obey(self, line: bytes) -> dict[str, object]:
+        try:
+            order = json.loads(line)
+            answer = self._do(order.pop("do"), **order)
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            return {"error": f"{type(error).__name__}: {error}"}
+        shown = {"arm": self.arm.describe(), "hand": self.hand.describe(), "fault": self.faults.describe()}
+        return {**shown, "answer": answer}
+
+    def _do(self, what: str, **details: object) -> object:
+        orders = {
+            "look": lambda: None,
+            "fault": self.faults.order,
+            "reflex": lambda: self.faults.order("reflex"),
+            "user_stop": lambda: self.faults.order("user_stop"),
+            "release": self.arm.release,
+            "guide": self.arm.guide,
+            "mute": self._set_mute,
+            "wrench": self._set_wrench,
+            "wall": self._set_wall,
+            "object": self._set_object,
+            "miss_rule": self._set_miss_rule,
+            "rules": self._set_rules,
+            "hand_hz": self._set_hand_rate,
+            "flush": self.journal.flush,
+            "stop": self._stop,
+            "die": lambda: self.faults.order("server_death"),
+        }
+        if what not in orders:
+            raise ValueError(f"do: expected one of {sorted(orders)}, got {what!r}")
+        return orders[what](**details)  # type: ignore[no-any-return, operator]
+
+    def _set_mute(self, on: bool = True) -> None:
+        self.mute = bool(on)
+
+    def _set_wrench(self, newtons: list[float]) -> None:
+        wrench = np.asarray(newtons, float)
+        if wrench.shape != (6,):
+            raise ValueError(f"wrench: expected 6 numbers, got {wrench.shape}")
+        self.arm.arm.wrench_N = wrench
+        self.arm.arm.refresh()
+
+    def _set_wall(self, height_m: float | None, stiffness_N_m: float = 5000.0) -> None:
+        self.arm.arm.wall = None if height_m is None else Wall(float(height_m), float(stiffness_N_m))
+        self.arm.arm.refresh()
+
+    def _set_object(self, width_m: float) -> None:
+        self.hand.hand.object_m = float(width_m)
+
+    def _set_miss_rule(self, on: bool = True) -> None:
+        self.arm.miss_rule = bool(on)
+
+    def _set_rules(self, on: bool = True) -> None:
+        self.arm.rules = bool(on)
+
+    def _set_hand_rate(self, hz: float) -> None:
+        if not hz > 0:
+            raise ValueError(f"hand_hz: expected > 0, got {hz}")
+        self.hand.state_hz = float(hz)
+
+    def _stop(self) -> None:
+        self.stopped = True

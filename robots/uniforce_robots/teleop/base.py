@@ -1,0 +1,195 @@
+"""What all our teleoperators share: five absolute axes out, a start on the measured pose, and one kind of error.
+
+The order of an episode: ``start_from(measured)``, then per tick ``send_feedback(measured)`` and ``get_action()``. A
+fault stays until the next ``start_from``: an arm must not go on by itself because a plug found its socket again.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
+
+from uniforce_robots.franka.arm import Gains
+from uniforce_robots.sensors.faults import ProtocolError, StaleSensorError
+from uniforce_robots.teleop.integrator import TargetIntegrator, TargetLimits
+from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
+from uniforce_vtla.keys import AXES
+
+FEEDBACK_AGE_S = (
+    0.2  # an older measured pose is not where the robot is; the robot's own watchdog has the same
+)
+
+
+def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
+    """Return (5,) float64 of a dict with ``keys.AXES`` or of five numbers.
+
+    Raises:
+        TeleoperatorError: an axis is missing, or a number is not finite.
+    """
+    try:
+        values = [axes[axis] for axis in AXES] if isinstance(axes, Mapping) else axes
+        array = np.asarray(values, dtype=np.float64)
+    except (KeyError, TypeError, ValueError) as error:
+        raise TeleoperatorError(expected(what, AXES, repr(error), "Give all five."), "garbage") from error
+    if array.shape != (len(AXES),) or not np.isfinite(array).all():
+        raise TeleoperatorError(expected(what, f"{AXES}, finite", array.tolist(), "Check it."), "garbage")
+    return array
+
+
+class UniforceTeleoperator(Teleoperator):
+    """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame.
+
+    Attributes:
+        wants_gains: stiffness the robot needs while this one steers; None for the robot's own.
+        clock: seconds; tests put their own.
+    """
+
+    wants_gains: ClassVar[Gains | None] = None
+
+    def __init__(self, config: TeleoperatorConfig, limits: TargetLimits | None = None) -> None:
+        super().__init__(config)
+        self.clock: Callable[[], float] = time.monotonic
+        self.integrator = TargetIntegrator(limits)
+        self._measured: np.ndarray | None = None
+        self._measured_s = self._last_s = 0.0
+        self._is_started = False
+        self._fault: TeleoperatorError | None = None
+
+    # --- LeRobot's contract ------------------------------------------------------------------------------------------
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Five target axes."""
+        return dict.fromkeys(AXES, float)
+
+    @property
+    def feedback_features(self) -> dict[str, type]:
+        """Five measured axes."""
+        return dict.fromkeys(AXES, float)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """True where there is nothing to calibrate."""
+        return True
+
+    def calibrate(self) -> None:
+        """Do nothing."""
+
+    def configure(self) -> None:
+        """Do nothing."""
+
+    def connect(self, calibrate: bool = True) -> None:
+        """Open the device.
+
+        Raises:
+            TeleoperatorError: connected already, not there, or what it needs is not installed.
+        """
+        if self.is_connected:
+            do = "Disconnect first."
+            raise TeleoperatorError(expected(self.name, "to be unconnected", "a second connect", do))
+        try:
+            self._open()
+        except SensorError as error:
+            raise _translated(error) from error
+
+    def disconnect(self) -> None:
+        """Let go of the device and join its thread. Safe to call twice."""
+        self._is_started = False
+        self._close()
+
+    def start_from(self, measured: Mapping[str, Any] | np.ndarray) -> None:
+        """Begin an episode with the target on the measured pose; forget an earlier fault.
+
+        Args:
+            measured: (5,) or a dict, axes as in ``keys.AXES``.
+
+        Raises:
+            TeleoperatorError: not connected, the device has a fault, or it stands too far from the robot (``far``).
+        """
+        self._check_connected()
+        axes = checked_axes(measured, "measured pose")
+        self._fault, self._is_started = None, False
+        self.integrator.start_from(axes)
+        self._remember(axes)
+        self._last_s = self.clock()
+        try:
+            self._begin(axes)
+        except SensorError as error:
+            raise _translated(error) from error
+        self._is_started = True
+
+    def send_feedback(self, feedback: dict[str, Any]) -> None:
+        """Take the measured axes of this tick: for the leash, and for hand guiding the action itself."""
+        self._remember(checked_axes(feedback, "feedback"))
+
+    def get_action(self) -> dict[str, float]:
+        """Return the five absolute target axes.
+
+        Raises:
+            TeleoperatorError: not connected, not started, or the device has a fault; see its ``fault``.
+        """
+        self._check_connected()
+        if self._fault is not None:
+            raise self._fault
+        if not self._is_started:
+            do = "Call start_from(measured) first; uniforce record does. LeRobot's own commands don't."
+            raise TeleoperatorError(expected(self.name, "a started episode", "none", do), "not_started")
+        now = self.clock()
+        elapsed, self._last_s = now - self._last_s, now
+        axes = self._guarded(elapsed)
+        return dict(zip(AXES, axes.tolist(), strict=True))
+
+    # --- what each device does ---------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Open the device."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close it; safe to call twice."""
+
+    @abstractmethod
+    def _next(self, elapsed_s: float) -> np.ndarray:
+        """Return the next target (5,)."""
+
+    def _begin(self, measured: np.ndarray) -> None:
+        """Latch what an episode starts from; raise where it must not start."""
+
+    # --- inside ------------------------------------------------------------------------------------------------------
+
+    @property
+    def measured(self) -> np.ndarray | None:
+        """(5,) the robot's pose as last told, None when that is too long ago to rely on."""
+        fresh = self.clock() - self._measured_s <= FEEDBACK_AGE_S
+        return self._measured if fresh else None
+
+    def _remember(self, axes: np.ndarray) -> None:
+        self._measured, self._measured_s = axes, self.clock()
+
+    def _guarded(self, elapsed_s: float) -> np.ndarray:
+        try:
+            return checked_axes(self._next(elapsed_s), f"{self.name}'s target")
+        except SensorError as error:
+            self._fault = _translated(error)
+            raise self._fault from error
+        except TeleoperatorError as error:
+            self._fault = error
+            raise
+
+    def _check_connected(self) -> None:
+        if not self.is_connected:
+            do = "Call connect()."
+            raise TeleoperatorError(expected(self.name, "a connected device", "none", do), "not_connected")
+
+
+def _translated(error: SensorError) -> TeleoperatorError:
+    """Say a reader's error in a teleoperator's words: the reading thread is shared with the tactile devices."""
+    kinds = {StaleSensorError: "stale", ProtocolError: "garbage"}
+    fault = next((fault for kind, fault in kinds.items() if isinstance(error, kind)), "connection")
+    return TeleoperatorError(str(error), fault)

@@ -1,0 +1,123 @@
+"""The one place where speeds and wishes become an absolute target: limited in speed, boxed, on a leash, never jumping.
+
+Every teleoperator that does not simply repeat measured poses moves its target through here. ``start_from`` puts the
+target on the measured pose; from then on it moves by at most speed × time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.franka.poses import shortest_turn
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.keys import AXES
+
+YAW = AXES.index("yaw.pos")
+
+
+@dataclass(frozen=True)
+class TargetLimits:
+    """How a target may move; axes as in ``keys.AXES``: x, y, z m, yaw rad, width m, robot base frame.
+
+    Attributes:
+        speed: of each axis, per second. The robot's own guards allow 0.25 m/s; a person wants less near contact.
+        low, high: the box; the robot's own by default. A start outside widens it, so that the start is no jump.
+        leash: how far each axis may lead the measured pose, so that a target pushed into a table does not run on
+            and take seconds to come back. 20 mm is just above the arm's clip of 18 mm, beyond which nothing grows.
+        longest_gap_s: after a longer pause time is counted from here, so that a pause buys no jump.
+    """
+
+    speed: tuple[float, ...] = (0.10, 0.10, 0.10, 0.6, 0.06)
+    low: tuple[float, ...] = GuardLimits.low
+    high: tuple[float, ...] = GuardLimits.high
+    leash: tuple[float, ...] = (0.02, 0.02, 0.02, 0.2, 0.03)
+    longest_gap_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        rows = (self.speed, self.low, self.high, self.leash)
+        for name, row in zip(("speed", "low", "high", "leash"), rows, strict=True):
+            if len(row) != len(AXES) or not np.isfinite(row).all():
+                do = "Give one finite number per axis."
+                raise ContractError(expected(f"limits.{name}", f"{len(AXES)} numbers", row, do))
+        if np.any(np.greater_equal(self.low, self.high)) or min(*self.speed, *self.leash) < 0:
+            raise ContractError(
+                expected("target limits", "low < high, speed and leash ≥ 0", rows, "Mend them.")
+            )
+
+
+class TargetIntegrator:
+    """Keep an absolute target (5,) and move it by speeds, or towards a goal."""
+
+    def __init__(self, limits: TargetLimits | None = None) -> None:
+        self.limits = limits or TargetLimits()
+        self._speed, self._leash = np.array(self.limits.speed), np.array(self.limits.leash)
+        self._low: np.ndarray = np.array(self.limits.low)
+        self._high: np.ndarray = np.array(self.limits.high)
+        self._target: np.ndarray = np.zeros(len(AXES))
+
+    @property
+    def target(self) -> np.ndarray:
+        """(5,) the target now, a copy."""
+        return self._target.copy()
+
+    def start_from(self, measured: np.ndarray) -> None:
+        """Put the target on the measured pose (5,), wherever that is."""
+        self._target = np.array(measured, dtype=np.float64)
+        self._low = np.minimum(self.limits.low, self._target)
+        self._high = np.maximum(self.limits.high, self._target)
+
+    def advance(self, rates: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None) -> np.ndarray:
+        """Move the target by ``rates`` and return it.
+
+        Args:
+            rates: (5,) wanted speed of each axis as a share of its limit, −1 … 1; what lies beyond is cut.
+            elapsed_s: since the last call.
+            measured: (5,) where the robot is; None where nobody tells, then there is no leash.
+        """
+        step = np.clip(rates, -1, 1) * self._speed * self._seconds(elapsed_s)
+        return self._move(step, measured)
+
+    def towards(self, goal: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None) -> np.ndarray:
+        """Move the target towards an absolute goal (5,), turning the shorter way, no faster than the limits.
+
+        The three positions keep their direction, so that a fast hand draws the same line, only later.
+        """
+        reach = self._speed * self._seconds(elapsed_s)
+        step = np.asarray(goal, dtype=np.float64) - self._target
+        step[YAW] = self._turn_to(float(goal[YAW]))
+        step[:3] *= min(1.0, _room(step[:3], reach[:3]))
+        step[3:] = np.clip(step[3:], -reach[3:], reach[3:])
+        return self._move(step, measured)
+
+    def _turn_to(self, goal_rad: float) -> float:
+        """Return the turn from the target that stays in the box: half a turn has two ways, and one leads out of it."""
+        centre = (self._low[YAW] + self._high[YAW]) / 2
+        inside = centre + shortest_turn(centre, goal_rad)
+        return float(np.clip(inside, self._low[YAW], self._high[YAW]) - self._target[YAW])
+
+    def _seconds(self, elapsed_s: float) -> float:
+        return min(max(elapsed_s, 0.0), self.limits.longest_gap_s)
+
+    def _move(self, step: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
+        moved = np.clip(self._target + step, self._low, self._high)
+        if measured is not None:
+            lead, before = _lead(moved, measured), _lead(self._target, measured)
+            runs_off = (lead > self._leash) & (lead > before)
+            moved = np.where(runs_off, self._target, moved)
+        self._target = moved
+        return self.target
+
+
+def _room(step: np.ndarray, reach: np.ndarray) -> float:
+    """Return the share of a step that every axis' reach allows."""
+    moving = np.abs(step) > 0
+    return float(np.min(reach[moving] / np.abs(step[moving]))) if moving.any() else 1.0
+
+
+def _lead(target: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    lead = np.abs(target - measured)
+    lead[YAW] = abs(shortest_turn(float(measured[YAW]), float(target[YAW])))
+    return lead

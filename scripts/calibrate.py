@@ -1,3 +1,0 @@
-from uniforce_commands.calibrate import main
-
-raise SystemExit(main())

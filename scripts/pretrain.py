@@ -1,3 +1,0 @@
-from uniforce_commands.pretrain import main
-
-raise SystemExit(main())

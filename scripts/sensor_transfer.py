@@ -1,3 +1,0 @@
-from uniforce_commands.sensor_transfer import main
-
-raise SystemExit(main())

@@ -1,3 +1,0 @@
-from uniforce_commands.tokenizer_options import main
-
-raise SystemExit(main())

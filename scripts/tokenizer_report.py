@@ -1,3 +1,0 @@
-from uniforce_commands.tokenizer_report import main
-
-raise SystemExit(main())

@@ -1,0 +1,142 @@
+"""Turn a published π0.5 (folder or hub id) into a pi05_uniforce that training can start from.
+
+Why not ``policy.pretrained_path``: LeRobot would load the published processors with it, which know nothing of touch,
+and its own loader goes on with random weights after an error. Here every tensor is placed by name or named in an error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import torch
+from lerobot.utils.feature_utils import dataset_to_policy_features
+
+from lerobot_policy_pi05_uniforce import (
+    PI05UniforceConfig,
+    PI05UniforcePolicy,
+    make_pi05_uniforce_pre_post_processors,
+    weights,
+)
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
+    ActionSettings,
+    SamplerSettings,
+    TinySettings,
+    TouchSettings,
+)
+from lerobot_policy_pi05_uniforce.conversion import FRESH, own_names
+from lerobot_policy_pi05_uniforce.migration import grouped
+from uniforce_cli.boundary import command
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.file_hashes import write_hashes
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.keys import ACTION
+from uniforce_vtla.options import Existing, OutFolder, Pattern, Slots, View
+
+KNOWN_TYPES = ("pi05", "pi05_uniforce")
+NOT_TAKEN = (  # what the new policy decides for itself, or what its own data say
+    *("type", "device", "dtype", "input_features", "output_features", "normalization_mapping", "rtc_config"),
+    *("pretrained_path", "repo_id", "trained_on", "swap", "left_sensor", "right_sensor", "touch", "augment"),
+)
+GROUPS = {"action": ActionSettings, "tiny": TinySettings, "sampler": SamplerSettings}
+
+
+Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
+Revision = Annotated[str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")]
+
+
+@dataclass
+class ConvertConfig:
+    """Give a π0.5 force tokens: its weights, new modules that start fresh, processors for your own data.
+
+    Example: uniforce convert source=lerobot/pi05_base view=outputs/view224 out=outputs/pi05_touch
+    then: uniforce train policy.path=outputs/pi05_touch dataset.repo_id=local/view dataset.root=outputs/view224
+    """
+
+    # folder or hub id of a pi05, or of a pi05_uniforce to change its touch
+    source: Published = "lerobot/pi05_base"
+    # training view of your demos (uniforce view image_side=224): features, statistics
+    view: View = "outputs/view"
+    out: OutFolder = "outputs/converted"  # the new policy's folder
+    # latent, none, or a control: the others
+    touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"
+    touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
+    token_site: Literal["prefix", "suffix"] = "prefix"  # prefix | suffix (docs/design.md)
+    # training starts with the source's actions, touch behind a gate (touch/tokens.py)
+    start_at_base: bool = True
+    dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
+    revision: Revision = ""  # of a hub repository
+
+
+def convert(config: ConvertConfig) -> Path:
+    """Build, fill and save the policy with its processors; return its folder.
+
+    Raises:
+        CheckpointError: no π0.5 there, a damaged file, or tensors that are missing, left over or misshapen.
+        ContractError: settings that don't go together.
+        DatasetError: no view, or one that lacks the touch input.
+    """
+    from uniforce_datasets.training_view import TrainingView
+
+    if config.revision and Path(config.source).exists():
+        raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
+    revision = config.revision or None
+    weights.check_files(config.source, "full", revision, local_files_only=False)
+    source = grouped(read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError))
+    slots = _slots(config.touch_slots)
+    view = TrainingView(config.view, slots=slots, touch=config.touch_input)
+    settings = _settings(source, config, slots)
+    features = dataset_to_policy_features(view.meta.features)
+    settings.output_features = {key: feature for key, feature in features.items() if key == ACTION}
+    settings.input_features = {key: feature for key, feature in features.items() if key != ACTION}
+    policy = PI05UniforcePolicy(settings, dataset_stats=view.meta.stats, dataset_meta=view.meta, empty=True)
+    file = weights.find(config.source, weights.WEIGHTS, revision)
+    weights.fill(policy, file, own_names(weights.names(file)).get, FRESH)
+    before, after = make_pi05_uniforce_pre_post_processors(settings, view.meta.stats)
+    for part in (policy, before, after):
+        part.save_pretrained(config.out)
+    write_hashes(config.out)
+    return Path(config.out)
+
+
+def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, str]) -> PI05UniforceConfig:
+    """Return the source's sizes and flow with this project's touch.
+
+    Raises:
+        CheckpointError: a checkpoint of another policy.
+    """
+    if source.get("type") not in KNOWN_TYPES:
+        do = "Name a π0.5 checkpoint."
+        raise CheckpointError(
+            expected(f"policy type of {config.source}", " | ".join(KNOWN_TYPES), source.get("type"), do)
+        )
+    known = PI05UniforceConfig.__dataclass_fields__.keys() - set(NOT_TAKEN)
+    taken = {name: value for name, value in source.items() if name in known}
+    taken |= {name: group(**taken[name]) for name, group in GROUPS.items() if name in taken}
+    taken.setdefault("size", "base")
+    dtype = "float32" if taken["size"] == "tiny" else config.dtype
+    return PI05UniforceConfig(
+        **taken,
+        device="cpu",
+        dtype=dtype,
+        touch=TouchSettings(slots, config.touch_input, config.token_site, config.start_at_base),
+    )
+
+
+def _slots(text: str) -> dict[str, str]:
+    pairs = [entry.split(":") for entry in text.replace(" ", "").split(",") if entry]
+    if any(len(pair) != 2 for pair in pairs):
+        do = "Write touch_slots=touch0:right,touch1:left."
+        raise ContractError(expected("touch_slots", "slot:finger pairs", repr(text), do))
+    return dict(pairs)
+
+
+@command(ConvertConfig)
+def main(config: ConvertConfig) -> int:
+    """Entry of ``uniforce convert``."""
+    torch.set_num_threads(1)
+    out = convert(config)
+    print(f"policy in {out}; new modules start fresh: {', '.join(FRESH)}")
+    print(f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")
+    return 0

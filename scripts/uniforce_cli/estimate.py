@@ -1,0 +1,126 @@
+"""Score recorded rollouts of a robot, which knows no truth: slippage, excess force and ink left, as estimates."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from uniforce_cli.boundary import command
+from uniforce_cli.option_types import Verify
+from uniforce_cli.recording_forces import RecordingForces, descriptor_heads
+from uniforce_datasets.source import Episode, Source, episode_frames
+from uniforce_vtla.arguments import numbers
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.evaluation.board_camera import estimate_residual
+from uniforce_vtla.evaluation.episode import ScoreLimits
+from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
+from uniforce_vtla.evaluation.pictures import draw_estimate
+from uniforce_vtla.keys import camera_key
+from uniforce_vtla.options import CountOrZero, Dataset, FileName, FolderPath, Numbers, OutFolder
+from uniforce_vtla.results_file import provenance, write_json
+
+
+@dataclass
+class ScoreRecordingConfig:
+    """Estimate what happened in recorded rollouts from the fingers, and the ink left from a camera.
+
+    Example: uniforce estimate root=outputs/robot pad_friction=0.6,0.7 board_corners=62,40,250,38,262,180,55,184
+    """
+
+    root: Dataset = "outputs/demos"  # recorded dataset, from a robot or from the simulator
+    pad_friction: Numbers = ""  # left,right: pull slowly until the object slides, shear over grip. Needed
+    # x,y of the board's four corners in the camera's picture, in order around it; empty = ink isn't judged
+    board_corners: Numbers = ""
+    camera: FileName = "front"  # scene camera that sees the board
+    episodes: CountOrZero = 0  # the first so many; 0 = all
+    heads: FolderPath = (
+        ""  # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
+    )
+    verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
+    out: OutFolder = "outputs/recording_scores"  # estimates.json and a picture per episode
+
+
+def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
+    """Return one row per episode; every number is an estimate.
+
+    Raises:
+        ContractError: friction or corners of the wrong form.
+        DatasetError: a dataset that can't be read, lacks a finger, or is truncated.
+    """
+    left, right = numbers("pad_friction", config.pad_friction, 2)
+    corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
+    recording = RecordingForces(config.root, descriptor_heads(config.heads), config.verify)
+    source, rows = recording.source, []
+    for episode in tqdm(source.episodes[: config.episodes or None], desc="episodes", unit="episode"):
+        felt = recording.feel(episode)
+        found, truth = felt.judge((left, right))
+        row = _row(episode, found)
+        if corners is not None:
+            row["residual"] = _residual(source, episode, config.camera, corners)
+        if truth is not None:
+            row["with_true_forces"] = _row(episode, truth)
+            row["press_mae_N"] = float(np.abs(found.press_N - truth.press_N).mean())
+        draw_estimate(found, felt.time_s, truth, Path(config.out) / f"episode_{episode.index}.png")
+        rows.append(row)
+    return {
+        "what": "estimates from marker images, the robot's own height and a camera; no truth was used",
+        "root": config.root,
+        "heads": config.heads or "shipped",
+        "pad_friction": [left, right],
+        "limits": asdict(ScoreLimits()),
+        "episodes": rows,
+    }
+
+
+def _row(episode: Episode, found: FingerEstimate) -> dict[str, Any]:
+    return {
+        "episode": episode.index,
+        "slippage": list(found.slippage),
+        "excess_force": list(found.excess_force),
+        "lost": list(found.lost),
+        "press_max_N": float(found.press_N.max()),
+        "grip_mean_N": float(found.grip_N[found.press_N > 0].mean()) if (found.press_N > 0).any() else 0.0,
+        "friction_used_max": float(found.friction_used.min(axis=1).max()),
+    }
+
+
+def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray) -> dict[str, Any]:
+    span = episode.videos.get(camera_key(camera))
+    if span is None:
+        raise DatasetError(expected(str(source.root), camera_key(camera), "no such video", "Name another."))
+    first = next(episode_frames(span, 1, source.fps))
+    last = next(episode_frames(span, episode.length, source.fps, first=episode.length - 1))
+    try:
+        found = estimate_residual(first, last, corners.reshape(4, 2))
+    except DatasetError as error:  # one covered board must not cost the other episodes their scores
+        return {"not_judged": str(error)}
+    return {"residual": found.residual, "judged": found.judged}
+
+
+def _line(row: dict[str, Any]) -> str:
+    events = [*row["lost"], *row["slippage"], *row["excess_force"]] or ["no event"]
+    ink = _ink(row["residual"]) if "residual" in row else ""
+    return f"episode {row['episode']}: {'; '.join(events)} (press to {row['press_max_N']:.1f} N{ink})"
+
+
+def _ink(residual: dict[str, Any]) -> str:
+    return f", ink left {residual['residual']:.0%}" if "residual" in residual else ", ink not judged"
+
+
+@command(ScoreRecordingConfig)
+def main(config: ScoreRecordingConfig) -> int:
+    """Entry of ``uniforce estimate``."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    content = score_recording(config)
+    path = write_json(Path(config.out) / "estimates.json", content | provenance())
+    lines = list(itertools.chain(["Estimates, not truth:"], map(_line, content["episodes"])))
+    print("\n".join([*lines, f"written to {path}"]))
+    return 0

@@ -1,0 +1,65 @@
+"""``uniforce VERB key=value …``: one command, its verbs grouped by what a person wants."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import sys
+from collections.abc import Sequence
+
+GROUPS = {  # what a verb is for; the module of its name does it and is loaded when it is called, so help is quick
+    "see a sensor": {
+        "touch": "show a tactile sensor live, or check its rate and orientation",
+        "calibrate": "fit a new sensor to a known one from grasps, without force labels",
+    },
+    "record": {
+        "record": "record demonstrations, in simulation or on a Franka",
+        "pairs": "record equilibrium pairs: both fingers hold one object",
+        "show": "show recorded episodes as a page or in rerun",
+        "verify": "check a dataset's content against its hashes, or write them anew",
+    },
+    "train": {
+        "view": "cache latents and small images, so that the trainer never waits",
+        "train": "train a policy with LeRobot's trainer",
+        "pretrain": "pretrain the tactile tokenizer",
+        "convert": "make a policy to start from of published pi0.5 weights",
+    },
+    "score": {
+        "score": "roll a policy out on paired scenes and score it; sensors may be exchanged",
+        "estimate": "score a robot's recorded rollouts from its own measurements",
+    },
+    "hand on": {
+        "share": "check a policy, write its card, upload it when asked to",
+        "demo": "record, train, score and show in five minutes",
+    },
+}
+VERBS = [name for group in GROUPS.values() for name in group]
+
+
+def overview() -> str:
+    """Return the text of ``uniforce --help``."""
+    lines = ["uniforce VERB key=value …    (uniforce VERB --help teaches a verb by example)"]
+    for title, group in GROUPS.items():
+        lines += ["", f"{title}:", *(f"  {name:10} {does}" for name, does in group.items())]
+    return "\n".join(
+        [*lines, "", "What proves the project's figures: python -m benchmarks.NAME, see docs/benchmark.md."]
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a verb; 2 with one line where there is no such verb."""
+    given = list(sys.argv[1:] if argv is None else argv)
+    if not given or given[0] in ("--help", "-h", "help"):
+        print(overview())
+        return 0
+    name, *rest = given
+    if name not in VERBS:
+        near = difflib.get_close_matches(name, VERBS, n=1)
+        hint = f"Did you mean {near[0]}?" if near else "See uniforce --help."
+        print(f"uniforce: expected a verb ({' | '.join(VERBS)}), got {name}. {hint}", file=sys.stderr)
+        return 2
+    return importlib.import_module(f"uniforce_cli.{name}").main(rest) or 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

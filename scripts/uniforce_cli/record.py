@@ -1,0 +1,222 @@
+"""Record demonstrations as a LeRobot dataset, from the robot or from the simulated scene."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from uniforce_cli.boundary import command
+from uniforce_cli.option_types import Level, Sensor
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.options import (
+    Count,
+    Dataset,
+    FileName,
+    FilePath,
+    HubName,
+    NotNegative,
+    OutFolder,
+    Range,
+    Seed,
+    Share,
+    Texts,
+)
+
+if TYPE_CHECKING:
+    from lerobot.teleoperators import Teleoperator
+
+    from uniforce_robots.recorder.build import Devices
+    from uniforce_robots.recorder.rig import Rig
+    from uniforce_robots.recorder.session import SessionEnd
+
+INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
+
+
+EpisodeSeconds = Annotated[float, Range(0, 3600, above=True)]
+Nudge = Annotated[float, Range(0, 10)]
+
+
+@dataclass
+class RecordConfig:
+    """Record demos until the dataset holds ``episodes`` of them; run it again to go on after any stop.
+
+    Simulation, scripted: uniforce record episodes=50 level=paper left_sensor=gelsight root=outputs/demos
+    Simulation, by hand:  uniforce record teleop=keyboard root=outputs/by_hand
+    Robot, for example:   uniforce record robot=franka rig=rig.yaml teleop=spacemouse root=outputs/real
+    ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with them. The keys to
+    press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted.
+    """
+
+    robot: Literal["sim", "franka"] = "sim"  # sim | franka
+    # expert (simulation) | keyboard | spacemouse | gello | hand_guide | replay | …
+    teleop: FileName = "expert"
+    rig: FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
+    episodes: Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
+    level: Level = "paper"  # simulation: easy | paper | hard, locked in the environment package
+    # simulation: gelsight | tactip | uskin; a robot's own config says it there
+    left_sensor: Sensor = "gelsight"
+    right_sensor: Sensor = "tactip"  # simulation
+    root: OutFolder = "outputs/demos"  # the dataset's folder
+    resume: Dataset = ""  # the same as root, but refuses a folder without a dataset
+    repo_id: HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
+    seed: Seed = 0  # scene of the first episode; the next ones count up
+    nudge: Nudge = 1.3  # expert: hidden push on the executed target, so that demos hold recoveries; 0 = none
+    keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
+    prompts: Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
+    episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
+    operator: Literal["keys", "nobody"] = "keys"  # who begins and judges
+    # what nobody calls an episode
+    verdict: Literal["success", "residual", "failed_grasp"] = "success"
+    quick_notes: Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
+    drive_between: bool = True  # whether the teleoperator moves the robot between episodes
+    keep_aborted: bool = True  # whether what came before a fault is stored, labelled
+    late_share: Share = 0.1  # of its ticks that an episode may miss; one that missed more is aborted:late
+    keep_raw: bool = True  # robot: raw tactile frames beside the dataset
+    window: Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
+    reserve_MB: NotNegative = 500.0  # MB that have to stay free on the disk
+    unwell_s: NotNegative = 10.0  # s, how long nobody waits for a sensor to become well
+    real_time: bool = True  # simulation by hand: keep to the wall clock
+
+
+def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collection[str] = ()) -> SessionEnd:
+    """Record what is missing.
+
+    Args:
+        config: what and where.
+        device_flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``.
+        given: settings that were named, also with the value they have anyway.
+
+    Raises:
+        ContractError: a robot, teleoperator, sensor, level or setting nobody knows.
+        DatasetError: see ``EpisodeRecorder``.
+        RobotError, SensorError, TeleoperatorError: it can't be connected.
+    """
+    _check(config)
+    _refuse_ignored(config, device_flags, given)
+    if config.robot == "sim" and config.teleop == "expert":
+        return _record_expert(config)
+    from uniforce_robots.recorder.assemble import make_operator, run_session
+    from uniforce_robots.recorder.build import make_teleoperator, read_devices
+    from uniforce_robots.recorder.session import SessionSettings
+    from uniforce_robots.recorder.store import StoreSettings
+
+    devices = read_devices(device_flags, config.robot.replace("sim", ""), config.teleop, config.rig)
+    teleop = make_teleoperator(devices.teleop)
+    return run_session(
+        _rig(config, devices, teleop),
+        teleop,
+        make_operator(config.operator, config.verdict, config.quick_notes, teleop),
+        StoreSettings(Path(config.root), config.repo_id, config.reserve_MB),
+        SessionSettings(
+            config.episodes,
+            tuple(config.prompts),
+            config.episode_s,
+            config.drive_between,
+            config.unwell_s,
+            config.keep_aborted,
+            config.late_share,
+            {**asdict(config), "devices": list(device_flags)},
+        ),
+        config.seed,
+        sys.stdout,
+    )
+
+
+def _record_expert(config: RecordConfig) -> SessionEnd:
+    from uniforce_robots.recorder.expert_demos import ExpertDemos, record_expert
+    from uniforce_robots.recorder.session import SessionEnd
+
+    record_expert(
+        ExpertDemos(
+            Path(config.root),
+            config.repo_id,
+            config.episodes,
+            config.level,
+            config.left_sensor,
+            config.right_sensor,
+            config.seed,
+            config.nudge,
+            config.keep_failures,
+        )
+    )
+    return SessionEnd(0, f"{config.episodes} episodes")
+
+
+def _rig(config: RecordConfig, devices: Devices, teleop: Teleoperator) -> Rig:
+    if config.robot == "sim":
+        from lerobot_env_uniforce_wiping import WipeEnv
+        from uniforce_robots.recorder.sim_rig import SimRig
+
+        max_steps = round(config.episode_s * WipeEnv.metadata["render_fps"])
+        env = WipeEnv(config.level, config.left_sensor, config.right_sensor, max_steps=max_steps)
+        return SimRig(env, config.real_time)
+    from uniforce_robots.recorder.build import make_robot
+    from uniforce_robots.recorder.robot_rig import RobotRig
+
+    assert devices.robot is not None  # read_devices gives its type
+    return RobotRig(make_robot(devices.robot, teleop), config.window, config.keep_raw)
+
+
+def _check(config: RecordConfig) -> None:
+    if config.robot == "franka" and config.teleop == "expert":
+        do = "The expert feels the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
+        raise ContractError(expected("teleop", "one that works on a robot", "expert", do))
+    if config.robot == "franka" and not config.prompts:
+        do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'
+        raise ContractError(expected("prompts", "an instruction or more", "none", do))
+    config.root = config.resume or config.root
+
+
+ROBOT = ("rig", "keep_raw", "window")
+SCENE = ("level", "left_sensor", "right_sensor")
+BY_HAND = ("prompts", "episode_s", "operator", "verdict", "quick_notes", "drive_between", "keep_aborted")
+EXPERT = ("nudge", "keep_failures")
+IGNORED = {  # by how it records: settings that would change nothing
+    "robot=franka": (*SCENE, *EXPERT, "real_time"),
+    "robot=sim teleop=expert": (*ROBOT, *BY_HAND, "late_share", "reserve_MB", "unwell_s", "real_time"),
+    "robot=sim, steered by hand": (*ROBOT, *EXPERT),
+    "operator=keys": ("verdict", "unwell_s"),
+    "operator=nobody": ("quick_notes", "drive_between"),
+}
+
+
+def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Collection[str]) -> None:
+    """Refuse what was set and would change nothing."""
+    mode = "robot=franka" if config.robot == "franka" else "robot=sim, steered by hand"
+    if (config.robot, config.teleop) == ("sim", "expert"):
+        mode = "robot=sim teleop=expert"
+    operator = "" if config.teleop == "expert" else f"operator={config.operator}"
+    plain = RecordConfig()
+    ignored = [
+        name
+        for name in (*IGNORED[mode], *IGNORED.get(operator, ()))
+        if name in given or getattr(config, name) != getattr(plain, name)
+    ]
+    parts = (
+        () if config.robot == "franka" else ("robot",) if config.teleop != "expert" else ("robot", "teleop")
+    )
+    flags = [
+        flag for flag in device_flags if flag.removeprefix("--").startswith(tuple(f"{p}." for p in parts))
+    ]
+    if ignored or (parts and flags):
+        came, mode = ", ".join([*ignored, *flags]), f"{mode} {operator}".strip()
+        raise ContractError(expected(f"settings with {mode}", "those it uses", came, "Leave them out."))
+
+
+@command(RecordConfig, others=("robot.", "teleop."))
+def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> int:
+    """Entry of ``uniforce record``."""
+    os.environ.setdefault("HF_HUB_OFFLINE", "1")
+    try:
+        end = record(config, flags, given)
+    except KeyboardInterrupt:
+        print("record: interrupted twice; the robot has stopped, saved episodes are whole")
+        return INTERRUPTED
+    print(f"record: {end.message}")
+    print(f"demos in {config.root} (LeRobot v3 dataset {config.repo_id})")
+    print(f"next: uniforce view roots={config.root} out={Path(config.root).parent / 'view'}")
+    return end.exit_code

@@ -1,0 +1,132 @@
+"""One process of the scorer: builds each arm's environment and controller once, then scores seeds."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from lerobot.utils.io_utils import write_video
+
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.blind import BlindScript
+from lerobot_env_uniforce_wiping.episodes import Script
+from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from uniforce_cli.score_config import ScoreConfig, mounted_sensors
+from uniforce_cli.score_controls import controlled
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
+from uniforce_vtla.evaluation.pictures import write_trace_sheet
+from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
+from uniforce_vtla.results_file import write_json
+
+SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert, "blind": BlindScript}
+
+
+class ScriptController:
+    """Drive an environment with a script that answers one action at a time."""
+
+    def __init__(self, script: Any) -> None:
+        self._script = script
+        self._env: Any = None
+
+    def reset(self, env: Any) -> None:
+        """Start the script's episode."""
+        self._env = env
+        self._script.reset(env)
+
+    def facts(self) -> dict[str, float]:
+        """Return nothing: a script isn't timed."""
+        return {}
+
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        """Return the script's next target as a chunk of one."""
+        return np.asarray(self._script.act(self._env))[None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode of one arm; ``index`` tells whose answer it is."""
+
+    index: int
+    config: ScoreConfig
+    folder: Path
+    seed: int
+
+
+def score_job(job: Job) -> tuple[int, EpisodeRow]:
+    """Roll one episode out and return its row."""
+    torch.set_num_threads(1)  # processes share the cores; more threads each only fight
+    cv2.setNumThreads(1)
+    config, seed = job.config, job.seed
+    env, controller = _build(_Setup.of(config, seed), job.folder)
+    film = seed < config.first_seed + config.videos or seed in config.film
+    torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
+    rollout = roll_out(env, controller, seed, keep_frames=film)
+    if film:
+        _keep(rollout, job.folder, config.arm)
+    return job.index, row_of(rollout)
+
+
+@dataclass(frozen=True)
+class _Setup:
+    """What decides environment and controller."""
+
+    policy: str
+    level: str
+    left: str
+    right: str
+    swap: str
+    control: str
+
+    @classmethod
+    def of(cls, config: ScoreConfig, seed: int) -> _Setup:
+        sensors = config.left_sensor, config.right_sensor
+        return cls(config.policy_of(seed), config.level, *sensors, config.swap, config.control)
+
+
+@functools.lru_cache(maxsize=64)  # arms take turns, and training seeds within them
+def _build(setup: _Setup, out: Path) -> tuple[WipeEnv, Controller]:
+    """Build both once per process and store which sensors they run on."""
+    env, controller = _make(setup)
+    write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
+    return env, controller
+
+
+def _make(setup: _Setup) -> tuple[WipeEnv, Controller]:
+    if setup.policy in SCRIPTS:
+        if setup.control:
+            do = "Controls are for policies."
+            raise ContractError(expected(f"control of the {setup.policy}", "none", setup.control, do))
+        mounted = mounted_sensors(setup.left, setup.right)
+        env = WipeEnv(setup.level, mounted["left"], mounted["right"])
+        return env, ScriptController(SCRIPTS[setup.policy]())
+    env, controller = policy_on_rig(setup.policy, setup.level, setup.left, setup.right, setup.swap)
+    return env, controlled(controller, setup.control, env)
+
+
+def policy_on_rig(
+    policy: str, level: str, left: str, right: str, swap: str
+) -> tuple[WipeEnv, PolicyController]:
+    """Return a scene and the checkpoint that acts in it; "shipped" is the package's own, "" the usual sensor."""
+    mounted = mounted_sensors(left, right)
+    path = shipped_checkpoint() if policy == "shipped" else Path(policy)
+    controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
+    truth = controller.needs_true_wrench
+    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=truth), controller
+
+
+def _keep(rollout: Rollout, out: Path, arm: str) -> None:
+    frames = [cv2.resize(f, None, fx=2, fy=2) for f in rollout.frames]
+    write_trace_sheet(out / f"seed_{rollout.seed}.png", rollout, title=f"{arm}, seed {rollout.seed}")
+    write_video(video_path(out, rollout.seed), frames, fps=5)
+
+
+def video_path(out: Path, seed: int) -> Path:
+    """Return where an episode's video lies, once it is filmed."""
+    return out / f"seed_{seed}.mp4"

@@ -1,0 +1,76 @@
+"""Build the training view of recorded demos."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import cv2
+import torch
+
+from uniforce_cli.boundary import command
+from uniforce_cli.option_types import Verify
+from uniforce_vtla.options import Datasets, OutFolder, Pixels, Range, Slots, TokenizerFolder, Workers
+
+if TYPE_CHECKING:
+    from uniforce_datasets.view_plan import EpisodeFacts
+
+
+LatentGrid = Annotated[int, Range(1, 8)]
+
+
+@dataclass
+class ViewConfig:
+    """Decode demos once: small camera images and pooled latents that feed the trainer fast.
+
+    Example: uniforce view roots=outputs/demos_gelsight,outputs/demos_uskin out=outputs/view
+    """
+
+    roots: Datasets = "outputs/demos"  # dataset folders, joined in order; comma between them
+    out: OutFolder = "outputs/view"  # the view's folder: give it to uniforce train as dataset.root
+    image_side: Pixels = 56  # px per side of the stored camera images; the tiny policy's size
+    latent_grid: LatentGrid = 4  # latents pooled to 4×4; the policy's latent_grid must match
+    slots: Slots = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
+    tokenizer: TokenizerFolder = ""  # folder of a tokenizer; empty = the shipped one
+    # take demos that wiped the board with an event (too much force, a slip): a nudged expert's way back from it
+    keep_events: bool = False
+    keep_failures: bool = False  # take failed demos too
+    workers: Workers = 2  # processes; each needs about 1 GB
+    verify: Verify = "quick"  # full | quick | off: how the datasets are checked first
+
+
+def make_view(config: ViewConfig) -> Path:
+    """Build the view, or go on with an interrupted build; return its folder."""
+    from uniforce_datasets.training_view import build_view
+
+    return build_view(
+        [root for root in config.roots.split(",") if root],
+        config.out,
+        config.image_side,
+        config.latent_grid,
+        dict(pair.split(":", 1) for pair in config.slots.split(",") if ":" in pair),
+        config.tokenizer or None,
+        keep=lambda facts: chosen(facts, config),
+        workers=config.workers,
+        verify=config.verify,
+    )
+
+
+def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
+    """Return whether an episode is taken: clean successes always."""
+    wiped = facts.outcome == "success"
+    return facts.success or config.keep_failures or (config.keep_events and wiped)
+
+
+@command(ViewConfig)
+def main(config: ViewConfig) -> int:
+    """Entry of ``uniforce view``."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    out = make_view(config)
+    facts = json.loads((out / "uniforce_view.json").read_text())
+    print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")
+    print(f"next: uniforce train policy=pi05_uniforce dataset.repo_id=local/view dataset.root={out}")
+    return 0

@@ -1,0 +1,132 @@
+"""Every row that trains a whole network: it learns, and it never reads a target's label."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.baselines.end_to_end import EndToEndConfig, train_end_to_end
+from benchmarks.baselines.finetuned import FineTuneConfig, finetuned_row
+from benchmarks.baselines.genforce_style import (
+    TranslationConfig,
+    genforce_style_row,
+    train_translator,
+    translate,
+)
+from benchmarks.baselines.pictures import labels, pictures
+from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, resnet_row
+from benchmarks.probes.zero_shot import Cells, Table, score
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.model import TokenizerConfig
+
+SHORT = EndToEndConfig(steps=3, frames_per_step=16)
+RESNET = ResNetConfig(width=8, blocks=(1, 1, 1), training=replace(SHORT, steps=80))
+TRANSLATION = TranslationConfig(
+    cell=4, widths=(16, 24), steps=3, batch=8, force=replace(RESNET, training=SHORT)
+)
+
+
+def short_row(name: str, table: Table, tiny: TokenizerConfig) -> Cells:
+    if name == "resnet":
+        return resnet_row(table, 1, replace(RESNET, training=SHORT))
+    if name == "genforce_style":
+        return genforce_style_row(table, 1, TRANSLATION)
+    return finetuned_row(table, Tokenizer.random(tiny), 1, FineTuneConfig(SHORT))
+
+
+@pytest.mark.parametrize("name", ["resnet", "genforce_style", "finetuned"])
+def test_labels_of_targets_are_never_read(
+    name: str, table: Table, tiny: TokenizerConfig, predictions: Callable[[], list[np.ndarray]]
+) -> None:
+    wrong = {s: replace(a, force_N=np.full_like(a.force_N, 99)) for s, a in table.frozen.items()}
+    honest_row = short_row(name, table, tiny)
+    honest = predictions()
+    corrupt_row = short_row(name, replace(table, frozen=wrong), tiny)
+    corrupt = predictions()
+    assert len(honest) == len(corrupt) >= 2
+    for a, b in zip(honest, corrupt, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert honest_row != corrupt_row  # the scores did see the change
+    assert {"G->T", "T->G"} <= set(honest_row)
+
+
+def test_translation_ignores_labels_of_the_targets_training_set(
+    table: Table, predictions: Callable[[], list[np.ndarray]]
+) -> None:
+    genforce_style_row(table, 1, TRANSLATION)
+    honest = predictions()
+    target = replace(table.training["tactip"], force_N=np.full((24, 4, 3), np.nan, np.float32))
+    one_way = replace(table, training={"gelsight": table.training["gelsight"]}, frozen=table.frozen)
+    assert one_way.transfers() == [("gelsight", "tactip")]
+    blind = Table({"gelsight": table.training["gelsight"], "tactip": target}, table.frozen, table.head)
+    with pytest.raises(
+        ContractError, match="finite"
+    ):  # the way back trains on tactip's labels and must refuse
+        genforce_style_row(blind, 1, TRANSLATION)
+    np.testing.assert_array_equal(predictions()[0], honest[0])
+
+
+@pytest.mark.parametrize("name", ["resnet", "genforce_style", "finetuned"])
+def test_no_seed_is_refused(name: str, table: Table, tiny: TokenizerConfig) -> None:
+    rows = {
+        "resnet": lambda: resnet_row(table, 0, RESNET),
+        "genforce_style": lambda: genforce_style_row(table, 0, TRANSLATION),
+        "finetuned": lambda: finetuned_row(table, Tokenizer.random(tiny), 0),
+    }
+    with pytest.raises(ContractError, match="seeds: expected"):
+        rows[name]()
+
+
+def test_resnet_learns_its_own_sensor(table: Table) -> None:
+    source, unseen = table.training["gelsight"], table.frozen["gelsight"]
+    predict = fit_resnet(source, RESNET, seed=0)
+    assert min(score(unseen.force_N, predict(pictures(unseen)))["r2"]) > 0.3  # the mean predictor is at 0
+
+
+def test_end_to_end_loss_falls_and_repeats(table: Table) -> None:
+    shown, force = pictures(table.training["gelsight"]), labels(table.training["gelsight"])
+    runs = []
+    for _ in range(2):
+        model = build_resnet(RESNET, 32, force, seed=3)
+        runs.append(train_end_to_end(model, shown, force, replace(SHORT, steps=30), seed=3))
+    assert runs[0] == runs[1]
+    assert np.mean(runs[0][-5:]) < 0.8 * np.mean(runs[0][:5])
+
+
+def test_resnet_refuses_small_pictures_and_misfit_labels(table: Table) -> None:
+    source = table.training["gelsight"]
+    small = replace(source, reference=source.reference[:, :16, :16], frames=source.frames[:, :, :16, :16])
+    with pytest.raises(ContractError, match="divisible by 32"):
+        fit_resnet(small, RESNET, 0)
+    with pytest.raises(ContractError, match="forces of the source"):
+        fit_resnet(replace(source, force_N=source.force_N[:, :2]), RESNET, 0)
+    with pytest.raises(ContractError, match="uint8"):
+        fit_resnet(replace(source, frames=source.frames.astype(np.float32)), RESNET, 0)
+    with pytest.raises(ContractError, match="steps"):
+        fit_resnet(source, replace(RESNET, training=replace(SHORT, steps=0)), 0)
+
+
+def test_translator_beats_copying_the_targets_reference(table: Table) -> None:
+    source, target = (pictures(table.training[s]) for s in ("gelsight", "tactip"))
+    config = replace(TRANSLATION, steps=80, batch=16)
+    model, losses = train_translator(source, target, config, seed=0)
+    assert losses[0] == pytest.approx(1.0, abs=1e-5)  # starts as a copy of the target's reference
+    assert np.mean(losses[-10:]) < 0.8
+    redrawn = translate(model, source, target.reference, "cpu").frames.astype(float)
+    copied = np.abs(target.reference[:, None].astype(float) - target.frames).mean()
+    assert np.abs(redrawn - target.frames).mean() < 0.8 * copied
+
+
+def test_translation_needs_paired_sets_of_a_fitting_size(table: Table) -> None:
+    source = pictures(table.training["gelsight"])
+    with pytest.raises(ContractError, match="paired sets"):
+        train_translator(source, pictures(table.frozen["tactip"]), TRANSLATION, 0)
+    with pytest.raises(ContractError, match="divisible by 256"):
+        train_translator(source, source, replace(TRANSLATION, cell=128), 0)
+    with pytest.raises(ContractError, match="training pictures of tactip"):
+        one = replace(table, training={"gelsight": table.training["gelsight"]})
+        genforce_style_row(one, 1, TRANSLATION)

@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.recorded_set import (
+    WindowConfig,
+    of_indenters,
+    of_sensor,
+    shear_agreement,
+    to_labelled_set,
+)
+from benchmarks.probes.zero_shot import POOL, encode_set, predict
+from uniforce_datasets.readers import LabelledRecording, read_genforce
+from uniforce_vtla.contact import UNSEEN
+from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.tokenizer.descriptor import describe
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.pair_cache import shrink
+
+SIDE = 32
+TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)
+
+
+def recording(trial: Any, frames: int | None = None) -> LabelledRecording:
+    rows = slice(0, frames)
+    return LabelledRecording(
+        trial.sensor, trial.indenter, "1", trial.reference, trial.frames[rows], trial.force_N[rows]
+    )
+
+
+def test_windows_of_recordings_of_different_length(marker_trials: Any) -> None:
+    long, short = recording(marker_trials[0]), recording(marker_trials[1], 3)
+    labelled = to_labelled_set([long, short], SIDE, WindowConfig(length=2))
+    assert labelled.reference.shape == (4, SIDE, SIDE) and labelled.frames.shape == (4, 2, SIDE, SIDE)
+    assert labelled.descriptor.shape == (4, 2, 6) and labelled.force_N.shape == (4, 2, 3)
+    assert labelled.frames.dtype == labelled.reference.dtype == np.uint8
+    for row, (source, start) in enumerate([(long, 0), (long, 2), (long, 4), (short, 0)]):
+        window = slice(start, start + 2)
+        assert np.array_equal(labelled.reference[row], shrink(source.reference[None], SIDE)[0])
+        assert np.array_equal(labelled.frames[row], shrink(source.frames[window], SIDE))
+        assert np.array_equal(labelled.descriptor[row], describe(source.reference, source.frames[window]))
+        assert np.array_equal(labelled.force_N[row], source.force_N[window])
+
+
+@pytest.mark.parametrize(
+    ("windows", "frames", "starts"),
+    [
+        (WindowConfig(4), 12, [0, 4, 8]),
+        (WindowConfig(4), 3, []),
+        (WindowConfig(4, hop=2), 9, [0, 2, 4]),
+        (WindowConfig(4, stride=3), 22, [0, 12]),
+        (WindowConfig(4, stride=3), 21, [0]),
+        (WindowConfig(1), 3, [0, 1, 2]),
+        (WindowConfig(1, per_recording=3), 101, [0, 50, 100]),
+        (WindowConfig(1, per_recording=1), 9, [0]),
+    ],
+)
+def test_where_windows_start(windows: WindowConfig, frames: int, starts: list[int]) -> None:
+    assert windows.starts(frames) == starts
+
+
+@pytest.mark.parametrize("bad", [{"length": 0}, {"stride": 0}, {"hop": -1}, {"per_recording": -1}])
+def test_windows_that_are_none_are_refused(bad: dict[str, int]) -> None:
+    with pytest.raises(ContractError, match="windows"):
+        WindowConfig(**bad)
+
+
+def test_the_digest_names_the_content(marker_trials: Any) -> None:
+    whole = recording(marker_trials[0])
+    windows = WindowConfig(length=3)
+    digest = to_labelled_set([whole], SIDE, windows).digest
+    assert to_labelled_set([whole], 16, windows).digest == digest  # of full-size images, as simulated sets
+    image = whole.frames.copy()
+    image[1, 100, 100] ^= 255
+    other_force = whole.force_N + np.float32(1e-6)
+    for other in (
+        replace(whole, frames=image),
+        replace(whole, force_N=other_force),
+        replace(whole, sensor="g2"),
+    ):
+        assert to_labelled_set([other], SIDE, windows).digest != digest
+
+
+def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials: Any) -> None:
+    one, other = recording(marker_trials[0]), recording(marker_trials[2])
+    with pytest.raises(DatasetError, match="gelsight and tactip"):
+        to_labelled_set([one, other], SIDE, WindowConfig(length=2))
+    with pytest.raises(DatasetError, match="1 recordings are shorter"):
+        to_labelled_set([one], SIDE)
+    with pytest.raises(DatasetError, match="none; 0 recordings"):
+        to_labelled_set([], SIDE)
+
+
+def test_a_reference_without_markers_is_named(marker_trials: Any) -> None:
+    blank = replace(recording(marker_trials[0]), reference=np.zeros((480, 640), np.uint8))
+    with pytest.raises(DatasetError, match=r"gelsight/sphere/1: reference: expected at least 3 markers"):
+        to_labelled_set([blank], SIDE, WindowConfig(length=2))
+
+
+def test_a_folder_becomes_one_set_per_sensor(genforce: Path) -> None:
+    for sensor in ("gelsight", "tactip", "uskin"):
+        labelled = to_labelled_set(of_sensor(read_genforce(genforce), sensor), SIDE, WindowConfig(length=3))
+        assert len(labelled.frames) == 4
+    assert {r.indenter for r in of_indenters(read_genforce(genforce), UNSEEN)} == {"wave"}
+
+
+def test_a_read_set_goes_through_tokenizer_and_head(genforce: Path) -> None:
+    tokenizer = Tokenizer.random(TINY)
+    read = to_labelled_set(
+        of_sensor(read_genforce(genforce), "tactip"), tokenizer.config.side, WindowConfig(3)
+    )
+    z = encode_set(tokenizer, read)
+    assert z.shape == (4, 3, POOL**2, TINY.latent)
+    head = train_head(z, read.force_N, HeadTrainingConfig(steps=2), seed=0)
+    assert predict(head, z).shape == read.force_N.shape
+
+
+def labelled(motion: np.ndarray, shear: np.ndarray) -> LabelledSet:
+    n = len(motion)
+    descriptor = np.zeros((n, 1, 6), np.float32)
+    descriptor[:, 0, :2] = motion
+    force = np.zeros((n, 1, 3), np.float32)
+    force[:, 0, :2] = shear
+    return LabelledSet(np.zeros((n, 1, 1)), np.zeros((n, 1, 1, 1)), descriptor, force, "")
+
+
+def test_shear_agreement_tells_the_signs() -> None:
+    shear = np.random.default_rng(0).uniform(-2, 2, (60, 2))
+    assert np.allclose(shear_agreement(labelled(5 * shear, shear)), [1, 1])
+    assert np.allclose(shear_agreement(labelled(5 * shear, shear * (1, -1))), [1, -1])
+    assert np.abs(shear_agreement(labelled(5 * shear[:, ::-1], shear))).max() < 0.4  # swapped
+    assert np.isnan(shear_agreement(labelled(shear, 0 * shear))).all()
+
+
+@pytest.mark.parametrize("sensor", ["gelsight", "tactip", "uskin"])
+def test_simulated_markers_agree_with_our_axes(sensor: str) -> None:
+    """Every sensor of the project drags its markers along the shear force it reports."""
+    from uniforce_vtla.contact import force_sequences
+
+    batch = force_sequences(np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2, transform=None)
+    recordings = [
+        LabelledRecording(sensor, "sphere", str(k), *parts)
+        for k, parts in enumerate(zip(batch.reference, batch.frames, batch.force_N, strict=True))
+    ]
+    assert (shear_agreement(to_labelled_set(recordings, SIDE, WindowConfig(length=5))) > 0.5).all()

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import itertools
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from uniforce_robots.franka.limits import HARD_LIMITS, Range
+from uniforce_robots.franka.stream import StreamSettings
+
+sys.path.insert(0, str(Path(__file__).parent))  # robot_fakes.py: importlib mode gives test folders no package
+
+_numbers = itertools.count(2)
+
+
+@pytest.fixture
+def address() -> str:
+    """A loopback address of its own: the ports are fixed, and tests may run side by side."""
+    return f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250}.{next(_numbers) % 250}"
+
+
+@pytest.fixture
+def eventually() -> Callable[[Callable[[], bool]], None]:
+    """Wait until something is so; generous, for a busy machine."""
+    from uniforce_robots.standins.fci.process import wait_until
+
+    return lambda condition: wait_until(condition, 30.0) and None
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> StreamSettings:
+    """Ages no robot may have, for a test machine that stalls longer than a robot's computer may."""
+    for name in ("stale_s", "state_age_s"):
+        monkeypatch.setitem(HARD_LIMITS["StreamSettings"], name, Range(0, 100))
+    monkeypatch.setitem(HARD_LIMITS["HandSettings"], "reading_age_s", Range(0, 100))
+    return StreamSettings(stale_s=30.0, state_age_s=30.0)

@@ -1,0 +1,126 @@
+"""Every guard by itself and in turn: NaN stops, the rest clamps, and all count."""
+
+from __future__ import annotations
+
+import logging
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from uniforce_robots.franka.guards import GuardChain, GuardLimits
+from uniforce_vtla.errors import ContractError, RobotError
+
+HERE = np.array([0.45, 0.0, 0.30, 0.0, 0.06])
+WIDE = GuardLimits(
+    low=(0.42, -0.04, 0.27, -0.3, 0.04),
+    high=(0.48, 0.04, 0.33, 0.3, 0.07),
+    speed_m_s=0.5,
+    speed_rad_s=2.5,
+    speed_width_m_s=0.2,
+    step_m=0.1,
+    step_rad=0.8,
+    longest_gap_s=0.2,
+)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("axis", range(5))
+def test_a_number_that_is_none_stops(bad: float, axis: int) -> None:
+    chain = GuardChain(GuardLimits())
+    action = HERE.copy()
+    action[axis] = bad
+    with pytest.raises(RobotError, match="finite") as caught:
+        chain(action, HERE, 0.0)
+    assert caught.value.fault == "action" and chain.counts["finite"] == 1
+
+
+def test_a_good_action_passes_unchanged_and_counts_nothing() -> None:
+    chain = GuardChain(GuardLimits())
+    action = HERE + np.array([0.003, -0.002, -0.004, 0.02, -0.002])
+    np.testing.assert_allclose(chain(action, HERE, 0.0), action)
+    assert not any(chain.counts.values())
+
+
+def test_the_box_clamps() -> None:
+    chain = GuardChain(WIDE)
+    sent = chain(np.array([5.0, -5.0, -1.0, 9.0, 0.5]), HERE, 0.0)
+    np.testing.assert_allclose(sent, [0.48, -0.04, 0.27, 0.3, 0.07])
+    assert chain.counts == {"finite": 0, "box": 1, "step": 0, "rate": 0, "sensor": 0}
+
+
+def test_a_step_is_counted_from_the_measured_pose_and_keeps_its_direction() -> None:
+    chain = GuardChain(GuardLimits(speed_m_s=0.5, speed_rad_s=2.5, longest_gap_s=0.2))
+    sent = chain(HERE + np.array([0.12, 0.16, 0, 1.0, 0]), HERE, 0.0)
+    np.testing.assert_allclose(sent[:3] - HERE[:3], [0.03, 0.04, 0])
+    assert sent[3] == pytest.approx(0.35) and chain.counts["step"] == 1
+
+
+def test_the_rate_is_counted_from_the_last_target_and_the_time_since() -> None:
+    chain = GuardChain(GuardLimits(speed_m_s=0.3, step_m=0.1))
+    first = chain(HERE, HERE, 10.0)
+    sent = chain(HERE + np.array([0.1, 0, 0, 0, 0]), HERE, 10.05)
+    assert sent[0] - first[0] == pytest.approx(0.3 * 0.05) and chain.counts["rate"] == 1
+    after_a_pause = chain(HERE + np.array([0.1, 0, 0, 0, 0]), HERE, 99.0)
+    assert after_a_pause[0] - sent[0] == pytest.approx(0.3 * 0.1), "a pause does not buy a jump"
+
+
+def test_the_first_action_starts_from_the_measured_pose() -> None:
+    chain = GuardChain(GuardLimits(speed_m_s=0.2))
+    far = HERE + np.array([0.04, 0, 0, 0, 0])
+    assert chain(far, HERE, 0.0)[0] - HERE[0] == pytest.approx(0.02)
+    chain.reset()
+    assert chain(far, HERE, 500.0)[0] - HERE[0] == pytest.approx(0.02)
+
+
+def test_a_guard_that_begins_to_act_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    chain = GuardChain(WIDE)
+    with caplog.at_level(logging.WARNING):
+        for i in range(5):
+            chain(HERE + np.array([9, 0, 0, 0, 0]), HERE, float(i))
+        assert sum("guard box" in r.message for r in caplog.records) == 1
+        chain(HERE, HERE, 6.0)
+        chain(HERE + np.array([9, 0, 0, 0, 0]), HERE, 7.0)
+    assert sum("guard box" in r.message for r in caplog.records) == 2 and chain.counts["box"] == 6
+
+
+def test_a_clock_that_stands_still_buys_no_step() -> None:
+    chain = GuardChain(GuardLimits())
+    first = chain(HERE, HERE, 5.0)
+    for now_s in (5.0, 5.0, 4.0):
+        np.testing.assert_allclose(chain(HERE + np.array([0.04, 0, 0, 0.3, -0.01]), HERE, now_s), first)
+
+
+def test_a_start_outside_the_box_comes_back_and_never_goes_further_out() -> None:
+    chain = GuardChain(GuardLimits())
+    outside = np.array([0.80, 0.0, 0.30, 0.0, 0.06])
+    x = [chain(np.array([0.9, 0, 0.3, 0, 0.06]), outside, 0.1 * i)[0] for i in range(4)]
+    assert x[0] < 0.80 and all(a >= b for a, b in pairwise(x))
+
+
+def test_a_measured_pose_that_is_no_number_stops() -> None:
+    chain = GuardChain(GuardLimits())
+    with pytest.raises(RobotError) as caught:
+        chain(HERE, HERE * np.nan, 0.0)
+    assert caught.value.fault == "bad_state"
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-10, 10), min_size=5, max_size=5), st.floats(0.001, 5.0))
+def test_whatever_comes_what_is_sent_keeps_the_limits(action: list[float], elapsed: float) -> None:
+    limits = GuardLimits()
+    chain = GuardChain(limits)
+    chain(HERE, HERE, 0.0)
+    sent = chain(np.array(action), HERE, elapsed)
+    assert np.all(sent >= np.array(limits.low) - 1e-9) and np.all(sent <= np.array(limits.high) + 1e-9)
+    assert np.linalg.norm(sent[:3] - HERE[:3]) <= min(limits.step_m, limits.speed_m_s * 0.1) + 1e-9
+    assert abs(sent[4] - HERE[4]) <= limits.speed_width_m_s * min(elapsed, 0.1) + 1e-9
+
+
+def test_a_box_that_is_none_is_refused() -> None:
+    with pytest.raises(ContractError, match="low < high"):
+        GuardLimits(low=(0.5, 0, 0, 0, 0), high=(0.4, 0.1, 1, 1, 0.1))
+    with pytest.raises(ContractError, match="5 numbers"):
+        GuardLimits(low=(0.5, 0), high=(0.6, 1))

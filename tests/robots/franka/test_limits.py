@@ -1,0 +1,93 @@
+"""No number of the robot's settings goes beyond the hard limits, and every number has one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.trust.bad_settings import NEEDS, bad_settings, try_all
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka.arm import Gains
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.franka.hand import HandSettings
+from uniforce_robots.franka.limits import FORCE_N, HARD_LIMITS
+from uniforce_robots.franka.poses import ToolPose
+from uniforce_robots.franka.stream import StreamSettings
+from uniforce_vtla.errors import ContractError
+
+
+def test_every_bad_setting_is_refused_by_name() -> None:
+    found = try_all()
+    assert found["accepted"] == [] and found["tried"] >= 60
+
+
+@pytest.mark.parametrize("kind", NEEDS, ids=lambda kind: kind.__name__)
+def test_every_number_has_a_hard_limit(kind: type) -> None:
+    numbers = {f.name for f in fields(kind) if "float" in str(f.type)}
+    assert numbers <= set(HARD_LIMITS[kind.__name__])
+    assert {settings for settings, _, _ in bad_settings()} == set(NEEDS)
+
+
+def test_the_two_settings_that_once_moved_the_arm_out_of_its_box() -> None:
+    with pytest.raises(ContractError, match=r"GuardLimits\.step_m.*above 0 to 0\.1.*-0\.05"):
+        GuardLimits(step_m=-0.05)
+    with pytest.raises(ContractError, match=r"GuardLimits\.longest_gap_s.*-1"):
+        GuardLimits(longest_gap_s=-1)
+
+
+CEILINGS = [  # said once more, in numbers: a limit that is lifted in the table fails here
+    lambda: GuardLimits(step_m=0.101),
+    lambda: GuardLimits(step_rad=0.81),
+    lambda: GuardLimits(speed_m_s=0.51),
+    lambda: GuardLimits(speed_rad_s=2.51),
+    lambda: GuardLimits(speed_width_m_s=0.21),
+    lambda: GuardLimits(longest_gap_s=0.21),
+    lambda: GuardLimits(high=(0.91, 0.3, 0.5, 1.5, 0.08)),
+    lambda: Gains((3001.0, 800.0, 800.0)),
+    lambda: Gains((2000.0,) * 3, clip_m=(0.0213,) * 3),
+    lambda: HandSettings(grip_force_N=41),
+    lambda: HandSettings(reading_age_s=1.1),
+    lambda: StreamSettings(stale_s=1.1),
+    lambda: StreamSettings(state_age_s=1.1),
+    lambda: UniforceFrankaConfig(reflex_force_N=101),
+    lambda: UniforceFrankaConfig(reflex_torque_Nm=101),
+    lambda: UniforceFrankaConfig(fps=101),
+]
+
+
+@pytest.mark.parametrize("make", CEILINGS)
+def test_the_ceilings_in_numbers(make: Callable[[], object]) -> None:
+    with pytest.raises(ContractError):
+        make()
+
+
+def test_a_setting_that_was_changed_later_is_refused_by_the_robot(tmp_path: Path) -> None:
+    config = UniforceFrankaConfig(id="a", calibration_dir=tmp_path)
+    config.fps = 1000.0
+    with pytest.raises(ContractError, match=r"UniforceFrankaConfig\.fps.*1000"):
+        UniforceFranka(config)
+
+
+@settings(deadline=None)
+@given(
+    st.tuples(*[st.floats(0, 3000)] * 3),
+    st.tuples(*[st.floats(0, 0.05)] * 3),
+    st.floats(-np.pi, np.pi),
+    st.data(),
+)
+def test_no_gains_pull_harder_than_the_force_limit_however_the_hand_is_turned(
+    stiffness: tuple, clip: tuple, yaw_rad: float, data: st.DataObject
+) -> None:
+    try:
+        gains = Gains(stiffness, clip_m=clip)
+    except ContractError:
+        return
+    error = np.array(clip) * data.draw(st.tuples(*[st.sampled_from([-1.0, 0.0, 1.0])] * 3))
+    K = gains.matrix_in_base(ToolPose(np.zeros(3), yaw_rad).ee_to_base()[:3, :3])[:3, :3]
+    assert np.linalg.norm(K @ error) <= FORCE_N + 1e-9

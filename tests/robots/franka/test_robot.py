@@ -1,0 +1,364 @@
+"""The LeRobot robot on a fake arm and hand: features, guarded actions, faults, and no motion after the end."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import draccus
+import numpy as np
+import pytest
+import torch
+from lerobot.robots import RobotConfig, make_robot_from_config
+from robot_fakes import START, FakeArm, FakeHand
+
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka import robot as module
+from uniforce_robots.franka.arm import Gains
+from uniforce_robots.franka.shutdown import STRATEGIES, forbid_return_motion
+from uniforce_robots.franka.stream import StreamSettings
+from uniforce_robots.sensors import UniforceTactileCameraConfig
+from uniforce_vtla.errors import RobotError, SensorError
+from uniforce_vtla.keys import AXES
+
+
+@pytest.fixture
+def arm() -> FakeArm:
+    return FakeArm()
+
+
+@pytest.fixture
+def hand() -> FakeHand:
+    return FakeHand()
+
+
+@pytest.fixture
+def robot(
+    arm: FakeArm,
+    hand: FakeHand,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    patient: StreamSettings,
+) -> Iterator[UniforceFranka]:
+    monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
+    robot = UniforceFranka(UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient))
+    yield robot
+    robot.disconnect()
+    assert not [t for t in threading.enumerate() if t.name in ("arm-stream", "hand")], (
+        "a thread was left behind"
+    )
+
+
+def action(dx: float = 0.0, width: float = 0.08) -> dict[str, float]:
+    return dict(zip(AXES, [START.position_m[0] + dx, 0.0, 0.3, 0.0, width], strict=True))
+
+
+def test_features_are_the_five_axes(robot: UniforceFranka) -> None:
+    assert list(robot.observation_features) == list(AXES) == list(robot.action_features)
+    assert robot.name == "uniforce_franka" and robot.is_calibrated and not robot.is_connected
+
+
+def test_observation_and_action_go_through(robot: UniforceFranka, arm: FakeArm, eventually: Callable) -> None:
+    robot.connect()
+    assert robot.get_observation() == pytest.approx(action())
+    sent = robot.send_action(action(0.005, 0.03))
+    assert sent["x.pos"] == pytest.approx(0.455)
+    assert sent["width.pos"] == pytest.approx(0.07), "0.1 m/s over 0.1 s"
+    eventually(lambda: bool(arm.targets) and abs(arm.targets[-1][1][0, 3] - 0.455) < 1e-9)
+    np.testing.assert_allclose(arm.targets[-1][1][:3, :3], START.ee_to_base()[:3, :3], atol=1e-12)
+
+
+def test_what_is_returned_is_what_was_sent(robot: UniforceFranka) -> None:
+    robot.connect()
+    sent = robot.send_action({**action(), "x.pos": 5.0, "something.pos": 1.0})
+    assert sent["x.pos"] < 0.51 and set(sent) == set(AXES)
+    assert robot.guards.counts["box"] == robot.guards.counts["step"] == 1
+
+
+BAD = [
+    {"x.pos": float("nan")},
+    {"width.pos": float("inf")},
+    {"x.pos": "0.45"},
+    {"y.pos": None},
+    {"z.pos": [0.3]},
+    {"z.pos": np.zeros(2)},
+    {"yaw.pos": True},
+    {"yaw.pos": torch.zeros(5)},
+    {"width.pos": object()},
+]
+
+
+@pytest.mark.parametrize("bad", BAD, ids=str)
+def test_whatever_is_no_action_stops_the_robot_until_it_recovers(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable, bad: dict
+) -> None:
+    robot.connect()
+    robot.send_action(action())
+    with pytest.raises(RobotError) as caught:
+        robot.send_action({**action(), **bad})
+    assert caught.value.fault == "action"
+    eventually(lambda: bool(arm.stopped_at))
+    count = len(arm.targets)
+    with pytest.raises(RobotError) as latched:
+        robot.send_action(action())
+    assert latched.value is caught.value
+    assert len(arm.targets) == count and robot.is_connected, "its data can still be kept"
+    robot.recover()
+    robot.send_action(action())
+
+
+@pytest.mark.parametrize("bad", [None, [0.45, 0, 0.3, 0, 0.08], "home", 3])
+def test_an_action_that_is_no_dict_stops_the_robot(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable, bad: object
+) -> None:
+    robot.connect()
+    with pytest.raises(RobotError) as caught:
+        robot.send_action(bad)  # type: ignore[arg-type]
+    assert caught.value.fault == "action"
+    eventually(lambda: bool(arm.stopped_at))
+
+
+def test_numbers_of_any_kind_are_taken(robot: UniforceFranka) -> None:
+    robot.connect()
+    kinds = {"x.pos": torch.tensor(0.455), "y.pos": np.float32(0), "z.pos": np.array(0.3), "yaw.pos": 0}
+    assert robot.send_action({**action(), **kinds})["x.pos"] == pytest.approx(0.455)
+
+
+def test_a_missing_axis_stops_the_robot(robot: UniforceFranka, arm: FakeArm, eventually: Callable) -> None:
+    robot.connect()
+    with pytest.raises(RobotError, match=r"yaw\.pos"):
+        robot.send_action({k: v for k, v in action().items() if k != "yaw.pos"})
+    eventually(lambda: bool(arm.stopped_at))
+
+
+def test_ctrl_c_in_an_action_lets_the_arm_rest(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot.connect()
+    arm.follows = False
+    robot.send_action(action(0.01))
+    eventually(lambda: bool(arm.targets) and abs(arm.targets[-1][1][0, 3] - 0.46) < 1e-9)
+    with monkeypatch.context() as patch:
+        patch.setattr(robot.guards, "_finite", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            robot.send_action(action())
+    eventually(lambda: abs(arm.targets[-1][1][0, 3] - 0.45) < 1e-9)
+
+
+def test_after_recovery_the_first_target_starts_where_the_arm_is(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable
+) -> None:
+    robot.connect()
+    robot.send_action(action())
+    arm.mode = "reflex"
+    eventually(lambda: bool(arm.stopped_at))
+    arm.pose[0, 3] += 0.2  # a person pulled it away
+    robot.recover()
+    count = len(arm.targets)
+    sent = robot.send_action(action())
+    assert abs(sent["x.pos"] - (START.position_m[0] + 0.2)) <= robot.config.guards.step_m
+    eventually(lambda: len(arm.targets) > count)
+    assert abs(arm.targets[count][1][0, 3] - (START.position_m[0] + 0.2)) < 1e-3
+
+
+def test_no_call_of_a_loop_waits_for_a_client_that_blocks(robot: UniforceFranka, arm: FakeArm) -> None:
+    robot.connect()
+    robot.send_action(action())
+    arm.blocks_s = 2.0
+    time.sleep(0.1)
+    begun = time.monotonic()
+    with pytest.raises(RobotError):
+        robot.send_action({**action(), "x.pos": None})
+    assert time.monotonic() - begun < 0.5
+    arm.blocks_s = 0.0
+
+
+def test_a_reflex_is_told_and_recovery_moves_nothing(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable
+) -> None:
+    robot.connect()
+    robot.send_action(action())
+    arm.mode = "reflex"
+    eventually(lambda: bool(arm.stopped_at))
+    for use in (lambda: robot.send_action(action()), robot.get_observation):
+        with pytest.raises(RobotError) as caught:
+            use()
+        assert caught.value.fault == "reflex"
+    count = len(arm.targets)
+    robot.recover()
+    first = robot.get_observation()
+    assert len(arm.targets) == count and first == pytest.approx(action())
+    robot.send_action(action(0.004))
+    eventually(lambda: len(arm.targets) > count and abs(arm.targets[-1][1][0, 3] - 0.454) < 1e-9)
+
+
+def test_a_lost_hand_stops_the_arm(
+    robot: UniforceFranka, arm: FakeArm, hand: FakeHand, eventually: Callable
+) -> None:
+    robot.connect()
+    robot.send_action(action())
+    hand.fault = RobotError("hand gone", "connection")
+
+    def told() -> bool:
+        try:
+            robot.get_observation()
+        except RobotError:
+            return True
+        return False
+
+    eventually(told)
+    eventually(lambda: bool(arm.stopped_at))
+    with pytest.raises(RobotError, match="hand gone"):
+        robot.send_action(action())
+    with pytest.raises(RobotError, match="hand gone"):
+        robot.recover()
+
+
+def test_a_hand_that_does_not_answer_leaves_nothing_behind(
+    robot: UniforceFranka, arm: FakeArm, hand: FakeHand
+) -> None:
+    hand.fault = RobotError("no hand", "connection")
+    with pytest.raises(RobotError, match="no hand"):
+        robot.connect()
+    assert arm.closed and not robot.is_connected
+
+
+def test_after_disconnect_nothing_moves(robot: UniforceFranka, arm: FakeArm) -> None:
+    robot.connect()
+    robot.send_action(action())
+    robot.disconnect()
+    robot.disconnect()
+    count = len(arm.targets)
+    with pytest.raises(RobotError) as caught:
+        robot.send_action(action())
+    assert caught.value.fault == "ended" and len(arm.targets) == count and arm.closed and arm.stopped_at
+
+
+def test_connecting_twice_is_refused(robot: UniforceFranka) -> None:
+    robot.connect()
+    with pytest.raises(RobotError, match="Disconnect first"):
+        robot.connect()
+    assert robot.is_connected
+
+
+@pytest.mark.slow
+def test_lerobots_rollout_does_not_lead_the_arm_back() -> None:
+    strategies = pytest.importorskip(STRATEGIES, reason="this LeRobot has no rollout strategies")
+    before = strategies.RolloutStrategy._return_to_initial_position
+    try:
+        assert forbid_return_motion()
+        sent: list[dict] = []
+
+        class Hardware:
+            class robot_wrapper:  # noqa: N801
+                get_observation = staticmethod(lambda: action())
+                send_action = staticmethod(sent.append)
+
+            initial_position = action(0.1)
+
+        strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.1)
+        assert not sent
+        before(Hardware, duration_s=0.04)
+        assert sent, "LeRobot's own would have moved: if it no longer does, shutdown.py can go"
+    finally:
+        strategies.RolloutStrategy._return_to_initial_position = staticmethod(before)
+
+
+def test_lerobot_finds_and_builds_it(tmp_path: Path) -> None:
+    assert RobotConfig.get_choice_class("uniforce_franka") is UniforceFrankaConfig
+    built = make_robot_from_config(
+        UniforceFrankaConfig(id="a", calibration_dir=tmp_path, address="127.0.0.9")
+    )
+    assert isinstance(built, UniforceFranka) and not built.is_connected
+
+
+@dataclass
+class Program:
+    """How LeRobot's commands hold a robot's config."""
+
+    robot: RobotConfig
+
+
+def test_nested_settings_are_parsed_from_the_command_line() -> None:
+    words = {
+        "type": "uniforce_franka",
+        "address": "127.0.0.9",
+        "guards.step_m": "0.03",
+        "gains.clip_m": "[0.01,0.01,0.02]",
+    }
+    words["gains.stiffness_N_m"] = "[200,200,200]"
+    config = draccus.parse(Program, args=[f"--robot.{key}={value}" for key, value in words.items()]).robot
+    assert isinstance(config, UniforceFrankaConfig)
+    assert config.guards.step_m == 0.03
+    assert config.arm_settings.gains == Gains((200, 200, 200), clip_m=(0.01, 0.01, 0.02))
+
+
+class BrokenCamera:
+    """A camera that works until told otherwise."""
+
+    height, width = 4, 6
+
+    def __init__(self) -> None:
+        self.error: Exception | None = None
+        self.is_connected = False
+
+    def connect(self) -> None:
+        self.is_connected = True
+
+    def disconnect(self) -> None:
+        self.is_connected = False
+
+    def read_latest(self) -> np.ndarray:
+        if self.error is not None:
+            raise self.error
+        return np.zeros((4, 6, 3), np.uint8)
+
+
+@pytest.mark.parametrize(
+    "error", [SensorError("frozen"), TimeoutError("old"), RuntimeError("thread"), ConnectionError("gone")]
+)
+def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
+    robot: UniforceFranka, arm: FakeArm, eventually: Callable, error: Exception
+) -> None:
+    camera = BrokenCamera()
+    robot.cameras = {"front": camera}  # type: ignore[dict-item]
+    robot.connect()
+    robot.send_action(action())
+    assert robot.get_observation()["front"].shape == (4, 6, 3)
+    camera.error = error
+    with pytest.raises(type(error)):
+        robot.get_observation()
+    eventually(lambda: bool(arm.stopped_at))
+    assert robot.guard_counts["sensor"] == 1
+    with pytest.raises(RobotError) as caught:
+        robot.send_action(action())
+    assert caught.value.fault == "sensor"
+    robot.recover()
+    camera.error = None
+    robot.send_action(robot.get_observation())
+
+
+def test_references_need_an_open_hand(
+    tmp_path: Path, arm: FakeArm, hand: FakeHand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
+    finger = UniforceTactileCameraConfig(source="http://127.0.0.1:9", finger="left", sensor="gelsight")
+    config = UniforceFrankaConfig(id="test", calibration_dir=tmp_path, cameras={"tactile_left": finger})
+    robot = UniforceFranka(config)
+    shapes = {name: shape for name, shape in robot.observation_features.items() if isinstance(shape, tuple)}
+    assert shapes == {"tactile_left": (480, 640, 3), "tactile_left_ref": (480, 640, 3)}
+    hand.width_m = 0.03
+    with pytest.raises(SensorError, match="Open the gripper"):
+        robot.connect()
+    assert arm.closed and not robot.is_connected
+
+
+def test_holding_refuses_nothing_afterwards(robot: UniforceFranka) -> None:
+    robot.hold()
+    robot.connect()
+    robot.send_action(action())
+    robot.hold()
+    assert robot.send_action(action(0.01))["x.pos"] == pytest.approx(0.46)

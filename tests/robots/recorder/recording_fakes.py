@@ -1,0 +1,193 @@
+"""A whole rig without hardware or processes: fake arm and hand, captures that break on command, a scripted person."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
+from robot_fakes import FakeArm, FakeHand
+
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka import robot as robot_module
+from uniforce_robots.franka.stream import StreamSettings
+from uniforce_robots.recorder.operators import Command, Event, Operator, Phase
+from uniforce_robots.recorder.robot_rig import RobotRig
+from uniforce_robots.sensors import (
+    UniforceSceneCamera,
+    UniforceSceneCameraConfig,
+    UniforceTactileCamera,
+    UniforceTactileCameraConfig,
+)
+from uniforce_robots.standins.scene import Scene, frame_cycle
+from uniforce_vtla.keys import AXES
+
+FPS = 30
+SMALL = (96, 128)  # rows, columns of the scene cameras: tests encode on a busy machine
+
+
+@cache
+def gel_frames(sensor: str) -> tuple[np.ndarray, ...]:
+    """A still gel with a little camera noise, BGR; no two frames alike."""
+    frame = frame_cycle(sensor, Scene(press_s=0.0, rest_s=0.1), 20)[0]
+    rng = np.random.default_rng(0)
+    noisy = [np.clip(frame + rng.normal(0, 1.5, frame.shape), 0, 255).astype(np.uint8) for _ in range(3)]
+    return tuple(cv2.cvtColor(one, cv2.COLOR_RGB2BGR) for one in noisy)
+
+
+@cache
+def room_frames() -> tuple[np.ndarray, ...]:
+    ramp = np.linspace(0, 200, SMALL[1], dtype=np.uint8)
+    return tuple(
+        np.ascontiguousarray(np.broadcast_to(np.roll(ramp, n)[None, :, None], (*SMALL, 3)))
+        for n in range(0, 120, 7)
+    )
+
+
+class FakeCapture:
+    """Delivers frames at a rate; ``fault`` is "", "stop" (failed reads), "stall" (silence) or "freeze"."""
+
+    def __init__(self, frames: tuple[np.ndarray, ...], rate_hz: float = FPS) -> None:
+        self.frames, self.period_s = frames, 1 / rate_hz
+        self.fault = ""
+        self.count = 0
+        self._due_s = time.monotonic()
+        self._last = frames[0]
+
+    def isOpened(self) -> bool:  # noqa: N802
+        return self.fault != "stop"
+
+    def set(self, prop: int, value: float) -> bool:
+        self._set = getattr(self, "_set", {}) | {prop: value}
+        return True
+
+    def get(self, prop: int) -> float:
+        return self._set.get(prop, 0.0)
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        time.sleep(max(self._due_s - time.monotonic(), 0))
+        self._due_s = max(self._due_s + self.period_s, time.monotonic())
+        if self.fault == "stall":
+            time.sleep(0.05)
+        if self.fault in ("stop", "stall"):
+            return False, None
+        self.count += self.fault != "freeze"
+        return True, self.frames[self.count % len(self.frames)]
+
+    def release(self) -> None:
+        pass
+
+
+class FakeRig:
+    """The parts of a robot rig, each at hand for breaking."""
+
+    def __init__(self, folder: Path, monkeypatch) -> None:
+        self.arm, self.hand = FakeArm(), FakeHand(takes_s=0.02)
+        monkeypatch.setattr(robot_module, "make_backend", lambda config: (self.arm, self.hand))
+        tactile = {"capture_width": 640, "capture_height": 480, "reference_samples": 3}
+        rows, columns = SMALL
+        configs = {
+            "front": UniforceSceneCameraConfig(source="0", width=columns, height=rows),
+            "tactile_left": UniforceTactileCameraConfig(
+                source="1", finger="left", sensor="gelsight", **tactile
+            ),
+            "tactile_right": UniforceTactileCameraConfig(
+                source="2", finger="right", sensor="tactip", **tactile
+            ),
+        }
+        self.captures = {
+            "front": FakeCapture(room_frames()),
+            "tactile_left": FakeCapture(gel_frames("gelsight")),
+            "tactile_right": FakeCapture(gel_frames("tactip")),
+        }
+        patient = StreamSettings(state_age_s=1.0)  # a busy machine
+        config = UniforceFrankaConfig(id="test", calibration_dir=folder, cameras=configs, stream=patient)
+        self.robot = UniforceFranka(config)
+        self.robot.cameras = {
+            "front": UniforceSceneCamera(configs["front"], self._factory("front")),
+            **{n: UniforceTactileCamera(configs[n], self._factory(n)) for n in configs if n != "front"},
+        }
+        self.rig = RobotRig(self.robot)
+
+    def _factory(self, name: str) -> Callable[[str], FakeCapture]:
+        return lambda source: self.captures[name]
+
+
+@TeleoperatorConfig.register_subclass("recording_test")
+@dataclass
+class SwayConfig(TeleoperatorConfig):
+    width_m: float = 0.08
+
+
+class Sway(Teleoperator):
+    """Moves x to and fro around where it started; plain LeRobot but for ``start_from``."""
+
+    config_class = SwayConfig
+    name = "recording_test"
+
+    def __init__(self, config: SwayConfig) -> None:
+        super().__init__(config)
+        self.width_m = config.width_m
+        self.starts: list[dict[str, float]] = []
+        self.error: Exception | None = None
+        self.calls = 0
+        self._connected = False
+
+    action_features = property(lambda self: dict.fromkeys(AXES, float))
+    feedback_features = property(lambda self: {})
+    is_connected = property(lambda self: self._connected)
+    is_calibrated = property(lambda self: True)
+
+    def connect(self, calibrate: bool = True) -> None:
+        self._connected = True
+
+    def disconnect(self) -> None:
+        self._connected = False
+
+    def calibrate(self) -> None:
+        pass
+
+    def configure(self) -> None:
+        pass
+
+    def send_feedback(self, feedback: dict) -> None:
+        pass
+
+    def start_from(self, axes: dict[str, float]) -> None:
+        self.starts.append(axes)
+        self.calls = 0
+
+    def get_action(self) -> dict[str, float]:
+        if self.error is not None:
+            raise self.error
+        self.calls += 1
+        start = self.starts[-1]
+        return {
+            **start,
+            "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5),
+            "width.pos": self.width_m,
+        }
+
+
+def sway(folder: Path) -> Sway:
+    """Return one that leaves nothing in anybody's home."""
+    return Sway(SwayConfig(id="test", calibration_dir=folder))
+
+
+class Script(Operator):
+    """Says what a function says: it gets the phase and how often it was asked in this phase's stretch."""
+
+    def __init__(self, say: Callable[[Phase, int], Sequence[Command | Event]]) -> None:
+        self._say = say
+        self._phase: Phase | None = None
+        self._asked = 0
+
+    def poll(self, phase: Phase) -> list[Event]:
+        self._asked = self._asked + 1 if phase == self._phase else 0
+        self._phase = phase
+        return [e if isinstance(e, Event) else Event(e) for e in self._say(phase, self._asked)]

@@ -1,0 +1,119 @@
+"""``uniforce record`` itself: the scene steered by a teleoperator, and what it refuses."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import recording_fakes  # noqa: F401  registers the teleoperator recording_test
+
+from uniforce_cli.record import main
+from uniforce_datasets.cards import read_card
+from uniforce_datasets.lossless import open_dataset
+
+QUICK = ["teleop=recording_test", "level=easy", "operator=nobody", "episode_s=0.2", "real_time=false"]
+
+
+@pytest.mark.slow
+def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "data"
+    own = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "teleop.width_m=0.07", "reserve_MB=1"]
+    assert main([*QUICK, *own, f"root={root}", "episodes=1"]) == 0
+    assert "1 of 1 episodes" in capsys.readouterr().out
+    assert main([*QUICK, *own, f"resume={root}", "episodes=2", "prompts=[tidy up]"]) == 0
+    assert open_dataset(root).num_episodes == 2 and read_card(root, 1)["prompt"] == "tidy up"
+    assert "--teleop.width_m=0.07" in read_card(root, 1)["settings"]["devices"]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["robot=moon"], "sim | franka"),
+        (["robot=franka"], "works on a robot"),
+        (["robot=franka", "teleop=recording_test"], "instruction"),
+        (["teleop=telepathy"], "recording_test"),
+        (["teleop=recording_test", "operator=cat"], "keys | nobody"),
+        (["teleop=recording_test", "operator=nobody", "verdict=great"], "great"),
+        (["teleop=recording_test", "teleop.speed=1"], "speed"),
+        (["resume=/nowhere"], "recorded dataset"),
+        (["episodes=0"], "episodes"),
+        (["teleop=recording_test", "episode_s=0"], "episode_s"),
+        (["teleop=recording_test", "late_share=nan"], "late_share"),
+        (["teleop=recording_test", "late_share=2"], "late_share"),
+        (["rig=nosuch"], "rig: expected a file"),
+        (["robot.foo=1"], "got --robot.foo=1"),
+        (["teleop=recording_test", "robot.foo=1"], "got --robot.foo=1"),
+        (["episode_s=9", "prompts=[tidy]"], "prompts, episode_s"),
+        (["teleop=recording_test", "nudge=2"], "nudge"),
+        (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "level=easy"], "level"),
+        (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "left_sensor=gelsight"], "left_sensor"),
+        (["teleop=recording_test", "verdict=success"], "got verdict"),
+        (["teleop=recording_test", "operator=nobody", "drive_between=false"], "got drive_between"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_a_reason(
+    words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    home = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"]
+    assert main([*words, *home, f"root={tmp_path / 'data'}"]) == 2
+    assert reason in capsys.readouterr().err
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize("root", ["", ".", "/proc/nothing", "{file}", "{file}/below", "{full}"])
+@pytest.mark.parametrize("words", [["level=easy"], QUICK])
+def test_a_root_that_cannot_be_ends_before_the_first_episode(
+    words: list[str],
+    root: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    file, full = tmp_path / "file", tmp_path / "full"
+    file.write_text("mine")
+    full.mkdir()
+    (full / "letter.txt").write_text("mine")
+    monkeypatch.chdir(full)
+    own = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"] if words == QUICK else []
+    assert main([*words, *own, f"root={root.format(file=file, full=full)}", "episodes=1"]) == 2
+    said = capsys.readouterr()
+    assert "folder" in said.err and "Traceback" not in said.err
+    assert file.read_text() == "mine" and [p.name for p in full.iterdir() if p.name[0] != "."] == [
+        "letter.txt"
+    ]
+
+
+PROGRAM = """
+import sys
+sys.path[:0] = sys.argv[1:3]
+import recording_fakes
+from uniforce_cli.record import main
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[3:]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_kill_9_loses_the_running_episode_at_most(tmp_path: Path) -> None:
+    """Two processes are involved, and the storing one is spawned: a program of its own, not a thread of this."""
+    root, program = tmp_path / "data", tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    paths = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "robots")]
+    words = [*QUICK, f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "reserve_MB=1", f"root={root}"]
+    command = [sys.executable, str(program), *paths, *words]
+    child = subprocess.Popen([*command, "episodes=100"], stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    told = 0
+    for line in child.stdout:
+        told += line.startswith("stored")
+        if told == 2 and line.startswith("episode "):
+            break
+    child.kill()
+    child.wait()
+    have = open_dataset(root).num_episodes
+    assert have >= told == 2
+    assert subprocess.run([*command, "episodes=5"], check=False).returncode == 0
+    assert open_dataset(root).num_episodes >= max(have, 5)

@@ -1,0 +1,238 @@
+"""Disk guard, steering, live view, faults' names, and what is built from a command line."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from recording_fakes import Sway, SwayConfig, sway
+
+from uniforce_datasets.features import dataset_features
+from uniforce_robots.recorder import disk_guard
+from uniforce_robots.recorder.build import read_devices, teleoperator_names
+from uniforce_robots.recorder.disk_guard import DiskGuard
+from uniforce_robots.recorder.faults import DeviceError, StopRequestedError, cause_of, named
+from uniforce_robots.recorder.live_view import LiveView
+from uniforce_robots.recorder.plain_camera import FROZEN_AFTER, PlainCamera
+from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture
+from uniforce_robots.recorder.sensing import GarbageWatch
+from uniforce_robots.recorder.steering import Steering
+from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
+from uniforce_vtla.errors import (
+    ContractError,
+    DatasetError,
+    DiskFullError,
+    DroppedFrameError,
+    RobotError,
+    SensorError,
+    TeleoperatorError,
+    UniForceError,
+)
+from uniforce_vtla.keys import ABORT_CAUSES, AXES
+
+MB = 10**6
+
+
+@pytest.fixture
+def guard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], DiskGuard]:
+    def make(free_MB: float) -> DiskGuard:
+        monkeypatch.setattr(disk_guard, "free_bytes", lambda path: int(free_MB * MB))
+        return DiskGuard(tmp_path, dataset_features(), 0, 100)
+
+    return make
+
+
+def test_an_episode_needs_room_and_a_reserve(guard: Callable[[float], DiskGuard]) -> None:
+    assert "GB free" in guard(9000).before_episode(900, 0)
+    with pytest.raises(DiskFullError, match="reserve"):
+        guard(101).before_episode(900, 0)
+    guard(101).check()
+    with pytest.raises(DiskFullError, match="100 MB free"):
+        guard(99).check()
+
+
+def test_what_was_recorded_is_the_best_estimate(tmp_path: Path, guard: Callable[[float], DiskGuard]) -> None:
+    (tmp_path / "video.mp4").write_bytes(b"0" * 3 * MB)
+    assert guard(9000).estimate_MB(200, 100) == pytest.approx(6.0)
+    assert 5 < guard(9000).estimate_MB(900, 0) < 100
+
+
+def fault(kind: Literal["camera", "touch"], device: str, error: SensorError) -> UniForceError:
+    with pytest.raises(DeviceError, match=device) as caught, named(kind, device):
+        raise error
+    return caught.value
+
+
+def test_every_fault_has_a_name_that_datasets_know() -> None:
+    errors = {
+        "lost_camera": fault("camera", "front", LostSensorError("x")),
+        "stale_touch": fault("touch", "tactile_left", StaleSensorError("x")),
+        "frozen_touch": fault("touch", "tactile_left", FrozenSensorError("x")),
+        "bad_touch": fault("touch", "tactile_left", SensorError("x")),
+        "robot_reflex": RobotError("x", "reflex"),
+        "robot_other": RobotError("x", "none of ours"),
+        "teleop": TeleoperatorError("x"),
+        "disk_full": DiskFullError("x"),
+        "dropped_frame": DroppedFrameError("x"),
+        "storage": DatasetError("x"),
+        "interrupt": StopRequestedError("x"),
+        "other": ContractError("x"),
+    }
+    assert {name: cause_of(error) for name, error in errors.items()} == {name: name for name in errors}
+    assert set(errors) <= set(ABORT_CAUSES) and len(set(ABORT_CAUSES)) == len(ABORT_CAUSES)
+
+
+def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
+    teleop = sway(tmp_path)
+    steering = Steering(teleop)
+    steering.connect()
+    start = np.array([0.4, 0.0, 0.3, 0.0, 0.08])
+    steering.start_from(start)
+    assert teleop.starts == [dict(zip(AXES, start.tolist(), strict=True))]
+    assert steering.target(start).shape == (5,)
+    for broken in (RuntimeError("gone"), OSError("gone")):
+        teleop.error = broken
+        with pytest.raises(TeleoperatorError, match="gone"):
+            steering.target(start)
+    teleop.error = None
+    teleop.width_m = float("nan")
+    with pytest.raises(TeleoperatorError, match="finite"):
+        steering.target(start)
+
+
+def test_a_teleoperator_of_other_axes_is_refused(tmp_path: Path) -> None:
+    class Joints(Sway):
+        action_features = property(lambda self: {"joint_1.pos": float})
+
+    with pytest.raises(ContractError, match=r"x\.pos"):
+        Steering(Joints(SwayConfig(id="test", calibration_dir=tmp_path)))
+
+
+def seen(force_N: float) -> Observation:
+    picture = Picture(np.zeros((4, 4, 3), np.uint8), 0, 0.95)
+    touch = FingerTouch(np.zeros((480, 640), np.uint8), np.zeros((480, 640), np.uint8), 0, 0.98)
+    axes = np.array([0, 0, 0, 0, 0.04])
+    fingers = {"left": touch, "right": touch}
+    return Observation(1.0, axes, {"front": picture}, fingers, force_N=np.array([0, 0, force_N]))  # type: ignore[arg-type]
+
+
+def test_the_line_shows_force_against_its_limit() -> None:
+    view = LiveView(io.StringIO())
+    lines = {}
+    for force in (3.0, 12.0, 16.0, 1.0):
+        view.show(seen(force), 30)
+        lines[force] = view.line(seen(force), 30)
+    assert "!" not in lines[3.0] and "! " in lines[12.0] and "!!" in lines[16.0]
+    assert "peak 16.0 of 15" in lines[1.0] and "oldest front 50 ms" in lines[1.0] and "1.0 s" in lines[1.0]
+    view.begin("next")
+    assert view.peak_N == 0
+
+
+def test_without_a_terminal_only_lines_that_stay_are_written() -> None:
+    out = io.StringIO()
+    view = LiveView(out)
+    view.show(seen(3.0), 30)
+    view.say("stored")
+    assert out.getvalue() == "stored\n"
+
+
+class Lerobots:
+    """As LeRobot's cameras are: newest frame, its stamp, errors of their own."""
+
+    def __init__(self) -> None:
+        self.latest_timestamp = 1.0
+        self.frame = np.zeros((8, 8, 3), np.uint8)
+        self.error: Exception | None = None
+
+    def read_latest(self, max_age_ms: int) -> np.ndarray:
+        if self.error is not None:
+            raise self.error
+        return self.frame
+
+
+def test_an_ordinary_camera_is_stamped_counted_and_watched() -> None:
+    camera = Lerobots()
+    plain = PlainCamera("front", camera)  # type: ignore[arg-type]
+    assert (plain.picture().index, plain.picture().index) == (0, 0), "the same frame again"
+    camera.latest_timestamp, camera.frame = 2.0, camera.frame + 1
+    picture = plain.picture()
+    assert (picture.index, picture.time_s) == (1, 2.0)
+    with pytest.raises(FrozenSensorError, match="front"):
+        for stamp in range(3, 4 + FROZEN_AFTER):
+            camera.latest_timestamp = float(stamp)
+            plain.picture()
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"), [(TimeoutError("old"), StaleSensorError), (RuntimeError("thread"), LostSensorError)]
+)
+def test_its_errors_are_ours(error: Exception, kind: type[SensorError]) -> None:
+    camera = Lerobots()
+    camera.error = error
+    with pytest.raises(kind, match="front"):
+        PlainCamera("front", camera).picture()  # type: ignore[arg-type]
+
+
+def test_a_camera_of_unknown_age_is_refused() -> None:
+    with pytest.raises(ContractError, match="latest_timestamp"):
+        PlainCamera("front", object())  # type: ignore[arg-type]
+
+
+RIG = """
+robot:
+  address: 127.0.0.7
+  guards: {step_m: 0.03}
+  cameras:
+    front: {type: uniforce_scene, source: "http://x"}
+    tactile_left: {type: uniforce_uskin, finger: left, source: /dev/x}
+"""
+
+
+def test_file_and_flags_make_devices(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text(RIG)
+    flags = ["--robot.cameras.front.fps=15", "--robot.guards.low=[0,0,0,0,0]", "--robot.id=a"]
+    devices = read_devices(flags, "franka", "recording_test", str(tmp_path / "rig.yaml"))
+    robot = devices.robot
+    assert (
+        robot.address == "127.0.0.7" and robot.guards.step_m == 0.03 and robot.guards.low == (0, 0, 0, 0, 0)
+    )  # type: ignore[union-attr]
+    assert robot.cameras["front"].fps == 15 and devices.teleop.type == "recording_test"  # type: ignore[union-attr]
+    assert read_devices([], "", "recording_test").robot is None
+
+
+@pytest.mark.parametrize(
+    ("flags", "teleop", "file", "reason"),
+    [
+        (["--robot.adress=1"], "recording_test", "", "adress"),
+        (["--robot.cameras.front.type=nonsense"], "recording_test", "", "robot"),
+        ([], "telepathy", "", "recording_test"),
+        ([], "recording_test", "no.yaml", "rig"),
+    ],
+)
+def test_what_nobody_knows_is_refused(flags: list[str], teleop: str, file: str, reason: str) -> None:
+    with pytest.raises(ContractError, match=reason):
+        read_devices(flags, "franka", teleop, file)
+
+
+def test_every_teleoperator_can_be_named() -> None:
+    """Naming one of ours needs no settings; one of LeRobot's, where loaded, may say which it needs."""
+    names = teleoperator_names()
+    assert "recording_test" in names
+    for name, registered in names.items():
+        try:
+            assert read_devices([], "", name).teleop.type == registered
+        except ContractError as error:
+            assert not registered.startswith("uniforce_") and "required field" in str(error)
+
+
+def test_a_little_garbage_is_borne_and_much_is_not() -> None:
+    watch = GarbageWatch("tactile_left")
+    for step in range(300):
+        watch.look(step / 30, step // 8)  # four a second
+    with pytest.raises(SensorError, match="bad pieces"):
+        for step in range(30):
+            watch.look(10 + step / 30, 38 + step)

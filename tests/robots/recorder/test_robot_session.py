@@ -1,0 +1,341 @@
+"""A whole session on a fake robot: episodes, labels, faults, resume."""
+
+from __future__ import annotations
+
+import io
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+import pytest
+from recording_fakes import FakeRig, Script, Sway, SwayConfig, sway
+
+from uniforce_datasets.cards import read_card
+from uniforce_datasets.lossless import open_dataset
+from uniforce_datasets.raw_video import raw_path
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.source import read_source, stored_frames
+from uniforce_robots.recorder import disk_guard
+from uniforce_robots.recorder.assemble import run_session
+from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operator, Phase, Unattended
+from uniforce_robots.recorder.session import SessionEnd, SessionSettings
+from uniforce_robots.recorder.store import StoreSettings, open_recorder
+from uniforce_robots.sensors.faults import WrongSensorError
+from uniforce_vtla.errors import ContractError, TeleoperatorError
+from uniforce_vtla.keys import (
+    ABORT_CAUSES,
+    ACTION,
+    CAUSE,
+    OUTCOME,
+    OUTCOME_NAMES,
+    STAMPS,
+    STATE,
+    age_key,
+    index_key,
+    measured_key,
+    tactile_key,
+    time_key,
+)
+
+SHORT_S = 0.5
+
+
+@pytest.fixture
+def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
+    return FakeRig(tmp_path / "calibration", monkeypatch)
+
+
+def go(
+    fake: FakeRig,
+    root: Path,
+    operator: Operator,
+    teleop: Sway | None = None,
+    out: TextIO | None = None,
+    **settings: object,
+) -> SessionEnd:
+    plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
+    teleop = teleop or sway(root.parent)
+    store = StoreSettings(root, "local/test", reserve_MB=1.0)
+    end = run_session(
+        fake.rig,
+        teleop,
+        operator,
+        store,
+        SessionSettings(**(plain | settings)),  # type: ignore[arg-type]
+        out=out,
+        open_store=open_recorder,
+    )
+    assert not fake.robot.is_connected and not teleop.is_connected
+    assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
+    return end
+
+
+def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    end = go(fake, root, Unattended("success"), episodes=2, prompts=("wipe", "clean the board"))
+    assert end.exit_code == 0 and [e.label for e in end.endings] == ["success"] * 2
+    assert go(fake, root, Unattended("success"), episodes=3).message == "3 of 3 episodes"
+    dataset = open_dataset(root, return_uint8=True)
+    assert dataset.num_episodes == 3 and len(dataset) == 45
+    assert {dataset[i]["task"] for i in (0, 15)} == {"wipe", "clean the board"}
+    reference = dataset[3][tactile_key("left", reference=True)].numpy()
+    assert set(np.unique(reference)) == {0, 255}
+    for episode in range(3):
+        assert stored_frames(raw_path(root, "left", episode)) == 15
+        assert read_card(root, episode)["label"] == "success"
+
+
+def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
+    go(fake, tmp_path / "data", Unattended("success"))
+    times = tuple(key(source) for key in (time_key, age_key, index_key) for source in ("front", "left"))
+    keys = (STATE, ACTION, STAMPS, *times)
+    columns = read_source(tmp_path / "data").columns((*keys, measured_key("wrench"), measured_key("hand")))
+    ticks = columns[STAMPS]
+    assert (np.diff(ticks, axis=1) >= 0).all() and ticks[0, 0] < 0.1
+    assert (np.diff(ticks[:, 0]) > 0).all()  # how steadily, a busy machine can't say: see docs/recording.md
+    for source in ("front", "left"):
+        age, taken = columns[age_key(source)], columns[time_key(source)]
+        assert (age >= 0).all() and age.max() < 0.2
+        np.testing.assert_allclose(taken + age, ticks[:, 1], atol=1e-4)
+        assert (np.diff(columns[index_key(source)]) >= 0).all() and columns[index_key(source)][-1] > 3
+    assert np.ptp(columns[ACTION][:, 0]) > 0.001, "the sway was stored"
+    np.testing.assert_allclose(columns[measured_key("hand")][:, 0], 0.08, atol=1e-6)
+
+
+def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
+    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teleop = sway(tmp_path)
+    quick = teleop.get_action
+
+    def slow() -> dict[str, float]:
+        time.sleep(2.5 / 30)
+        return quick()
+
+    monkeypatch.setattr(teleop, "get_action", slow)
+    console = io.StringIO()
+    end = go(fake, tmp_path / "data", Unattended("success"), teleop, out=console, late_share=0.1)
+    assert end.exit_code == 3 and "missed" in end.message
+    assert "stored aborted:late" in console.getvalue() and "0/1 episodes" in console.getvalue()
+    assert labels(tmp_path / "data") == ["aborted:late"] * 3
+    assert read_card(tmp_path / "data", 0)["label"] == "aborted:late"
+
+
+def labels(root: Path) -> list[str]:
+    source = read_source(root)
+    columns = source.columns((OUTCOME, CAUSE))
+    starts = [episode.start for episode in source.episodes]
+    outcomes = [OUTCOME_NAMES[columns[OUTCOME][i]] for i in starts]
+    causes = [ABORT_CAUSES[columns[CAUSE][i]] for i in starts]
+    return [o if c == "none" else f"{o}:{c}" for o, c in zip(outcomes, causes, strict=True)]
+
+
+def at(phase: Phase, asked: int, command: Command) -> Callable[[Phase, int], list[Command]]:
+    """Begin whenever waiting; say the command once, at that question of that phase."""
+    return lambda now, n: [Command.GO] if now is Phase.WAITING else [command] * (now is phase and n == asked)
+
+
+@pytest.mark.parametrize("command", VERDICTS)
+def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command) -> None:
+    end = go(fake, tmp_path / "data", Script(at(Phase.RUNNING, 6, command)), episode_s=30.0)
+    assert end.exit_code == 0 and labels(tmp_path / "data") == [VERDICTS[command]]
+    assert read_source(tmp_path / "data").num_frames == 6
+
+
+BREAKS: dict[str, tuple[Callable[[FakeRig, Sway], None], str]] = {
+    "camera unplugged": (lambda f, t: setattr(f.captures["front"], "fault", "stop"), "camera"),
+    "camera silent": (lambda f, t: setattr(f.captures["front"], "fault", "stall"), "stale_camera"),
+    "camera frozen": (lambda f, t: setattr(f.captures["front"], "fault", "freeze"), "frozen_camera"),
+    "finger silent": (lambda f, t: setattr(f.captures["tactile_left"], "fault", "stall"), "stale_touch"),
+    "finger frozen": (lambda f, t: setattr(f.captures["tactile_right"], "fault", "freeze"), "frozen_touch"),
+    "reflex": (lambda f, t: setattr(f.arm, "mode", "reflex"), "robot_reflex"),
+    "user stop": (lambda f, t: setattr(f.arm, "mode", "user_stopped"), "robot_user_stop"),
+    "teleoperator": (lambda f, t: setattr(t, "error", RuntimeError("unplugged")), "teleop"),
+}
+
+
+@pytest.mark.parametrize("name", BREAKS)
+def test_a_fault_ends_the_episode_held_and_labelled(fake: FakeRig, tmp_path: Path, name: str) -> None:
+    breaks, cause = BREAKS[name]
+    teleop, begun = sway(tmp_path), []
+
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.WAITING:
+            begun.append(phase)
+            return [Command.GO if len(begun) == 1 else Command.QUIT]
+        if phase is Phase.RUNNING and asked == 6:
+            breaks(fake, teleop)
+        return []
+
+    end = go(fake, tmp_path / "data", Script(say), teleop, episode_s=5.0)
+    assert end.exit_code == 0 and len(end.endings) == 1, end
+    ending = end.endings[0]
+    assert ending.label.startswith("aborted:") and cause in ending.label, ending
+    assert ending.held_s < 0.5
+    assert labels(tmp_path / "data") == [ending.label]
+    assert cause in read_card(tmp_path / "data", 0)["label"]
+
+
+def scripted(*lines: tuple[Phase, int, Command | Event]) -> Script:
+    """Begin whenever waiting; say each line once, when its phase is asked for the so-manyth time."""
+    left = list(lines)
+
+    def say(phase: Phase, asked: int) -> list[Command | Event]:
+        if phase is Phase.WAITING and asked == 0:
+            return [Command.GO]
+        if left and left[0][:2] == (phase, asked):
+            return [left.pop(0)[2]]
+        return []
+
+    return Script(say)
+
+
+def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None:
+    operator = scripted(
+        (Phase.RUNNING, 3, Command.DISCARD),
+        (Phase.RUNNING, 4, Command.RERECORD),
+        (Phase.RUNNING, 8, Event(Command.NOTE, "slow")),  # asked on: no waiting in between
+        (Phase.RUNNING, 9, Command.GO),
+        (Phase.PAUSED, 5, Command.GO),
+        (Phase.RUNNING, 3, Command.SUCCESS),
+    )
+    teleop = sway(tmp_path)
+    end = go(fake, tmp_path / "data", operator, teleop, episode_s=30.0)
+    assert [e.label for e in end.endings] == ["discard", "rerecord", "success"]
+    assert end.endings[2].pauses == 1 and len(teleop.starts) == 4, "three episodes and one going on"
+    card = read_card(tmp_path / "data", 0)
+    assert card["notes"] == ["slow"] and card["prompt"] == "wipe" and card["guards"]["sensor"] == 0
+    stamps = read_source(tmp_path / "data").columns((STAMPS,))[STAMPS][:, 0]
+    assert np.diff(stamps).max() > 5 / 30, "the pause shows"
+
+
+def test_nothing_begins_out_of_free_air(fake: FakeRig, tmp_path: Path) -> None:
+    fake.hand.width_m = 0.03
+    end = go(fake, tmp_path / "data", Unattended("success"), unwell_s=0.3)
+    assert end.exit_code == 3 and "Open the gripper" in end.message and not end.endings
+    asked: list[Phase] = []
+
+    def say(phase: Phase, n: int) -> list[Command]:
+        asked.append(phase)
+        fake.hand.width_m = 0.03 if len(asked) < 3 else 0.08  # refused, opened, begun
+        return [Command.GO] if phase is Phase.WAITING else [Command.SUCCESS] * (n == 3)
+
+    end = go(fake, tmp_path / "data", Script(say), drive_between=False)
+    assert end.exit_code == 0 and asked.count(Phase.WAITING) >= 2
+
+
+def test_a_moving_gel_is_no_reference(fake: FakeRig, tmp_path: Path) -> None:
+    frames = fake.captures["tactile_left"].frames
+    fake.captures["tactile_left"].frames = tuple(np.roll(f, 12 * n, axis=1) for n, f in enumerate(frames))
+    end = go(fake, tmp_path / "data", Unattended("success"), unwell_s=0.2)
+    assert end.exit_code == 3 and "bad_touch" in end.message and "contact" in end.message
+
+
+def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
+    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = tmp_path / "data"
+    go(fake, root, Unattended("success"))
+    room = iter([10**12] * 8)
+    monkeypatch.setattr(disk_guard, "free_bytes", lambda path: next(room, 10))
+    end = go(fake, root, Unattended("success"), episodes=2, episode_s=5.0)
+    assert end.exit_code == 4 and labels(root) == ["success", "aborted:disk_full"]
+    assert end.endings[0].held_s < 0.1
+    end = go(fake, root, Unattended("success"), episodes=2)
+    assert end.exit_code == 4 and not end.endings, "no room for another one"
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_ctrl_c(fake: FakeRig, tmp_path: Path, times: int) -> None:
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.RUNNING and asked == 5:
+            for _ in range(times):
+                signal.raise_signal(signal.SIGINT)
+        return [Command.GO] if phase is Phase.WAITING else []
+
+    before = signal.getsignal(signal.SIGINT)
+    if times == 1:
+        end = go(fake, tmp_path / "data", Script(say), episode_s=5.0)
+        assert end.exit_code == 130 and labels(tmp_path / "data") == ["aborted:interrupt"]
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            go(fake, tmp_path / "data", Script(say), episode_s=5.0)
+        assert not fake.robot.is_connected and not (tmp_path / "data" / "data").exists()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_person_clears_a_reflex_and_goes_on(fake: FakeRig, tmp_path: Path) -> None:
+    said: list[str] = []
+
+    def say(phase: Phase, asked: int) -> list[Command]:
+        if phase is Phase.RUNNING and asked == 3 and not said:
+            fake.arm.mode = "reflex"
+            said.append("reflex")
+        if phase is Phase.WAITING and said == ["reflex"]:
+            said.append("recovered")
+            return [Command.RECOVER]
+        ends = phase is Phase.RUNNING and asked == 8 and len(said) == 2
+        return [Command.GO] if phase is Phase.WAITING else [Command.SUCCESS] * ends
+
+    end = go(fake, tmp_path / "data", Script(say), episode_s=5.0, drive_between=False)
+    assert [e.label for e in end.endings] == ["aborted:robot_reflex", "success"] and end.exit_code == 0
+
+
+def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
+    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise ContractError("state: expected finite numbers")
+
+    monkeypatch.setattr(EpisodeRecorder, "save", refuse)
+    end = go(fake, tmp_path / "data", Unattended("success"))
+    assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
+
+
+def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
+    teleop = sway(tmp_path)
+    real = teleop.get_action
+
+    def get_action() -> dict[str, float]:
+        if teleop.calls >= 7:
+            raise TeleoperatorError("the end", "ended")
+        return real()
+
+    teleop.get_action = get_action  # type: ignore[method-assign]
+    end = go(fake, tmp_path / "data", Unattended("residual"), teleop, episode_s=5.0)
+    assert end.exit_code == 0 and labels(tmp_path / "data") == ["residual"]
+    assert read_source(tmp_path / "data").num_frames == 7
+
+
+def test_another_sensor_than_configured_is_refused_before_anything_moves(
+    fake: FakeRig, tmp_path: Path
+) -> None:
+    captures = fake.captures
+    captures["tactile_left"], captures["tactile_right"] = captures["tactile_right"], captures["tactile_left"]
+    with pytest.raises(WrongSensorError, match="Another sensor answers"):
+        go(fake, tmp_path / "data", Unattended("success"))
+    assert not fake.arm.targets and not fake.robot.is_connected
+
+
+def test_nobody_gives_up_on_a_fault_that_comes_back(fake: FakeRig, tmp_path: Path) -> None:
+    class Flaky(Sway):
+        def get_action(self) -> dict[str, float]:
+            if self.calls == 4:
+                fake.captures["front"].fault = "stall"
+            return super().get_action()
+
+    begin = fake.rig.begin_episode
+
+    def mended(seed: int) -> None:
+        fake.captures["front"].fault = ""
+        time.sleep(0.2)
+        begin(seed)
+
+    fake.rig.begin_episode = mended  # type: ignore[method-assign]
+    teleop = Flaky(SwayConfig(id="test", calibration_dir=tmp_path))
+    end = go(fake, tmp_path / "data", Unattended("success"), teleop, episode_s=3.0)
+    assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3

@@ -1,0 +1,158 @@
+"""Camera settings and failures, with a scripted capture: order, read-back, sizes, time stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+import pytest
+
+from uniforce_robots.sensors.camera_source import FAILED_READS, CameraSource
+from uniforce_robots.sensors.capture import CaptureSettings, open_capture
+from uniforce_robots.sensors.faults import LostSensorError, ProtocolError, WrongSensorError
+from uniforce_robots.sensors.samples import now_ns
+
+SETTINGS = CaptureSettings(width=64, height=48, fps=30)
+
+
+class ScriptedCapture:
+    """Does as told; remembers every ``set`` in order."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[int, float]] = []
+        self.values: dict[int, float] = {}
+        self.refuses: set[int] = set()
+        self.opens, self.works, self.released = True, True, 0
+        self.frame = np.zeros((48, 64, 3), np.uint8)
+        self.frame[..., 0] = 200  # blue in OpenCV's order
+
+    def isOpened(self) -> bool:  # noqa: N802
+        return self.opens
+
+    def set(self, prop: int, value: float) -> bool:
+        self.asked.append((prop, value))
+        if prop not in self.refuses:
+            self.values[prop] = value
+        return prop not in self.refuses
+
+    def get(self, prop: int) -> float:
+        return self.values.get(prop, 0.0)
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        return (True, self.frame.copy()) if self.works else (False, None)
+
+    def release(self) -> None:
+        self.released += 1
+
+
+@pytest.fixture
+def capture() -> ScriptedCapture:
+    return ScriptedCapture()
+
+
+@pytest.fixture
+def make(capture: ScriptedCapture) -> Callable[..., CameraSource]:
+    def build(settings: CaptureSettings = SETTINGS, **options: object) -> CameraSource:
+        return CameraSource("/dev/video9", settings, "tactip", factory=lambda source: capture, **options)
+
+    return build
+
+
+def test_settings_are_asked_in_the_order_drivers_accept(capture: ScriptedCapture, make: Callable):
+    source = make()
+    source.open()
+    order = [prop for prop, _ in capture.asked]
+    assert order[0] == cv2.CAP_PROP_FOURCC  # decides which sizes exist
+    assert order.index(cv2.CAP_PROP_AUTO_EXPOSURE) < order.index(cv2.CAP_PROP_EXPOSURE)
+    assert order.index(cv2.CAP_PROP_AUTO_WB) < order.index(cv2.CAP_PROP_WB_TEMPERATURE)
+    assert dict(capture.asked)[cv2.CAP_PROP_BUFFERSIZE] == 1
+    assert dict(capture.asked)[cv2.CAP_PROP_AUTO_EXPOSURE] == 1  # manual
+    assert source.settings_read_back["width"] == 64 and source.settings_read_back["exposure_100us"] == 100
+    assert len(source.settings_read_back) == len(capture.asked) == 10
+
+
+@pytest.mark.parametrize(
+    ("prop", "name"),
+    [
+        (cv2.CAP_PROP_FOURCC, "fourcc"),
+        (cv2.CAP_PROP_FRAME_WIDTH, "width"),
+        (cv2.CAP_PROP_FPS, "fps"),
+        (cv2.CAP_PROP_AUTO_EXPOSURE, "auto_exposure"),
+        (cv2.CAP_PROP_WB_TEMPERATURE, "white_balance_K"),
+    ],
+)
+def test_a_refused_setting_is_an_error_that_names_it(
+    capture: ScriptedCapture, make: Callable, prop: int, name: str
+):
+    capture.refuses = {prop}
+    with pytest.raises(WrongSensorError, match=name):
+        make().open()
+    assert capture.released == 1
+
+
+def test_null_leaves_a_control_alone(capture: ScriptedCapture, make: Callable):
+    make(CaptureSettings(None, 64, 48, 30, None, None, None)).open()
+    asked = {prop for prop, _ in capture.asked}
+    assert not asked & {
+        cv2.CAP_PROP_EXPOSURE,
+        cv2.CAP_PROP_AUTO_EXPOSURE,
+        cv2.CAP_PROP_AUTO_WB,
+        cv2.CAP_PROP_GAIN,
+    }
+
+
+def test_frames_are_rgb_and_stamped_on_arrival(make: Callable):
+    source, before = make(), now_ns()
+    source.open()
+    ((stamp_ns, frame),) = source.read()
+    assert frame[0, 0].tolist() == [0, 0, 200] and before < stamp_ns <= now_ns()
+    assert source.counts.samples == 1
+
+
+def test_a_camera_that_does_not_open(capture: ScriptedCapture, make: Callable):
+    capture.opens = False
+    with pytest.raises(LostSensorError, match="doesn't open"):
+        make().open()
+
+
+def test_failed_reads_in_a_row_mean_it_is_gone(capture: ScriptedCapture, make: Callable):
+    source = make()
+    source.open()
+    capture.works = False
+    assert all(source.read() == [] for _ in range(FAILED_READS - 1))
+    with pytest.raises(LostSensorError, match="unplugged"):
+        source.read()
+    assert source.counts.bad == FAILED_READS
+
+
+def test_a_frame_of_another_size(capture: ScriptedCapture, make: Callable):
+    source = make()
+    source.open()
+    capture.frame = np.zeros((240, 320, 3), np.uint8)
+    with pytest.raises(WrongSensorError, match="320×240"):
+        source.read()
+
+
+def test_the_driver_may_stamp_frames_on_our_clock_only(capture: ScriptedCapture, make: Callable):
+    source = make(clock="driver")
+    source.open()
+    taken_ns = now_ns() - 20_000_000
+    capture.values[cv2.CAP_PROP_POS_MSEC] = taken_ns / 1e6
+    ((stamp_ns, _),) = source.read()
+    assert abs(stamp_ns - taken_ns) < 1000
+    for wrong in (0.0, 1.7e12):
+        capture.values[cv2.CAP_PROP_POS_MSEC] = wrong
+        with pytest.raises(ProtocolError, match="clock=host"):
+            source.read()
+
+
+def test_an_absent_device_is_named():
+    with pytest.raises(LostSensorError, match="/dev/video987"):
+        open_capture("987")
+
+
+@pytest.mark.parametrize("address", ["http://", "https://127.0.0.1/x", "http://127.0.0.1:port/"])
+def test_addresses_that_cannot_be(address: str):
+    with pytest.raises(LostSensorError, match="http://host:port"):
+        open_capture(address)

@@ -1,0 +1,157 @@
+"""Stock ``lerobot-record`` with our camera, from its entry on: exact tactile video, or no episode at all."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+from lerobot.cameras import CameraConfig, make_cameras_from_configs
+from lerobot.robots import Robot, RobotConfig
+from lerobot.scripts import lerobot_record
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
+
+import uniforce_robots.sensors  # noqa: F401  (registers the cameras)
+from uniforce_robots.sensors.lossy_recording import LOSSLESS
+from uniforce_robots.standins.process import StandIn
+from uniforce_vtla.errors import DatasetError
+
+HERE = "still_devices"  # LeRobot imports a device from its config's module
+AXIS: dict[str, Any] = {"x.pos": float}
+
+
+@RobotConfig.register_subclass("still_robot")
+@dataclass(kw_only=True)
+class StillRobotConfig(RobotConfig):
+    cameras: dict[str, CameraConfig] = field(default_factory=dict)
+
+
+@TeleoperatorConfig.register_subclass("still_hand")
+@dataclass(kw_only=True)
+class StillHandConfig(TeleoperatorConfig):
+    pass
+
+
+class Still:
+    """What LeRobot asks of robot and teleoperator alike."""
+
+    config_class: Any
+    is_calibrated = True
+    action_features = AXIS
+    feedback_features: dict[str, Any] = {}  # noqa: RUF012
+    is_connected = False
+
+    def calibrate(self) -> None: ...
+
+    def configure(self) -> None: ...
+
+    def connect(self, calibrate: bool = True) -> None:
+        self.is_connected = True
+
+    def disconnect(self) -> None:
+        self.is_connected = False
+
+    def get_action(self) -> dict[str, float]:
+        return {"x.pos": 0.0}
+
+    def send_feedback(self, feedback: dict[str, Any]) -> None: ...
+
+
+class StillHand(Still, Teleoperator):
+    config_class, name = StillHandConfig, "still_hand"
+
+
+class StillRobot(Still, Robot):
+    config_class, name = StillRobotConfig, "still_robot"
+
+    def __init__(self, config: StillRobotConfig) -> None:
+        super().__init__(config)
+        self.cameras = make_cameras_from_configs(config.cameras)
+
+    @property
+    def observation_features(self) -> dict[str, Any]:
+        return AXIS | {name: (c.height, c.width, 3) for name, c in self.cameras.items()}
+
+    def connect(self, calibrate: bool = True) -> None:
+        for camera in self.cameras.values():
+            camera.connect()
+        super().connect()
+
+    def disconnect(self) -> None:
+        for camera in self.cameras.values():
+            camera.disconnect()
+        super().disconnect()
+
+    def get_observation(self) -> dict[str, Any]:
+        return {"x.pos": 0.0} | {name: c.read_latest(60_000) for name, c in self.cameras.items()}
+
+    def send_action(self, action: dict[str, float]) -> dict[str, float]:
+        return action
+
+
+@pytest.fixture
+def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Path]:
+    """Run ``lerobot-record`` for half a second with more flags; return the dataset's folder."""
+    monkeypatch.setitem(sys.modules, HERE, sys.modules[__name__])
+    for kind in (StillRobotConfig, StillHandConfig):
+        monkeypatch.setattr(kind, "__module__", HERE)
+
+    def run(*flags: str, delivers: str = "markers") -> Path:
+        camera = (
+            f"{{type: uniforce_tactile, sensor: tactip, finger: right, source: '{mjpeg.address}', "
+            f"delivers: {delivers}, capture_width: 640, capture_height: 480, connect_ms: 60000, "
+            "reference_on_connect: false}"
+        )
+        devices = ["--robot.type=still_robot", f"--robot.cameras={{tactile_right: {camera}}}"]
+        paths = ["--robot.id=a", f"--robot.calibration_dir={tmp_path}", "--teleop.type=still_hand"]
+        paths += [f"--teleop.calibration_dir={tmp_path}", f"--dataset.root={tmp_path / 'data'}"]
+        data = ["--dataset.repo_id=local/touch", "--dataset.single_task=wipe", "--dataset.push_to_hub=false"]
+        short = ["--dataset.num_episodes=1", "--dataset.episode_time_s=0.5", "--dataset.fps=10"]
+        argv = ["lerobot-record", *devices, *paths, *data, *short, "--play_sounds=false", *flags]
+        monkeypatch.setattr(sys, "argv", argv)
+        lerobot_record.main()
+        return tmp_path / "data"
+
+    return run
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("flags", "delivers"),
+    [
+        ([], "markers"),
+        (["--dataset.rgb_encoder.vcodec=libsvtav1", "--dataset.rgb_encoder.crf=0"], "markers"),
+        (["--dataset.rgb_encoder.vcodec=h264"], "markers"),
+        ([*LOSSLESS.split()[:2], "--dataset.streaming_encoding=true"], "markers"),
+        (LOSSLESS.split(), "raw"),
+    ],
+)
+def test_a_recording_with_loss_is_refused_before_its_first_episode(
+    record: Callable[..., Path], tmp_path: Path, flags: list[str], delivers: str
+) -> None:
+    with pytest.raises(DatasetError, match=r"uniforce record, or add .*--dataset.video=false"):
+        record(*flags, delivers=delivers)
+    assert {path.name for path in (tmp_path / "data").rglob("*.*")} == {"info.json"}
+
+
+@pytest.mark.slow
+def test_the_flags_it_names_store_tactile_video_exactly(record: Callable[..., Path]) -> None:
+    root = record(*LOSSLESS.split())
+    video = next(root.rglob("*.mp4"))
+    with av.open(str(video)) as stored:
+        frames = [frame.to_ndarray(format="rgb24") for frame in stored.decode(video=0)]
+    assert len(frames) >= 3 and all(np.isin(frame, (0, 255)).all() and frame.any() for frame in frames)
+
+
+@pytest.mark.slow
+def test_images_beside_the_rows_are_exact_too(record: Callable[..., Path]) -> None:
+    root = record("--dataset.video=false")
+    assert not list(root.rglob("*.mp4")) and re.search(
+        '"dtype": "image"', (root / "meta/info.json").read_text()
+    )

@@ -1,0 +1,68 @@
+"""MJPEG over HTTP: any cutting of the stream, servers of all habits, and nothing without bounds."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+
+from uniforce_robots.sensors.faults import ProtocolError
+from uniforce_robots.sensors.http_capture import decode_bgr
+from uniforce_robots.sensors.multipart_jpeg import MAX_JPEG_BYTES, MultipartJpeg, jpeg_size
+from uniforce_robots.standins.mjpeg import encode, part
+
+HEADER = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=uniforceframe\r\n\r\n"
+IMAGES = [bytes([0xFF, 0xD8, i]) + b"x" * (50 + i) for i in range(4)]
+
+
+def stream(with_length: bool) -> bytes:
+    parts = [part(image, 10.0 + i, with_length) for i, image in enumerate(IMAGES)]
+    return HEADER + b"".join(parts) + b"--uniforceframe\r\n"
+
+
+@examples(60)
+@given(cuts=st.lists(st.integers(0, 700), max_size=20), with_length=st.booleans())
+def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int], with_length: bool):
+    data, reader = stream(with_length), MultipartJpeg("cam")
+    edges = [0, *sorted(min(c, len(data)) for c in cuts), len(data)]
+    parts = [p for a, b in itertools.pairwise(edges) for p in reader.feed(data[a:b])]
+    assert [p.jpeg for p in parts] == IMAGES
+    assert [p.taken_s for p in parts] == [10.0, 11.0, 12.0, 13.0]
+
+
+@pytest.mark.parametrize("boundary", [b'"uniforceframe"', b"--uniforceframe", b"uniforceframe; charset=x"])
+def test_boundaries_as_servers_write_them(boundary: bytes):
+    data = stream(True).replace(b"boundary=uniforceframe", b"boundary=" + boundary, 1)
+    assert len(MultipartJpeg("cam").feed(data)) == 4
+
+
+@pytest.mark.parametrize(
+    ("answer", "says"),
+    [
+        (b"HTTP/1.0 404 Not Found\r\n\r\n", "404"),
+        (b"HTTP/1.0 200 OK\r\nContent-Type: text/html\r\n\r\n", "text/html"),
+        (b"HTTP/1.0 200 OK\r\n\r\n", "multipart"),
+        (b"SSH-2.0-OpenSSH\r\n\r\n", "SSH"),
+        (HEADER + b"--other\r\n\r\n", "boundary"),
+        (HEADER + b"--uniforceframe\r\nContent-Length: -5\r\n\r\n", "-5"),
+        (HEADER + b"--uniforceframe\r\nContent-Length: 99999999999\r\n\r\n", "99999999999"),
+        (b"H" * 9000, "header"),
+        (HEADER + b"--uniforceframe\r\n\r\n" + b"x" * (MAX_JPEG_BYTES + 1), "end of an image"),
+    ],
+)
+def test_what_is_no_mjpeg_stream_is_a_typed_error(answer: bytes, says: str):
+    with pytest.raises(ProtocolError, match=says):
+        MultipartJpeg("cam").feed(answer)
+
+
+def test_only_a_jpeg_of_sensible_size_is_decoded():
+    jpeg = encode(np.full((48, 64, 3), 90, np.uint8))
+    image = decode_bgr(jpeg)
+    assert jpeg_size(jpeg) == (64, 48) and image is not None and image.shape == (48, 64, 3)
+    at = jpeg.index(b"\xff\xc0") + 5
+    assert decode_bgr(jpeg[:at] + b"\xff\xff\xff\xff" + jpeg[at + 4 :]) is None  # 65,535 px a side
+    assert decode_bgr(b"") is None and decode_bgr(b"\xff\xd8") is None and decode_bgr(b"GIF89a") is None

@@ -1,0 +1,180 @@
+"""The tactile camera as LeRobot sees it, against the MJPEG stand-in: markers, reference, every fault ten times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import cv2
+import draccus
+import numpy as np
+import pytest
+from lerobot.cameras.configs import CameraConfig
+from lerobot.cameras.utils import make_cameras_from_configs
+
+from uniforce_robots.sensors import UniforceTactileCamera, UniforceTactileCameraConfig
+from uniforce_robots.sensors.faults import (
+    FrozenSensorError,
+    LostSensorError,
+    StaleSensorError,
+    WrongSensorError,
+)
+from uniforce_robots.standins.process import StandIn
+from uniforce_vtla.contracts import check_marker_image
+from uniforce_vtla.errors import ContractError, SensorError
+
+TIMES = 10
+MAX_AGE_MS = 300.0
+
+
+def config(address: str, **options: object) -> UniforceTactileCameraConfig:
+    plain = {"sensor": "tactip", "finger": "right", "frozen_after": 4, "reference_samples": 3}
+    size = {
+        "capture_width": 640,
+        "capture_height": 480,
+        "connect_ms": 60_000.0,
+        "reference_on_connect": False,
+    }
+    return UniforceTactileCameraConfig(source=address, **(plain | size | options))
+
+
+@pytest.fixture
+def camera(mjpeg: StandIn) -> Iterator[UniforceTactileCamera]:
+    camera = UniforceTactileCamera(config(mjpeg.address))
+    camera.connect()
+    yield camera
+    camera.disconnect()
+
+
+def test_a_robot_lists_it_like_any_camera(mjpeg: StandIn):
+    cameras = make_cameras_from_configs({"tactile_right": config(mjpeg.address)})
+    camera = cameras["tactile_right"]
+    assert isinstance(camera, UniforceTactileCamera) and (camera.height, camera.width) == (480, 640)
+    with camera:
+        image = camera.read_latest(60_000)
+        assert image.shape == (480, 640, 3) and image.dtype == np.uint8
+        assert np.array_equal(image[..., 0], image[..., 2])
+        markers, count = check_marker_image(image[..., 0]), 0
+        count = cv2.connectedComponents(markers)[0] - 1
+        assert 110 <= count <= 135  # a TacTip has 127 pins
+    assert not camera.is_connected
+
+
+def test_a_config_file_makes_it_and_is_made_of_it():
+    written = {
+        "type": "uniforce_tactile",
+        "sensor": "tactip",
+        "finger": "right",
+        "source": "/dev/video2",
+        "gain": None,
+    }
+    read = draccus.decode(CameraConfig, written)
+    assert isinstance(read, UniforceTactileCameraConfig) and (read.finger, read.gain) == ("right", None)
+    assert draccus.decode(CameraConfig, draccus.encode(read, CameraConfig)) == read
+
+
+def test_reads_deliver_new_frames_and_latest_is_a_peek(camera: UniforceTactileCamera):
+    first = camera.latest(60_000)
+    assert camera.next_touch(first.index, 60_000).index > first.index
+    assert camera.async_read(60_000).shape == camera.read_latest(60_000).shape == (480, 640, 3)
+    assert camera.latest(60_000).raw.shape == (480, 640, 3) and first.age_ms >= 0
+
+
+def test_raw_frames_if_asked(mjpeg: StandIn):
+    with UniforceTactileCamera(config(mjpeg.address, delivers="raw")) as camera:
+        assert len(np.unique(camera.read_latest(60_000))) > 50
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        ("stall", StaleSensorError),
+        ("freeze", FrozenSensorError),
+        ("size", WrongSensorError),
+        ("stop", LostSensorError),
+    ],
+)
+def test_a_dead_camera_is_a_typed_error_and_comes_back(
+    mjpeg: StandIn,
+    camera: UniforceTactileCamera,
+    outcome: Callable,
+    recovers: Callable,
+    fault: str,
+    kind: type,
+):
+    for _ in range(TIMES):
+        mjpeg.inject(fault)
+        error = outcome(lambda: camera.latest(MAX_AGE_MS), kind)
+        assert "tactip on the right finger" in str(error)
+        mjpeg.inject("none")
+        recovers(lambda: camera.latest(1e4))
+        camera.next_touch(camera.latest(1e4).index, 60_000)
+
+
+@pytest.mark.slow
+def test_late_frames_are_seen_through_the_server_s_own_stamps(
+    mjpeg: StandIn, outcome: Callable, recovers: Callable
+):
+    with UniforceTactileCamera(config(mjpeg.address, clock="driver")) as camera:
+        for _ in range(TIMES):
+            mjpeg.inject("late")
+            outcome(lambda: camera.latest(MAX_AGE_MS), StaleSensorError)
+            mjpeg.inject("none")
+            recovers(lambda: camera.latest(1e4))
+            camera.next_touch(camera.latest(1e4).index, 60_000)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["garbage", "nolength"])
+def test_a_clumsy_server_costs_no_good_frame(mjpeg: StandIn, camera: UniforceTactileCamera, fault: str):
+    for _ in range(TIMES):
+        mjpeg.inject(fault)
+        after = camera.next_touch(camera.latest(1e4).index + 1, 60_000)
+        assert after.raw.shape == (480, 640, 3)
+        mjpeg.inject("none")
+    assert (camera.counts.bad > 0) == (fault == "garbage")
+
+
+def test_a_reference_in_free_air(mjpeg: StandIn, camera: UniforceTactileCamera):
+    with pytest.raises(ContractError, match="take_reference"):
+        camera.reference_image()
+    for _ in range(60):  # the stand-in presses a third of the time
+        try:
+            reference = camera.take_reference()
+            break
+        except SensorError as error:
+            assert "in contact" in str(error)
+    assert np.array_equal(camera.reference_image()[..., 0], reference)
+
+
+def test_a_lost_camera_cannot_be_connected(mjpeg: StandIn):
+    mjpeg.inject("stop")
+    with pytest.raises(LostSensorError, match="MJPEG server"):
+        UniforceTactileCamera(config(mjpeg.address)).connect()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"sensor": "uskin"}, "uniforce_uskin"),
+        ({"source": ""}, "source"),
+        ({"clock": "wall"}, "host | driver"),
+        ({"delivers": "both"}, "markers | raw"),
+        ({"delivers": "raw", "capture_width": None}, "capture_width"),
+        ({"finger": "thumb"}, "left or right"),
+        ({"max_age_ms": 0}, "max_age_ms"),
+    ],
+)
+def test_configs_that_cannot_be(options: dict, says: str):
+    import re
+
+    with pytest.raises(ContractError, match=re.escape(says)):
+        config("http://127.0.0.1:1/", **options) if "source" not in options else config("")
+
+
+def test_opencv_reads_the_stand_in_too(mjpeg: StandIn):
+    """An independent client, so that stand-in and driver can't be wrong together."""
+    capture = cv2.VideoCapture(mjpeg.address, cv2.CAP_FFMPEG)
+    ok, frame = capture.read()
+    capture.release()
+    assert ok and frame.shape == (480, 640, 3)

@@ -1,0 +1,152 @@
+"""The uSkin as a LeRobot camera: marker image, reference, replay, orientation; and the whole chain to a latent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lerobot.cameras.utils import make_cameras_from_configs
+from properties import examples
+
+from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
+from uniforce_robots.sensors.faults import LostSensorError
+from uniforce_robots.sensors.orientation import Orientation
+from uniforce_robots.sensors.uskin_replay import ReplayUSkin
+from uniforce_robots.standins.process import StandIn
+from uniforce_robots.standins.scene import Scene, taxel_cycle
+from uniforce_vtla.errors import ContractError, SensorError
+from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.sensors.uskin_csv import COLUMNS
+from uniforce_vtla.tokenizer.api import Tokenizer
+
+FREE = taxel_cycle(Scene(press_s=0), 50)[0]
+
+
+def write_csv(path: Path, scans: np.ndarray) -> str:
+    pd.DataFrame(scans.reshape(len(scans), -1), columns=COLUMNS).to_csv(path, index=False)
+    return str(path)
+
+
+def config(link: str, source: str, **options: object) -> UniforceUskinConfig:
+    plain = {"reference_samples": 5, "connect_ms": 30_000.0, "max_age_ms": 10_000.0}
+    return UniforceUskinConfig(link=link, source=source, **(plain | options))
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> str:
+    """One second of free air, then a press, at 50 scans per second."""
+    return write_csv(tmp_path / "trial.csv", taxel_cycle(Scene(), 50))
+
+
+def test_a_robot_lists_it_like_any_camera(slcan: StandIn):
+    cfg = config("slcan", slcan.address, reference_on_connect=False)
+    camera = make_cameras_from_configs({"tactile_left": cfg})["tactile_left"]
+    assert isinstance(camera, UniforceUskin) and (camera.height, camera.width) == (480, 640)
+    with camera:
+        with pytest.raises(ContractError, match="reference"):
+            camera.read_latest()
+        assert camera.latest().raw.shape == (16, 3)
+
+
+def test_device_to_latent(recording: str):
+    """What comes out of the chain is what the canonicaliser and tokenizer make of the same counts."""
+    tokenizer = Tokenizer.random()
+    with UniforceUskin(config("replay", recording, replay_rate_hz=200, replay_loop=True)) as camera:
+        reference, touch = camera.reference_image()[..., 0], camera.next_touch(60, 30_000)
+        image = camera.marker_image(touch.raw)
+        expected = Canonicalizer("uskin").pair(camera.reference_raw, touch.raw, "left")
+    assert np.array_equal(reference, expected.reference) and np.array_equal(image, expected.current)
+    z = tokenizer.encode(reference[None], image[None])
+    assert z.shape == (1, tokenizer.num_patches, tokenizer.config.latent) and bool(z.isfinite().all())
+
+
+def test_a_reference_is_refused_in_contact(tmp_path: Path):
+    rising = np.linspace(0, 3000, 200)[:, None, None] * np.array([0, 0, 1]) + FREE
+    source = write_csv(tmp_path / "rising.csv", rising.astype(np.uint16))
+    camera = UniforceUskin(config("replay", source))
+    with pytest.raises(SensorError, match="in contact"):
+        camera.connect()
+    assert not camera.is_connected
+
+
+def test_a_steady_touch_is_refused_against_a_resting_level(tmp_path: Path):
+    pressed = np.tile(FREE + np.array([0, 0, 900]), (50, 1, 1)) + np.arange(50)[:, None, None] % 3
+    source = write_csv(tmp_path / "steady.csv", pressed)
+    np.save(tmp_path / "rest.npy", FREE)
+    resting = {"resting_level": str(tmp_path / "rest.npy")}
+    with pytest.raises(SensorError, match="resting level"):
+        UniforceUskin(config("replay", source, **resting)).connect()
+    with pytest.raises(ContractError, match=r"\.npy"):
+        UniforceUskin(config("replay", source, resting_level="absent.npy")).connect()
+
+
+def test_the_end_of_a_recording_is_a_lost_sensor_and_stays_one(recording: str, outcome: Callable):
+    camera = UniforceUskin(config("replay", recording, replay_rate_hz=2000, reference_on_connect=False))
+    camera.connect()
+    assert "end of the recording" in str(outcome(camera.latest, LostSensorError))
+    assert camera.since(-1).count == 150
+    camera.disconnect()
+
+
+def test_recordings_that_cannot_be_played(tmp_path: Path):
+    tared = write_csv(tmp_path / "tared.csv", FREE[None].astype(int) - 40_000)
+    with pytest.raises(SensorError, match="65535"):
+        ReplayUSkin(tared, 100).open()
+    with pytest.raises(SensorError, match="no file"):
+        ReplayUSkin(str(tmp_path / "absent.csv"), 100).open()
+    with pytest.raises(ContractError, match="rate"):
+        ReplayUSkin(tared, 0)
+
+
+def test_configs_that_cannot_be():
+    for options, says in (({"link": "usb"}, "slcan"), ({"source": ""}, "source")):
+        with pytest.raises(ContractError, match=says):
+            UniforceUskinConfig(**({"link": "slcan", "source": "x"} | options))
+    with pytest.raises(ContractError, match="rotation_deg"):
+        UniforceUskin(config("slcan", "x", rotation_deg=45))
+
+
+COUNTS = st.integers(0, 2**32 - 1).map(
+    lambda seed: np.random.default_rng(seed).integers(0, 65_536, (16, 3)).astype(np.uint16)
+)
+
+
+@examples(40)
+@given(COUNTS, st.sampled_from([0, 90, 180, 270]), st.booleans())
+def test_orientations_undo_each_other(counts: np.ndarray, turn: int, flip: bool):
+    turned = Orientation(turn, flip).of_counts(counts)
+    back = Orientation(0, flip).of_counts(Orientation(-turn % 360).of_counts(turned))
+    assert np.array_equal(back, counts)
+
+
+@examples(30)
+@given(COUNTS, st.sampled_from([90, 180, 270]), st.booleans())
+def test_turning_counts_turns_the_picture(counts: np.ndarray, turn: int, flip: bool):
+    """On a square canvas: where each disc is, in pitches about the middle, must turn as a picture does."""
+    small = (counts // 64).astype(np.uint16)  # no clipping, or turned and unturned differ
+    zero = np.full((16, 3), 0, np.uint16)
+    where = Orientation(turn, flip)
+    moved = _centred(where.of_counts(small).astype(int) - where.of_counts(zero).astype(int))
+    angle = np.radians(turn)
+    before = _centred(small.astype(int)) * ((-1, 1) if flip else (1, 1))
+    turned = before @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    distance = np.linalg.norm(turned[:, None] - moved[None], axis=-1)
+    assert distance.min(axis=1).max() < 1e-6 and distance.min(axis=0).max() < 1e-6
+
+
+def _centred(delta: np.ndarray) -> np.ndarray:
+    """Return (16, 2) disc positions, x right and y up, in pitches about the patch's middle."""
+    taxel = np.arange(16)
+    rest = np.stack([taxel % 4, taxel // 4], axis=1) - 1.5
+    return rest + delta[:, :2] / 2000.0
+
+
+def test_camera_frames_turn_too():
+    frame = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    assert np.array_equal(Orientation(90).of_frame(frame), np.rot90(frame))
+    assert Orientation().of_frame(frame).shape == (2, 3, 3)

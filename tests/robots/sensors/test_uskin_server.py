@@ -1,0 +1,136 @@
+"""uSkin through xela_server: every form its messages take, every fault ten times."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from uniforce_robots.sensors.faults import (
+    FrozenSensorError,
+    LostSensorError,
+    ProtocolError,
+    SimulatedSensorError,
+    StaleSensorError,
+    WrongSensorError,
+)
+from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
+from uniforce_robots.sensors.uskin_server import ServerUSkin
+from uniforce_robots.sensors.xela_message import read_message
+from uniforce_robots.standins.process import StandIn
+from uniforce_robots.standins.scene import Scene, taxel_cycle
+from uniforce_robots.standins.xela import message
+from uniforce_vtla.errors import ContractError, SensorError
+
+RATE_HZ = 100.0  # of the shared stand-in
+MAX_AGE_MS = 150.0
+TIMES = 10
+SCAN = np.random.default_rng(0).integers(0, 65_536, (16, 3)).astype(np.uint16)
+
+
+@pytest.fixture
+def reader(xela: StandIn) -> Iterator[SampleReader]:
+    limits = ReaderLimits(frozen_after=20, backoff_s=0.02, backoff_max_s=0.1)
+    reader = SampleReader(ServerUSkin(xela.address), limits)
+    reader.start()
+    reader.wait_newer(-1, 30_000)
+    yield reader
+    reader.stop()
+
+
+def test_scans_are_those_of_the_contact_simulator(reader: SampleReader):
+    truth = {scan.tobytes() for scan in taxel_cycle(Scene(), RATE_HZ)}
+    reader.wait_newer(50, 30_000)
+    scans = reader.since(-1)
+    assert scans.data.shape[1:] == (16, 3) and scans.data.dtype == np.uint16
+    assert all(scan.tobytes() in truth for scan in scans.data) and reader.counts.lost == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        ("welcome", StaleSensorError),
+        ("stall", StaleSensorError),
+        ("freeze", FrozenSensorError),
+        ("stop", LostSensorError),
+        ("sim", SimulatedSensorError),
+        ("short", WrongSensorError),
+        ("absent", WrongSensorError),
+        ("badframe", ProtocolError),
+    ],
+)
+def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
+    xela: StandIn, reader: SampleReader, outcome: Callable, recovers: Callable, fault: str, kind: type
+):
+    for _ in range(TIMES):
+        xela.inject(fault)
+        error = outcome(lambda: reader.newest(MAX_AGE_MS), kind)
+        assert "uskin" in str(error)
+        xela.inject("none")
+        recovers(lambda: reader.newest(1e4))
+        reader.wait_newer(reader.newest(1e4).index, 30_000)
+
+
+@pytest.mark.slow
+def test_a_farewell_is_met_by_coming_back(xela: StandIn, reader: SampleReader, recovers: Callable):
+    def back(times: int) -> None:
+        if reader.reconnects < times:
+            raise SensorError("not yet")
+        reader.newest(1e4)
+
+    for i in range(TIMES):
+        xela.inject("close")
+        recovers(lambda i=i: back(i + 1))
+        xela.inject("none")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["list", "integers", "null", "fragments", "ping", "garbage"])
+def test_every_form_of_message_is_understood(xela: StandIn, reader: SampleReader, fault: str):
+    truth = {scan.tobytes() for scan in taxel_cycle(Scene(), RATE_HZ)}
+    for _ in range(TIMES):
+        xela.inject(fault)
+        before = reader.newest(1e4).index
+        reader.wait_newer(before + 4, 30_000)
+        assert all(scan.tobytes() in truth for scan in reader.since(before).data)
+        xela.inject("none")
+    assert (reader.counts.bad > 0) == (fault == "garbage") and reader.reconnects == 0
+
+
+@pytest.mark.parametrize("form", ["none", "list", "integers", "null"])
+def test_counts_of_a_message(form: str):
+    scan = read_message(message(7, SCAN, form), "1", "uskin")
+    assert scan is not None and scan.number == 7 and np.array_equal(scan.counts, SCAN)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind"),
+    [
+        ("", ProtocolError),
+        ("[" * 100_000, ProtocolError),
+        ("[1]", ProtocolError),
+        (json.dumps({"type": "routine"}), WrongSensorError),
+        (json.dumps({"type": "routine", "1": {"data": None}}), ProtocolError),
+        (json.dumps({"type": "routine", "1": {"data": ["+1"] * 48}}), ProtocolError),
+        (json.dumps({"type": "routine", "1": {"data": [True] * 48}}), ProtocolError),
+        (json.dumps({"type": "routine", "1": {"data": [65_536] * 48}}), ProtocolError),
+        (json.dumps({"type": "routine", "1": {"data": "1,2,3"}}), WrongSensorError),
+        (json.dumps({"message": "Welcome", "server": {"bustype": "SIM"}}), SimulatedSensorError),
+    ],
+)
+def test_messages_that_are_no_scan(text: str, kind: type):
+    with pytest.raises(kind):
+        read_message(text, "1", "uskin")
+
+
+def test_a_greeting_is_no_scan():
+    assert read_message(json.dumps({"message": "Welcome", "time": 1.0}), "1", "uskin") is None
+
+
+@pytest.mark.parametrize("address", ["", ":5000", "host:x", "host:0", "host:70000"])
+def test_addresses_that_cannot_be(address: str):
+    with pytest.raises(ContractError, match="host:port"):
+        ServerUSkin(address)

@@ -1,0 +1,137 @@
+"""When a fault begins and ends, in the robot's own milliseconds, and what is told of the arm after it."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from uniforce_robots.standins.fci.__main__ import parse
+from uniforce_robots.standins.fci.arm import Arm
+from uniforce_robots.standins.fci.hostile import DOCUMENTED, FAULTS, INVENTED, NONE, REPORTED
+from uniforce_robots.standins.fci.kinematics import hand_jacobian
+from uniforce_robots.standins.fci.process import StandIn, wait_until
+from uniforce_robots.standins.fci.raw_client import RawArm, pull_to
+from uniforce_robots.standins.fci.watch import Watch
+
+
+def test_every_fault_says_in_one_line_what_it_does_and_where_it_comes_from() -> None:
+    for name, fault in FAULTS.items():
+        assert fault.source in (DOCUMENTED, REPORTED, INVENTED), name
+        assert fault.does and "\n" not in fault.does, name
+
+
+def test_the_watch_tells_when_the_arm_moved_last() -> None:
+    arm, watch = Arm(), Watch()
+    watch.look(arm, 1)
+    assert watch.describe(1)["held_since_ms"] == 0
+    arm.dq_rad_s = np.array([0.0, 0.1, 0, 0, 0, 0, 0])
+    arm.refresh()
+    watch.look(arm, 2)
+    assert watch.describe(2)["held_since_ms"] is None and watch.describe(2)["last_moving_ms"] == 2
+    arm.dq_rad_s = np.array([0.0, 1e-3, 0, 0, 0, 0, 0])  # creeps: slower than 2 mm/s and 0.02 rad/s
+    arm.refresh()
+    watch.look(arm, 3)
+    assert watch.describe(3)["held_since_ms"] == 3
+
+
+@pytest.mark.parametrize("slow", [True, False])
+def test_the_watch_tells_when_the_torque_changed_last(slow: bool) -> None:
+    arm, watch = Arm(), Watch()
+    step = 0.02 if slow else 0.5
+    for now_ms in range(1, 11):
+        arm.tau_Nm = np.full(7, step * now_ms)
+        watch.look(arm, now_ms)
+    assert watch.last_torque_change_ms == (6 if slow else 10), "small steps add up"
+
+
+@pytest.mark.slow
+def test_a_fault_waits_and_lasts_as_long_as_it_is_told(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        ordered = fci.do("fault", name="nan_state", after_ms=60, duration_ms=40)
+        assert ordered["fault"]["name"] == NONE
+        states = [arm.state() for _ in range(ordered["arm"]["milliseconds"] + 400)]
+    bad = [state.message_id for state in states if np.isnan(state["q"]).any()]
+    begun = fci.do("look")["fault"]["at_ms"]
+    assert begun == ordered["arm"]["milliseconds"] + 60
+    assert bad == list(range(begun + 1, begun + 41))
+    lines = [line for line in fci.wire() if line["what"] == "fault"]
+    assert [(line["name"], line["milliseconds"]) for line in lines] == [
+        ("nan_state", begun),
+        (NONE, begun + 40),
+    ]
+    assert fci.do("look")["fault"]["at_s"] == pytest.approx(lines[0]["time_s"], abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_second_fault_takes_the_place_of_the_first(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        fci.do("fault", name="nan_state")
+        begun = fci.do("fault", name="nan_force")["fault"]["at_ms"]
+        state = arm.state()
+        while state.message_id <= begun:
+            state = arm.state()
+        assert np.isfinite(state["q"]).all() and np.isnan(state["O_F_ext_hat_K"]).all()
+        fci.do("fault", name="nan_state", after_ms=1e6)
+        assert fci.do("fault", name=NONE)["fault"]["name"] == NONE
+
+
+@pytest.mark.slow
+def test_the_arm_tells_how_long_after_a_fault_it_came_to_rest(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        goal = arm.state()["O_T_EE"][12:15] + np.array([0, 0, -0.05])
+        arm.move()
+        arm.receive()
+        arm.loop(pull_to(goal, hand_jacobian), 80)
+        begun = fci.do("user_stop")
+        assert begun["arm"]["held_since_ms"] is None, "it was moving"
+        at_ms = begun["fault"]["at_ms"]
+        wait_until(lambda: fci.do("look")["arm"]["held_since_ms"] is not None, 60)
+        look = fci.do("look")["arm"]
+        assert 0 < look["last_moving_ms"] - at_ms < 100, "the brake takes 50 ms"
+        assert look["held_since_ms"] == look["last_moving_ms"] + 1
+        assert begun["fault"]["at_s"] < look["last_moving_s"] < time.monotonic()
+        assert look["last_command_ms"] <= at_ms + 1
+        assert at_ms <= look["last_torque_change_ms"] <= at_ms + 1, "the brake takes the torque away"
+
+
+@pytest.mark.slow
+def test_no_fault_of_the_states_reaches_what_is_told_beside_them(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        arm.state()
+        before = fci.do("look")["arm"]
+        for name in ("nan_state", "inf_state", "pose_jump", "velocity_beyond_physics", "garbage_state"):
+            shown = fci.do("fault", name=name)["arm"]
+            assert {k: shown[k] for k in ("q_rad", "position_m", "speed_rad_s", "errors")} == {
+                k: before[k] for k in ("q_rad", "position_m", "speed_rad_s", "errors")
+            }
+
+
+@pytest.mark.slow
+def test_it_may_start_with_a_fault(address: str) -> None:
+    with StandIn(address, "--fault", "nan_state"), RawArm(address) as arm:
+        assert np.isnan(arm.state()["q"]).all()
+
+
+def test_a_fault_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        parse(["127.0.0.2", "--fault", "earthquake"])
+    assert "nan_state" in capsys.readouterr().err
+    assert parse(["127.0.0.2", "--fault", "hung_hand"]).fault == "hung_hand"
+
+
+@pytest.mark.slow
+def test_orders_of_faults_that_make_no_sense_are_refused(fci: StandIn) -> None:
+    for details in (
+        {"name": "earthquake"},
+        {"name": "nan_state", "after_ms": -1},
+        {"name": "nan_state", "after_ms": "soon"},
+        {"name": "nan_state", "after_ms": float("nan")},
+        {"name": "nan_state", "duration_ms": 0},
+        {"name": ["nan_state"]},
+        {},
+    ):
+        with pytest.raises(ValueError, match="Error"):
+            fci.do("fault", **details)
+    assert fci.do("look")["fault"] == {"name": NONE, "last": NONE, "at_ms": None, "at_s": None}

@@ -1,0 +1,357 @@
+"""Every fault of the registry, on the wire, through a client of plain sockets; and what is told of it afterwards."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from uniforce_robots.standins.fci import protocol as p
+from uniforce_robots.standins.fci.hostile import DIED, FAULTS, NONE
+from uniforce_robots.standins.fci.kinematics import DQ_MAX_rad_s, hand_jacobian
+from uniforce_robots.standins.fci.process import StandIn, wait_until
+from uniforce_robots.standins.fci.raw_client import RawArm, RawHand, pull_to
+
+pytestmark = pytest.mark.slow
+SILENCE_s = 0.3  # three states of the hand, three hundred of the arm
+SLOW_MOVE = p.HandMoveRequest(0.01, 0.02).encode()  # takes 3.5 s
+GRASP = p.GraspRequest(0.03, 0.005, 0.005, 0.2, 20.0).encode()
+
+
+@dataclass
+class Bench:
+    """A stand-in with both clients connected, and the fault to be shown."""
+
+    fci: StandIn
+    arm: RawArm
+    hand: RawHand
+    name: str
+
+    def begin(self) -> dict:
+        return self.fci.do("fault", name=self.name)
+
+    def state(self) -> p.RobotState:
+        """Begin the fault; return a state of the arm that was sent during it."""
+        begun = self.begin()["fault"]["at_ms"]
+        state = self.arm.state()
+        while state.message_id <= begun:
+            state = self.arm.state()
+        return state
+
+    def truth_m(self) -> np.ndarray:
+        return np.array(self.fci.do("look")["arm"]["position_m"])
+
+    def start(self) -> None:
+        self.arm.state()
+        self.arm.move()
+        assert self.arm.receive().payload == bytes([p.MoveStatus.MOTION_STARTED])
+
+    def pull(self, ticks: int) -> p.RobotState:
+        """Pull the hand down."""
+        goal = self.truth_m() - [0, 0, 0.03]
+        return self.arm.loop(pull_to(goal, hand_jacobian), ticks)
+
+
+@pytest.fixture
+def clients(fci: StandIn) -> Iterator[tuple[RawArm, RawHand]]:
+    with RawArm(fci.address) as arm, RawHand(fci.address) as hand:
+        yield arm, hand
+
+
+def datagrams_for(client: RawArm | RawHand, seconds: float) -> list[bytes]:
+    """Return what arrives on the UDP socket."""
+    end, got = time.monotonic() + seconds, []
+    client.udp.settimeout(seconds)
+    while time.monotonic() < end:
+        try:
+            got.append(client.datagram())
+        except TimeoutError:
+            break
+    return got
+
+
+def fresh(client: RawArm | RawHand, seconds: float = SILENCE_s) -> list[bytes]:
+    """Return what arrives from now on, without what was queued."""
+    client.udp.setblocking(False)
+    try:
+        while True:
+            client.udp.recv(65536)
+    except BlockingIOError:
+        return datagrams_for(client, seconds)
+
+
+# --- the arm's states ------------------------------------------------------------------------------------------------
+
+
+def not_finite(bench: Bench) -> None:
+    state = bench.state()
+    test = np.isnan if bench.name == "nan_state" else np.isinf
+    assert all(test(state[name]).all() for name in ("O_T_EE", "q", "dq"))
+    assert np.isfinite(state["O_F_ext_hat_K"]).all()
+
+
+def nan_force(bench: Bench) -> None:
+    state = bench.state()
+    assert np.isnan(state["O_F_ext_hat_K"]).all() and np.isnan(state["tau_ext_hat_filtered"]).all()
+    assert np.isfinite(state["O_T_EE"]).all() and np.isfinite(state["q"]).all()
+
+
+def pose_jump(bench: Bench) -> None:
+    before = bench.arm.newest()
+    states = [bench.state(), bench.arm.state()]
+    for state in states:
+        assert np.linalg.norm(state["O_T_EE"][12:15] - before["O_T_EE"][12:15]) == pytest.approx(
+            0.1, abs=0.02
+        )
+        np.testing.assert_allclose(state["q"] - before["q"], [0.3, 0, 0, 0, 0, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(bench.truth_m(), before["O_T_EE"][12:15], atol=1e-6)
+
+
+def velocity_beyond_physics(bench: Bench) -> None:
+    assert (np.abs(bench.state()["dq"]) > 5 * DQ_MAX_rad_s).all()
+    assert bench.fci.do("look")["arm"]["speed_rad_s"] == 0.0
+
+
+def frozen_state(bench: Bench) -> None:
+    bench.start()
+    bench.pull(20)
+    begun, first = bench.truth_m(), bench.state()
+    last = bench.pull(50)
+    assert last.message_id > first.message_id + 20
+    for name in ("O_T_EE", "q", "dq"):
+        np.testing.assert_array_equal(last[name], first[name])
+    assert np.linalg.norm(bench.truth_m() - begun) > 1e-3, "the arm itself moves"
+
+
+def stopped_clock(bench: Bench) -> None:
+    bench.begin()
+    got = fresh(bench.arm)
+    assert len(got) > 10 and len(set(got)) == 1
+    assert p.RobotState.decode(got[0]).message_id <= bench.fci.do("look")["fault"]["at_ms"]
+
+
+def state_flood_old(bench: Bench) -> None:
+    fresh(bench.arm, 0.05)
+    begun = bench.begin()["fault"]["at_ms"]
+    ids = [p.RobotState.decode(datagram).message_id for datagram in fresh(bench.arm)]
+    assert len(ids) > 10 and max(ids) <= begun and ids != sorted(ids)
+
+
+def silent_arm(bench: Bench) -> None:
+    begun = bench.begin()["arm"]["milliseconds"]
+    assert not fresh(bench.arm)
+    assert bench.fci.do("look")["arm"]["milliseconds"] > begun
+    assert bench.arm.ask(p.ArmCommand.STOP_MOVE) == b"\0", "TCP lives"
+
+
+def garbage_state(bench: Bench) -> None:
+    begun = bench.begin()["fault"]["at_ms"]
+    got = fresh(bench.arm)
+    assert len(got) > 10 and len(set(got)) == len(got)
+    assert {len(datagram) for datagram in got} == {p.STATE_BYTES}
+    assert all(p.RobotState.decode(datagram).message_id > begun + 10**6 for datagram in got[:10])
+
+
+def wrong_length_state(bench: Bench) -> None:
+    bench.begin()
+    sizes = {len(datagram) for datagram in fresh(bench.arm)}
+    assert len(sizes) > 2 and p.STATE_BYTES not in sizes
+
+
+# --- the arm's connection --------------------------------------------------------------------------------------------
+
+
+def lost_commands(bench: Bench) -> None:
+    bench.start()
+    bench.pull(10)
+    bench.begin()
+    bench.pull(50)
+    assert bench.arm.receive().payload == bytes([p.MoveStatus.REFLEX_ABORTED])
+    look = bench.fci.do("look")
+    assert look["arm"]["errors"] == [p.ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION]
+    assert look["arm"]["last_command_ms"] <= look["fault"]["at_ms"]
+    assert bench.arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY) == b"\0"
+
+
+def garbage_reply(bench: Bench) -> None:
+    client = bench.arm if bench.name == "arm_garbage_reply" else bench.hand
+    bench.begin()
+    assert client.tcp.recv(65536), "unasked"
+    request = p.ArmCommand.STOP_MOVE if client is bench.arm else p.HandCommand.STOP
+    asked = client.send(request)
+    answer = client.tcp.recv(65536)
+    proper = [client.header.encode(p.Message(request, asked, status)) for status in (b"\0", b"\0\0")]
+    assert answer and answer not in proper
+
+
+def arm_dropped(bench: Bench) -> None:
+    bench.start()
+    bench.pull(50)
+    bench.begin()
+    with pytest.raises(ConnectionError):
+        bench.arm.receive()
+    assert not bench.fci.do("look")["arm"]["moving"]
+
+
+def server_death(bench: Bench) -> None:
+    bench.fci.die()
+    assert bench.fci.process.returncode == DIED
+    with pytest.raises(ConnectionError):
+        bench.arm.receive()
+
+
+# --- what stops a real arm -------------------------------------------------------------------------------------------
+
+
+def user_stop(bench: Bench) -> None:
+    bench.start()
+    bench.begin()
+    assert bench.arm.receive().payload == bytes([p.MoveStatus.EMERGENCY_ABORTED])
+    assert bench.state().mode == p.RobotMode.USER_STOPPED
+
+
+REASONS = {
+    "reflex": p.ErrorBit.CARTESIAN_REFLEX,
+    "joint_reflex": p.ErrorBit.JOINT_REFLEX,
+    "torque_discontinuity": p.ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY,
+    "joint_velocity": p.ErrorBit.JOINT_VELOCITY_VIOLATION,
+    "cartesian_velocity": p.ErrorBit.CARTESIAN_VELOCITY_VIOLATION,
+    "joint_limit": p.ErrorBit.JOINT_POSITION_LIMITS_VIOLATION,
+    "power_limit": p.ErrorBit.POWER_LIMIT_VIOLATION,
+}
+
+
+def reflex(bench: Bench) -> None:
+    bench.start()
+    state = bench.state()
+    assert bench.arm.receive().payload == bytes([p.MoveStatus.REFLEX_ABORTED])
+    assert (state.mode, state.errors) == (p.RobotMode.REFLEX, {REASONS[bench.name]})
+    assert bench.arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY) == b"\0"
+
+
+# --- the hand --------------------------------------------------------------------------------------------------------
+
+
+def hung_hand(bench: Bench) -> None:
+    bench.begin()
+    asked = bench.hand.send(p.HandCommand.MOVE, SLOW_MOVE)
+    widths = [p.HandState.decode(datagram).width_m for datagram in fresh(bench.hand, 1.0)]
+    assert len(set(widths[-3:])) == 1 and 0.01 < widths[-1] < 0.08
+    bench.hand.send(p.HandCommand.STOP)
+    bench.hand.tcp.settimeout(SILENCE_s)
+    with pytest.raises(TimeoutError):
+        bench.hand.receive()
+    bench.hand.tcp.settimeout(10.0)
+    bench.fci.do("fault", name=NONE)
+    answer = bench.hand.receive()
+    assert (answer.command_id, answer.payload[0]) == (asked, p.HandStatus.SUCCESS), "it goes on"
+
+
+def hand_silent(bench: Bench) -> None:
+    bench.begin()
+    assert not fresh(bench.hand)
+    assert bench.hand.status_of(p.HandCommand.STOP) == p.HandStatus.SUCCESS, "TCP lives"
+
+
+def hand_dropped(bench: Bench) -> None:
+    bench.begin()
+    with pytest.raises(ConnectionError):
+        bench.hand.receive()
+
+
+def hand_dropped_midway(bench: Bench) -> None:
+    bench.begin()
+    assert bench.hand.status_of(p.HandCommand.STOP) == p.HandStatus.SUCCESS, "no command is under way"
+    bench.hand.send(p.HandCommand.MOVE, SLOW_MOVE)
+    with pytest.raises(ConnectionError):
+        bench.hand.receive()
+    assert 0.01 < bench.fci.do("look")["hand"]["width_m"] < 0.08
+
+
+def hand_garbage_state(bench: Bench) -> None:
+    bench.begin()
+    got = fresh(bench.hand, 1.0)
+    assert {len(datagram) for datagram in got} == {p.HAND_STATE_BYTES} and len(set(got)) > 1
+    widths = np.array([p.HandState.decode(datagram).width_m for datagram in got])
+    assert not np.any((widths > 1e-6) & (widths < 0.08))
+
+
+def nan_width(bench: Bench) -> None:
+    bench.begin()
+    assert all(np.isnan(p.HandState.decode(datagram).width_m) for datagram in fresh(bench.hand, 1.0))
+    assert bench.fci.do("look")["hand"]["width_m"] == 0.08
+
+
+def slip_out(bench: Bench) -> None:
+    bench.fci.do("object", width_m=0.031)
+    assert bench.hand.status_of(p.HandCommand.GRASP, GRASP) == p.HandStatus.SUCCESS
+    bench.begin()
+    wait_until(lambda: bench.fci.do("look")["hand"]["width_m"] == 0.0, 30, "closed fingers")
+    seen = p.HandState.decode(fresh(bench.hand, 1.0)[-1])
+    assert not seen.is_grasped and seen.width_m == 0.0
+
+
+# --- all of them -----------------------------------------------------------------------------------------------------
+
+SHOWS: dict[str, Callable[[Bench], None]] = {
+    "nan_state": not_finite,
+    "inf_state": not_finite,
+    "nan_force": nan_force,
+    "pose_jump": pose_jump,
+    "velocity_beyond_physics": velocity_beyond_physics,
+    "frozen_state": frozen_state,
+    "stopped_clock": stopped_clock,
+    "state_flood_old": state_flood_old,
+    "silent_arm": silent_arm,
+    "garbage_state": garbage_state,
+    "wrong_length_state": wrong_length_state,
+    "lost_commands": lost_commands,
+    "arm_garbage_reply": garbage_reply,
+    "arm_dropped": arm_dropped,
+    "server_death": server_death,
+    "user_stop": user_stop,
+    **dict.fromkeys(REASONS, reflex),
+    "hung_hand": hung_hand,
+    "hand_silent": hand_silent,
+    "hand_dropped": hand_dropped,
+    "hand_dropped_midway": hand_dropped_midway,
+    "hand_garbage_state": hand_garbage_state,
+    "nan_width": nan_width,
+    "hand_garbage_reply": garbage_reply,
+    "slip_out": slip_out,
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_shows_on_the_wire_and_can_be_taken_back(
+    name: str, fci: StandIn, clients: tuple[RawArm, RawHand]
+) -> None:
+    """A fault that ``SHOWS`` does not know fails here: it needs a test."""
+    SHOWS[name](Bench(fci, *clients, name))
+    [line] = [line for line in fci.wire() if line["what"] == "fault" and line["name"] != NONE][-1:]
+    assert line["name"] == name and line["milliseconds"] >= 0 and line["time_s"] <= time.monotonic()
+    if fci.process.poll() is not None:
+        return
+    shown = fci.do("fault", name=NONE)
+    assert (shown["fault"]["name"], shown["fault"]["last"]) == (NONE, name)
+    assert shown["fault"]["at_ms"] == line["milliseconds"]
+    for client in clients:
+        client.close()
+    whole_again(fci)
+
+
+def whole_again(fci: StandIn) -> None:
+    """Connect anew and see true states."""
+    with RawArm(fci.address) as arm, RawHand(fci.address) as hand:
+        state, truth = arm.state(), fci.do("look")["arm"]
+        np.testing.assert_allclose(state["O_T_EE"][12:15], truth["position_m"], atol=2e-3)
+        assert np.isfinite(state.floats).all() and state.mode == p.RobotMode.IDLE
+        assert arm.state().message_id == state.message_id + 1
+        assert hand.state().width_m == pytest.approx(fci.do("look")["hand"]["width_m"], abs=5e-3)
+
+
+def test_every_shown_fault_is_one() -> None:
+    assert set(SHOWS) == set(FAULTS)

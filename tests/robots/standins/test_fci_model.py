@@ -1,0 +1,139 @@
+"""The stand-in's kinematics and dynamics, without sockets: in the robot's own milliseconds."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from uniforce_robots.standins.fci.arm import Arm, Wall
+from uniforce_robots.standins.fci.hand import Hand
+from uniforce_robots.standins.fci.kinematics import (
+    HAND_TO_FLANGE,
+    HOME_q_rad,
+    Q_MAX_rad,
+    Q_MIN_rad,
+    posture,
+    urdf,
+)
+from uniforce_robots.standins.fci.protocol import (
+    ErrorBit,
+    Generator,
+    GraspRequest,
+    HandMoveRequest,
+    HandStatus,
+    RobotCommand,
+)
+
+
+def test_home_is_where_the_manual_shows_it() -> None:
+    hand = posture(HOME_q_rad).flange_to_base @ HAND_TO_FLANGE
+    np.testing.assert_allclose(hand[:3, :3], np.diag([1, -1, -1]), atol=1e-12)
+    np.testing.assert_allclose(hand[:3, 3], [0.3069, 0, 0.4869], atol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jacobian_is_the_derivative_of_the_pose(seed: int) -> None:
+    q = np.random.default_rng(seed).uniform(Q_MIN_rad, Q_MAX_rad)
+    here = posture(q).flange_to_base
+    J = posture(q).jacobian(here[:3, 3])
+    for i in range(7):
+        step = np.zeros(7)
+        step[i] = 1e-6
+        there = posture(q + step).flange_to_base
+        turn = (there[:3, :3] @ here[:3, :3].T - np.eye(3)) / 1e-6
+        np.testing.assert_allclose(J[:3, i], (there[:3, 3] - here[:3, 3]) / 1e-6, atol=1e-5)
+        np.testing.assert_allclose(J[3:, i], [turn[2, 1], turn[0, 2], turn[1, 0]], atol=1e-5)
+
+
+def test_the_model_has_the_names_a_client_asks_for() -> None:
+    robot = ET.fromstring(urdf())
+    assert [link.get("name") for link in robot.iter("link")] == [f"link{i}" for i in range(9)]
+    for joint in [j for j in robot.iter("joint") if j.get("type") == "revolute"]:
+        limits = joint.find("position_based_velocity_limits")
+        assert joint.find("limit") is not None and limits is not None
+        assert {"velocity_offset", "deceleration_limit"} <= set(limits.keys())
+
+
+def spring(arm: Arm, goal_m: np.ndarray, stiffness: float) -> RobotCommand:
+    twist = arm.jacobian @ arm.dq_rad_s
+    error = np.concatenate([goal_m - arm.ee_to_base[:3, 3], np.zeros(3)])
+    force = stiffness * error - np.array([90.0] * 3 + [10.0] * 3) * twist
+    return RobotCommand(0, tau_J_d=arm.jacobian.T @ force)
+
+
+def test_a_spring_pulls_the_hand_to_its_target() -> None:
+    arm = Arm()
+    goal = arm.ee_to_base[:3, 3] + [0.02, -0.01, -0.03]
+    for _ in range(1500):
+        arm.drive(spring(arm, goal, 1000.0), Generator.NONE)
+    np.testing.assert_allclose(arm.ee_to_base[:3, 3], goal, atol=1e-3)
+
+
+def test_pressing_on_the_wall_gives_stiffness_times_depth() -> None:
+    arm = Arm(wall=Wall(height_m=0.47, stiffness_N_m=50000.0))
+    goal = arm.ee_to_base[:3, 3] * [1, 1, 0] + [0, 0, 0.46]
+    for _ in range(2500):
+        arm.drive(spring(arm, goal, 800.0), Generator.NONE)
+    assert arm.felt_N[2] == pytest.approx(800 * 0.01, rel=0.05)
+
+
+@pytest.mark.parametrize("generator", [Generator.CARTESIAN_POSITION, Generator.JOINT_POSITION])
+def test_position_commands_are_followed(generator: Generator) -> None:
+    arm = Arm()
+    pose = arm.ee_to_base.copy()
+    pose[2, 3] -= 0.02
+    q = arm.q_rad + 0.05
+    for _ in range(300):
+        arm.drive(RobotCommand(0, q_c=q, O_T_EE_c=pose.T.ravel()), generator)
+    if generator == Generator.JOINT_POSITION:
+        np.testing.assert_allclose(arm.q_rad, q, atol=1e-4)
+    else:
+        np.testing.assert_allclose(arm.ee_to_base, pose, atol=1e-3)
+
+
+def test_velocity_commands_are_followed_and_a_brake_stops_the_arm_within_a_tenth_of_a_second() -> None:
+    arm = Arm()
+    for _ in range(100):
+        arm.drive(RobotCommand(0, dq_c=np.full(7, 0.1)), Generator.JOINT_VELOCITY)
+    np.testing.assert_allclose(arm.q_rad, HOME_q_rad + 0.01, atol=1e-9)
+    z = arm.ee_to_base[2, 3]
+    for _ in range(50):
+        arm.drive(RobotCommand(0, O_dP_EE_c=np.array([0, 0, 0.1, 0, 0, 0])), Generator.CARTESIAN_VELOCITY)
+    assert arm.ee_to_base[2, 3] - z == pytest.approx(0.005, abs=3e-4)
+    for _ in range(100):
+        arm.hold()
+    assert np.abs(arm.dq_rad_s).max() < 1e-4
+
+
+def test_what_goes_beyond_a_threshold_is_named() -> None:
+    arm = Arm(wrench_N=np.array([0, 0, 31.0, 0, 0, 0]))
+    assert ErrorBit.CARTESIAN_REFLEX in arm.violations()
+    arm = Arm(q_rad=Q_MAX_rad + 0.01)
+    assert ErrorBit.JOINT_POSITION_LIMITS_VIOLATION in arm.violations()
+    arm = Arm(dq_rad_s=np.full(7, 6.0))
+    assert ErrorBit.JOINT_VELOCITY_VIOLATION in arm.violations()
+    assert not Arm().violations()
+
+
+def run(hand: Hand) -> HandStatus:
+    for _ in range(5000):
+        outcome = hand.advance(0.001)
+        if outcome is not None:
+            return outcome
+    raise AssertionError("the hand never arrives")
+
+
+def test_the_hand_moves_homes_grasps_and_fails_to() -> None:
+    hand = Hand()
+    assert hand.start_move(HandMoveRequest(0.03, 0.1)) and run(hand) == HandStatus.SUCCESS
+    assert hand.width_m == pytest.approx(0.03, abs=1e-5)
+    grasp = GraspRequest(0.02, 0.005, 0.005, 0.1, 20.0)
+    assert hand.start_grasp(grasp) and run(hand) == HandStatus.UNSUCCESSFUL and not hand.is_grasped
+    hand.start_homing()
+    assert run(hand) == HandStatus.SUCCESS and hand.width_m == pytest.approx(0.08, abs=1e-5)
+    hand.object_m = 0.022
+    assert hand.start_grasp(grasp) and run(hand) == HandStatus.SUCCESS
+    assert hand.is_grasped and hand.width_m == pytest.approx(0.022, abs=1e-5) and hand.force_N == 20.0
+    assert not hand.start_move(HandMoveRequest(0.2, 0.1)), "wider than the hand"

@@ -1,0 +1,323 @@
+"""The stand-in's process through a client of plain sockets: every request, a Move's sequence, every fault.
+
+Times are asserted in the robot's own milliseconds: a busy machine is slow, and the server waits for its client.
+"""
+
+from __future__ import annotations
+
+import random
+import socket
+
+import numpy as np
+import pytest
+
+from uniforce_robots.standins.fci import protocol as p
+from uniforce_robots.standins.fci.__main__ import parse
+from uniforce_robots.standins.fci.kinematics import hand_jacobian
+from uniforce_robots.standins.fci.process import StandIn, wait_until
+from uniforce_robots.standins.fci.raw_client import RawArm, RawHand, pull_to
+from uniforce_robots.standins.fci.server import CONTROL_PORT
+
+pytestmark = pytest.mark.slow
+STARTED, PREEMPTED = bytes([p.MoveStatus.MOTION_STARTED]), bytes([p.MoveStatus.PREEMPTED])
+
+
+def rest(state: p.RobotState) -> p.RobotCommand:
+    return p.RobotCommand(state.message_id)
+
+
+def started(arm: RawArm) -> int:
+    command_id = arm.move()
+    answer = arm.receive()
+    assert (answer.command_id, answer.payload) == (command_id, STARTED)
+    return command_id
+
+
+def until_mode(arm: RawArm, mode: p.RobotMode) -> p.RobotState:
+    for _ in range(5000):
+        state = arm.state()
+        if state.mode == mode:
+            return state
+    raise AssertionError(f"never in mode {mode.name}")
+
+
+def test_setters_are_answered_and_change_what_the_state_says(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        assert (arm.status, arm.version) == (p.ConnectStatus.SUCCESS, 10)
+        shift = np.eye(4)
+        shift[2, 3] = 0.05
+        before = arm.state()["O_T_EE"][14]
+        setters = {
+            p.ArmCommand.SET_COLLISION_BEHAVIOR: np.full(52, 15.0),
+            p.ArmCommand.SET_JOINT_IMPEDANCE: np.full(7, 3000.0),
+            p.ArmCommand.SET_CARTESIAN_IMPEDANCE: np.full(6, 200.0),
+            p.ArmCommand.SET_EE_TO_K: np.eye(4).ravel(),
+            p.ArmCommand.SET_NE_TO_EE: shift.T.ravel(),
+            p.ArmCommand.SET_LOAD: np.zeros(13),
+        }
+        for command, values in setters.items():
+            assert arm.ask(command, values.tobytes()) == b"\0", command
+            assert arm.ask(command, b"short") == bytes([p.SetterStatus.INVALID_ARGUMENT]), command
+        assert arm.ask(p.ArmCommand.SET_GUIDING_MODE, bytes(7)) == b"\0"
+        assert arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY) == b"\0"
+        assert arm.ask(p.ArmCommand.STOP_MOVE) == b"\0"
+        model = arm.ask(p.ArmCommand.GET_ROBOT_MODEL)
+        assert model[:1] == b"\0" and b"fr3_joint7" in model
+        seen = [arm.state()["O_T_EE"][14] for _ in range(200)]  # states queued before the setter come first
+        assert seen[-1] == pytest.approx(before - 0.05, abs=1e-4), "the hand points down"
+        assert arm.ask(99) == bytes([p.SetterStatus.INVALID_ARGUMENT])
+    sizes = {line["command"]: line["bytes"] for line in fci.wire() if line["what"] == "request"}
+    assert sizes["SET_LOAD"] == 12 + 5, "the log has the last request of each kind, here the short one"
+    assert {"CONNECT", "GET_ROBOT_MODEL", "SET_GUIDING_MODE"} <= set(sizes)
+
+
+def test_a_torque_motion_reaches_its_target_and_ends_when_told(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        goal = arm.state()["O_T_EE"][12:15] + np.array([0, 0, -0.01])
+        command_id = started(arm)
+        state = arm.loop(pull_to(goal, hand_jacobian, 3000.0), 400)
+        assert (state.mode, state.generator, state.controller) == (p.RobotMode.MOVE, 5, p.Controller.EXTERNAL)
+        np.testing.assert_allclose(state["O_T_EE"][12:15], goal, atol=2e-3)
+        assert arm.ask(p.ArmCommand.SET_LOAD, bytes(104)) == bytes([p.SetterStatus.NOT_POSSIBLE])
+        arm.command(p.RobotCommand(state.message_id + 10, torque_finished=True))
+        answer = arm.receive()
+        assert (answer.command_id, answer.payload) == (command_id, bytes([p.MoveStatus.SUCCESS]))
+        until_mode(arm, p.RobotMode.IDLE)
+
+
+def test_a_second_move_preempts_the_first_and_stop_the_second(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        first = started(arm)
+        arm.loop(rest, 3)
+        second = arm.move()
+        answers = [arm.receive() for _ in range(2)]
+        assert [(a.command_id, a.payload) for a in answers] == [(first, PREEMPTED), (second, STARTED)]
+        arm.loop(rest, 3)
+        stop = arm.send(p.ArmCommand.STOP_MOVE)
+        answers = [arm.receive() for _ in range(2)]
+        assert [(a.command_id, a.payload) for a in answers] == [(stop, b"\0"), (second, PREEMPTED)]
+
+
+@pytest.mark.parametrize("cause", ["order", "wrench"])
+def test_a_reflex_ends_the_motion_and_needs_recovery(fci: StandIn, cause: str) -> None:
+    with RawArm(fci.address) as arm:
+        arm.state()
+        command_id = started(arm)
+        arm.loop(rest, 3)
+        if cause == "order":
+            fci.do("reflex")
+        else:
+            fci.do("wrench", newtons=[0, 0, 40, 0, 0, 0])
+            arm.loop(rest, 1)
+        answer = arm.receive()
+        assert (answer.command_id, answer.payload) == (command_id, bytes([p.MoveStatus.REFLEX_ABORTED]))
+        state = until_mode(arm, p.RobotMode.REFLEX)
+        assert p.ErrorBit.CARTESIAN_REFLEX in state.errors
+        fci.do("wrench", newtons=[0] * 6)
+        refused = arm.move()
+        assert arm.receive() == p.Message(p.ArmCommand.MOVE, refused, bytes([p.MoveStatus.NOT_POSSIBLE]))
+        assert arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY) == b"\0"
+        assert not until_mode(arm, p.RobotMode.IDLE).errors
+        started(arm)
+
+
+def test_a_user_stop_holds_the_arm_within_half_a_second(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        goal = arm.state()["O_T_EE"][12:15] + np.array([0, 0, -0.05])
+        command_id = started(arm)
+        arm.loop(pull_to(goal, hand_jacobian), 60)
+        begun = fci.do("user_stop")["arm"]
+        assert begun["speed_rad_s"] > 1e-3, "it was moving"
+        answer = arm.receive()
+        assert (answer.command_id, answer.payload) == (command_id, bytes([p.MoveStatus.EMERGENCY_ABORTED]))
+        wait_until(lambda: fci.do("look")["arm"]["milliseconds"] > begun["milliseconds"] + 500, 60)
+        assert fci.do("look")["arm"]["speed_rad_s"] < 1e-3
+        assert arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY) == bytes([p.SetterStatus.NOT_POSSIBLE])
+        fci.do("release")
+        started(arm)
+
+
+def test_guiding_refuses_motion_and_lets_itself_be_pushed(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        before = fci.do("guide")["arm"]
+        refused = arm.move()
+        assert arm.receive().payload == bytes([p.MoveStatus.NOT_POSSIBLE]) and refused
+        fci.do("wrench", newtons=[0, 0, -5, 0, 0, 0])
+        z = before["position_m"][2]
+        wait_until(lambda: fci.do("look")["arm"]["position_m"][2] < z - 0.003, 60)
+
+
+def test_twenty_missed_commands_end_a_motion_only_where_the_rule_is_on(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        arm.state()
+        command_id = started(arm)
+        arm.loop(rest, 3)
+        begun = fci.do("look")["arm"]["milliseconds"]
+        wait_until(lambda: fci.do("look")["arm"]["milliseconds"] > begun + 30, 60)
+        assert fci.do("look")["arm"]["moving"]
+        fci.do("miss_rule", on=True)
+        answer = arm.receive()
+        assert (answer.command_id, answer.payload) == (command_id, bytes([p.MoveStatus.REFLEX_ABORTED]))
+        assert until_mode(arm, p.RobotMode.REFLEX).errors == {p.ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION}
+
+
+def test_a_client_that_leaves_stops_the_arm_and_makes_room_for_the_next(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        arm.state()
+        started(arm)
+        with pytest.raises((ConnectionError, OSError)):
+            RawArm(fci.address)
+    wait_until(lambda: not fci.do("look")["arm"]["moving"], 60)
+    with RawArm(fci.address) as arm:
+        assert arm.state().mode == p.RobotMode.IDLE
+
+
+def test_a_client_may_follow_at_once_on_one_that_left(fci: StandIn) -> None:
+    for _ in range(20):
+        with RawArm(fci.address) as arm:
+            assert arm.status == p.ConnectStatus.SUCCESS
+
+
+def test_the_hand_moves_grasps_fails_to_and_stops(fci: StandIn) -> None:
+    with RawHand(fci.address) as hand:
+        assert (hand.status, hand.version) == (p.ConnectStatus.SUCCESS, 3)
+        assert hand.status_of(p.HandCommand.HOMING) == p.HandStatus.SUCCESS
+        assert (
+            hand.status_of(p.HandCommand.MOVE, p.HandMoveRequest(0.06, 0.2).encode()) == p.HandStatus.SUCCESS
+        )
+        grasp = p.GraspRequest(0.03, 0.005, 0.005, 0.2, 20.0).encode()
+        assert hand.status_of(p.HandCommand.GRASP, grasp) == p.HandStatus.UNSUCCESSFUL
+        assert (
+            hand.status_of(p.HandCommand.MOVE, p.HandMoveRequest(0.08, 0.2).encode()) == p.HandStatus.SUCCESS
+        )
+        fci.do("object", width_m=0.031)
+        assert hand.status_of(p.HandCommand.GRASP, grasp) == p.HandStatus.SUCCESS
+        assert fci.do("look")["hand"]["is_grasped"]
+        assert hand.status_of(p.HandCommand.MOVE, p.HandMoveRequest(0.5, 0.2).encode()) == p.HandStatus.FAIL
+        running = hand.send(p.HandCommand.MOVE, p.HandMoveRequest(0.08, 0.001).encode())
+        stop = hand.send(p.HandCommand.STOP)
+        answers = [hand.receive() for _ in range(2)]
+        assert [(a.command_id, a.payload[0]) for a in answers] == [
+            (running, p.HandStatus.ABORTED),
+            (stop, p.HandStatus.SUCCESS),
+        ]
+
+
+def test_another_version_is_refused_with_the_servers_own(address: str) -> None:
+    with StandIn(address, "--server-version", "9"), RawArm(address) as arm:
+        assert (arm.status, arm.version) == (p.ConnectStatus.INCOMPATIBLE_VERSION, 9)
+
+
+def test_a_mute_server_accepts_and_says_nothing(address: str) -> None:
+    with StandIn(address, "--mute") as fci:
+        with socket.create_connection((address, p.ARM_PORT), 5.0) as client:
+            client.sendall(p.ARM_HEADER.encode(p.Message(0, 1, p.ConnectRequest(10, 4000).encode())))
+            client.settimeout(1.0)
+            with pytest.raises(TimeoutError):
+                client.recv(1)
+        fci.do("mute", on=False)
+        wait_until(lambda: answers(address), 60, "a server that has seen its first client leave")
+
+
+def answers(address: str) -> bool:
+    try:
+        with RawArm(address) as arm:
+            return arm.status == p.ConnectStatus.SUCCESS
+    except ConnectionError:  # turned away
+        return False
+
+
+def test_death_is_sudden(fci: StandIn) -> None:
+    with RawArm(fci.address) as arm:
+        arm.state()
+        fci.die()
+        assert fci.process.returncode == 9
+        with pytest.raises(ConnectionError):
+            arm.receive()
+
+
+def test_garbage_neither_hangs_nor_ends_the_server(fci: StandIn) -> None:
+    source = random.Random(0)
+    for _ in range(20):
+        with RawArm(fci.address) as arm:
+            arm.state()
+            arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY)  # garbage of the right size is a wild command
+            if source.random() < 0.5:
+                started(arm)
+            for _ in range(5):
+                arm.udp.sendto(source.randbytes(source.choice([0, 7, 371, 1377])), arm.server)
+            arm.tcp.sendall(source.randbytes(source.randrange(1, 500)))
+        with RawHand(fci.address) as hand:
+            hand.tcp.sendall(source.randbytes(source.randrange(1, 500)))
+        with socket.create_connection((fci.address, CONTROL_PORT), 5.0) as control:
+            control.sendall(
+                source.choice([source.randbytes(200), b"[" * 60_000, b"[1]", b'{"do": 1}']) + b"\n"
+            )
+    lives(fci)
+
+
+SIZES = {  # of the payloads that are read as numbers, so that random ones are read too
+    p.ArmCommand.MOVE: [113],
+    p.ArmCommand.SET_COLLISION_BEHAVIOR: [416],
+    p.ArmCommand.SET_EE_TO_K: [128],
+    p.ArmCommand.SET_NE_TO_EE: [128],
+    p.ArmCommand.SET_LOAD: [104],
+}
+
+
+def test_framed_garbage_neither_hangs_nor_ends_the_server(fci: StandIn) -> None:
+    """Whole messages with random payloads, and wild numbers that are finite, with and without the rules."""
+    source, wild = random.Random(1), np.random.default_rng(1)
+    for i in range(60):
+        fci.do("rules", on=i % 2 == 0)
+        with RawArm(fci.address) as arm:
+            arm.state()
+            for _ in range(3):
+                arm.send(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY)
+                arm.move(source.choice(list(p.Generator)))
+                for _ in range(5):  # the first ones were sent before the motion
+                    arm.command(wild_command(arm.newest().message_id + 1, wild))
+            arm.send(*payload_for(source, wild, list(p.ArmCommand)))
+        with RawHand(fci.address) as hand:
+            hand.send(*payload_for(source, wild, list(p.HandCommand)))
+    lives(fci)
+
+
+def wild_command(message_id: int, wild: np.random.Generator) -> p.RobotCommand:
+    numbers = wild.choice([1e-300, 1.0, 1e3, 1e300], 45) * wild.normal(size=45)
+    q, dq, pose, twist, elbow, tau = np.split(numbers, [7, 14, 30, 36, 38])
+    return p.RobotCommand(message_id, q, dq, pose, twist, elbow, tau_J_d=tau)
+
+
+def payload_for(source: random.Random, wild: np.random.Generator, commands: list) -> tuple[int, bytes]:
+    command = source.choice(commands)
+    size = source.choice([0, 16, 40, *SIZES.get(command, [])])
+    numbers = 10.0 ** wild.uniform(-300, 300, size // 8)
+    return command, source.choice([source.randbytes(size), numbers.tobytes()])
+
+
+def lives(fci: StandIn) -> None:
+    """Assert that the arm and the hand answer, and that the arm is where an arm can be."""
+    with RawArm(fci.address) as arm, RawHand(fci.address) as hand:
+        assert arm.state().mode in (p.RobotMode.IDLE, p.RobotMode.REFLEX)
+        assert hand.status_of(p.HandCommand.STOP) == p.HandStatus.SUCCESS
+    shown = fci.do("look")["arm"]
+    assert np.isfinite(shown["q_rad"]).all() and np.abs(shown["position_m"]).max() < 3
+
+
+def test_orders_that_make_no_sense_are_refused(fci: StandIn) -> None:
+    for order in (
+        {"what": "fly"},
+        {"what": "wrench", "newtons": [1]},
+        {"what": "wall"},
+        {"what": "hand_hz", "hz": 0},
+    ):
+        with pytest.raises(ValueError, match="Error"):
+            fci.do(**order)
+
+
+def test_only_loopback_unless_told_otherwise(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        parse(["192.168.1.5"])
+    assert "not a loopback address" in capsys.readouterr().err
+    assert parse(["192.168.1.5", "--anywhere"]).address == "192.168.1.5"

@@ -1,0 +1,97 @@
+"""Stand-ins as processes: ready lines, help, control, and clients that aren't our own drivers."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import serial
+
+from uniforce_robots.standins.process import StandIn
+from uniforce_robots.standins.scene import Scene, taxel_cycle
+from uniforce_vtla.errors import SensorError
+
+NAMES = ("slcan", "xela", "mjpeg")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_each_is_ready_obeys_and_ends(name: str):
+    with StandIn(name, "press_s=0", "rest_s=0.5") as stand_in:
+        assert stand_in.address.startswith(
+            ("/tmp/", "127.0.0.1:", "http://127.0.0.1:")
+        )  # never beyond this machine
+        stand_in.inject("stall")
+        assert stand_in.stats()["sent"] == 0
+        process = stand_in._process
+    assert process.poll() is not None
+    with pytest.raises((SensorError, ValueError)):
+        stand_in.inject("stall")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_help_teaches_by_example(name: str):
+    command = [sys.executable, "-m", f"uniforce_robots.standins.{name}", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
+    assert f"python -m uniforce_robots.standins.{name}" in done.stdout
+
+
+@pytest.mark.slow
+def test_a_stand_in_starts_without_torch():
+    standins = "uniforce_robots.standins.slcan, uniforce_robots.standins.mjpeg"
+    code = f"import sys, {standins}; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], timeout=250, check=False).returncode == 0
+
+
+@pytest.mark.slow
+def test_an_unknown_fault_is_refused():
+    with pytest.raises(SensorError, match="ready"):
+        StandIn("slcan", "fault=gremlins")
+
+
+@pytest.mark.slow
+def test_slcan_speaks_to_plain_serial_lines():
+    """Written from the adapter's manual, without our driver's parser."""
+    with (
+        StandIn("slcan", "rate_hz=50", "controller=4") as stand_in,
+        serial.Serial(stand_in.address, 3_000_000, timeout=20) as port,
+    ):
+        answers = {}
+        for command in (b"C", b"V", b"S8", b"O"):
+            port.write(command + b"\r")
+            answers[command] = port.read_until(b"\x07" if command == b"C" else b"\r")
+        lines = [port.read_until(b"\r") for _ in range(32)]
+    assert answers == {b"C": b"\x07", b"V": b"V1013\r", b"S8": b"\r", b"O": b"\r"}
+    first = taxel_cycle(Scene(), 50)[:2].reshape(-1, 3)
+    for line, counts in zip(lines, first, strict=True):
+        assert len(line) == 22 and line[4:7] == b"893"
+        assert np.array_equal([int(line[i : i + 4], 16) for i in (7, 11, 15)], counts)
+    assert [line[1:4] for line in lines[:5]] == [b"004", b"014", b"024", b"034", b"104"]
+
+
+@pytest.mark.slow
+def test_slcan_is_understood_by_python_can():
+    can = pytest.importorskip("can")
+    with StandIn("slcan", "rate_hz=50") as stand_in:
+        bus = can.Bus(interface="slcan", channel=stand_in.address, tty_baudrate=3_000_000, bitrate=1_000_000)
+        frame = bus.recv(20)
+        bus.shutdown()
+    assert frame is not None and frame.dlc == 8 and not frame.is_extended_id
+
+
+@pytest.mark.slow
+def test_xela_is_understood_by_the_websockets_package():
+    client = pytest.importorskip("websockets.sync.client")
+    with (
+        StandIn("xela", "rate_hz=50") as stand_in,
+        client.connect(f"ws://{stand_in.address}", open_timeout=60) as connection,
+    ):
+        messages = [json.loads(connection.recv(60)) for _ in range(3)]
+    assert messages[0]["message"] == "Welcome"
+    words = messages[1]["1"]["data"].split(",")
+    assert messages[1]["type"] == "routine" and len(words) == 48
+    assert [int(word, 16) for word in words] == taxel_cycle(Scene(), 50)[0].ravel().tolist()

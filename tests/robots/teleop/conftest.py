@@ -1,0 +1,138 @@
+"""Each teleoperator, connected to a stand-in or a fake, so that one contract test serves all."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(
+    0, str(Path(__file__).parent)
+)  # teleop_fakes.py: importlib mode gives test folders no package
+
+# LeRobot's base class makes a calibration folder below its cache as soon as a teleoperator is made
+os.environ.setdefault("HF_LEROBOT_CALIBRATION", tempfile.mkdtemp(prefix="uniforce-calibration-"))
+
+from uniforce_robots.standins.process import StandIn
+from uniforce_vtla.errors import TeleoperatorError
+
+
+@pytest.fixture(scope="session")
+def gello_process() -> Iterator[StandIn]:
+    with StandIn("gello", "swing_rad=0.02") as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def gello(gello_process: StandIn) -> Iterator[StandIn]:
+    """Return the GELLO stand-in, whole."""
+    gello_process.inject("none")
+    yield gello_process
+    gello_process.inject("none")
+
+
+@pytest.fixture(scope="session")
+def spacemouse_process() -> Iterator[StandIn]:
+    with StandIn("spacemouse") as stand_in:
+        yield stand_in
+
+
+@pytest.fixture
+def spacemouse(spacemouse_process: StandIn) -> Iterator[StandIn]:
+    """Return the SpaceMouse stand-in, at rest."""
+    spacemouse_process.inject("none")
+    yield spacemouse_process
+    spacemouse_process.inject("none")
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bytes], None]]:
+    """Make a pseudo-terminal standard input; return a function that types."""
+    master, slave = os.openpty()
+    stdin = os.fdopen(slave, "r", closefd=False)
+    monkeypatch.setattr("sys.stdin", stdin)
+    open_ends = {master, slave}
+
+    def type_keys(keys: bytes) -> None:
+        if keys:
+            os.write(master, keys)
+        else:  # hang up
+            open_ends.discard(master)
+            os.close(master)
+
+    yield type_keys
+    for end in open_ends:
+        os.close(end)
+
+
+@pytest.fixture
+def connected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, terminal: object
+) -> Iterator[Callable[[str], Any]]:
+    """Return a function: registered name → that teleoperator, connected; all are disconnected at the end."""
+    import teleop_fakes
+
+    with ExitStack() as closing:
+
+        def make(name: str) -> Any:
+            teleoperator = teleop_fakes.MAKERS[name](request, tmp_path, monkeypatch)
+            teleoperator.connect()
+            closing.callback(teleoperator.disconnect)
+            return teleoperator
+
+        yield make
+
+
+@pytest.fixture
+def measured() -> np.ndarray:
+    """(5,) where the robot is: the GELLO stand-in's home posture, fingers open."""
+    import teleop_fakes
+
+    return teleop_fakes.home_axes()
+
+
+@pytest.fixture
+def until() -> Callable[..., Any]:
+    """Return a function that asks until the answer satisfies; generous, for a busy machine."""
+
+    def wait(ask: Callable[[], Any], says: Callable[[Any], bool], timeout_s: float = 20.0) -> Any:
+        deadline = time.monotonic() + timeout_s
+        while not says(answer := ask()):
+            assert time.monotonic() < deadline, answer
+            time.sleep(0.005)
+        return answer
+
+    return wait
+
+
+@pytest.fixture
+def fault_of(until: Callable[..., Any]) -> Callable[[Callable[[], Any]], str]:
+    """Return a function that asks until a TeleoperatorError comes, and says its fault."""
+
+    def wait(ask: Callable[[], Any]) -> str:
+        return until(lambda: fault_or_none(ask), bool)
+
+    return wait
+
+
+def fault_or_none(ask: Callable[[], Any]) -> str:
+    """Return the fault asking meets, "" where it meets none."""
+    try:
+        ask()
+    except TeleoperatorError as error:
+        return error.fault
+    return ""
+
+
+@pytest.fixture
+def starts(until: Callable[..., Any], measured: np.ndarray) -> Callable[[Any], None]:
+    """Return a function that tries to start a device until it may."""
+    return lambda device: until(lambda: fault_or_none(lambda: device.start_from(measured)), lambda f: not f)

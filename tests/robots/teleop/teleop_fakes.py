@@ -1,0 +1,137 @@
+"""LeRobot's gamepad and phone without their libraries, and how each teleoperator is made for a test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from lerobot.teleoperators import make_teleoperator_from_config
+from lerobot.utils.rotation import Rotation
+
+import uniforce_robots.teleop as ours
+from uniforce_robots.standins.fci.kinematics import HAND_TO_FLANGE, HOME_q_rad
+from uniforce_robots.teleop.gello import tool_axes
+
+
+def home_axes() -> np.ndarray:
+    """(5,) of the arm's home posture with open fingers."""
+    return np.array([*tool_axes(HOME_q_rad, float(HAND_TO_FLANGE[2, 3])), 0.08])
+
+
+class Paced:
+    """A started teleoperator whose clock makes 30 ticks a second, one per ``next``."""
+
+    def __init__(self, inner: Any, measured: np.ndarray) -> None:
+        self.inner, self._now = inner, 0.0
+        inner.clock = lambda: self._now
+        inner.start_from(measured)
+
+    def next(self) -> np.ndarray:
+        """(5,) the next action."""
+        self._now += 1 / 30
+        return np.array(list(self.inner.get_action().values()))
+
+
+class FakePad:
+    """What LeRobot's GamepadTeleop looks like to its user."""
+
+    def __init__(self, running: bool = True) -> None:
+        self.gamepad = SimpleNamespace(running=running)
+        self.is_connected = False
+        self.said = {"delta_x": 0.0, "delta_y": 0.0, "delta_z": 0.0, "gripper": 1}
+
+    def connect(self) -> None:
+        self.is_connected = True
+
+    def disconnect(self) -> None:
+        self.is_connected = False
+
+    def get_action(self) -> dict[str, Any]:
+        return dict(self.said)
+
+
+class FakePhone(FakePad):
+    """What LeRobot's Phone looks like; held still unless told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.position, self.turn_rad = np.zeros(3), 0.0
+        self.enabled, self.has_pose, self.a3 = False, True, 0.0
+
+    def get_action(self) -> dict[str, Any]:
+        if not self.has_pose:
+            return {}
+        return {
+            "phone.pos": self.position.copy(),
+            "phone.rot": Rotation.from_rotvec(np.array([0, 0, self.turn_rad])),
+            "phone.raw_inputs": {"a3": self.a3},
+            "phone.enabled": self.enabled,
+        }
+
+
+def _simple(config: Any) -> Any:
+    return make_teleoperator_from_config(config)
+
+
+def make_keyboard(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+    request.getfixturevalue("terminal")
+    return _simple(ours.UniforceKeyboardConfig(calibration_dir=folder))
+
+
+def make_hand_guide(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+    request.getfixturevalue("terminal")
+    return _simple(ours.UniforceHandGuideConfig(calibration_dir=folder))
+
+
+def make_spacemouse(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+    device = request.getfixturevalue("spacemouse").address
+    return _simple(ours.UniforceSpaceMouseConfig(device=device, calibration_dir=folder))
+
+
+def make_gello(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+    port = request.getfixturevalue("gello").address
+    return _simple(ours.UniforceGelloConfig(port=port, calibration_dir=folder))
+
+
+def make_gamepad(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+    pad = _simple(ours.UniforceGamepadConfig(calibration_dir=folder))
+    patch.setattr(pad, "make_device", FakePad)
+    return pad
+
+
+def make_phone(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+    phone = _simple(ours.UniforcePhoneConfig(calibration_dir=folder))
+    patch.setattr(phone, "make_device", FakePhone)
+    return phone
+
+
+def make_expert(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+    from lerobot_env_uniforce_wiping import WipeEnv
+
+    expert = _simple(ours.UniforceExpertConfig(calibration_dir=folder))
+    env = WipeEnv("easy")
+    env.start(0)
+    expert.attach(env)
+    return expert
+
+
+def make_replay(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+    path = folder / "actions.npz"
+    rows = home_axes() + np.linspace(0, 0.05, 20)[:, None] * np.array([1, 0, 0, 0, 0])
+    np.savez(path, action=rows)
+    return _simple(ours.UniforceReplayConfig(path=str(path), calibration_dir=folder))
+
+
+MAKERS = {
+    "uniforce_keyboard": make_keyboard,
+    "uniforce_hand_guide": make_hand_guide,
+    "uniforce_spacemouse": make_spacemouse,
+    "uniforce_gello": make_gello,
+    "uniforce_gamepad": make_gamepad,
+    "uniforce_phone": make_phone,
+    "uniforce_expert": make_expert,
+    "uniforce_replay": make_replay,
+}

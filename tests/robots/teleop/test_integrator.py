@@ -1,0 +1,92 @@
+"""The one place that moves a target: never a jump, never out of the box, never far ahead of the robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from properties import examples
+
+from uniforce_robots.teleop.integrator import TargetIntegrator, TargetLimits
+from uniforce_vtla.errors import ContractError
+
+LIMITS = TargetLimits()
+SPEED, GAP = np.array(LIMITS.speed), LIMITS.longest_gap_s
+poses = arrays(np.float64, 5, elements=st.floats(-3, 3))
+moves = arrays(np.float64, 5, elements=st.floats(-1e3, 1e3))
+times = st.floats(-1, 1e4)
+
+
+@examples(200)
+@given(poses, st.lists(st.tuples(moves, times, st.booleans()), max_size=20))
+def test_no_jump_whatever_is_asked(start: np.ndarray, orders: list) -> None:
+    integrator = TargetIntegrator()
+    integrator.start_from(start)
+    assert np.array_equal(integrator.target, start)
+    low, high = np.minimum(LIMITS.low, start), np.maximum(LIMITS.high, start)
+    for wish, elapsed, as_goal in orders:
+        before = integrator.target
+        after = (integrator.towards if as_goal else integrator.advance)(wish, elapsed)
+        assert np.all(np.abs(after - before) <= SPEED * GAP + 1e-9)
+        assert np.all(after >= low - 1e-12) and np.all(after <= high + 1e-12)
+
+
+@examples(100)
+@given(st.lists(arrays(np.float64, 5, elements=st.floats(-1, 1)), min_size=1, max_size=300))
+def test_a_target_pushed_against_a_robot_that_stays_does_not_run_on(rates: list) -> None:
+    measured = np.array([0.5, 0.0, 0.2, 0.0, 0.05])
+    integrator = TargetIntegrator()
+    integrator.start_from(measured)
+    for rate in rates:
+        integrator.advance(rate, 1 / 30, measured)
+    assert np.all(np.abs(integrator.target - measured) <= np.array(LIMITS.leash) + 1e-9)
+
+
+@examples(100)
+@given(arrays(np.float64, 5, elements=st.floats(0, 1)), arrays(np.float64, 5, elements=st.floats(0, 1)))
+def test_a_goal_in_the_box_is_reached_in_time(from_share: np.ndarray, to_share: np.ndarray) -> None:
+    low, high = np.array(LIMITS.low), np.array(LIMITS.high)
+    start, goal = low + from_share * (high - low), low + to_share * (high - low)
+    integrator = TargetIntegrator()
+    integrator.start_from(start)
+    needed = int(np.ceil(np.max(np.abs(goal - start) / SPEED) / GAP)) + 1
+    for _ in range(needed):
+        integrator.towards(goal, GAP)
+    assert np.allclose(integrator.target, goal, atol=1e-9)
+
+
+def test_speed_is_metres_per_second() -> None:
+    integrator = TargetIntegrator()
+    integrator.start_from(np.array([0.5, 0, 0.2, 0, 0.05]))
+    for _ in range(30):
+        target = integrator.advance(np.array([1, 0, 0, 0, 0]), 1 / 30)
+    assert target[0] == pytest.approx(0.5 + LIMITS.speed[0])
+
+
+def test_three_positions_keep_their_direction() -> None:
+    integrator = TargetIntegrator()
+    start = np.array([0.5, 0, 0.2, 0, 0.05])
+    integrator.start_from(start)
+    step = integrator.towards(start + np.array([0.1, 0.05, 0, 0, 0]), 0.1) - start
+    assert step[1] / step[0] == pytest.approx(0.5)
+
+
+def test_a_leash_lets_go_towards_the_robot() -> None:
+    integrator = TargetIntegrator()
+    start = np.array([0.5, 0, 0.2, 0, 0.05])
+    integrator.start_from(start)
+    away = start + np.array(
+        [0.1, 0, 0, 0, 0]
+    )  # somebody pushed the robot; the target is behind it by more than the leash
+    assert integrator.advance(np.array([1, 0, 0, 0, 0]), 0.1, away)[0] > start[0]
+    assert integrator.advance(np.array([-1, 0, 0, 0, 0]), 0.1, away)[0] >= start[0]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"speed": (1, 2)}, {"low": (np.nan,) * 5}, {"low": (1.0,) * 5}, {"leash": (-1.0,) * 5}]
+)
+def test_impossible_limits_are_refused(wrong: dict) -> None:
+    with pytest.raises(ContractError):
+        TargetLimits(**wrong)

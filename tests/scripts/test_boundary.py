@@ -1,0 +1,187 @@
+"""What a command raises becomes one line and an exit code; what options declare is checked before the work begins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal, get_args
+
+import pytest
+
+from uniforce_cli.boundary import command, guarded
+from uniforce_cli.option_types import Level
+from uniforce_vtla.arguments import help_text, options_of, parse
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.options import (
+    Count,
+    Dataset,
+    Names,
+    OutFile,
+    OutFolder,
+    Positive,
+    Seeds,
+    Share,
+    Sizes,
+    Text,
+    Texts,
+    try_to_write,
+)
+
+
+@dataclass
+class Inner:
+    """A part."""
+
+    share: Share = 0.5  # of them
+
+
+@dataclass
+class Config:
+    """Do something.
+
+    Example: uniforce-something count=3
+    """
+
+    count: Count = 3  # how many
+    width: Positive = 1.0
+    # which of both
+    kind: Literal["one", "other"] = "one"
+    names: Annotated[str, Names(("a", "b"), many=True)] = ""
+    seeds: Seeds = field(default_factory=list)  # of scenes
+    sides: Sizes = (1.0, 2.0)
+    words: Texts = field(default_factory=list)
+    note: Text = ""
+    data: Dataset = ""
+    inner: Inner = field(default_factory=Inner)
+    flag: bool = False
+    out: OutFolder = "outputs/x"
+    file: OutFile = "outputs/x.json"
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_what_is_given_reaches_the_config(here: Path) -> None:
+    words = ["count=7", "--inner.share=0.25", "names=b,a", "seeds=[1, 2]", "note=on: [3]", "flag=true"]
+    config = parse(Config, words)
+    assert (config.count, config.inner.share, config.names) == (7, 0.25, "b,a")
+    assert (config.seeds, config.note, config.flag) == ([1, 2], "on: [3]", True)
+    assert not list(here.iterdir())  # what tried the outputs is gone
+
+
+@pytest.mark.parametrize(
+    ("word", "reason"),
+    [
+        ("count=0", "count: expected 1 … 10,000,000, got 0"),
+        ("count=1.5", "a whole number"),
+        ("count=true", "a whole number"),
+        ("width=0", "above 0"),
+        ("width=nan", "a number"),
+        ("width=inf", "a number"),
+        ("kind=third", "one | other"),
+        ("names=a,c", "got c"),
+        ("seeds=[1, -1]", "got -1"),
+        ("seeds=3", "a list"),
+        ("seeds=[x]", "seeds: expected a list"),
+        ("sides=[1]", "sides: expected a list"),
+        ("sides=[1, a: 2]", "sides: expected a list"),
+        ("words=[a: 1]", "words: expected a list"),
+        ("flag=yes", "true | false"),
+        ("note=a\x07", "printable"),
+        ("inner.share=2", "inner.share"),
+        ("inner.shar=2", "Did you mean inner.share"),
+        ("data=nowhere", "recorded dataset"),
+        ("out=", "got nothing"),
+        ("out=/proc/nothing/x", "out"),
+        ("out=" + "n" * 300, "out"),
+        ("file=.", "a folder"),
+        ("conut=3", "Did you mean count"),
+        ("count", "key=value"),
+        ("=3", "key=value"),
+    ],
+)
+def test_what_is_wrong_is_named(word: str, reason: str) -> None:
+    with pytest.raises(ContractError) as error:
+        parse(Config, [word])
+    assert reason in str(error.value) and "\n" not in str(error.value)
+
+
+def test_an_option_is_given_once() -> None:
+    with pytest.raises(ContractError, match="once"):
+        parse(Config, ["count=1", "--count=2"])
+
+
+def test_a_file_is_no_parent(here: Path) -> None:
+    (here / "file").touch()
+    with pytest.raises(ContractError, match=r"out: .*file"):
+        parse(Config, ["out=file/below"])
+
+
+def test_folders_that_were_there_stay(here: Path) -> None:
+    (here / "a").mkdir()
+    try_to_write(here / "a" / "b" / "c")
+    assert list(here.rglob("*")) == [here / "a"]
+
+
+def test_help_shows_comment_default_and_range() -> None:
+    text = help_text(Config)
+    assert "Example: uniforce-something" in text
+    assert "count=3  [a whole number, 1 … 10,000,000]\n      how many" in text
+    assert "kind=one  [one | other]\n      which of both" in text
+    assert options_of(Config)["inner.share"].comment == "of them"
+
+
+def failing(error: BaseException) -> Callable[[], int]:
+    def run() -> int:
+        raise error
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (ContractError("a: expected b,\ngot c."), 2, "uniforce-x: a: expected b, got c."),
+        (FileNotFoundError(2, "No such file", "here.txt"), 2, "uniforce-x: here.txt: No such file"),
+        (KeyboardInterrupt(), 130, "uniforce-x: stopped"),
+        (ZeroDivisionError("by zero"), 70, "uniforce-x: a fault of this program, ZeroDivisionError: by zero"),
+        (ContractError("http://anna:s3cret@cam"), 2, "uniforce-x: http://***@cam"),
+    ],
+)
+def test_an_error_is_one_line(
+    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert guarded("uniforce-x", failing(error)) == code
+    out, err = capsys.readouterr()
+    assert not out and err.startswith(line) and err.count("\n") == 1
+
+
+def test_debug_shows_where_it_came_from() -> None:
+    @command(Config)
+    def main(config: Config) -> int:
+        raise ZeroDivisionError(config.count)
+
+    assert main(["count=4"]) == 70
+    with pytest.raises(ZeroDivisionError, match="4"):
+        main(["count=4", "--debug"])
+
+
+def test_others_options_are_passed_on() -> None:
+    @command(Config, others=("robot.",))
+    def main(config: Config, flags: list[str], given: list[str]) -> int:
+        assert given == ["count"] or not given
+        return 0 if flags == ["--robot.ip=1"] else config.count
+
+    assert main(["robot.ip=1", "count=4"]) == 0
+    assert main(["count=4"]) == 4
+    assert main(["robot.ip=1", "--robot.ip=2"]) == 2
+
+
+def test_levels_are_the_environments() -> None:
+    from lerobot_env_uniforce_wiping import LEVELS
+
+    assert get_args(Level) == tuple(LEVELS)

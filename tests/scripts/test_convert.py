@@ -1,0 +1,132 @@
+"""A published π0.5 becomes a pi05_uniforce: names of the real size, and a whole conversion in miniature."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from lerobot.policies.pi05 import modeling_pi05 as stock
+from lerobot.policies.pi05.configuration_pi05 import PI05Config
+from safetensors.torch import load_file, save_file
+
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
+from lerobot_policy_pi05_uniforce.conversion import EMBEDDING, FRESH, HEADS, own_names
+from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
+from lerobot_policy_pi05_uniforce.weights import no_weights
+from uniforce_cli import train
+from uniforce_cli.convert import main
+from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.training_view import build_view
+from uniforce_vtla.tokenizer import Tokenizer
+
+SMALL = TinySettings(width=64, depth=2, mlp_dim=32)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("site", ["prefix", "suffix"])
+def test_every_tensor_of_the_real_size_finds_its_place(site: str) -> None:
+    """LeRobot's own 4 B network against ours, both without memory: same names, same shapes, two heads less."""
+    with no_weights():
+        theirs = stock.PI05Pytorch(PI05Config(device="cpu"))
+    touch = TouchSettings(input="wrench", site=site)
+    config = PI05UniforceConfig(size="base", device="cpu", dtype="bfloat16", touch=touch)
+    from lerobot.configs import FeatureType, PolicyFeature
+
+    config.input_features = {"observation.state": PolicyFeature(FeatureType.STATE, (5,))}
+    ours = PI05UniforcePytorch(config, empty=True)
+    published = {f"model.{name}": tuple(t.shape) for name, t in theirs.state_dict().items()}
+    names = own_names(published)
+    assert set(published) - set(names) == set(HEADS)
+    wanted = {f"model.{n}": tuple(t.shape) for n, t in ours.state_dict().items()}
+    assert any(name.startswith("model.touch_gate.") for name in wanted)  # training starts at the base
+    wanted = {name: shape for name, shape in wanted.items() if not name.startswith(FRESH)}
+    assert {names[name]: published[name] for name in names} == wanted
+    assert sum(p.numel() for p in ours.parameters()) > 3.3e9
+    dtypes = {p.dtype for n, p in ours.named_parameters() if "gemma_expert.model.layers.0.mlp" in n}
+    assert dtypes == {torch.bfloat16}
+
+
+def test_a_tied_embedding_is_found_and_openpis_names_are_understood() -> None:
+    names = own_names([HEADS[0].removeprefix("model."), "action_time_mlp_in.weight", "strange"])
+    assert names[HEADS[0].removeprefix("model.")] == EMBEDDING
+    assert names["action_time_mlp_in.weight"] == "model.time_mlp_in.weight"
+    assert names["strange"] == "model.strange"  # nobody's: the loader will name it
+
+
+@pytest.fixture(scope="module")
+def view(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("convert")
+    root = record_synthetic(folder / "data", 1, 6)
+    return build_view(
+        root, folder / "view", image_side=28, tokenizer=Tokenizer.from_pretrained("nano"), keep=bool
+    )
+
+
+@pytest.fixture(scope="module")
+def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy without touch, both language heads in its file as LeRobot writes them."""
+    from lerobot.configs import FeatureType, PolicyFeature
+
+    folder = tmp_path_factory.mktemp("published")
+    config = PI05UniforceConfig(
+        size="tiny",
+        device="cpu",
+        touch=TouchSettings(input="none"),
+        image_resolution=(28, 28),
+        tiny=SMALL,
+    )
+    camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
+    config.input_features = {f"observation.images.{name}": camera for name in ("front", "wrist")}
+    config.input_features["observation.state"] = PolicyFeature(FeatureType.STATE, (5,))
+    config.output_features = {"action": PolicyFeature(FeatureType.ACTION, (5,))}
+    PI05UniforcePolicy(config).save_pretrained(folder)
+    tensors = load_file(folder / "model.safetensors")
+    save_file(tensors | {head: torch.zeros(4, 4) for head in HEADS}, folder / "model.safetensors")
+    return folder
+
+
+def convert(published: Path, view: Path, out: Path, *more: str) -> int:
+    return main([f"source={published}", f"view={view}", f"out={out}", *more])
+
+
+@pytest.mark.slow
+def test_a_conversion_keeps_every_weight_and_trains_on(published: Path, view: Path, tmp_path: Path) -> None:
+    out = tmp_path / "converted"
+    assert convert(published, view, out, "touch_input=wrench", "token_site=suffix") == 0
+    policy = PI05UniforcePolicy.from_pretrained(out)
+    before = load_file(published / "model.safetensors")
+    after = policy.state_dict()
+    assert all(torch.equal(after[name], tensor) for name, tensor in before.items() if name not in HEADS)
+    assert any("force_tokens" in name for name in after.keys() - before.keys())
+    assert json.loads((out / "config.json").read_text())["touch"]["site"] == "suffix"
+    data = ["dataset.repo_id=local/view", f"dataset.root={view}", f"output_dir={tmp_path / 'run'}"]
+    run = ["steps=2", "batch_size=2", "num_workers=0", "save_freq=2", "policy.device=cpu"]
+    train.train([f"policy.path={out}", *data, *run])
+    assert (tmp_path / "run" / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda tensors: tensors.pop("model.action_in_proj.weight") is None, "model.action_in_proj.weight"),
+        (lambda tensors: tensors.update({"model.strange": torch.zeros(1)}), "model.strange"),
+    ],
+)
+def test_missing_and_strange_tensors_are_named(
+    change, says: str, published: Path, view: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tensors = load_file(published / "model.safetensors")
+    change(tensors)
+    (tmp_path / "config.json").write_text((published / "config.json").read_text())
+    save_file(tensors, tmp_path / "model.safetensors")
+    assert convert(tmp_path, view, tmp_path / "out", "touch_input=wrench") == 2
+    assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_another_policy_is_refused(view: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "config.json").write_text('{"type": "act"}')
+    assert convert(tmp_path, view, tmp_path / "out") == 2
+    assert "pi05" in capsys.readouterr().err

@@ -1,0 +1,58 @@
+"""Presets: the shipped checkpoints' recipes, complete and overridable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+
+from benchmarks.tokenizer_options import VARIANTS
+from uniforce_cli.pretrain import PRESETS, PretrainCommand
+from uniforce_vtla.arguments import choose, parse, read
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.tokenizer.pair_cache import FAMILY
+
+
+def test_small_draws_the_family_the_peers_see_too() -> None:
+    first, second = (
+        read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in ("small_draw", "small_agree")
+    )
+    assert first.run.data == second.run.data == FAMILY
+
+
+def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
+    names = ("small_draw", "small_agree", "small_held", "small")
+    stages = [read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names]
+    for before, after in pairwise(stages):
+        assert after.run.init == f"{before.out}/tokenizer"
+        assert after.run.model == before.run.model
+    for held in stages[2:]:  # the same pads, but flat handles that twist them
+        usual = {"flat_share": FAMILY.flat_share, "flat_torsion_arm_mm": FAMILY.flat_torsion_arm_mm}
+        assert replace(held.run.data, **usual) == FAMILY
+
+
+def test_nano_is_smaller_and_what_is_given_wins() -> None:
+    small, nano = (
+        read(PretrainCommand, [f"preset={n}", "run.steps=7"], PRESETS)[0] for n in ("small", "nano")
+    )
+    assert nano.run.model.width < small.run.model.width
+    assert nano.run.steps == small.run.steps == 7
+
+
+def test_without_a_preset_the_equilibrium_is_the_papers() -> None:
+    loss = parse(PretrainCommand, [], PRESETS).run.loss
+    assert (loss.equilibrium, loss.equilibrium_scale) == ("patch", "absolute")
+
+
+def test_unknown_preset_names_the_known_ones() -> None:
+    with pytest.raises(ContractError, match=r"nano \| small"):
+        parse(PretrainCommand, ["preset=huge"], PRESETS)
+
+
+@pytest.mark.parametrize("name", sorted(VARIANTS))
+def test_every_measured_option_exists(name: str) -> None:
+    plain = parse(PretrainCommand, ["preset=nano"], PRESETS)
+    changed = parse(PretrainCommand, ["preset=nano", *VARIANTS[name]], PRESETS)
+    assert (changed == plain) is (VARIANTS[name] == ())
+    assert list(choose(VARIANTS, name)) == [name]  # no comma: only= can name it

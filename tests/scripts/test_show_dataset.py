@@ -1,0 +1,221 @@
+"""Looking at a recording: a page that needs nothing, a rerun recording, and what both may claim."""
+
+from __future__ import annotations
+
+import json
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from uniforce_cli.dataset_rerun import traces
+from uniforce_cli.dataset_sheet import write_sheet
+from uniforce_cli.dataset_story import tell
+from uniforce_cli.recording_forces import EpisodeForces, RecordingForces, descriptor_heads, latent_change
+from uniforce_cli.show import main
+from uniforce_datasets.source import read_source
+from uniforce_datasets.synthetic import record_synthetic
+from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
+from uniforce_vtla.evaluation.finger_estimates import estimate_events
+from uniforce_vtla.tokenizer import Tokenizer
+
+FRAMES = 8
+RATE = 30
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_synthetic(tmp_path_factory.mktemp("show") / "dots", 2, FRAMES)
+
+
+class Sources(HTMLParser):
+    """Collects what a page points at."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found += [value for name, value in attrs if name in ("src", "href") and value]
+
+
+def test_a_page_shows_every_picture_beside_it(recorded: Path, tmp_path: Path) -> None:
+    assert main([f"root={recorded}", "episode=1", f"out={tmp_path}"]) == 0
+    page = (tmp_path / "episode_1.html").read_text()
+    parser = Sources()
+    parser.feed(page)
+    assert len(parser.found) == 3  # and nothing from a network
+    for name in parser.found:
+        picture = cv2.imread(str(tmp_path / name))
+        assert picture is not None and picture.std() > 10
+    assert "wipe the dots" in page and "tactip" in page and "Estimated" in page
+    content = json.loads((tmp_path / "episode_1.json").read_text())
+    assert content["facts"]["left sensor"] == "gelsight" and "force_mae_N" in content
+
+
+def test_latents_are_zero_in_free_air_and_seen_from_the_sensor(recorded: Path) -> None:
+    source, tokenizer = read_source(recorded), Tokenizer.from_pretrained()
+    left, right = (latent_change(tokenizer, source, source.episodes[0], finger) for finger in FINGERS)
+    strength = np.linalg.norm(left, axis=-1)  # (n, g, g)
+    assert len(left) == FRAMES and strength[0].max() < 1e-5  # the dots start at rest
+    assert strength[-1].max() > 0.05
+    # both fingers wear the same dots, so that only the mirror tells their latents apart
+    assert not np.allclose(left, right, atol=1e-3)
+
+
+def test_a_force_head_reads_the_latents_instead_of_the_gauges(recorded: Path, tmp_path: Path) -> None:
+    assert main([f"root={recorded}", f"out={tmp_path}", "head=tactip"]) == 0
+    page, content = (tmp_path / f"episode_0.{kind}" for kind in ("html", "json"))
+    assert "force head tactip, from latents" in page.read_text()
+    by_gauge = RecordingForces(recorded, descriptor_heads()).feel(read_source(recorded).episodes[0]).force_N
+    assert json.loads(content.read_text())["strongest_N"]["left"] != np.abs(by_gauge).max(axis=0)[0].tolist()
+
+
+def test_unknown_episodes_and_forms_are_refused(
+    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, said in (
+        (["episode=7"], "from 0 to 1"),
+        (["episode=last"], "all, or numbers"),
+        (["form=gif"], "sheet | rerun"),
+        (["pad_friction=0.6"], "2 numbers"),
+    ):
+        assert main([f"root={recorded}", f"out={tmp_path}", *words]) == 2
+        assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_rerun_its_form_is_refused_before_any_work(
+    recorded: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 2
+    assert "[rerun]" in capsys.readouterr().err
+
+
+class Told:
+    """Stands in for rerun: keeps what it was told."""
+
+    def __init__(self) -> None:
+        self.columns: dict[str, int] = {}
+        self.logged: list[str] = []
+        words = ("Blueprint", "Horizontal", "Vertical", "Grid", "Spatial2DView", "TimeSeriesView")
+        words += ("TextDocumentView", "TextLogView")
+        self.blueprint = SimpleNamespace(**{word: lambda *a, **k: (a, k) for word in words})
+        self.EncodedImage = SimpleNamespace(columns=lambda blob, media_type: len(blob))
+        self.Scalars = SimpleNamespace(columns=lambda scalars: len(scalars))
+        self.TextDocument = self.TextLog = lambda text, **how: text
+        self.TimeColumn = lambda name, duration: len(duration)
+
+    def RecordingStream(self, *_: object, **__: object) -> Told:  # noqa: N802 (rerun's name)
+        return self
+
+    def __enter__(self) -> Told:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        return
+
+    def save(self, path: Path, default_blueprint: Any) -> None:
+        path.write_bytes(b"")
+
+    def log(self, path: str, text: str, static: bool = False) -> None:
+        self.logged.append(text)
+
+    def set_time(self, name: str, duration: float) -> None:
+        return
+
+    def send_columns(self, path: str, indexes: list[int], columns: int) -> None:
+        assert indexes == [columns]  # one time for each value
+        self.columns[path] = columns
+
+
+def test_rerun_is_told_everything_on_one_time_line(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = Told()
+    monkeypatch.setitem(sys.modules, "rerun", told)  # type: ignore[arg-type]
+    assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 0
+    assert (tmp_path / "episode_0.rrd").is_file()
+    wanted = {"camera/front", "camera/wrist", "markers/left", "markers/right", "latent/left", "latent/right"}
+    wanted |= {"force_N/left/fz_estimate", "force_N/right/fx_true"}
+    assert wanted <= told.columns.keys() and set(told.columns.values()) == {FRAMES}
+    assert traces(story_of()).keys() >= {"press_N/estimate", "friction_used/estimate"}
+    assert "start" in told.logged and any(text.startswith("estimated:") for text in told.logged)
+
+
+def test_the_real_rerun_writes_a_file(recorded: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun-sdk is optional")
+    assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}", "pad_friction=0.6,0.7"]) == 0
+    assert (tmp_path / "episode_0.rrd").read_bytes()[:3] == b"RRF"
+
+
+def wiped() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grasp at 1 s, lift at 2 s, press 12 N from 4 to 5 s: time, forces, height."""
+    time_s = np.arange(6 * RATE) / RATE
+    grip = np.where(time_s >= 1, 8.0, 0.0)
+    press = np.where((time_s >= 4) & (time_s < 5), 12.0, 0.0)
+    finger = np.stack([0 * grip, (0.8 * (time_s >= 2) - press) / 2, grip], axis=1)
+    return time_s, np.stack([finger, finger], axis=1), np.where(time_s >= 2, 0.2, 0.1)
+
+
+def story_of(title: str = "made up") -> EpisodeSummary:
+    time_s, force, height = wiped()
+    grey = np.full((24, 24, 3), 90, np.uint8)
+    named = find_key_frames(force, height)
+    key_frames = tuple(
+        KeyFrame(name, frame, {"front": grey}, {"left": grey, "right": grey}) for name, frame in named.items()
+    )
+    change = np.random.default_rng(0).normal(size=(len(time_s), 4, 4, 6)).astype(np.float32)
+    return EpisodeSummary(
+        title=title,
+        time_s=time_s,
+        films={"front": [grey] * 3},
+        force_N=force,
+        true_force_N=None,
+        change={"left": change, "right": change},
+        key_frames=key_frames,
+        found=estimate_events(time_s, force, height, (0.6, 0.6)),
+        truth=None,
+        judges_slip=True,
+    )
+
+
+def test_key_frames_and_stretches_are_where_things_happen() -> None:
+    story = story_of()
+    at_s = {key_frame.name: story.time_s[key_frame.frame] for key_frame in story.key_frames}
+    assert at_s["grasped"] == 1.0 and at_s["lifted"] == 2.0 and at_s["strongest push"] == 4.0
+    assert list(at_s.values()) == sorted(at_s.values())
+    stretch = next(s for s in story.stretches if s.name.startswith("press"))
+    assert (story.time_s[stretch.first], story.time_s[stretch.end]) == (4.0, 5.0)
+    assert "mean press > 10 N" in story.verdict and not story.true_verdict
+
+
+def test_what_a_dataset_says_of_itself_is_text_never_html(tmp_path: Path) -> None:
+    page = write_sheet(story_of("<script>x</script>"), {"task": "<img src=http://x>"}, tmp_path, "e")
+    parser = Sources()
+    parser.feed(page.read_text())
+    assert all("/" not in name for name in parser.found) and "<script>" not in page.read_text()
+
+
+def test_an_episode_too_short_to_judge_is_shown_all_the_same(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = RecordingForces(recorded, descriptor_heads())
+    episode, tokenizer = recording.source.episodes[0], Tokenizer.from_pretrained()
+    grip = np.tile([0.0, 0.0, 9.0], (FRAMES, 2, 1))
+    height = np.where(np.arange(FRAMES) > 5, 0.2, 0.1)  # lifted for two frames: too short to weigh anything
+    felt = EpisodeForces(np.arange(FRAMES) / RATE, height, grip, None)
+    monkeypatch.setattr(recording, "feel", lambda _: felt)
+    story = tell(recording, tokenizer, episode, None, "short")
+    assert story.found is None and "time after the lift" in story.verdict[0]
+    assert "time after the lift" in write_sheet(story, {}, tmp_path, "e").read_text()

@@ -1,0 +1,73 @@
+"""The report's questions that don't need minutes: errors that say what to do, and a user's own recordings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from benchmarks import tokenizer_report
+from benchmarks.baselines import rows as peer_rows
+from benchmarks.probes.hard_sets import HETERO_HARD, draw_hard
+from benchmarks.probes.report_sets import get_report_set
+from benchmarks.probes.zero_shot import Table, set_facts_of
+from benchmarks.tokenizer_report import TokenizerReportCommand, main, measure
+from uniforce_vtla.arguments import choose, parse
+from uniforce_vtla.contact.virtual import as_virtual
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
+from uniforce_vtla.tokenizer.model import TokenizerConfig
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["set=easy"], "hetero_hard_v1"),
+        (["question=why"], "reconstructions"),
+        (["data=/nowhere"], "nowhere"),
+    ],
+)
+def test_bad_input_is_a_plain_message(
+    arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*arguments, f"results={tmp_path}", f"cache={tmp_path}"]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert (
+        main(["set=hetero_hard_v1", *(f"{name}={tmp_path}" for name in ("results", "facts", "cache"))]) == 2
+    )
+    assert "freeze=true" in capsys.readouterr().err
+
+
+def test_every_row_can_be_named_on_the_command_line() -> None:
+    tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
+    makers = peer_rows.trained(Table({}, {}), tokenizer, 1, 1)
+    for name in makers:
+        assert list(choose(makers, name)) == [name]  # and no comma
+        assert parse(TokenizerReportCommand, [f"only=mean,{name}"]).only == f"mean,{name}"
+        assert parse(TokenizerReportCommand, [f"only={name}"]).only == name  # no YAML hides in it
+
+
+def test_one_row_measured_anew_leaves_the_rest_of_the_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = replace(HETERO_HARD, sequences=2, length=3, canonicalise=False)
+    sets = {name: draw_hard(recipe, as_virtual(name), 128) for name in ("tactip", "uskin")}
+    table = Table(sets, sets, HeadTrainingConfig(steps=2))
+    monkeypatch.setattr(tokenizer_report, "draw_sets", lambda *_: table)
+    report_set = get_report_set("hetero_hard_v1")
+    (tmp_path / report_set.facts_file).write_text(json.dumps(set_facts_of(recipe, sets)))
+    tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
+    command = TokenizerReportCommand(set=report_set.name, results=str(tmp_path), facts=str(tmp_path), seeds=1)
+    before = measure(replace(command, only="mean,UniForce"), report_set, tokenizer)
+    before |= {"speed": {"ours": 1}, "measured_by": {"mean": {"command": "yesterday's"}}}
+    (tmp_path / report_set.table).write_text(json.dumps(before))
+    after = measure(replace(command, only="UniForce"), report_set, tokenizer)
+    assert list(after["rows"]) == list(before["rows"]) and after["speed"] == {"ours": 1}
+    assert set(after["rows"]) == {"mean", "UniForce"}
+    assert after["measured_by"]["mean"]["command"] == "yesterday's"
+    assert after["measured_by"]["UniForce"]["command"] == after["command"]

@@ -1,0 +1,213 @@
+"""``uniforce touch``: the live view, its outputs, and the two checks, against stand-ins and recordings."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from uniforce_cli.touch import main
+from uniforce_cli.touch_checks import advice, quarter_response
+from uniforce_cli.touch_live import TouchView
+from uniforce_cli.touch_outputs import as_text, make_output, panel, save_panel
+from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
+from uniforce_robots.sensors.orientation import TURNS, Orientation
+from uniforce_robots.standins.process import StandIn
+from uniforce_robots.standins.scene import QUARTERS, Scene, frame_cycle, taxel_cycle
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.sensors.uskin_csv import COLUMNS
+
+
+def view(taxels: bool = True) -> TouchView:
+    raw = np.zeros((16, 3), np.int64) if taxels else np.zeros((480, 640, 3), np.uint8)
+    if taxels:
+        raw[12, 2] = 4321  # the last row of taxels is at the top of the pad
+    norms = np.zeros((14, 14), np.float32)
+    norms[:2, :2] = 3.0
+    force_N = np.array([0.5, -1.0, 7.25], np.float32)
+    return TouchView(
+        "uskin on the left finger", raw, np.zeros((480, 640), np.uint8), norms, force_N, 3.2, 120.0, 1
+    )
+
+
+def test_text_holds_the_numbers_and_the_map():
+    text = as_text(view())
+    assert "120.0 Hz" in text and "3.2 ms" in text and "lost 1" in text and "+7.25 N" in text
+    lines = text.splitlines()
+    assert lines[2].startswith("|@@") and "@" not in lines[4]
+    assert "4321" in lines[3]  # the top row
+
+
+@pytest.mark.parametrize("taxels", [True, False])
+def test_the_panel_shows_all_three(taxels: bool, tmp_path: Path):
+    picture = panel(view(taxels))
+    assert picture.shape == (480, 640 + 640 + 480, 3)
+    saved = cv2.imread(str(save_panel(view(taxels), str(tmp_path / "sub" / "touch.png"))))
+    assert np.array_equal(saved, picture)
+    with pytest.raises(ContractError, match=r"\.png"):
+        save_panel(view(taxels), str(tmp_path / "touch.xyz"))
+
+
+def test_outputs_that_cannot_work_say_why(monkeypatch: pytest.MonkeyPatch):
+    with pytest.raises(ContractError, match=r"terminal \| window \| rerun"):
+        make_output("hologram")
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(ContractError, match="rerun"):
+        make_output("rerun")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(ContractError, match="display"):
+        make_output("window")
+
+
+def test_rerun_is_told_everything(monkeypatch: pytest.MonkeyPatch):
+    logged: dict[str, object] = {}
+    fake = SimpleNamespace(
+        init=lambda name: None,
+        connect_grpc=lambda: None,
+        log=lambda path, value: logged.update({path: value}),
+        Image=lambda image: image.shape,
+        Scalars=lambda value: value,
+    )
+    monkeypatch.setitem(sys.modules, "rerun", fake)
+    started: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **how: started.append(command))
+    with make_output("rerun") as output:
+        output.show(view())
+    assert started[0][1:] == ["-m", "rerun", "--bind", "127.0.0.1"]  # its own default is every interface
+    assert logged["markers"] == (480, 640) and logged["force_N/z"] == 7.25 and logged["age_ms"] == 3.2
+
+
+@pytest.mark.slow
+def test_live_view_of_a_stand_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    with StandIn("slcan", "rate_hz=100", "rest_s=3", "press_s=2") as stand_in:
+        save = tmp_path / "touch.png"
+        code = main(
+            ["sensor=uskin", f"source={stand_in.address}", "seconds=3", "refresh_hz=5", f"save={save}"]
+        )
+    out = capsys.readouterr().out
+    assert code == 0 and save.is_file(), out
+    assert "taking the reference" in out and re.search(r"force x y z +[-+]\d", out)
+
+
+@pytest.mark.slow
+def test_live_view_of_a_camera_stand_in(capsys: pytest.CaptureFixture[str]):
+    with StandIn("mjpeg", "sensor=gelsight", "rate_hz=10", "press_s=0") as stand_in:
+        assert main(["sensor=gelsight", f"source={stand_in.address}", "seconds=1", "head=none"]) == 0
+    out = capsys.readouterr().out
+    assert "mean grey" in out and "no head" in out
+
+
+def test_a_missing_sensor_is_told_plainly(capsys: pytest.CaptureFixture[str]):
+    assert main(["sensor=uskin", "source=/dev/absent"]) == 2
+    out = capsys.readouterr().err
+    assert "touch: uskin on the left finger" in out and "/dev/absent" in out
+
+
+@pytest.mark.parametrize("options", [["check=taste"], ["source="], ["refresh_hz=0"], ["seconds=-1"]])
+def test_settings_that_cannot_be(options: list[str], capsys: pytest.CaptureFixture[str]):
+    assert main(["source=/dev/absent", *options]) == 2
+    assert "expected" in capsys.readouterr().err
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Iterator[str]:
+    """A press in the top-left quarter after a second of free air, 100 scans per second."""
+    path = tmp_path / "trial.csv"
+    scans = taxel_cycle(Scene(where="top-left"), 100)
+    pd.DataFrame(scans.reshape(len(scans), -1), columns=COLUMNS).to_csv(path, index=False)
+    yield str(path)
+
+
+def test_rate_check(recording: str, capsys: pytest.CaptureFixture[str]):
+    assert main(["sensor=uskin", f"source={recording}", "check=rate", "seconds=1"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"rate \d+\.\d Hz over \d+ samples, lost 0, bad 0", out) and "idle loop" in out
+
+
+@pytest.mark.parametrize(("rotation", "code"), [(0, 0), (90, 1)])
+def test_orientation_check(recording: str, rotation: int, code: int, capsys: pytest.CaptureFixture[str]):
+    options = ["check=orientation", "quarters=top-left", "seconds=60", f"rotation_deg={rotation}"]
+    assert main(["sensor=uskin", f"source={recording}", *options]) == code
+    out = capsys.readouterr().out
+    assert ("as told" if code == 0 else "NOT as told") in out and "taxel" in out
+
+
+def test_orientation_check_refuses_unknown_quarters(recording: str, capsys: pytest.CaptureFixture[str]):
+    options = ["check=orientation", "quarters=middle"]
+    assert main(["sensor=uskin", f"source={recording}", *options]) == 2
+    assert "top-left" in capsys.readouterr().err
+
+
+class Still:
+    """What ``quarter_response`` needs of a finger."""
+
+    def __init__(self, sensor: str, reference: np.ndarray) -> None:
+        self.canonicalizer = Canonicalizer(sensor)
+        self.canonicalizer.set_reference(reference)
+        self.reference_raw = reference.astype(np.int64) if reference.ndim == 2 else reference
+        self.marker_image = self.canonicalizer.marker_image
+
+    def reference_image(self) -> np.ndarray:
+        return np.repeat(self.marker_image(self.reference_raw)[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize("sensor", ["uskin", "tactip", "gelsight"])
+@pytest.mark.parametrize("where", QUARTERS)
+def test_the_pressed_quarter_is_found(sensor: str, where: str):
+    scene = Scene(where=where, hold=True)
+    if sensor == "uskin":
+        free, pressed = taxel_cycle(Scene(press_s=0), 2)[0], taxel_cycle(scene, 2)[0]
+    else:
+        free, pressed = frame_cycle(sensor, Scene(press_s=0), 1)[0], frame_cycle(sensor, scene, 1)[0]
+    finger = Still(sensor, free)
+    response = quarter_response(finger, pressed)
+    assert QUARTERS[int(response.argmax())] == where and response.max() >= 1
+    assert quarter_response(finger, free).max() < 0.5
+
+
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("flip", [False, True])
+def test_the_advice_is_the_orientation_that_mends_it(turn: int, flip: bool):
+    """A patch mounted in any of eight ways: felt quarters come from really turned counts."""
+    seen = {}
+    for told in QUARTERS:
+        upright = taxel_cycle(Scene(where=told, hold=True), 2)[0]
+        mounted = _inverse(turn, flip, upright)
+        free = _inverse(turn, flip, taxel_cycle(Scene(press_s=0), 2)[0])
+        z = (mounted[:, 2].astype(int) - free[:, 2]).reshape(4, 4)[::-1]
+        quarter = [z[y, x].sum() for y in (slice(2), slice(2, 4)) for x in (slice(2), slice(2, 4))]
+        seen[told] = QUARTERS[int(np.argmax(quarter))]
+    said = advice(seen, 0, False)
+    assert f"rotation_deg={turn} flip={str(flip).lower()}" in said
+
+
+def _inverse(turn: int, flip: bool, counts: np.ndarray) -> np.ndarray:
+    return Orientation(0, flip).of_counts(Orientation(-turn % 360).of_counts(counts))
+
+
+def test_advice_asks_for_what_it_needs():
+    assert "all four" in advice({"top-left": "top-right"}, 0, False)
+    assert "no turn" in advice({"top-left": "top-left", "top-right": "top-left"}, 0, False)
+    assert "rotation_deg=0" in advice({"top-left": "top-right"}, 90, False)
+
+
+def test_a_finger_without_a_stand_in_name_is_made_from_its_source():
+    from uniforce_cli.touch import TouchConfig, make_finger
+
+    links = {"ws://10.0.0.5:5000": "server", "trial.csv": "replay", "/dev/ttyUSB0": "slcan"}
+    for source, link in links.items():
+        finger = make_finger(TouchConfig(sensor="uskin"), source)
+        assert isinstance(finger, UniforceUskin) and isinstance(finger.config, UniforceUskinConfig)
+        assert finger.config.link == link
+    camera = make_finger(TouchConfig(sensor="tactip", lock_camera=False), "http://127.0.0.1:1/")
+    assert camera.config.capture_width is None and camera.config.exposure_100us is None
