@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 from accelerate import init_empty_weights
 from huggingface_hub import hf_hub_download
@@ -42,24 +41,28 @@ def find(source: str | Path, name: str, revision: str | None = None, local_files
 def fill(
     module: nn.Module,
     path: Path,
-    rename: Callable[[str], str | None] = lambda name: name,
+    rename: Callable[[list[str]], dict[str, str]] = lambda names: dict(zip(names, names, strict=True)),
     fresh: tuple[str, ...] = (),
 ) -> None:
-    """Put a safetensors file's tensors into ``module``, which may be empty (``no_weights``), one after another.
+    """Put a safetensors file's tensors into ``module``, which may be empty (``no_weights``).
 
-    Peak memory is the weights and one tensor more. Nothing may be missing, left over or of another shape.
+    Peak memory is the weights and little more. Nothing may be missing, left over or of another shape.
 
     Args:
         module: takes each tensor in its own dtype and, unless empty, on its own device.
         path: the file.
-        rename: stored name → name in ``module``, or None for what isn't wanted.
+        rename: stored names → stored name: name in ``module``; what isn't in it isn't wanted.
         fresh: prefixes of names that may be missing: modules the file's author didn't have.
 
     Raises:
         CheckpointError: a truncated or damaged file, or naming the tensors that don't fit.
     """
-    with _opened(path) as stored:
-        tensors = {own: stored.get_tensor(n) for n in stored.keys() if (own := rename(n)) is not None}  # noqa: SIM118
+    try:
+        with safe_open(path, framework="pt") as stored:
+            tensors = {own: stored.get_tensor(name) for name, own in rename(list(stored.keys())).items()}
+    except (SafetensorError, OSError, ValueError) as error:
+        do = "It is cut or damaged; copy it again."
+        raise CheckpointError(expected(str(path), "a whole safetensors file", error, do)) from error
     wanted = module.state_dict()
     _check(wanted, tensors, fresh)
     for name, tensor in tensors.items():
@@ -69,26 +72,6 @@ def fill(
         device = tensor.device if wanted[name].is_meta else wanted[name].device
         tensors[name] = tensor.to(device, wanted[name].dtype, copy=copy)
     module.load_state_dict(tensors, strict=False, assign=True)
-
-
-def names(path: Path) -> list[str]:
-    """Return the names in a safetensors file.
-
-    Raises:
-        CheckpointError: the file is truncated or damaged.
-    """
-    with _opened(path) as stored:
-        return list(stored.keys())
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    try:
-        with safe_open(path, framework="pt") as stored:
-            yield stored
-    except (SafetensorError, OSError, ValueError) as error:
-        do = "It is cut or damaged; copy it again."
-        raise CheckpointError(expected(str(path), "a whole safetensors file", error, do)) from error
 
 
 def no_weights() -> AbstractContextManager:
