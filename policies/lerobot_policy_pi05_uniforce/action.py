@@ -118,11 +118,7 @@ class IssuedTarget:
         return self.last
 
     def moved(self, measured: Tensor) -> Tensor:
-        """Return (B, A) how far the target moved over the steps kept, 0 before the second; SI units.
-
-        Raises:
-            RolloutError: as ``base``.
-        """
+        """Return (B, A) how far the target moved over the steps kept, 0 before the second; raises as ``base``."""
         if self.last is None:
             return torch.zeros_like(measured)
         return self.base(measured) - self._targets[0]

@@ -89,7 +89,7 @@ class TinyBackbone(GatedBackbone):
         for depth, layers in enumerate(zip(vlm.layers, expert.layers, strict=True)):
             streams = joint_layer(streams, layers, mask, rotary, cond, last=depth == last)
         suffix, _ = layernorm_forward(expert.norm, streams[-1], cond[-1])
-        return [None, suffix], None  # nobody reads the prefix
+        return [None, suffix], None  # the prefix is not read
 
 
 def make_backbone(config: PI05UniforceConfig) -> GatedBackbone:

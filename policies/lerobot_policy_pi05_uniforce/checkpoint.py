@@ -147,7 +147,7 @@ def check_sensors(config: PI05UniforceConfig, mounted: Mapping[Finger, str]) -> 
         mounted: finger → kind of sensor worn now.
 
     Raises:
-        CheckpointError: a slot's sensor differs and nobody asked for that.
+        CheckpointError: a slot's sensor differs without being asked for.
     """
     notes = []
     for slot, finger in config.finger_by_slot().items():

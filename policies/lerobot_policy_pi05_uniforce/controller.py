@@ -115,7 +115,7 @@ class PolicyController:
         asked: finger → kind the user named; only a named kind may differ from the trained one, which ``notes`` say.
 
     Raises:
-        CheckpointError: weights that don't fit, or a sensor that differs though nobody asked for it.
+        CheckpointError: weights that don't fit, or a sensor that differs though none was asked for.
     """
 
     def __init__(

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 # start fresh whatever the source had
 TOUCH = tuple(f"model.{name}." for name in ("force_tokens", "touch_gate", "next_force", "tactile_encoder"))
-FRESH = (*TOUCH, "model.state_token.")  # nobody else's checkpoint has them
+FRESH = (*TOUCH, "model.state_token.")  # no other checkpoint has them
 BACKBONE = "model.paligemma_with_expert."
 EMBEDDING = f"{BACKBONE}paligemma.model.language_model.embed_tokens.weight"
 HEADS = (f"{BACKBONE}paligemma.lm_head.weight", f"{BACKBONE}gemma_expert.lm_head.weight")

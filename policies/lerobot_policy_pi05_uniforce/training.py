@@ -1,7 +1,7 @@
 """What a new policy takes from its training data, and what of it trains.
 
 π0.5's action loss reads the VLM through the keys and values of every layer alone. The last layer's queries, output
-projection and MLP, and the VLM's final norm, are therefore trained by nobody. Frozen, they cost no optimiser state, and
+projection and MLP, and the VLM's final norm, therefore get no gradient. Frozen, they cost no optimiser state, and
 data-parallel training need not look for unused parameters in every step.
 """
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from accelerate import init_empty_weights
 from huggingface_hub import hf_hub_download
@@ -59,24 +58,24 @@ def check_files(source: str | Path, verify: str, revision: str | None, local_fil
 def fill(
     module: nn.Module,
     path: Path,
-    rename: Callable[[str], str | None] = lambda name: name,
+    rename: Callable[[list[str]], dict[str, str]] = lambda names: dict(zip(names, names, strict=True)),
     fresh: tuple[str, ...] = (),
 ) -> None:
-    """Put a safetensors file's tensors into ``module``, which may be empty (``no_weights``), one after another.
+    """Put a safetensors file's tensors into ``module``, which may be empty (``no_weights``).
 
-    Peak memory is the weights and one tensor more. Nothing may be missing, left over or of another shape.
+    Peak memory is the weights and little more. Nothing may be missing, left over or of another shape.
 
     Args:
         module: takes each tensor in its own dtype and, unless empty, on its own device.
         path: the file.
-        rename: stored name → name in ``module``, or None for what isn't wanted.
+        rename: stored names → stored name: name in ``module``; what isn't in it isn't wanted.
         fresh: prefixes of names that may be missing: modules the file's author didn't have.
 
     Raises:
         CheckpointError: a truncated or damaged file, or naming the tensors that don't fit or aren't finite.
     """
     with opened(path) as stored:
-        tensors = {own: stored.get_tensor(n) for n in stored.keys() if (own := rename(n)) is not None}  # noqa: SIM118
+        tensors = {own: stored.get_tensor(name) for name, own in rename(list(stored.keys())).items()}
     wanted = module.state_dict()
     _check(wanted, tensors, fresh)
     for name, tensor in tensors.items():
@@ -94,16 +93,6 @@ def finite(tensor: Tensor, what: str) -> Tensor:
     if not is_finite(tensor):
         raise CheckpointError(expected(what, "finite numbers", "NaN or inf", "Copy the checkpoint again."))
     return tensor
-
-
-def names(path: Path) -> list[str]:
-    """Return the names in a safetensors file.
-
-    Raises:
-        CheckpointError: the file is truncated or damaged.
-    """
-    with opened(path) as stored:
-        return list(stored.keys())
 
 
 @contextmanager

@@ -92,7 +92,7 @@ def convert(config: ConvertConfig) -> Path:
     settings.input_features = {key: feature for key, feature in features.items() if key != ACTION}
     policy = PI05UniforcePolicy(settings, dataset_stats=view.meta.stats, dataset_meta=view.meta, empty=True)
     file = weights.find(config.source, weights.WEIGHTS, revision)
-    weights.fill(policy, file, own_names(weights.names(file)).get, FRESH)
+    weights.fill(policy, file, own_names, FRESH)
     before, after = make_pi05_uniforce_pre_post_processors(settings, view.meta.stats)
     for part in (policy, before, after):
         part.save_pretrained(config.out)

@@ -107,6 +107,18 @@ def test_auto_size_is_tiny_on_a_cpu() -> None:
         ({"action__form": "velocity"}, r"action\.form"),
         ({"action__objective": "diffusion"}, r"flow \| regression"),
         ({"recipe": "secret"}, "plain"),
+        ({"augment__sensor_transfer": 1.5}, r"augment\.sensor_transfer"),
+        ({"touch__input": "wrench", "augment__sensor_transfer": 0.5}, r"augment\.sensor_transfer"),
+        ({"touch__directions": 17}, r"touch\.directions"),
+        ({"touch__input": "wrench", "touch__directions": 2}, r"touch\.directions"),
+        ({"touch__input": "wrench", "touch__next_force_weight": 0.1}, "next_force_weight"),
+        *(
+            ({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes")
+            for a in ([5], [1, 1])
+        ),
+        ({"action__previous_steps": 4, "action__form": "absolute"}, "previous_steps"),
+        ({"action__previous_steps": 4, "size": "base"}, "previous_steps"),
+        ({"action__previous_steps": -1}, "previous_steps"),
         ({"dtype": "bfloat16"}, "float32"),
         ({"image_resolution": (28, 56)}, "square"),
     ],

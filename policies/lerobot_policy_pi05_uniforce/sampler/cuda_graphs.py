@@ -86,7 +86,7 @@ class GraphedSampler:
         self._version = -1
 
     def sample(self, inputs: Inputs, noise: Tensor, tables: list[StepTable]) -> Tensor:
-        """Return (B, chunk, max_action_dim) actions of inputs without what nobody has."""
+        """Return (B, chunk, max_action_dim) actions of inputs that are all there."""
         touch = self._sampler.network.suffix_touch(*inputs.extra)
         observed = [*inputs.images, *inputs.img_masks, *bucketed(inputs.tokens, inputs.masks)]
         suffix = [noise] if touch is None else [noise, touch.tokens, touch.mask]

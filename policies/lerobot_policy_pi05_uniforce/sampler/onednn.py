@@ -33,7 +33,7 @@ def takes(x: Tensor) -> bool:
 
 
 def here(x: Tensor) -> bool:
-    """Return whether oneDNN takes this tensor's products where nobody wants a gradient."""
+    """Return whether oneDNN takes this tensor's products where no gradient is wanted."""
     return takes(x) and not torch.is_grad_enabled()
 
 

@@ -99,7 +99,7 @@ class PrefixEncoder:
         x, pads, gated = self._embed(inputs)
         x = x.to(vlm.layers[0].self_attn.q_proj.weight.dtype)
         plain = not always_mask and bool(pads.all())
-        mask = None if plain else pads[:, None, None, :]  # what a padded token sees, nobody reads
+        mask = None if plain else pads[:, None, None, :]  # what a padded token sees is not read
         if gated is not None and gated.first < pads.shape[1]:  # touch is in the prefix
             mask = _additive(mask, pads, gated, x.dtype)
         rotary, cache = ops.rotary_of(vlm, x, _positions(pads, gated)), []
@@ -107,7 +107,7 @@ class PrefixEncoder:
             turned = ops.rotated(ops.project(layer, ops.rms(x, eps).mul_(gains[depth][0])), rotary)
             cache.append(F.pad(turned[:, -2:], (0, 0, 0, room)))
             if depth == len(vlm.layers) - 1:
-                break  # nobody reads what the last layer makes of the prefix
+                break  # what the last layer makes of the prefix is not read
             mixed = ops.attend(turned[:, :-2], turned[:, -2:], mask)
             x = linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
             normed = ops.rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
@@ -168,7 +168,7 @@ class PrefixEncoder:
 def drop_dead(inputs: Inputs) -> Inputs:
     """Leave out cameras no row of the batch has, and text columns no prompt of the batch uses.
 
-    Positions count real tokens only, and nobody attends to masked ones, so nothing else changes. Extra tokens (state,
+    Positions count real tokens only, and masked ones are not attended to, so nothing else changes. Extra tokens (state,
     touch) stay in their places: which slot one belongs to is its place in the list.
     """
     images, img_masks, tokens, masks = inputs

@@ -27,7 +27,7 @@ class SuffixTouch:
 
 
 class ForceTokens(nn.Module):
-    """Project each slot's touch input to K tokens; one projection for all slots, told apart by an embedding.
+    """Project each slot's touch input to K tokens; one projection for all slots, an embedding tells them apart.
 
     The input keeps its amplitude (amplitude is force): a fixed mean per number is taken off and a fixed spread per
     channel divided out, both stored in the checkpoint, never its own. What is RMS-normalised is the outcome, after a
