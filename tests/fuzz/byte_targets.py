@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
+from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, PacketHandler, PortHandler
 from mutations import chunks
+from websockets.frames import Opcode
 
-from uniforce_robots.sensors.http_capture import decode_bgr
-from uniforce_robots.sensors.multipart_jpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg
-from uniforce_robots.sensors.slcan_lines import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
-from uniforce_robots.sensors.websocket import MAX_MESSAGE_BYTES, TEXT, FrameReader
+from uniforce_robots.sensors.mjpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg, decode_bgr
+from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, XelaMessages
+from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
 from uniforce_robots.sensors.xela_message import read_message
 from uniforce_robots.standins import spacemouse
 from uniforce_robots.standins.fci.protocol import (
@@ -36,9 +37,9 @@ from uniforce_robots.standins.fci.raw_client import RawArm, RawClient, RawHand
 from uniforce_robots.standins.gello import status
 from uniforce_robots.standins.mjpeg import encode, part
 from uniforce_robots.standins.slcan import scan_lines
-from uniforce_robots.standins.xela import frame, message
-from uniforce_robots.teleop.dynamixel import StatusReader
-from uniforce_robots.teleop.spacemouse_reports import LARGEST_COUNT, SpaceMouseReports
+from uniforce_robots.standins.xela import frame, greeting, message
+from uniforce_robots.teleop.gello_bus import POSITION_BYTES, PRESENT_POSITION
+from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseReports
 from uniforce_vtla.errors import SensorError, TeleoperatorError
 
 
@@ -61,12 +62,13 @@ def feed_slcan(rng: np.random.Generator, data: bytes) -> None:
 
 
 def feed_websocket(rng: np.random.Generator, data: bytes) -> None:
-    reader = FrameReader("fuzz")
-    for chunk in chunks(rng, data):
-        for got in reader.feed(chunk):
-            if got.opcode == TEXT:
-                read_message(got.payload.decode(errors="replace"), "1", "fuzz")
-        assert len(reader._buffer) + reader._size <= MAX_MESSAGE_BYTES + len(data)
+    client = XelaMessages("127.0.0.1", 1, "fuzz")
+    client.feed(greeting(b"".join(client.protocol.data_to_send())))
+    for chunk in filter(None, chunks(rng, data)):
+        for text in client.feed(chunk):
+            read_message(text, "1", "fuzz")
+        waiting = len(client.protocol.reader.buffer) + sum(map(len, client._parts))
+        assert waiting <= MAX_MESSAGE_BYTES + len(data)
 
 
 def feed_json(rng: np.random.Generator, data: bytes) -> None:
@@ -83,12 +85,31 @@ def feed_mjpeg(rng: np.random.Generator, data: bytes) -> None:
         assert len(reader._buffer) <= MAX_JPEG_BYTES + MAX_HEADER_BYTES + len(data)
 
 
+class MotorPort(PortHandler):
+    """A port of the SDK whose motors have answered already."""
+
+    def __init__(self, received: list[bytes]) -> None:
+        super().__init__("fuzz")
+        self._received = received
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        chunk = self._received.pop(0) if self._received else b""
+        if len(chunk) > length:
+            self._received.insert(0, chunk[length:])
+        return chunk[:length]
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        return not self._received
+
+
 def feed_dynamixel(rng: np.random.Generator, data: bytes) -> None:
-    reader = StatusReader()
-    for chunk in chunks(rng, data):
-        for got in reader.feed(chunk):
-            assert 0 <= got.device_id <= 255 and len(got.parameters) < 300
-        assert len(reader._buffer) <= 300
+    group = GroupSyncRead(
+        MotorPort([c for c in chunks(rng, data) if c]), PacketHandler(2.0), PRESENT_POSITION, POSITION_BYTES
+    )
+    for motor in range(1, 9):
+        group.addParam(motor)
+    if group.rxPacket() == COMM_SUCCESS:
+        assert all(len(answer) <= POSITION_BYTES for answer in group.data_dict.values())
 
 
 def feed_spacemouse(rng: np.random.Generator, data: bytes) -> None:
@@ -168,10 +189,10 @@ BYTE_TARGETS = {
     ),
     "websocket": ByteTarget(
         feed_websocket,
-        frame(TEXT, b'{"message": "Welcome"}')
-        + frame(0x9, b"ping")
-        + frame(TEXT, JSON[:300], False)
-        + frame(0, JSON[300:]),
+        frame(Opcode.TEXT, b'{"message": "Welcome"}')
+        + frame(Opcode.PING, b"ping")
+        + frame(Opcode.TEXT, JSON[:300], False)
+        + frame(Opcode.CONT, JSON[300:]),
     ),
     "json": ByteTarget(feed_json, JSON),
     "mjpeg": ByteTarget(

@@ -21,7 +21,7 @@ from uniforce_robots.recorder.rig import Rig, RigFacts
 from uniforce_robots.recorder.session import RecordingSession, SessionEnd, SessionSettings
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.store import StoreProcess, StoreSettings
-from uniforce_robots.teleop.terminal_keys import TerminalKeys
+from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED
 

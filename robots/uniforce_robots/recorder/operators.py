@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from uniforce_robots.teleop.terminal_keys import TerminalKeys
+from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla.errors import ContractError, expected
 
 

@@ -13,10 +13,9 @@ from lerobot.cameras import Camera
 from uniforce_robots.recorder.faults import named
 from uniforce_robots.recorder.plain_camera import PlainCamera
 from uniforce_robots.recorder.rig import FingerTouch, Picture
-from uniforce_robots.sensors.finger import TactileFinger
+from uniforce_robots.sensors.finger import TactileFinger, UniforceUskin
 from uniforce_robots.sensors.sampled_camera import SampledCamera
 from uniforce_robots.sensors.samples import NS_PER_S
-from uniforce_robots.sensors.uskin_camera import UniforceUskin
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.keys import tactile_name

@@ -10,9 +10,8 @@ from uniforce_robots.sensors.config_uniforce import (
     UniforceTactileCameraConfig,
     UniforceUskinConfig,
 )
-from uniforce_robots.sensors.scene_camera import UniforceSceneCamera
-from uniforce_robots.sensors.tactile_camera import UniforceTactileCamera
-from uniforce_robots.sensors.uskin_camera import UniforceUskin
+from uniforce_robots.sensors.finger import UniforceTactileCamera, UniforceUskin
+from uniforce_robots.sensors.sampled_camera import UniforceSceneCamera
 
 __all__ = [
     "UniforceSceneCamera",

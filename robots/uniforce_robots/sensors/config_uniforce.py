@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from lerobot.cameras.configs import CameraConfig
 
-from uniforce_robots.sensors.capture import CaptureSettings
+from uniforce_robots.sensors.camera_source import CaptureSettings
 from uniforce_robots.sensors.orientation import Orientation
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, check_finger
 from uniforce_vtla.errors import ContractError, expected
@@ -14,6 +14,7 @@ from uniforce_vtla.sensors import get_sensor
 
 CLOCKS = ("host", "driver")
 LINKS = ("slcan", "server", "replay")
+SIDEWAYS = (90, 270)  # rotations that make rows of columns
 
 
 @dataclass(kw_only=True)
@@ -21,15 +22,61 @@ class SampledCameraConfig(CameraConfig):
     """What every camera read in the background has."""
 
     fps: int | None = 30  # camera frames per second; for taxels the robot loop's, their own rate is measured
+    source: str = ""  # where it is
     max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
     connect_ms: float = 5000.0  # the first sample must come within
     frozen_after: int = 10  # equal samples in a row that mean a frozen sensor; 0 never looks
     rotation_deg: int = 0  # 0 | 90 | 180 | 270, counter-clockwise; see `uniforce touch check=orientation`
 
+    def __post_init__(self) -> None:
+        if not self.max_age_ms > 0:
+            raise ContractError(expected("max_age_ms", "above 0", self.max_age_ms, "Give milliseconds."))
+        if not self.source:
+            do = "Set source=/dev/v4l/by-path/… or http://…; for a uSkin its port, host:port or csv."
+            raise ContractError(expected("source", "a device", "nothing", do))
+
     @property
     def orientation(self) -> Orientation:
         """How it is turned on its mount."""
         return Orientation(self.rotation_deg)
+
+
+@dataclass(kw_only=True)
+class CapturedCameraConfig(SampledCameraConfig):
+    """What every USB camera or MJPEG stream has.
+
+    ``source`` is a device number, /dev/v4l/by-path/… (two C270s have no serial numbers), or http://…
+    """
+
+    capture_width: int | None = None  # px asked of the camera; null takes what comes, as a stream needs
+    capture_height: int | None = None
+    fourcc: str | None = "MJPG"  # null leaves the camera's own
+    exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
+    white_balance_K: float | None = None  # locked; null leaves it
+    gain: float | None = None  # locked; null leaves it
+    clock: str = "host"  # host: stamped on arrival | driver: stamped by the camera's driver
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.clock not in CLOCKS:
+            raise ContractError(expected("clock", " | ".join(CLOCKS), self.clock, "Choose one."))
+
+    @property
+    def label(self) -> str:
+        """How errors call it."""
+        return "scene camera"
+
+    def capture_settings(self) -> CaptureSettings:
+        """What is asked of the camera."""
+        return CaptureSettings(
+            self.fourcc,
+            self.capture_width,
+            self.capture_height,
+            self.fps,
+            self.exposure_100us,
+            self.white_balance_K,
+            self.gain,
+        )
 
 
 @dataclass(kw_only=True)
@@ -46,11 +93,10 @@ class TactileFingerConfig(SampledCameraConfig):
     sensor: str = ""  # registry name
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_finger(self.finger)
         self.spec = get_sensor(self.sensor)
         self.height, self.width = MARKER_IMAGE_SHAPE
-        if not self.max_age_ms > 0:
-            raise ContractError(expected("max_age_ms", "above 0", self.max_age_ms, "Give milliseconds."))
 
     @property
     def label(self) -> str:
@@ -60,49 +106,28 @@ class TactileFingerConfig(SampledCameraConfig):
 
 @CameraConfig.register_subclass("uniforce_tactile")
 @dataclass(kw_only=True)
-class UniforceTactileCameraConfig(TactileFingerConfig):
+class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
     """A GelSight or TacTip behind a USB camera, or an MJPEG stream.
 
     Example: ``{"type": "uniforce_tactile", "sensor": "tactip", "finger": "right", "source": "/dev/v4l/by-path/…"}``
     """
 
     sensor: str = "gelsight"  # gelsight | tactip
-    source: str = ""  # device number, /dev/v4l/by-path/… (two C270s have no serial numbers), or http://…
     delivers: str = "markers"  # markers: the canonical marker image | raw: the camera's own frame
-    capture_width: int | None = 1280  # px asked of the camera; null takes what comes, as a stream needs
+    capture_width: int | None = 1280
     capture_height: int | None = 720
-    fourcc: str | None = "MJPG"  # null leaves the camera's own
-    exposure_100us: float | None = 100.0  # locked exposure, 100 µs units; null leaves the camera's automatic
-    white_balance_K: float | None = 4600.0  # locked; null leaves it
-    gain: float | None = 0.0  # locked; null leaves it
-    clock: str = "host"  # host: stamped on arrival | driver: stamped by the camera's driver
+    exposure_100us: float | None = 100.0
+    white_balance_K: float | None = 4600.0
+    gain: float | None = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        do = "Choose one."
         if self.spec.signal != "camera":
             raise ContractError(expected("sensor", "a camera sensor", self.sensor, "Use uniforce_uskin."))
-        if self.clock not in CLOCKS:
-            raise ContractError(expected("clock", " | ".join(CLOCKS), self.clock, do))
         if self.delivers not in ("markers", "raw"):
-            raise ContractError(expected("delivers", "markers | raw", self.delivers, do))
-        if not self.source:
-            do = "Set source=/dev/v4l/by-path/… or http://…"
-            raise ContractError(expected("source", "a camera", "nothing", do))
+            raise ContractError(expected("delivers", "markers | raw", self.delivers, "Choose one."))
         if self.delivers == "raw":
             self.height, self.width, _ = self.raw_shape
-
-    def capture_settings(self) -> CaptureSettings:
-        """What is asked of the camera."""
-        return CaptureSettings(
-            self.fourcc,
-            self.capture_width,
-            self.capture_height,
-            self.fps,
-            self.exposure_100us,
-            self.white_balance_K,
-            self.gain,
-        )
 
     @property
     def raw_shape(self) -> tuple[int, int, int]:
@@ -114,12 +139,8 @@ class UniforceTactileCameraConfig(TactileFingerConfig):
         if self.capture_width is None or self.capture_height is None:
             do = "A dataset needs to know the size of raw frames."
             raise ContractError(expected("capture_width, capture_height", "numbers", "null", do))
-        sideways = self.rotation_deg in (90, 270)
-        rows, columns = (
-            (self.capture_width, self.capture_height)
-            if sideways
-            else (self.capture_height, self.capture_width)
-        )
+        upright = (self.capture_height, self.capture_width)
+        rows, columns = upright[::-1] if self.rotation_deg in SIDEWAYS else upright
         return rows, columns, 3
 
 
@@ -128,12 +149,13 @@ class UniforceTactileCameraConfig(TactileFingerConfig):
 class UniforceUskinConfig(TactileFingerConfig):
     """A 4×4 uSkin patch; delivers the marker image its counts are drawn as.
 
+    ``source`` is a serial port, host:port or a csv file, as ``link`` says.
+
     Example: ``{"type": "uniforce_uskin", "finger": "left", "link": "slcan", "source": "/dev/serial/by-id/…"}``
     """
 
     sensor: str = "uskin"
     link: str = "slcan"  # slcan: USB-CAN adapter | server: xela_server's WebSocket | replay: a recorded csv
-    source: str = ""  # serial port | host:port | csv file
     controller: int = 0  # microcontroller id in the low bits of the CAN ids
     can_ids: list[int] = field(default_factory=list)  # 16 ids, taxel by taxel; empty = a 4×4 patch's own
     server_sensor: str = "1"  # which sensor of the server's message
@@ -151,8 +173,6 @@ class UniforceUskinConfig(TactileFingerConfig):
         super().__post_init__()
         if self.link not in LINKS:
             raise ContractError(expected("link", " | ".join(LINKS), self.link, "Choose one."))
-        if not self.source:
-            raise ContractError(expected("source", "port, host:port or csv", "nothing", "Set source=…"))
 
     @property
     def orientation(self) -> Orientation:
@@ -162,41 +182,21 @@ class UniforceUskinConfig(TactileFingerConfig):
 
 @CameraConfig.register_subclass("uniforce_scene")
 @dataclass(kw_only=True)
-class UniforceSceneCameraConfig(SampledCameraConfig):
+class UniforceSceneCameraConfig(CapturedCameraConfig):
     """A camera that looks at the scene: like LeRobot's ``opencv``, but stamped, reopened, and refused once frozen.
+
+    ``width`` and ``height`` are those delivered: the middle of what was captured, in this shape, made smaller.
 
     Example: ``{"type": "uniforce_scene", "source": "/dev/v4l/by-path/…", "width": 224, "height": 224,
     "capture_width": 640, "capture_height": 480}``
     """
 
-    source: str = ""  # device number, /dev/v4l/by-path/… or http://…
-    width: int | None = 640  # px delivered; the middle of what was captured, in this shape, made smaller
+    width: int | None = 640
     height: int | None = 480
-    capture_width: int | None = None  # px asked of the camera; null = as delivered
-    capture_height: int | None = None
-    fourcc: str | None = "MJPG"  # null leaves the camera's own
-    exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
-    white_balance_K: float | None = None  # locked; null leaves the automatic
-    gain: float | None = None  # locked; null leaves it
-    clock: str = "host"  # host: stamped on arrival | driver: stamped by the camera's driver
-
-    def __post_init__(self) -> None:
-        if not self.source:
-            do = "Set source=/dev/v4l/by-path/… or http://…"
-            raise ContractError(expected("source", "a camera", "nothing", do))
-        if self.clock not in CLOCKS:
-            raise ContractError(expected("clock", " | ".join(CLOCKS), self.clock, "Choose one."))
-
-    @property
-    def label(self) -> str:
-        """How errors call it."""
-        return "scene camera"
 
     def capture_settings(self) -> CaptureSettings:
-        """What is asked of the camera; its frames are turned after that."""
-        sideways = self.rotation_deg in (90, 270)
+        """What is asked of the camera, by default what is delivered; its frames are turned after that."""
+        sideways = self.rotation_deg in SIDEWAYS
         width, height = (self.height, self.width) if sideways else (self.width, self.height)
-        width, height = self.capture_width or width, self.capture_height or height
-        return CaptureSettings(
-            self.fourcc, width, height, self.fps, self.exposure_100us, self.white_balance_K, self.gain
-        )
+        plain = super().capture_settings()
+        return replace(plain, width=plain.width or width, height=plain.height or height)

@@ -14,7 +14,7 @@ class LostSensorError(SensorError, ConnectionError):
 
 
 class FrozenSensorError(SensorError):
-    """Samples keep coming, but all with the same content: the picture of a sensor that stopped feeling."""
+    """Samples keep coming, but all with the same content: the sensor itself has stopped."""
 
 
 class WrongSensorError(SensorError):
@@ -22,7 +22,7 @@ class WrongSensorError(SensorError):
 
 
 class SimulatedSensorError(SensorError):
-    """The server invents its data (bus type "sim"): it looks alive and feels nothing."""
+    """The server invents its data (bus type "sim"): it looks alive and measures nothing."""
 
 
 class ProtocolError(SensorError):

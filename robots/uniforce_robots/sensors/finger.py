@@ -8,21 +8,29 @@ from __future__ import annotations
 
 import threading
 from abc import abstractmethod
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from uniforce_robots.sensors.config_uniforce import TactileFingerConfig
+from uniforce_robots.sensors.camera_source import CaptureFactory, open_capture
+from uniforce_robots.sensors.config_uniforce import (
+    TactileFingerConfig,
+    UniforceTactileCameraConfig,
+    UniforceUskinConfig,
+)
+from uniforce_robots.sensors.faults import WrongSensorError
 from uniforce_robots.sensors.lossy_recording import refuse_lossy_recording
-from uniforce_robots.sensors.sampled_camera import READ_MS, SampledCamera, Touch
-from uniforce_robots.sensors.samples import Sample, Window
-from uniforce_robots.sensors.sources import SampleSource
+from uniforce_robots.sensors.sampled_camera import READ_MS, SampledCamera, make_frame_source
+from uniforce_robots.sensors.samples import Sample, SampleSource, Window
+from uniforce_robots.sensors.uskin_replay import ReplayUSkin
+from uniforce_robots.sensors.uskin_server import ServerUSkin
+from uniforce_robots.sensors.uskin_slcan import SlcanUSkin
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.markers.identity import why_not
 from uniforce_vtla.markers.reference import capture_camera_reference, capture_taxel_reference
-
-__all__ = ["TactileFinger", "Touch", "taxel_median"]
 
 
 class TactileFinger(SampledCamera):
@@ -31,8 +39,8 @@ class TactileFinger(SampledCamera):
     ``read``, ``async_read`` and ``read_latest`` return (480, 640, 3) uint8: the marker image, three equal channels.
     """
 
-    def __init__(self, config: TactileFingerConfig) -> None:
-        super().__init__(config)
+    def __init__(self, config: TactileFingerConfig, source: SampleSource) -> None:
+        super().__init__(config, source)
         self._canonicalizer = Canonicalizer(config.sensor)
         self._lock = threading.Lock()  # the canonicaliser keeps state; two threads may ask
         self._drawn: tuple[int, np.ndarray] | None = None
@@ -53,24 +61,18 @@ class TactileFinger(SampledCamera):
         super().connect(warmup)
 
     @abstractmethod
-    def _make_source(self) -> SampleSource: ...
+    def _median(self, samples: list[np.ndarray]) -> np.ndarray:
+        """Return one free-air signal of several, refusing what moved."""
+
+    def _refuse_another_sensor(self) -> None:
+        """Raise where what answers isn't what the config says; a subclass knows how to see it."""
 
     def _on_connect(self) -> None:
-        """See whether this is the configured sensor; take the free-air reference if the config says so.
-
-        Raises:
-            WrongSensorError: markers of another kind of sensor.
-        """
         self._drawn = None
         if self.config.check_identity:
             self._refuse_another_sensor()
         if self.config.reference_on_connect:
             self.take_reference()
-
-    def _refuse_another_sensor(self) -> None:
-        """Raise where what answers isn't what the config says; a subclass knows how to tell."""
-
-    # -- beyond LeRobot's camera ------------------------------------------------------------------------
 
     def window(self, size: int, max_age_ms: float | None = None) -> Window:
         """Return the newest ``size`` samples as the device sent them; raises as ``read_latest``."""
@@ -121,8 +123,6 @@ class TactileFinger(SampledCamera):
         with self._lock:
             return self._canonicalizer.marker_image(raw)
 
-    # -- inside -----------------------------------------------------------------------------------------
-
     def _image(self, sample: Sample) -> np.ndarray:
         with self._lock:
             if self._drawn is None or self._drawn[0] != sample.index:
@@ -130,25 +130,72 @@ class TactileFinger(SampledCamera):
                 self._drawn = sample.index, _as_rgb(image)
             return self._drawn[1].copy()
 
-    def _median(self, samples: list[np.ndarray]) -> np.ndarray:
-        """Return one free-air signal of several, refusing what moved."""
-        centres = [self._canonicalizer.markers(frame) for frame in samples]
-        return capture_camera_reference(samples, centres)
 
+class UniforceTactileCamera(TactileFinger):
+    """GelSight and TacTip: a gel or dome behind a USB camera; see ``TactileFinger``.
 
-def taxel_median(scans: list[np.ndarray], resting_level: str) -> np.ndarray:
-    """Return (16, 3) int64 of several free-air scans; ``resting_level`` names a .npy of known free air, or nothing.
-
-    Raises:
-        SensorError: in contact.
-        ContractError: no such file, or not (16, 3) counts.
+    Args:
+        config: what and where.
+        capture_factory: opens the camera; tests script one.
     """
-    if not resting_level:
-        return capture_taxel_reference(scans)
-    if not Path(resting_level).is_file():
-        do = "Save one with numpy.save, or leave it empty."
-        raise ContractError(expected("resting_level", "a .npy file", resting_level, do))
-    return capture_taxel_reference(scans, resting_level=read_array(Path(resting_level)))
+
+    def __init__(
+        self, config: UniforceTactileCameraConfig, capture_factory: CaptureFactory = open_capture
+    ) -> None:
+        super().__init__(config, make_frame_source(config, capture_factory))
+
+    def _refuse_another_sensor(self) -> None:
+        centres_px = self._canonicalizer.markers(self.latest(self.config.connect_ms).raw)
+        reason = why_not(self.config.spec, centres_px, self.config.label)
+        if reason is not None:
+            raise WrongSensorError(reason)
+
+    def _image(self, sample: Sample) -> np.ndarray:
+        return self._upright(sample.data) if self.config.delivers == "raw" else super()._image(sample)
+
+    def _median(self, samples: list[np.ndarray]) -> np.ndarray:
+        return capture_camera_reference(samples, [self._canonicalizer.markers(frame) for frame in samples])
+
+
+class UniforceUskin(TactileFinger):
+    """A uSkin patch, its counts drawn as the marker image; see ``TactileFinger``.
+
+    ``latest().raw`` is (16, 3) uint16 counts.
+    """
+
+    capacity = 1024  # 2 s at 500 scans/s
+
+    def __init__(self, config: UniforceUskinConfig) -> None:
+        super().__init__(config, make_uskin_source(config))
+
+    def upright_window(self, size: int) -> Window:
+        """Return the newest ``size`` scans turned as ``latest`` turns them; raises as ``read_latest``."""
+        window = self.window(size)
+        return replace(window, data=np.stack([self._upright(scan) for scan in window.data]))
+
+    def _upright(self, raw: np.ndarray) -> np.ndarray:
+        return self._orientation.of_counts(raw)
+
+    def _median(self, samples: list[np.ndarray]) -> np.ndarray:
+        level = self.config.resting_level
+        if not level:
+            return capture_taxel_reference(samples)
+        if not Path(level).is_file():
+            do = "Save one with numpy.save, or leave it empty."
+            raise ContractError(expected("resting_level", "a .npy file", level, do))
+        return capture_taxel_reference(samples, resting_level=read_array(Path(level)))
+
+
+def make_uskin_source(config: UniforceUskinConfig) -> SampleSource:
+    """Return the source that ``config.link`` names; each sample is (16, 3) uint16 raw counts, before any baseline."""
+    match config.link:
+        case "slcan":
+            ids = tuple(config.can_ids) or None
+            return SlcanUSkin(config.source, ids, config.label, config.controller)
+        case "server":
+            return ServerUSkin(config.source, config.server_sensor, config.label)
+        case _:
+            return ReplayUSkin(config.source, config.replay_rate_hz, config.replay_loop, config.label)
 
 
 def _as_rgb(image: np.ndarray) -> np.ndarray:

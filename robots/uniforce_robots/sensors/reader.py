@@ -8,18 +8,28 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 import zlib
 from dataclasses import dataclass
 
 import numpy as np
 
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
-from uniforce_robots.sensors.samples import NS_PER_S, Sample, SampleRing, Window, now_ns
-from uniforce_robots.sensors.sources import SampleSource, SourceCounts, Stamped
+from uniforce_robots.sensors.samples import (
+    NS_PER_S,
+    Sample,
+    SampleRing,
+    SampleSource,
+    SourceCounts,
+    Stamped,
+    Window,
+    now_ns,
+)
 from uniforce_vtla.errors import SensorError, expected
 
 log = logging.getLogger(__name__)
 
+MAX_BEHIND_S = 1.0
 JOIN_S = 3.0  # a driver may sit in a blocking read that long; see the capture's read time-outs
 
 
@@ -44,8 +54,7 @@ class SampleReader:
     def __init__(self, source: SampleSource, limits: ReaderLimits | None = None) -> None:
         self._source = source
         self._limits = limits or ReaderLimits()
-        self._ring: SampleRing | None = None
-        self._first = threading.Event()
+        self._ring = SampleRing(self._limits.capacity)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._fault: SensorError | None = None
@@ -105,8 +114,7 @@ class SampleReader:
             StaleSensorError: no sample yet, or older than ``max_age_ms``.
         """
         self._check_alive()
-        sample = None if self._ring is None else self._ring.newest()
-        return self._checked(sample, max_age_ms)
+        return self._checked(self._ring.newest(), max_age_ms)
 
     def wait_newer(self, index: int, timeout_ms: float) -> Sample:
         """Return the newest sample after ``index``, waiting for it.
@@ -114,25 +122,22 @@ class SampleReader:
         Raises:
             SensorError: as ``newest``, where no sample comes within ``timeout_ms``.
         """
-        start_ns = now_ns()
-        self._first.wait(timeout_ms / 1e3)
-        left_s = max(timeout_ms / 1e3 - (now_ns() - start_ns) / NS_PER_S, 0)
-        sample = None if self._ring is None else self._ring.wait_newer(index, left_s)
+        sample = self._ring.wait_newer(index, timeout_ms / 1e3)
         self._check_alive()
         return self._checked(sample, timeout_ms)
 
     def window(self, size: int, max_age_ms: float) -> Window:
         """Return the newest ``size`` samples; raises as ``newest`` does."""
         self.newest(max_age_ms)
-        return self._known_ring().window(size)
+        return self._ring.window(size)
 
     def since(self, index: int) -> Window:
-        """Return every kept sample after ``index``; raises LostSensorError before the first sample."""
-        return self._known_ring().since(index)
+        """Return every kept sample after ``index``."""
+        return self._ring.since(index)
 
     def rate_hz(self, over_s: float = 2.0) -> float:
         """Return the measured rate; 0 before the second sample."""
-        return 0.0 if self._ring is None else self._ring.rate_hz(over_s)
+        return self._ring.rate_hz(over_s)
 
     # -- the thread -------------------------------------------------------------------------------------
 
@@ -170,13 +175,10 @@ class SampleReader:
     def _take(self, samples: list[Stamped]) -> None:
         for sample in samples:
             self._count_repeats(sample.data)
-            if self._ring is None:
-                self._ring = SampleRing(sample.data.shape, sample.data.dtype, self._limits.capacity)
-            self._ring.push(sample.stamp_ns, sample.data)
+            self._ring.push(sample)
         if samples:
             self._last_sample_ns = now_ns()
             self._fault = None  # an open port proves nothing: the fault ends with the first sample
-            self._first.set()
 
     def _count_repeats(self, data: np.ndarray) -> None:
         crc = zlib.crc32(np.ascontiguousarray(data))
@@ -213,7 +215,39 @@ class SampleReader:
             raise StaleSensorError(expected(self.name, wanted, came, do))
         return sample
 
-    def _known_ring(self) -> SampleRing:
-        if self._ring is None:
-            raise LostSensorError(expected(self.name, "a first sample", "none yet", "Wait after connect()."))
-        return self._ring
+
+class Backlog:
+    """Decides whether to read on: data that waited in the kernel must not pass for new.
+
+    Whoever reads full buffers goes on reading until one isn't full, and only then stamps and delivers: meanwhile the
+    newest sample grows old, as it should.  A reader that never catches up is an error.
+
+    Args:
+        name: how errors call the sensor.
+        full_bytes: a read of so many bytes means that more is waiting.
+        max_behind_s: how long that may go on.
+    """
+
+    def __init__(self, name: str, full_bytes: int, max_behind_s: float = MAX_BEHIND_S) -> None:
+        self._name, self._full, self._max_s = name, full_bytes, max_behind_s
+        self._since_s: float | None = None
+
+    def more_waits(self, size: int) -> bool:
+        """Return whether a read of ``size`` bytes was full, so that there is more to read at once.
+
+        Raises:
+            StaleSensorError: full reads only, for longer than allowed.
+        """
+        now_s = time.monotonic()
+        if size < self._full:
+            self._since_s = None
+            return False
+        if self._since_s is None:
+            self._since_s = now_s
+        behind_s = now_s - self._since_s
+        if behind_s > self._max_s:
+            self._since_s = None
+            do = "Free the CPU of this machine; what waited is thrown away by opening anew."
+            came = f"a queue for {behind_s:.2f} s"
+            raise StaleSensorError(expected(self._name, "a reader that keeps up", came, do))
+        return True

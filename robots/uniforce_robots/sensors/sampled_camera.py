@@ -8,13 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from lerobot.cameras.camera import Camera
 
-from uniforce_robots.sensors.config_uniforce import SampledCameraConfig
+from uniforce_robots.sensors.camera_source import CameraSource, CaptureFactory, FrameSource, open_capture
+from uniforce_robots.sensors.config_uniforce import (
+    CapturedCameraConfig,
+    SampledCameraConfig,
+    UniforceSceneCameraConfig,
+)
+from uniforce_robots.sensors.mjpeg import StreamSource
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
-from uniforce_robots.sensors.samples import Sample
-from uniforce_robots.sensors.sources import SampleSource, SourceCounts
+from uniforce_robots.sensors.samples import Sample, SampleSource, SourceCounts
 
 READ_MS = 1000.0  # ``read`` waits this long for the next sample
 
@@ -25,7 +31,7 @@ class Touch:
 
     Attributes:
         raw: (H, W, 3) uint8 RGB or (16, 3) uint16 counts, upright.
-        index: of the sample since connecting; a gap tells how many were left out.
+        index: of the sample since connecting; a gap shows how many were left out.
         stamp_ns: when it was taken, host's monotonic clock.
         age_ms: how old it was when asked for.
     """
@@ -37,20 +43,17 @@ class Touch:
 
 
 class SampledCamera(Camera):
-    """Reads a device in the background; a subclass says which device and what its image is."""
+    """Reads ``source`` in the background; a subclass says what its image is."""
 
     capacity = 8  # samples kept; a subclass with small samples keeps more
 
-    def __init__(self, config: SampledCameraConfig) -> None:
+    def __init__(self, config: SampledCameraConfig, source: SampleSource) -> None:
         super().__init__(config)
         self.config: Any = config
-        self._source = self._make_source()
-        self._reader = SampleReader(self._source, ReaderLimits(self.capacity, config.frozen_after))
+        self._source = source
+        self._reader = SampleReader(source, ReaderLimits(self.capacity, config.frozen_after))
         self._orientation = config.orientation
         self._last_index = -1
-
-    @abstractmethod
-    def _make_source(self) -> SampleSource: ...
 
     @abstractmethod
     def _image(self, sample: Sample) -> np.ndarray: ...
@@ -139,8 +142,8 @@ class SampledCamera(Camera):
 
     @property
     def settings_read_back(self) -> dict[str, float]:
-        """What the device says its settings are, to be stored with a dataset; empty where it has none."""
-        return {}
+        """What a camera's driver said its settings were when it was opened, for a dataset; else empty."""
+        return dict(self._source.settings_read_back) if isinstance(self._source, FrameSource) else {}
 
     def _touch(self, sample: Sample) -> Touch:
         return Touch(self._upright(sample.data), sample.index, sample.stamp_ns, sample.age_ms())
@@ -150,3 +153,43 @@ class SampledCamera(Camera):
 
     def _age_limit(self, max_age_ms: float | None) -> float:
         return self.config.max_age_ms if max_age_ms is None else max_age_ms
+
+
+class UniforceSceneCamera(SampledCamera):
+    """A camera that looks at the scene; delivers (height, width, 3) uint8 RGB.
+
+    Args:
+        config: what and where.
+        capture_factory: opens the camera; tests script one.
+    """
+
+    def __init__(
+        self, config: UniforceSceneCameraConfig, capture_factory: CaptureFactory = open_capture
+    ) -> None:
+        super().__init__(config, make_frame_source(config, capture_factory))
+        self._size = config.width, config.height
+
+    def _image(self, sample: Sample) -> np.ndarray:
+        return self._upright(sample.data)
+
+    def _upright(self, raw: np.ndarray) -> np.ndarray:
+        width, height = self._size
+        turned = super()._upright(raw)
+        if width is None or height is None or turned.shape[:2] == (height, width):
+            return turned
+        return cv2.resize(middle(turned, width / height), (width, height), interpolation=cv2.INTER_AREA)
+
+
+def make_frame_source(config: CapturedCameraConfig, factory: CaptureFactory) -> SampleSource:
+    """Return the source that ``config.source`` names: a stream or a device."""
+    settings = config.source, config.capture_settings(), config.label, config.clock
+    is_stream = config.source.startswith(("http://", "https://"))
+    return StreamSource(*settings) if is_stream else CameraSource(*settings, factory)
+
+
+def middle(image: np.ndarray, aspect: float) -> np.ndarray:
+    """Return the largest middle part of an (H, W, 3) image that is ``aspect`` times as wide as high."""
+    rows, columns = image.shape[:2]
+    width, height = min(columns, round(rows * aspect)), min(rows, round(columns / aspect))
+    left, top = (columns - width) // 2, (rows - height) // 2
+    return image[top : top + height, left : left + width]

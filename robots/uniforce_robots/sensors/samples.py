@@ -1,4 +1,4 @@
-"""A preallocated ring of timestamped samples: one writer, many readers, no allocation while running.
+"""Samples of a device and their times, and a ring of the newest ones: one writer, many readers.
 
 Stamps are int64 nanoseconds of ``time.perf_counter_ns``: on Linux CLOCK_MONOTONIC, the clock V4L2 stamps its buffers
 with, so that camera, taxels and arm can be laid side by side.
@@ -8,10 +8,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
+from itertools import islice
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from uniforce_robots.sensors.faults import WrongSensorError
 from uniforce_vtla.errors import ContractError, expected
 
 NS_PER_MS = 1e6
@@ -23,6 +27,51 @@ def now_ns() -> int:
     return time.perf_counter_ns()
 
 
+class Stamped(NamedTuple):
+    """A sample as a source delivers it: when (``now_ns`` clock) and what, an array of its own."""
+
+    stamp_ns: int
+    data: np.ndarray
+
+
+@dataclass(frozen=True)
+class SourceCounts:
+    """What a source met since it was made; reconnecting doesn't reset it.
+
+    Attributes:
+        samples: whole samples delivered.
+        lost: samples that began and never became whole.
+        bad: pieces that could not be understood: lines, frames, images.
+    """
+
+    samples: int = 0
+    lost: int = 0
+    bad: int = 0
+
+
+class SampleSource(Protocol):
+    """One device.  All calls come from one thread; ``read`` blocks for a tenth of a second or so at most."""
+
+    name: str
+
+    @property
+    def counts(self) -> SourceCounts:
+        """What was met so far."""
+        ...
+
+    def open(self) -> None:
+        """Connect; raise SensorError where that fails, within seconds."""
+        ...
+
+    def read(self) -> list[Stamped]:
+        """Return what came since the last call, oldest first, maybe nothing; raise SensorError once lost."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the device; never raises, may be called twice."""
+        ...
+
+
 @dataclass(frozen=True)
 class Sample:
     """One sample: its ``index`` since the ring began, when it was taken, and a copy of its data."""
@@ -31,9 +80,9 @@ class Sample:
     stamp_ns: int
     data: np.ndarray
 
-    def age_ms(self, at_ns: int | None = None) -> float:
-        """Return how old the sample is now, or was at ``at_ns``."""
-        return ((now_ns() if at_ns is None else at_ns) - self.stamp_ns) / NS_PER_MS
+    def age_ms(self) -> float:
+        """Return how old the sample is now."""
+        return (now_ns() - self.stamp_ns) / NS_PER_MS
 
 
 @dataclass(frozen=True)
@@ -43,75 +92,50 @@ class Window:
     Attributes:
         first_index: index of the first real sample.
         count: real samples; they fill the end of the arrays.
-        missed: samples asked for that had already been overwritten.
         stamps_ns: (size,) int64; 0 where there was no sample.
         data: (size, ...); repeats the oldest real sample where there was none, so that nothing is made up.
     """
 
     first_index: int
     count: int
-    missed: int
     stamps_ns: np.ndarray
     data: np.ndarray
 
 
 class SampleRing:
-    """Keeps the newest ``capacity`` samples of one shape and dtype.
+    """Keeps the newest ``capacity`` samples; 1024 taxel scans are 2 s at 500 Hz, 8 frames of 1280×720 are 22 MB."""
 
-    Args:
-        shape: of one sample.
-        dtype: of one sample.
-        capacity: samples kept; 1024 taxel scans are 2 s at 500 Hz, 8 frames of 1280×720 are 22 MB.
-
-    Raises:
-        ContractError: a capacity below 2.
-    """
-
-    def __init__(self, shape: tuple[int, ...], dtype: np.typing.DTypeLike, capacity: int) -> None:
-        if capacity < 2:
-            raise ContractError(expected("ring", "room for 2 samples", capacity, "Give more capacity."))
-        self.capacity = capacity
-        self._data = np.zeros((capacity, *shape), dtype)
-        self._stamps_ns = np.zeros(capacity, np.int64)
+    def __init__(self, capacity: int) -> None:
+        self._kept: deque[Stamped] = deque(maxlen=capacity)
         self._count = 0  # samples ever written
-        self._changed = (
-            threading.Condition()
-        )  # numpy copies may release the GIL: readers must not see half a sample
+        self._changed = threading.Condition()
 
-    @property
-    def count(self) -> int:
-        """Samples written so far; the next one's index."""
-        return self._count
-
-    def push(self, stamp_ns: int, data: np.ndarray) -> None:
-        """Store a copy of ``data`` and wake who waits.
+    def push(self, sample: Stamped) -> None:
+        """Keep a sample, whose array is the ring's from now on, and wake who waits.
 
         Raises:
-            ContractError: another shape or dtype than the ring's: broadcasting would store nonsense.
+            WrongSensorError: another shape or dtype than before.
         """
-        if data.shape != self._data.shape[1:] or data.dtype != self._data.dtype:
-            wanted = f"{self._data.dtype} {self._data.shape[1:]}"
-            raise ContractError(
-                expected("sample", wanted, f"{data.dtype} {data.shape}", "Keep one setting per connection.")
-            )
+        form = sample.data.dtype, sample.data.shape
         with self._changed:
-            slot = self._count % self.capacity
-            self._data[slot] = data
-            self._stamps_ns[slot] = stamp_ns
+            before = self._kept[-1].data if self._kept else sample.data
+            if form != (before.dtype, before.shape):
+                do = "Keep one setting per connection."
+                raise WrongSensorError(expected("sample", (before.dtype, before.shape), form, do))
+            self._kept.append(sample)
             self._count += 1
             self._changed.notify_all()
 
     def newest(self) -> Sample | None:
         """Return the newest sample, or None before the first."""
         with self._changed:
-            return self._copy(self._count - 1) if self._count else None
+            return self._newest()
 
     def wait_newer(self, index: int, timeout_s: float) -> Sample | None:
         """Return the newest sample once there is one after ``index``; None if none came in ``timeout_s``."""
         with self._changed:
-            if not self._changed.wait_for(lambda: self._count - 1 > index, timeout_s):
-                return None
-            return self._copy(self._count - 1)
+            in_time = self._changed.wait_for(lambda: self._count - 1 > index, timeout_s)
+            return self._newest() if in_time else None
 
     def window(self, size: int) -> Window:
         """Return the newest ``size`` samples in arrays of exactly that length; see ``Window`` for the padding.
@@ -119,37 +143,41 @@ class SampleRing:
         Raises:
             ContractError: a size outside 1 … capacity, or no sample yet.
         """
-        if not 1 <= size <= self.capacity:
-            raise ContractError(expected("window", f"1 … {self.capacity} samples", size, "Ask for fewer."))
-        with self._changed:
-            if not self._count:
-                raise ContractError(expected("window", "a sample", "none yet", "Wait for the first sample."))
-            first = max(self._count - size, 0)
-            indices = np.maximum(np.arange(self._count - size, self._count), first)
-            stamps = self._stamps_ns[indices % self.capacity]
-            real = self._count - first
-            stamps[: size - real] = 0
-            return Window(first, real, 0, stamps, self._data[indices % self.capacity])
+        capacity = self._kept.maxlen
+        if not 1 <= size <= (capacity or 0):
+            raise ContractError(expected("window", f"1 … {capacity} samples", size, "Ask for fewer."))
+        window = self._last(size)
+        if not window.count:
+            raise ContractError(expected("window", "a sample", "none yet", "Wait for the first sample."))
+        missing = [(size - window.count, 0)] + [(0, 0)] * (window.data.ndim - 1)
+        stamps_ns, data = np.pad(window.stamps_ns, missing[0]), np.pad(window.data, missing, mode="edge")
+        return Window(window.first_index, window.count, stamps_ns, data)
 
     def since(self, index: int) -> Window:
-        """Return every sample after ``index`` that is still kept; ``missed`` tells how many are not."""
-        with self._changed:
-            first = max(index + 1, self._count - self.capacity, 0)
-            slots = np.arange(first, self._count) % self.capacity
-            missed = max(first - (index + 1), 0)
-            return Window(first, len(slots), missed, self._stamps_ns[slots], self._data[slots])
+        """Return every sample after ``index`` that is still kept; ``first_index`` shows how many are not."""
+        return self._last(max(self._count - 1 - index, 0))
 
     def rate_hz(self, over_s: float = 2.0) -> float:
         """Return the measured rate over the newest ``over_s`` seconds of samples; 0 with fewer than two."""
         with self._changed:
-            kept = min(self._count, self.capacity)
-            stamps = self._stamps_ns[np.arange(self._count - kept, self._count) % self.capacity]
-        if kept < 2:
+            stamps_ns = np.array([sample.stamp_ns for sample in self._kept])
+        if len(stamps_ns) < 2:
             return 0.0
-        recent = stamps[stamps >= stamps[-1] - over_s * NS_PER_S]
+        recent = stamps_ns[stamps_ns >= stamps_ns[-1] - over_s * NS_PER_S]
         span_s = float(recent[-1] - recent[0]) / NS_PER_S
         return (len(recent) - 1) / span_s if span_s > 0 else 0.0
 
-    def _copy(self, index: int) -> Sample:
-        slot = index % self.capacity
-        return Sample(index, int(self._stamps_ns[slot]), self._data[slot].copy())
+    def _newest(self) -> Sample | None:
+        if not self._kept:
+            return None
+        stamp_ns, data = self._kept[-1]
+        return Sample(self._count - 1, stamp_ns, data.copy())
+
+    def _last(self, size: int) -> Window:
+        """Return the newest ``size`` samples, fewer where fewer are kept."""
+        with self._changed:
+            kept = list(islice(reversed(self._kept), size))[::-1]
+            first = self._count - len(kept)
+        stamps_ns = np.array([sample.stamp_ns for sample in kept], np.int64)
+        data = np.stack([sample.data for sample in kept]) if kept else np.empty((0,))
+        return Window(first, len(kept), stamps_ns, data)

@@ -7,8 +7,7 @@ import time
 import numpy as np
 
 from uniforce_robots.sensors.faults import LostSensorError
-from uniforce_robots.sensors.samples import NS_PER_S, now_ns
-from uniforce_robots.sensors.sources import SourceCounts, Stamped
+from uniforce_robots.sensors.samples import NS_PER_S, SourceCounts, Stamped, now_ns
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.sensors.uskin_csv import read_uskin_csv
 
@@ -18,7 +17,7 @@ FULL_SCALE = 65_535
 
 
 class ReplayUSkin:
-    """A ``USkinSource`` that reads a csv of ``sensors.uskin_csv``.
+    """Scans, (16, 3) uint16 raw counts each, of a csv of ``sensors.uskin_csv``.
 
     Args:
         path: the csv.
@@ -38,7 +37,6 @@ class ReplayUSkin:
         self._scans: np.ndarray | None = None
         self._step = self._played = 0
         self._next_ns = 0
-        self._is_over = False  # stays: a reader that reopens must not begin anew unnoticed
 
     @property
     def counts(self) -> SourceCounts:
@@ -51,29 +49,25 @@ class ReplayUSkin:
         Raises:
             SensorError: no such log, counts beyond 16 bits, or it was played to its end before.
         """
-        if self._is_over:
-            raise self._end()
         scans = read_uskin_csv(self._path)
         if scans.min() < 0 or scans.max() > FULL_SCALE:
             came = f"{scans.min()} … {scans.max()}"
             do = "Log raw counts, before any baseline."
             raise SensorError(expected(self.name, f"counts in 0 … {FULL_SCALE}", came, do))
+        self._refuse_the_end(scans)  # a reader that reopens must not begin anew unnoticed
         self._scans, self._step, self._next_ns = scans.astype(np.uint16), 0, now_ns()
 
     def read(self) -> list[Stamped]:
         """Return the scan that is due, or nothing; raises LostSensorError at the end of the recording."""
         if self._scans is None:
             raise LostSensorError(expected(self.name, "an open recording", "none", "Call open()."))
-        if self._step == len(self._scans) and not self._loop:
-            self._is_over = True
-            raise self._end()
+        self._refuse_the_end(self._scans)
         wait_s = (self._next_ns - now_ns()) / NS_PER_S
         time.sleep(min(max(wait_s, 0.0), WAIT_S))
         if wait_s > WAIT_S:
             return []
         scan = self._scans[self._step % len(self._scans)]
-        self._step = self._step + 1 if self._step < len(self._scans) else 1
-        self._played += 1
+        self._step, self._played = self._step + 1, self._played + 1
         late_ns = now_ns() - self._next_ns
         self._next_ns += self._period_ns if late_ns < MAX_BEHIND_S * NS_PER_S else late_ns
         return [Stamped(now_ns(), scan)]
@@ -82,6 +76,7 @@ class ReplayUSkin:
         """Put the recording away."""
         self._scans = None
 
-    def _end(self) -> LostSensorError:
-        do = "Set replay_loop=true to begin anew."
-        return LostSensorError(expected(self.name, "another scan", "the end of the recording", do))
+    def _refuse_the_end(self, scans: np.ndarray) -> None:
+        if self._step >= len(scans) and not self._loop:
+            do = "Set replay_loop=true to begin anew."
+            raise LostSensorError(expected(self.name, "another scan", "the end of the recording", do))

@@ -69,8 +69,8 @@ def _parse(text: str, name: str) -> dict[str, Any]:
 def _refuse_simulation(message: dict[str, Any], name: str) -> None:
     """Raise if a bus field, at the top or one level down, says "sim": invented data looks alive."""
     nested = [value for value in message.values() if isinstance(value, dict)]
-    said = [part.get(field) for part in (message, *nested) for field in _BUS_FIELDS]
-    if any(isinstance(bus, str) and bus.strip().lower() == "sim" for bus in said):
+    buses = [part.get(field) for part in (message, *nested) for field in _BUS_FIELDS]
+    if any(isinstance(bus, str) and bus.strip().lower() == "sim" for bus in buses):
         do = "Set bustype in xServ.ini to the real adapter and restart xela_server."
         raise SimulatedSensorError(expected(f"{name}, bustype", "a real bus", "sim", do))
 

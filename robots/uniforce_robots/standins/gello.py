@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import struct
 import sys
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from uniforce_robots.standins.control import Control
+from uniforce_robots.standins.control import StandInServer
 from uniforce_robots.standins.fci.kinematics import HOME_q_rad
 from uniforce_robots.standins.pseudo_terminal import PseudoTerminal
 from uniforce_vtla.arguments import parse
 
-FAULTS = ("crc", "missing", "garbage", "split", "mute", "jump", "alert", "unplug")
 HEADER = b"\xff\xff\xfd\x00"
 COUNTS_PER_TURN = 4096
 GARBAGE_BYTES = 40
@@ -45,7 +44,7 @@ class GelloConfig:
 
 
 def checksum(data: bytes) -> int:
-    """CRC-16, polynomial 0x8005, bit by bit from the e-manual's text: the driver's is by table."""
+    """CRC-16, polynomial 0x8005, bit by bit from the e-manual's text."""
     value = 0
     for byte in data:
         value ^= byte << 8
@@ -63,45 +62,49 @@ def status(motor: int, parameters: bytes, error: int = 0) -> bytes:
     return head + struct.pack("<H", checksum(head))
 
 
-class GelloStandIn:
+class GelloStandIn(StandInServer):
     """Answers pings, reads and sync reads of any address as if it held the position."""
+
+    faults = ("crc", "missing", "garbage", "split", "mute", "jump", "alert", "unplug")
 
     def __init__(self, config: GelloConfig) -> None:
         self._config = config
         self._port = PseudoTerminal("gello")
-        self._control = Control(FAULTS, self._on_fault, self._stats, config.fault)
+        super().__init__(self._port, str(self._port.path), config.fault)
         self._rng = np.random.default_rng(config.seed)
         self._in = b""
         self._asked = self._refused = 0
         self._start_s = time.monotonic()
 
-    def run(self) -> None:
-        """Serve until told to quit."""
-        self._port.serve(self._control, self._serve_once)
+    def waits_for(self) -> tuple[list[Any], list[Any], float]:
+        """Return the port; nothing is sent unasked."""
+        return self._port.ends(), [], 0.1
+
+    def serve(self, ready: list[Any], writable: list[Any]) -> None:
+        """Answer the questions that came."""
+        if self._port.master in ready:
+            with contextlib.suppress(OSError):  # no reader has opened the port at the moment
+                self._in = (self._in + os.read(self._port.master, 4096))[-4096:]
+            self._answer_all()
+
+    def stats(self) -> str:
+        """Return questions answered and refused."""
+        return f"asked={self._asked} refused={self._refused}"
 
     def counts(self) -> np.ndarray:
         """(8,) positions now, as the motors count them."""
         phase = 2 * np.pi * (time.monotonic() - self._start_s) / self._config.period_s
         joints = HOME_q_rad + self._config.swing_rad * np.sin(phase)
-        joints = joints + (JUMP_rad if self._control.fault == "jump" else 0.0)
+        joints = joints + (JUMP_rad if self.fault == "jump" else 0.0)
         angles = np.array([*joints, self._config.trigger_rad])
         return np.round(angles * COUNTS_PER_TURN / (2 * np.pi)).astype(int)
-
-    def _serve_once(self) -> None:
-        ready, _, _ = select.select([*self._port.inputs(), *self._control.inputs()], [], [], 0.1)
-        if 0 in ready:
-            self._control.read()
-        if self._port.master in ready:
-            with contextlib.suppress(OSError):  # nobody has opened the port at the moment
-                self._in = (self._in + os.read(self._port.master, 4096))[-4096:]
-            self._answer_all()
 
     def _answer_all(self) -> None:
         while (start := self._in.find(HEADER)) >= 0:
             self._in = self._in[start:]
-            if len(self._in) < 7 or len(self._in) < 7 + int.from_bytes(self._in[5:7], "little"):
-                return
             size = 7 + int.from_bytes(self._in[5:7], "little")
+            if len(self._in) < max(size, 7):
+                return
             whole, self._in = self._in[:size], self._in[size:]
             self._answer(whole)
 
@@ -120,42 +123,24 @@ class GelloStandIn:
             self._send(b"".join(self._position(motor, positions) for motor in parameters[4:]))
 
     def _position(self, motor: int, positions: np.ndarray) -> bytes:
-        fault = self._control.fault
-        if not 1 <= motor <= len(positions) or (fault == "missing" and motor == MISSING):
+        if not 1 <= motor <= len(positions) or (self.fault == "missing" and motor == MISSING):
             return b""
-        error = 0x80 if fault == "alert" else 0
+        error = 0x80 if self.fault == "alert" else 0
         answer = status(motor, struct.pack("<i", int(positions[motor - 1])), error)
-        if fault == "crc" and motor == MISSING:
+        if self.fault == "crc" and motor == MISSING:
             return answer[:-1] + bytes([answer[-1] ^ 0x55])
         return answer
 
     def _send(self, data: bytes) -> None:
-        fault = self._control.fault
-        if fault == "mute":
+        if self.fault == "mute":
             return
-        if fault == "garbage":
+        if self.fault == "garbage":
             data = self._rng.bytes(GARBAGE_BYTES)
-        size = 3 if fault == "split" else max(len(data), 1)
+        size = 3 if self.fault == "split" else max(len(data), 1)
         with contextlib.suppress(BlockingIOError):
             for start in range(0, len(data), size):
                 os.write(self._port.master, data[start : start + size])
 
-    def _on_fault(self, name: str) -> None:
-        if name == "unplug":
-            self._port.unplug()
-        else:
-            self._port.plug()
-
-    def _stats(self) -> str:
-        return f"asked={self._asked} refused={self._refused}"
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Entry of ``python -m uniforce_robots.standins.gello``."""
-    with contextlib.suppress(KeyboardInterrupt):
-        GelloStandIn(parse(GelloConfig, argv)).run()
-    return 0
-
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(GelloStandIn(parse(GelloConfig)).run())

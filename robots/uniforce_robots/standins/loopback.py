@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 
 LOOPBACK = "127.0.0.1"
-HEAR_BYTES = 4096
+RECEIVE_BYTES = 4096
 
 
 class LoopbackServer:
@@ -16,8 +16,8 @@ class LoopbackServer:
         out_bytes: what may wait per client.
 
     Attributes:
-        address: (host, port), the same after ``unplug`` and ``listen``.
-        visitors: connected, not yet admitted (a handshake isn't finished), and what they said so far.
+        address: (host, port), the same after ``unplug`` and ``plug``.
+        visitors: connected, not yet admitted (a handshake isn't finished), and what they sent so far.
         clients: admitted, and what waits to be sent to them.
     """
 
@@ -28,16 +28,16 @@ class LoopbackServer:
         self._out_bytes = out_bytes
         self._sent = self._dropped = 0
         self._listener: socket.socket | None = None
-        self.listen()
+        self.plug()
 
-    def listen(self) -> None:
+    def plug(self) -> None:
         """Accept visitors from now on."""
         if self._listener is None:
             self._listener = socket.create_server(self.address)  # sets SO_REUSEADDR: the same port again
             self.address = self._listener.getsockname()[:2]
 
     def unplug(self) -> None:
-        """Hang up on everybody and stop listening."""
+        """Close every connection and stop listening."""
         for client in [*self.clients, *self.visitors]:
             self.part_from(client)
         if self._listener is not None:
@@ -53,18 +53,18 @@ class LoopbackServer:
         """Return the clients to whom something waits to be sent."""
         return [client for client, out in self.clients.items() if out]
 
-    def hear(self, ready: object) -> bytes:
-        """Take what a ready socket says: a new visitor, a goodbye, or bytes, which are returned."""
-        if not isinstance(ready, socket.socket):
-            return b""
-        if ready is self._listener:
-            visitor, _ = self._listener.accept()
-            visitor.setblocking(False)
-            self.visitors[visitor] = b""
-            return b""
-        if ready not in self.clients and ready not in self.visitors:
-            return b""  # parted from since it was ready
-        return self._receive(ready)
+    def receive(self, ready: list[socket.socket]) -> None:
+        """Accept a new visitor, take what visitors sent, part from who went; what clients send is dropped."""
+        for one in ready:
+            if one is self._listener:
+                visitor, _ = self._listener.accept()
+                visitor.setblocking(False)
+                visitor.setsockopt(
+                    socket.IPPROTO_TCP, socket.TCP_NODELAY, 1
+                )  # or 40 ms wait for an acknowledgement
+                self.visitors[visitor] = b""
+            elif one in self.visitors or one in self.clients:  # not parted from since it was ready
+                self._receive(one)
 
     def admit(self, visitor: socket.socket, welcome: bytes) -> None:
         """Make a visitor a client whose first bytes are ``welcome``."""
@@ -87,23 +87,24 @@ class LoopbackServer:
                 self._flush(client)
 
     def part_from(self, client: socket.socket) -> None:
-        """Hang up on one."""
+        """Close the connection to one."""
         self.clients.pop(client, None)
         self.visitors.pop(client, None)
         client.close()
 
     def stats(self) -> str:
-        """Return the counts as ``Control`` prints them."""
+        """Return the counts as a stand-in prints them."""
         return f"sent={self._sent} dropped={self._dropped} clients={len(self.clients)}"
 
-    def _receive(self, client: socket.socket) -> bytes:
+    def _receive(self, client: socket.socket) -> None:
         try:
-            heard = client.recv(HEAR_BYTES)
+            chunk = client.recv(RECEIVE_BYTES)
         except OSError:
-            heard = b""
-        if not heard:
+            chunk = b""
+        if not chunk:
             self.part_from(client)
-        return heard
+        elif client in self.visitors:
+            self.visitors[client] = (self.visitors[client] + chunk)[-2 * RECEIVE_BYTES :]
 
     def _flush(self, client: socket.socket) -> None:
         out = self.clients[client]

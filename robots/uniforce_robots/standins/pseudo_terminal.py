@@ -6,10 +6,7 @@ import os
 import tempfile
 import termios
 import tty
-from collections.abc import Callable
 from pathlib import Path
-
-from uniforce_robots.standins.control import Control
 
 
 class PseudoTerminal:
@@ -40,20 +37,6 @@ class PseudoTerminal:
         os.close(self.master)
         self.master = self._slave = -1
 
-    def inputs(self) -> list[int]:
+    def ends(self) -> list[int]:
         """Return what to select on: our end, while it is in."""
         return [self.master] if self.master >= 0 else []
-
-    def serve(self, control: Control, once: Callable[[], None]) -> None:
-        """Tell where we are and serve until told to quit."""
-        control.ready(str(self.path))
-        try:
-            while not control.quit:
-                once()
-        finally:
-            self.close()
-
-    def close(self) -> None:
-        """Unplug, and leave nothing behind."""
-        self.unplug()
-        self._folder.cleanup()

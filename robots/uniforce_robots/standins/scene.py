@@ -1,4 +1,4 @@
-"""What a stand-in's pad feels: free air, then a ball that presses and leaves, over and over.
+"""What touches a stand-in's pad: free air, then a ball that presses and leaves, over and over.
 
 Signals come from the project's contact simulator, so that the chain device → canonicaliser → tokenizer can be checked.
 """
@@ -19,27 +19,17 @@ TAXEL_NOISE_COUNTS = 2.0  # of real patches at rest: 1 to 5
 QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")  # as the marker image shows the pad
 
 
-@dataclass(frozen=True)
+@dataclass
 class Scene:
-    """One cycle of touching.
+    """One cycle of touching, which every tactile stand-in can be asked for; each adds its own settings."""
 
-    Attributes:
-        rest_s: free air first; a reference needs some.
-        press_s: then a press that comes and goes; 0 never presses.
-        peak_N: its strongest normal force.
-        shear_N: (x, y) shear at the peak, image axes.
-        where: "centre", or one of ``QUARTERS``.
-        hold: start pressed at the peak and stay there, never free air.
-        seed: of unit and noise.
-    """
-
-    rest_s: float = 1.0
-    press_s: float = 2.0
-    peak_N: float = 8.0
-    shear_N: tuple[float, float] = (1.0, 0.0)
-    where: str = "centre"
-    hold: bool = False
-    seed: int = 0
+    rest_s: float = 1.0  # free air at the start of each cycle
+    press_s: float = 2.0  # then a press that comes and goes; 0 = never
+    peak_N: float = 8.0  # its strongest normal force
+    shear_N: tuple[float, float] = (1.0, 0.0)  # x and y at the peak, image axes
+    where: str = "centre"  # centre | top-left | top-right | bottom-left | bottom-right, in the marker image
+    hold: bool = False  # pressed from the start and for ever
+    seed: int = 0  # of unit and noise
 
     def load_share(self, steps: int) -> np.ndarray:
         """Return (steps,) in 0 … 1: how much of the peak is there at each step of the cycle."""
@@ -53,24 +43,6 @@ class Scene:
     def period_s(self) -> float:
         """Length of the cycle."""
         return self.rest_s + self.press_s
-
-
-@dataclass
-class SceneConfig:
-    """What every tactile stand-in can be asked to feel and to break; each adds its own settings."""
-
-    rest_s: float = 1.0  # free air at the start of each cycle
-    press_s: float = 2.0  # then a press that comes and goes; 0 = never
-    peak_N: float = 8.0  # its strongest normal force
-    where: str = "centre"  # centre | top-left | top-right | bottom-left | bottom-right, in the marker image
-    hold: bool = False  # pressed from the start and for ever
-    fault: str = "none"  # what is broken from the start
-    seed: int = 0  # of unit and noise
-
-    @property
-    def scene(self) -> Scene:
-        """The cycle of touching that was asked for."""
-        return Scene(self.rest_s, self.press_s, self.peak_N, where=self.where, hold=self.hold, seed=self.seed)
 
 
 def taxel_cycle(scene: Scene, rate_hz: float) -> np.ndarray:

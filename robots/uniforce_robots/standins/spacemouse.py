@@ -8,22 +8,19 @@ SOCK_SEQPACKET socket to PATH.  On standard input: ``fault NAME``, ``stats``, ``
 
 from __future__ import annotations
 
-import contextlib
-import select
 import socket
 import struct
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from uniforce_robots.standins.control import Control
-from uniforce_robots.standins.pace import Pace
+from uniforce_robots.standins.control import Pace, StandInServer
 from uniforce_vtla.arguments import parse
 
-FAULTS = ("push", "close", "freeze", "garbage", "short", "burst", "unplug")
 BURST = 40  # reports at once: what a reader that sleeps would find queued
 AXES = 6
 
@@ -32,120 +29,115 @@ AXES = 6
 class SpaceMouseConfig:
     """Show a SpaceMouse: at rest it is silent, with the fault ``push`` its cap is deflected.
 
-    Example: python -m uniforce_robots.standins.spacemouse push=100,0,0,0,0,0 layout=six
+    Example: python -m uniforce_robots.standins.spacemouse push=100,0,0,0,0,0
     """
 
     push: str = "0,-350,0,0,0,0"  # counts of x, y, z and the turns about them while pushed
-    layout: str = "three"  # three axes in each of two reports, or six in one
     rate_hz: float = 60.0  # wireless ones were seen at some 62
     fault: str = "none"  # what it does from the start
     seed: int = 0
 
 
-def reports(counts: tuple[int, ...], buttons: int, layout: str) -> list[bytes]:
-    """Return the reports of one state."""
+def reports(counts: tuple[int, ...], buttons: int, layout: str = "three") -> list[bytes]:
+    """Return the reports of one state: three axes in each of two, or all ``six`` in one."""
     button = struct.pack("<BH", 3, buttons)
     if layout == "six":
         return [struct.pack("<B6h", 1, *counts), button]
     return [struct.pack("<B3h", 1, *counts[:3]), struct.pack("<B3h", 2, *counts[3:]), button]
 
 
-class SpaceMouseStandIn:
+class PacketSocket:
+    """A listener at a path of the file system, and the one who connected to it."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="uniforce-spacemouse-")
+        self.path = Path(self._folder.name) / "device"
+        self.listener: socket.socket | None = None
+        self.reader: socket.socket | None = None
+        self.plug()
+
+    def plug(self) -> None:
+        """Listen; does nothing when it does."""
+        if self.listener is None:
+            self.listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            self.listener.bind(str(self.path))
+            self.listener.listen(1)
+
+    def unplug(self) -> None:
+        """Close both and take the path away."""
+        for link in (self.reader, self.listener):
+            if link is not None:
+                link.close()
+        self.reader = self.listener = None
+        self.path.unlink(missing_ok=True)
+
+    def accept(self, ready: list[Any]) -> None:
+        """Take a new reader if one waits."""
+        if self.listener in ready and self.listener is not None:
+            self.reader, _ = self.listener.accept()
+            self.reader.setblocking(False)
+
+
+class SpaceMouseStandIn(StandInServer):
     """Sends the pushed state at its rate, the state of rest once."""
 
+    faults = ("push", "close", "freeze", "garbage", "short", "burst", "unplug")
+
     def __init__(self, config: SpaceMouseConfig) -> None:
-        self._config = config
         self._push = tuple(int(word) for word in config.push.split(","))
-        self._control = Control(FAULTS, self._on_fault, self._stats, config.fault)
         self._pace = Pace(config.rate_hz)
         self._rng = np.random.default_rng(config.seed)
-        self._folder = tempfile.TemporaryDirectory(prefix="uniforce-spacemouse-")
-        self._path = Path(self._folder.name) / "device"
-        self._server: socket.socket | None = None
-        self._reader: socket.socket | None = None
+        self._socket = PacketSocket()
+        super().__init__(self._socket, str(self._socket.path), config.fault)
         self._sent = self._dropped = 0
-        self._plug()
 
-    def run(self) -> None:
-        """Serve until told to quit."""
-        self._control.ready(str(self._path))
-        try:
-            while not self._control.quit:
-                self._serve_once()
-        finally:
-            self._unplug()
-            self._folder.cleanup()
+    def waits_for(self) -> tuple[list[Any], list[Any], float]:
+        """Return the listener and the time to the next report."""
+        listener = self._socket.listener
+        return [] if listener is None else [listener], [], self._pace.wait_s()
 
-    def _serve_once(self) -> None:
-        door = -1 if self._server is None else self._server.fileno()
-        waiting = [door] if door >= 0 else []
-        ready, _, _ = select.select([*waiting, *self._control.inputs()], [], [], self._pace.wait_s())
-        if 0 in ready:
-            self._control.read()
-        if self._server is not None and door in ready:
-            self._reader, _ = self._server.accept()
-            self._reader.setblocking(False)
+    def serve(self, ready: list[Any], writable: list[Any]) -> None:
+        """Take a reader, send the reports that are due."""
+        self._socket.accept(ready)
         for _ in range(self._pace.due()):
             for report in self._due():
                 self._send(report)
 
+    def stats(self) -> str:
+        """Return reports sent and dropped."""
+        return f"sent={self._sent} dropped={self._dropped}"
+
+    def on_fault(self) -> None:
+        """Send the state of rest once, where the cap is let go."""
+        super().on_fault()
+        for report in reports((0,) * AXES, 0) if self.fault == "none" else []:
+            self._send(report)
+
     def _due(self) -> list[bytes]:
-        fault = self._control.fault
-        if fault in ("push", "burst"):
-            return reports(self._push, 0, self._config.layout) * (BURST if fault == "burst" else 1)
-        if fault == "close":
-            return reports((0,) * AXES, 1, self._config.layout)
-        if fault == "garbage":
-            return [bytes([self._rng.choice([1, 2])]) + b"\xff\x7f" * 3]
-        if fault == "short":
-            return [b"\x01\x00"]
+        match self.fault:
+            case "push":
+                return reports(self._push, 0)
+            case "burst":
+                return reports(self._push, 0) * BURST
+            case "close":
+                return reports((0,) * AXES, 1)
+            case "garbage":
+                return [bytes([self._rng.choice([1, 2])]) + b"\xff\x7f" * 3]
+            case "short":
+                return [b"\x01\x00"]
         return []  # at rest, or frozen: silent
 
-    def _on_fault(self, name: str) -> None:
-        if name == "unplug":
-            self._unplug()
-            return
-        self._plug()
-        if name == "none":
-            for report in reports((0,) * AXES, 0, self._config.layout):
-                self._send(report)
-
     def _send(self, report: bytes) -> None:
-        if self._reader is None:
+        if self._socket.reader is None:
             return
         try:
-            self._reader.send(report)
+            self._socket.reader.send(report)
             self._sent += 1
         except BlockingIOError:
             self._dropped += 1
         except OSError:
-            self._reader = None  # it hung up
-
-    def _plug(self) -> None:
-        if self._server is not None:
-            return
-        self._server = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._server.bind(str(self._path))
-        self._server.listen(1)
-        self._pace.restart()
-
-    def _unplug(self) -> None:
-        for link in (self._reader, self._server):
-            if link is not None:
-                link.close()
-        self._reader = self._server = None
-        self._path.unlink(missing_ok=True)
-
-    def _stats(self) -> str:
-        return f"sent={self._sent} dropped={self._dropped}"
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Entry of ``python -m uniforce_robots.standins.spacemouse``."""
-    with contextlib.suppress(KeyboardInterrupt):
-        SpaceMouseStandIn(parse(SpaceMouseConfig, argv)).run()
-    return 0
+            self._socket.reader = None  # it closed its end
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(SpaceMouseStandIn(parse(SpaceMouseConfig)).run())

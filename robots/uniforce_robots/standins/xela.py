@@ -7,12 +7,8 @@ Prints ``ready HOST:PORT``.  On standard input: ``fault NAME``, ``stats``, ``qui
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import hashlib
 import json
-import re
-import select
 import socket
 import sys
 import time
@@ -20,43 +16,53 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from websockets.frames import Frame, Opcode
+from websockets.http11 import Request
+from websockets.server import ServerProtocol
 
-from uniforce_robots.standins.control import Control
+from uniforce_robots.standins.control import Pace, StandInServer
 from uniforce_robots.standins.loopback import LoopbackServer
-from uniforce_robots.standins.pace import Pace
-from uniforce_robots.standins.scene import SceneConfig, taxel_cycle
+from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.arguments import parse
 
-FAULTS = (
-    *("welcome", "list", "integers", "null", "sim", "close", "stall", "freeze", "stop"),
-    *("garbage", "short", "absent", "fragments", "ping", "badframe"),
-)
-GUID = b"258EAFA5-E914-47DA-95CA-C5AB0DC85B11"
-TEXT, CLOSE, PING = 0x1, 0x8, 0x9
 OUT_BYTES = 1 << 20
 FRAGMENTS = 5
 
 
 @dataclass
-class XelaConfig(SceneConfig):
+class XelaConfig(Scene):
     """Show a simulated uSkin patch as a xela_server on loopback.
 
     Example: python -m uniforce_robots.standins.xela rate_hz=100
     """
 
     rate_hz: float = 100.0  # messages per second; real servers gave 95 to 133 for a 4×4 patch
+    fault: str = "none"  # what is broken from the start
     port: int = 0  # 0 = any free one; xela_server's own is 5000
 
 
-def frame(opcode: int, payload: bytes, is_last: bool = True) -> bytes:
+def frame(opcode: Opcode, payload: bytes, is_last: bool = True) -> bytes:
     """Return one unmasked frame (section 5.2)."""
-    size = len(payload)
-    head = bytes([(0x80 if is_last else 0) | opcode])
-    if size < 126:
-        return head + bytes([size]) + payload
-    if size < 65_536:
-        return head + b"\x7e" + size.to_bytes(2) + payload
-    return head + b"\x7f" + size.to_bytes(8) + payload
+    return Frame(opcode, payload, is_last).serialize(mask=False)
+
+
+def fragmented(text: bytes, pieces: int) -> bytes:
+    """Return a text in several frames, a ping between any two (section 5.4)."""
+    size = max(-(-len(text) // pieces), 1)
+    parts = [text[i * size : (i + 1) * size] for i in range(pieces)]
+    framed = [frame(Opcode.CONT if i else Opcode.TEXT, p, i == pieces - 1) for i, p in enumerate(parts)]
+    return frame(Opcode.PING, b"in between").join(framed)
+
+
+def greeting(request: bytes) -> bytes:
+    """Return the answer to a client's handshake (section 4.2.2), nothing where it asked for something else."""
+    protocol = ServerProtocol()
+    protocol.receive_data(request)
+    asked = [event for event in protocol.events_received() if isinstance(event, Request)]
+    if not asked:
+        return b""
+    protocol.send_response(protocol.accept(asked[0]))
+    return b"".join(protocol.data_to_send())
 
 
 def message(number: int, scan: np.ndarray, fault: str) -> str:
@@ -78,95 +84,77 @@ def message(number: int, scan: np.ndarray, fault: str) -> str:
     return json.dumps(body | {"version": "1.7.6", "sendtime": now})
 
 
-class XelaStandIn:
+class XelaStandIn(StandInServer):
     """The server: one simulated patch, any number of listeners."""
 
+    faults = (
+        *("welcome", "list", "integers", "null", "sim", "close", "stall", "freeze", "stop"),
+        *("garbage", "short", "absent", "fragments", "ping", "badframe"),
+    )
+
     def __init__(self, config: XelaConfig) -> None:
-        self._cycle = taxel_cycle(config.scene, config.rate_hz)
+        self._server = LoopbackServer(config.port, OUT_BYTES)
+        super().__init__(self._server, "{}:{}".format(*self._server.address), config.fault)
+        self._cycle = taxel_cycle(config, config.rate_hz)
         self._pace = Pace(config.rate_hz)
         self._rng = np.random.default_rng(config.seed)
         self._step = self._number = 0
-        self._server = LoopbackServer(config.port, OUT_BYTES)
-        self._control = Control(FAULTS, self._on_fault, self._server.stats, config.fault)
 
-    def run(self) -> None:
-        """Serve until told to quit."""
-        self._control.ready("{}:{}".format(*self._server.address))
-        while not self._control.quit:
-            self._serve_once()
+    def waits_for(self) -> tuple[list[Any], list[Any], float]:
+        """Return the server's sockets and the time to the next message."""
+        return self._server.reading(), self._server.writing(), self._pace.wait_s()
 
-    def _serve_once(self) -> None:
-        reading: list[Any] = [*self._server.reading(), *self._control.inputs()]
-        ready, writable, _ = select.select(reading, self._server.writing(), [], self._pace.wait_s())
-        if 0 in ready:
-            self._control.read()
-        for connection in ready:
-            heard = self._server.hear(connection)
-            if connection in self._server.visitors:
-                self._shake_hands(connection, self._server.visitors[connection] + heard)
+    def serve(self, ready: list[Any], writable: list[Any]) -> None:
+        """Greet visitors, send the messages that are due."""
+        self._server.receive(ready)
+        for visitor, request in list(self._server.visitors.items()):
+            if b"\r\n\r\n" in request:
+                self._shake_hands(visitor, request)
         for _ in range(self._pace.due()):
             self._broadcast()
         self._server.flush(writable)
 
-    # -- data -------------------------------------------------------------------------------------------
+    def stats(self) -> str:
+        """Return messages sent and dropped, and clients."""
+        return self._server.stats()
+
+    def on_fault(self) -> None:
+        """Close the connections properly for ``close``."""
+        if self.fault == "close":
+            self._close_properly()
+        super().on_fault()
 
     def _broadcast(self) -> None:
-        fault = self._control.fault
-        if fault in ("welcome", "stall", "stop") or not self._server.clients:
+        if self.fault in ("welcome", "stall", "stop") or not self._server.clients:
             return  # the cycle begins, in free air, with the first who listens
         scan = self._cycle[self._step % len(self._cycle)]
-        self._step += fault != "freeze"
+        self._step += self.fault != "freeze"
         self._number += 1
-        data = self._frames(message(self._number, scan, fault).encode(), fault)
-        self._server.broadcast(data)
+        self._server.broadcast(self._frames(message(self._number, scan, self.fault).encode()))
 
-    def _frames(self, text: bytes, fault: str) -> bytes:
-        if fault == "garbage" and self._number % 2:
-            return frame(TEXT, b'{"message": ' + self._rng.bytes(8).hex().encode())
-        if fault == "badframe":
+    def _frames(self, text: bytes) -> bytes:
+        if self.fault == "garbage" and self._number % 2:
+            return frame(Opcode.TEXT, b'{"message": ' + self._rng.bytes(8).hex().encode())
+        if self.fault == "badframe":
             return b"\xff\xff" + self._rng.bytes(20)
-        if fault == "ping":
-            return frame(PING, b"are you there") + frame(TEXT, text)
-        if fault != "fragments":
-            return frame(TEXT, text)
-        size = -(-len(text) // FRAGMENTS)
-        pieces = [text[i : i + size] for i in range(0, len(text), size)]
-        framed = [frame(0 if i else TEXT, p, i == len(pieces) - 1) for i, p in enumerate(pieces)]
-        return frame(PING, b"in between").join(framed)  # control frames may come between fragments
-
-    # -- clients ----------------------------------------------------------------------------------------
+        if self.fault == "ping":
+            return frame(Opcode.PING, b"are you there") + frame(Opcode.TEXT, text)
+        return fragmented(text, FRAGMENTS if self.fault == "fragments" else 1)
 
     def _shake_hands(self, client: socket.socket, request: bytes) -> None:
-        self._server.visitors[client] = request[-8192:]
-        key = re.search(rb"Sec-WebSocket-Key:\s*(\S+)", request, re.IGNORECASE)
-        if b"\r\n\r\n" not in request or key is None:
+        answer = greeting(request)
+        if not answer:
+            self._server.part_from(client)
             return
-        accept = base64.b64encode(hashlib.sha1(key[1] + GUID).digest())
-        answer = b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        welcome = frame(TEXT, json.dumps({"message": "Welcome", "time": time.time()}).encode())
-        self._server.admit(client, answer + b"Sec-WebSocket-Accept: " + accept + b"\r\n\r\n" + welcome)
+        welcome = json.dumps({"message": "Welcome", "time": time.time()}).encode()
+        self._server.admit(client, answer + frame(Opcode.TEXT, welcome))
 
-    def _on_fault(self, name: str) -> None:
-        if name == "close":
-            self._say_goodbye()
-        if name == "stop":
-            self._server.unplug()
-        else:
-            self._server.listen()
-
-    def _say_goodbye(self) -> None:
+    def _close_properly(self) -> None:
         for client, out in list(self._server.clients.items()):
             with contextlib.suppress(OSError):
-                client.send(bytes(out) + frame(CLOSE, (1001).to_bytes(2)))
+                client.send(bytes(out) + frame(Opcode.CLOSE, (1001).to_bytes(2)))
             self._server.part_from(client)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Entry of ``python -m uniforce_robots.standins.xela``."""
-    with contextlib.suppress(KeyboardInterrupt):
-        XelaStandIn(parse(XelaConfig, argv)).run()
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(XelaStandIn(parse(XelaConfig)).run())

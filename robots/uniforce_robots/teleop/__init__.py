@@ -15,11 +15,9 @@ from uniforce_robots.teleop.configs import (
     UniforceSpaceMouseConfig,
 )
 from uniforce_robots.teleop.expert import UniforceExpert
-from uniforce_robots.teleop.gamepad import UniforceGamepad
 from uniforce_robots.teleop.gello import UniforceGello
-from uniforce_robots.teleop.hand_guide import UniforceHandGuide
-from uniforce_robots.teleop.keyboard import UniforceKeyboard
-from uniforce_robots.teleop.phone import UniforcePhone
+from uniforce_robots.teleop.keyboard import UniforceHandGuide, UniforceKeyboard
+from uniforce_robots.teleop.lerobots_own import UniforceGamepad, UniforcePhone
 from uniforce_robots.teleop.replay import UniforceReplay
 from uniforce_robots.teleop.spacemouse import UniforceSpaceMouse
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, ClassVar
 
 import numpy as np
@@ -20,9 +21,7 @@ from uniforce_robots.teleop.integrator import TargetIntegrator, TargetLimits
 from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
-FEEDBACK_AGE_S = (
-    0.2  # an older measured pose is not where the robot is; the robot's own watchdog has the same
-)
+FEEDBACK_AGE_S = 0.2  # an older measured pose is not where the robot is; its own watchdog has the same
 
 
 def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
@@ -53,6 +52,7 @@ class UniforceTeleoperator(Teleoperator):
 
     def __init__(self, config: TeleoperatorConfig, limits: TargetLimits | None = None) -> None:
         super().__init__(config)
+        self.config: Any = config
         self.clock: Callable[[], float] = time.monotonic
         self.integrator = TargetIntegrator(limits)
         self._measured: np.ndarray | None = None
@@ -74,7 +74,7 @@ class UniforceTeleoperator(Teleoperator):
 
     @property
     def is_calibrated(self) -> bool:
-        """True where there is nothing to calibrate."""
+        """True: there is nothing to calibrate."""
         return True
 
     def calibrate(self) -> None:
@@ -92,10 +92,8 @@ class UniforceTeleoperator(Teleoperator):
         if self.is_connected:
             do = "Disconnect first."
             raise TeleoperatorError(expected(self.name, "to be unconnected", "a second connect", do))
-        try:
+        with _translated():
             self._open()
-        except SensorError as error:
-            raise _translated(error) from error
 
     def disconnect(self) -> None:
         """Let go of the device and join its thread. Safe to call twice."""
@@ -117,10 +115,8 @@ class UniforceTeleoperator(Teleoperator):
         self.integrator.start_from(axes)
         self._remember(axes)
         self._last_s = self.clock()
-        try:
+        with _translated():
             self._begin(axes)
-        except SensorError as error:
-            raise _translated(error) from error
         self._is_started = True
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
@@ -165,7 +161,7 @@ class UniforceTeleoperator(Teleoperator):
 
     @property
     def measured(self) -> np.ndarray | None:
-        """(5,) the robot's pose as last told, None when that is too long ago to rely on."""
+        """(5,) the robot's newest measured pose, None when that is too long ago to rely on."""
         fresh = self.clock() - self._measured_s <= FEEDBACK_AGE_S
         return self._measured if fresh else None
 
@@ -174,10 +170,8 @@ class UniforceTeleoperator(Teleoperator):
 
     def _guarded(self, elapsed_s: float) -> np.ndarray:
         try:
-            return checked_axes(self._next(elapsed_s), f"{self.name}'s target")
-        except SensorError as error:
-            self._fault = _translated(error)
-            raise self._fault from error
+            with _translated():
+                return checked_axes(self._next(elapsed_s), f"{self.name}'s target")
         except TeleoperatorError as error:
             self._fault = error
             raise
@@ -188,8 +182,12 @@ class UniforceTeleoperator(Teleoperator):
             raise TeleoperatorError(expected(self.name, "a connected device", "none", do), "not_connected")
 
 
-def _translated(error: SensorError) -> TeleoperatorError:
-    """Say a reader's error in a teleoperator's words: the reading thread is shared with the tactile devices."""
-    kinds = {StaleSensorError: "stale", ProtocolError: "garbage"}
-    fault = next((fault for kind, fault in kinds.items() if isinstance(error, kind)), "connection")
-    return TeleoperatorError(str(error), fault)
+@contextmanager
+def _translated() -> Iterator[None]:
+    """Turn a reader's error into a teleoperator's: the reading thread is shared with the tactile devices."""
+    try:
+        yield
+    except SensorError as error:
+        kinds = {StaleSensorError: "stale", ProtocolError: "garbage"}
+        fault = next((fault for kind, fault in kinds.items() if isinstance(error, kind)), "connection")
+        raise TeleoperatorError(str(error), fault) from error

@@ -12,8 +12,7 @@ from typing import Literal
 from lerobot.teleoperators import TeleoperatorConfig
 
 from uniforce_robots.standins.fci.kinematics import HAND_TO_FLANGE
-from uniforce_robots.teleop.integrator import TargetLimits
-from uniforce_robots.teleop.start_window import StartWindow
+from uniforce_robots.teleop.integrator import StartWindow, TargetLimits
 
 
 @TeleoperatorConfig.register_subclass("uniforce_keyboard")
@@ -40,20 +39,16 @@ class UniforceSpaceMouseConfig(TeleoperatorConfig):
     Attributes:
         limits: speeds at full deflection.
         device: e.g. /dev/hidraw3, or the path of a local packet socket; empty looks for the only one plugged in.
-        full_scale: counts at full deflection.
         deadband: share of full deflection that is rest; a cap never comes back to zero exactly.
         signs: of right, forward, up and counter-clockwise in the device's own counts.
         operator_yaw_rad: which way "forward" is in the base frame; 0: the operator looks along +x.
-        silent_s: a deflected cap that sends nothing for so long is a dead one.
     """
 
     limits: TargetLimits = field(default_factory=TargetLimits)
     device: str = ""
-    full_scale: float = 350.0
     deadband: float = 0.08
     signs: tuple[int, int, int, int] = (1, -1, -1, -1)
     operator_yaw_rad: float = 0.0
-    silent_s: float = 0.25  # wireless ones send at some 60 Hz
 
 
 @TeleoperatorConfig.register_subclass("uniforce_gello")
@@ -71,8 +66,6 @@ class UniforceGelloConfig(TeleoperatorConfig):
         trigger_rad: motor angle of the trigger when open and when pulled.
         width_m: of the fingers when open and when pulled.
         flange_to_tool_m: the point between the finger tips; the Franka Hand's own by default.
-        jump_rad: a joint that turns further between two readings has slipped or lies.
-        stale_s: an older reading is not followed.
     """
 
     limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.1)))
@@ -85,22 +78,14 @@ class UniforceGelloConfig(TeleoperatorConfig):
     trigger_rad: tuple[float, float] = (0.0, 0.7)
     width_m: tuple[float, float] = (0.08, 0.0)
     flange_to_tool_m: float = float(HAND_TO_FLANGE[2, 3])
-    jump_rad: float = 0.35
-    stale_s: float = 0.15
 
 
 @TeleoperatorConfig.register_subclass("uniforce_gamepad")
 @dataclass(kw_only=True)
 class UniforceGamepadConfig(TeleoperatorConfig):
-    """LeRobot's own gamepad; three axes and the fingers, no turn.
-
-    Attributes:
-        limits: speeds at full deflection.
-        hidapi: read through hidapi instead of pygame.
-    """
+    """LeRobot's own gamepad; three axes and the fingers, no turn; the limits are speeds at full deflection."""
 
     limits: TargetLimits = field(default_factory=TargetLimits)
-    hidapi: bool = False
 
 
 @TeleoperatorConfig.register_subclass("uniforce_phone")
@@ -125,7 +110,7 @@ class UniforceExpertConfig(TeleoperatorConfig):
     """The scripted expert of the simulated scene; of no use to a real robot.
 
     Attributes:
-        fingers: which pads it feels: both, left, right or none.
+        fingers: which pads it reads: both, left, right or none.
     """
 
     fingers: Literal["both", "left", "right", "none"] = "both"

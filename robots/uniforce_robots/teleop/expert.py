@@ -1,4 +1,4 @@
-"""The scripted expert as a teleoperator: it feels the simulated scene's true wrench, so it works in simulation only."""
+"""The scripted expert as a teleoperator: it knows the simulated scene's true wrench, so it works in simulation only."""
 
 from __future__ import annotations
 
@@ -22,12 +22,11 @@ class UniforceExpert(UniforceTeleoperator):
 
     def __init__(self, config: UniforceExpertConfig) -> None:
         super().__init__(config)
-        self.config = config
         self._env: WipeEnv | None = None
         self._is_open = False
 
     def attach(self, env: WipeEnv) -> None:
-        """Take the scene it shall feel."""
+        """Take the scene whose wrench it reads."""
         self._env = env
 
     @property

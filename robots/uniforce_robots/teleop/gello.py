@@ -13,6 +13,8 @@ from uniforce_robots.teleop.gello_bus import GelloBus
 from uniforce_vtla.errors import ContractError, SensorError, TeleoperatorError, expected
 
 FIRST_READING_MS = 2000.0
+STALE_MS = 150.0  # an older reading is not followed
+JUMP_rad = 0.35  # a joint that turns further between two readings has slipped or lies
 # A GELLO that lies still repeats itself: that is no fault.
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, silent_s=1.0)
 
@@ -45,7 +47,6 @@ class UniforceGello(UniforceTeleoperator):
             came = f"{len(config.ids)} ids, {len(config.signs)} signs, {len(config.offsets_rad)} offsets"
             do = "Seven joints and the trigger; signs and offsets of the joints."
             raise ContractError(expected("gello", f"{JOINTS + 1}, {JOINTS}, {JOINTS}", came, do))
-        self.config = config
         self.reader = SampleReader(GelloBus(config.port, config.ids, config.baud), LIMITS)
         self._last: np.ndarray | None = None
 
@@ -53,14 +54,6 @@ class UniforceGello(UniforceTeleoperator):
     def is_connected(self) -> bool:
         """Whether its motors are asked."""
         return self.reader.is_running
-
-    def joints(self) -> np.ndarray:
-        """(7,) rad as the robot would count them.
-
-        Raises:
-            SensorError: the chain is lost or stale.
-        """
-        return self._joints_and_trigger()[0]
 
     def _open(self) -> None:
         self.reader.start()
@@ -90,16 +83,16 @@ class UniforceGello(UniforceTeleoperator):
         return np.array([*tool_axes(q, self.config.flange_to_tool_m), width])
 
     def _joints_and_trigger(self) -> tuple[np.ndarray, float]:
-        motors = self.reader.newest(1e3 * self.config.stale_s).data
+        motors = self.reader.newest(STALE_MS).data
         q: np.ndarray = np.array(self.config.signs) * (motors[:JOINTS] - np.array(self.config.offsets_rad))
         return q, float(motors[JOINTS])
 
     def _check_jump(self, q: np.ndarray) -> None:
         turn_rad = np.abs(q - (q if self._last is None else self._last))
         self._last = q
-        if turn_rad.max() > self.config.jump_rad:
+        if turn_rad.max() > JUMP_rad:
             what = f"{self.name}, joint {int(turn_rad.argmax()) + 1}"
-            wanted = f"less than {self.config.jump_rad} rad between two readings"
+            wanted = f"less than {JUMP_rad} rad between two readings"
             do = "Check horn and cable of the joint, then start again."
             raise TeleoperatorError(expected(what, wanted, f"{turn_rad.max():.2f}", do), "garbage")
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import shortest_turn
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
 YAW = AXES.index("yaw.pos")
@@ -48,6 +48,29 @@ class TargetLimits:
             )
 
 
+@dataclass(frozen=True)
+class StartWindow:
+    """How far a device may stand from the robot at the start; the target then closes the gap at its limits."""
+
+    position_m: float = 0.05
+    yaw_rad: float = 0.3
+    width_m: float = 0.03
+
+    def check(self, measured: np.ndarray, device: np.ndarray, what: str) -> None:
+        """Compare the robot's axes (5,) with the device's (5,).
+
+        Raises:
+            TeleoperatorError: ``far``.
+        """
+        turn = abs(shortest_turn(float(measured[3]), float(device[3])))
+        gaps = (float(np.linalg.norm(device[:3] - measured[:3])), turn, abs(float(device[4] - measured[4])))
+        limits = (self.position_m, self.yaw_rad, self.width_m)
+        if any(gap > limit for gap, limit in zip(gaps, limits, strict=True)):
+            wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*limits)
+            came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
+            raise TeleoperatorError(expected(what, wanted, came, "Bring them together, then start."), "far")
+
+
 class TargetIntegrator:
     """Keep an absolute target (5,) and move it by speeds, or towards a goal."""
 
@@ -75,7 +98,7 @@ class TargetIntegrator:
         Args:
             rates: (5,) wanted speed of each axis as a share of its limit, −1 … 1; what lies beyond is cut.
             elapsed_s: since the last call.
-            measured: (5,) where the robot is; None where nobody tells, then there is no leash.
+            measured: (5,) where the robot is; None where that isn't known, then there is no leash.
         """
         step = np.clip(rates, -1, 1) * self._speed * self._seconds(elapsed_s)
         return self._move(step, measured)

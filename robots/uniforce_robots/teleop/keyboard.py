@@ -1,16 +1,145 @@
-"""Steer with the keys of a terminal, over ssh too. Never used on a real robot."""
+"""Steer with the keys of a terminal, over ssh too: the target, or the width alone while a person leads the soft arm.
+
+A terminal says when a key goes down, never when it comes up: a key is a short pulse of speed, which its repetition
+renews. LeRobot's ``TerminalKeyListener`` reads them. Never used on a real robot.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import select
+import sys
+import termios
+import threading
+import time
+from collections.abc import Mapping
+
 import numpy as np
+from lerobot.teleoperators import TeleoperatorConfig
+from lerobot.utils.keyboard_input import TerminalKeyListener
 
-from uniforce_robots.teleop.configs import UniforceKeyboardConfig
-from uniforce_robots.teleop.keyed import WIDTH_KEYS, YAW, KeyedTeleoperator, X, Y, Z
+from uniforce_robots.franka.arm import HAND_GUIDED
+from uniforce_robots.teleop.base import FEEDBACK_AGE_S, UniforceTeleoperator
+from uniforce_robots.teleop.configs import UniforceHandGuideConfig, UniforceKeyboardConfig
+from uniforce_robots.teleop.integrator import TargetLimits
+from uniforce_vtla.errors import TeleoperatorError, expected
+from uniforce_vtla.keys import AXES
 
+PULSE_S = 0.12  # longer than a keyboard's repeat period (30 to 40 ms), short enough to stop soon
+OTHERS_KEPT = 64  # keys of other meaning that wait for somebody to take them
+X, Y, Z, YAW, WIDTH = range(5)
+WIDTH_KEYS = {"o": (WIDTH, 1), "p": (WIDTH, -1)}  # n, r, q and the arrows are left to a recorder
 KEYS = {
     "w": (X, 1), "s": (X, -1), "a": (Y, 1), "d": (Y, -1), "e": (Z, 1), "c": (Z, -1), "j": (YAW, 1), "l": (YAW, -1),
     **WIDTH_KEYS,
 }  # fmt: skip
+
+
+class TerminalKeys:
+    """Turn keys into speeds of axes.
+
+    Args:
+        meanings: key → (axis index, direction −1 or 1).
+    """
+
+    def __init__(self, meanings: Mapping[str, tuple[int, int]]) -> None:
+        self._meanings = dict(meanings)
+        self._until_s: dict[str, float] = {}
+        self._others: list[str] = []
+        self._lock = threading.Lock()
+        self._listener: TerminalKeyListener | None = None
+
+    @property
+    def is_listening(self) -> bool:
+        """Whether keys are read."""
+        return self._listener is not None
+
+    def start(self) -> None:
+        """Read keys from this terminal until ``stop``.
+
+        Raises:
+            TeleoperatorError: standard input is no terminal.
+        """
+        if not sys.stdin.isatty():
+            do = "Run it in a terminal, not behind a pipe or in a notebook."
+            raise TeleoperatorError(expected("keyboard", "a terminal", "another input", do), "connection")
+        self._listener = TerminalKeyListener(self.press)
+        self._listener.start()
+
+    def stop(self) -> None:
+        """Give the terminal back. Safe to call twice."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            with contextlib.suppress(termios.error):  # the terminal hung up: nothing left to restore
+                listener.stop()
+
+    def press(self, key: str) -> None:
+        """Take one key; called by the listener's thread."""
+        with self._lock:
+            if key.lower() in self._meanings:
+                self._until_s[key.lower()] = time.monotonic() + PULSE_S
+            else:
+                self._others = [*self._others, key][-OTHERS_KEPT:]
+
+    def rates(self) -> np.ndarray:
+        """(5,) direction of each axis now: −1, 0 or 1.
+
+        Raises:
+            TeleoperatorError: the terminal has gone.
+        """
+        self._check_terminal()
+        rates = np.zeros(len(AXES))
+        now = time.monotonic()
+        with self._lock:
+            for key, until in self._until_s.items():
+                axis, direction = self._meanings[key]
+                rates[axis] += direction * (now < until)
+        return np.clip(rates, -1, 1)
+
+    def forget(self) -> None:
+        """Drop pulses that still run, so that an episode starts at rest."""
+        with self._lock:
+            self._until_s.clear()
+
+    def take_others(self) -> list[str]:
+        """Return keys that mean nothing here, e.g. a recorder's own, and forget them."""
+        with self._lock:
+            others, self._others = self._others, []
+        return others
+
+    def _check_terminal(self) -> None:
+        poll = select.poll()
+        poll.register(sys.stdin.fileno(), 0)
+        if any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)):
+            do = "Start the program again."
+            raise TeleoperatorError(expected("keyboard", "a terminal", "one that hung up", do), "connection")
+
+
+class KeyedTeleoperator(UniforceTeleoperator):
+    """Read ``keys`` while connected; forget them at a start."""
+
+    def __init__(
+        self, config: TeleoperatorConfig, limits: TargetLimits, meanings: Mapping[str, tuple[int, int]]
+    ) -> None:
+        super().__init__(config, limits)
+        self.keys = TerminalKeys(meanings)
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether keys are read."""
+        return self.keys.is_listening
+
+    def _open(self) -> None:
+        self.keys.start()
+
+    def _close(self) -> None:
+        self.keys.stop()
+
+    def _begin(self, measured: np.ndarray) -> None:
+        self.keys.forget()
+
+    def _next(self, elapsed_s: float) -> np.ndarray:
+        return self.integrator.advance(self.keys.rates(), elapsed_s, self.measured)
 
 
 class UniforceKeyboard(KeyedTeleoperator):
@@ -22,5 +151,25 @@ class UniforceKeyboard(KeyedTeleoperator):
     def __init__(self, config: UniforceKeyboardConfig) -> None:
         super().__init__(config, config.limits, KEYS)
 
+
+class UniforceHandGuide(KeyedTeleoperator):
+    """The paper's way: the measured x, y, z and yaw are the action; keys o (open) and p (close) set the width.
+
+    The arm needs ``HAND_GUIDED`` gains: soft but along the closing axis, so that a squeeze does not drag it. Since the
+    target follows the measured pose, nothing pulls the arm back; what its gravity model leaves over lets it creep.
+    """
+
+    config_class = UniforceHandGuideConfig
+    name = "uniforce_hand_guide"
+    wants_gains = HAND_GUIDED
+
+    def __init__(self, config: UniforceHandGuideConfig) -> None:
+        super().__init__(config, config.limits, WIDTH_KEYS)
+
     def _next(self, elapsed_s: float) -> np.ndarray:
-        return self.integrator.advance(self.keys.rates(), elapsed_s, self.measured)
+        measured = self.measured
+        if measured is None:
+            wanted = f"a measured pose younger than {FEEDBACK_AGE_S} s"
+            do = "Call send_feedback(observation) before each get_action()."
+            raise TeleoperatorError(expected("hand guiding", wanted, "none", do), "stale")
+        return np.array([*measured[:WIDTH], super()._next(elapsed_s)[WIDTH]])

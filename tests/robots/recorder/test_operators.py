@@ -8,7 +8,7 @@ import time
 import pytest
 
 from uniforce_robots.recorder.operators import KEYS, Command, Event, KeyOperator, Phase, Unattended
-from uniforce_robots.teleop.terminal_keys import TerminalKeys
+from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla.errors import ContractError
 
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+sys.path.insert(
+    0, str(Path(__file__).parent)
+)  # scripted_capture: importlib mode gives test folders no package
 
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import SensorError

@@ -7,43 +7,14 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
+from scripted_capture import ScriptedCapture
 
-from uniforce_robots.sensors.camera_source import FAILED_READS, CameraSource
-from uniforce_robots.sensors.capture import CaptureSettings, open_capture
+from uniforce_robots.sensors.camera_source import FAILED_READS, CameraSource, CaptureSettings, open_capture
 from uniforce_robots.sensors.faults import LostSensorError, ProtocolError, WrongSensorError
+from uniforce_robots.sensors.mjpeg import StreamSource
 from uniforce_robots.sensors.samples import now_ns
 
 SETTINGS = CaptureSettings(width=64, height=48, fps=30)
-
-
-class ScriptedCapture:
-    """Does as told; remembers every ``set`` in order."""
-
-    def __init__(self) -> None:
-        self.asked: list[tuple[int, float]] = []
-        self.values: dict[int, float] = {}
-        self.refuses: set[int] = set()
-        self.opens, self.works, self.released = True, True, 0
-        self.frame = np.zeros((48, 64, 3), np.uint8)
-        self.frame[..., 0] = 200  # blue in OpenCV's order
-
-    def isOpened(self) -> bool:  # noqa: N802
-        return self.opens
-
-    def set(self, prop: int, value: float) -> bool:
-        self.asked.append((prop, value))
-        if prop not in self.refuses:
-            self.values[prop] = value
-        return prop not in self.refuses
-
-    def get(self, prop: int) -> float:
-        return self.values.get(prop, 0.0)
-
-    def read(self) -> tuple[bool, np.ndarray | None]:
-        return (True, self.frame.copy()) if self.works else (False, None)
-
-    def release(self) -> None:
-        self.released += 1
 
 
 @pytest.fixture
@@ -106,7 +77,7 @@ def test_frames_are_rgb_and_stamped_on_arrival(make: Callable):
     source, before = make(), now_ns()
     source.open()
     ((stamp_ns, frame),) = source.read()
-    assert frame[0, 0].tolist() == [0, 0, 200] and before < stamp_ns <= now_ns()
+    assert frame[0, 9].tolist() == [0, 0, 1] and before < stamp_ns <= now_ns()
     assert source.counts.samples == 1
 
 
@@ -155,4 +126,4 @@ def test_an_absent_device_is_named():
 @pytest.mark.parametrize("address", ["http://", "https://127.0.0.1/x", "http://127.0.0.1:port/"])
 def test_addresses_that_cannot_be(address: str):
     with pytest.raises(LostSensorError, match="http://host:port"):
-        open_capture(address)
+        StreamSource(address, SETTINGS, "cam").open()

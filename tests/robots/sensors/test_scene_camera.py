@@ -2,57 +2,27 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import draccus
 import numpy as np
 import pytest
 from lerobot.cameras.configs import CameraConfig
+from scripted_capture import ScriptedCapture
 
 from uniforce_robots.sensors import UniforceSceneCamera, UniforceSceneCameraConfig
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, WrongSensorError
-from uniforce_robots.sensors.scene_camera import middle
+from uniforce_robots.sensors.sampled_camera import middle
 from uniforce_vtla.errors import ContractError, SensorError
 
 
-class Capture:
-    """Counts upwards in its pixels; stands still or fails when told."""
-
-    def __init__(self, rows: int = 48, columns: int = 64) -> None:
-        self.shape = rows, columns, 3
-        self.count = 0
-        self.works = self.changes = True
-        self.values: dict[int, float] = {}
-
-    def isOpened(self) -> bool:  # noqa: N802
-        return True
-
-    def set(self, prop: int, value: float) -> bool:
-        self.values[prop] = value
-        return True
-
-    def get(self, prop: int) -> float:
-        return self.values.get(prop, 0.0)
-
-    def read(self) -> tuple[bool, np.ndarray | None]:
-        time.sleep(0.002)
-        self.count += self.changes
-        frame = np.full(self.shape, self.count % 250, np.uint8)
-        frame[:, :4] = 255  # a mark at the left edge
-        return self.works, frame if self.works else None
-
-    def release(self) -> None:
-        pass
-
-
-def camera(capture: Capture, **options: object) -> UniforceSceneCamera:
+def camera(capture: ScriptedCapture, **options: object) -> UniforceSceneCamera:
     plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 30_000.0}
     return UniforceSceneCamera(UniforceSceneCameraConfig(**(plain | options)), lambda source: capture)  # type: ignore[arg-type]
 
 
 def test_a_frame_comes_with_its_number_and_time() -> None:
-    with camera(Capture()) as device:
+    with camera(ScriptedCapture()) as device:
         first = device.latest()
         second = device.next_touch(first.index, 10_000)
         assert second.index > first.index and second.stamp_ns > first.stamp_ns
@@ -60,7 +30,7 @@ def test_a_frame_comes_with_its_number_and_time() -> None:
 
 
 def test_the_middle_is_cut_out_and_made_smaller() -> None:
-    with camera(Capture(), width=24, height=24, capture_width=64, capture_height=48) as device:
+    with camera(ScriptedCapture(), width=24, height=24, capture_width=64, capture_height=48) as device:
         image = device.read_latest()
         assert image.shape == (24, 24, 3) == device.latest().raw.shape
         assert image.max() < 255, "the left edge isn't in the middle"
@@ -73,7 +43,7 @@ def test_the_middle_is_the_largest_one(aspect: float, shape: tuple[int, int]) ->
 
 @pytest.mark.parametrize(("what", "kind"), [("changes", FrozenSensorError), ("works", LostSensorError)])
 def test_a_camera_that_is_not_well(what: str, kind: type[SensorError], outcome: Callable) -> None:
-    capture = Capture()
+    capture = ScriptedCapture()
     with camera(capture) as device:
         setattr(capture, what, False)
         outcome(lambda: device.read_latest(), kind)
@@ -81,7 +51,7 @@ def test_a_camera_that_is_not_well(what: str, kind: type[SensorError], outcome: 
 
 def test_another_size_is_another_camera() -> None:
     with pytest.raises(WrongSensorError):
-        camera(Capture(24, 32), connect_ms=10_000.0).connect()
+        camera(ScriptedCapture(24, 32), connect_ms=1000.0).connect()
 
 
 def test_its_config_goes_through_a_file_and_needs_a_source() -> None:

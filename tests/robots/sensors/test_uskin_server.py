@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import socket
+import threading
 from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
+from websockets.frames import Opcode
 
 from uniforce_robots.sensors.faults import (
     FrozenSensorError,
@@ -17,11 +24,11 @@ from uniforce_robots.sensors.faults import (
     WrongSensorError,
 )
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
-from uniforce_robots.sensors.uskin_server import ServerUSkin
+from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, ServerUSkin, XelaMessages
 from uniforce_robots.sensors.xela_message import read_message
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
-from uniforce_robots.standins.xela import message
+from uniforce_robots.standins.xela import fragmented, frame, greeting, message
 from uniforce_vtla.errors import ContractError, SensorError
 
 RATE_HZ = 100.0  # of the shared stand-in
@@ -75,7 +82,7 @@ def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
 
 
 @pytest.mark.slow
-def test_a_farewell_is_met_by_coming_back(xela: StandIn, reader: SampleReader, recovers: Callable):
+def test_a_closed_connection_is_opened_again(xela: StandIn, reader: SampleReader, recovers: Callable):
     def back(times: int) -> None:
         if reader.reconnects < times:
             raise SensorError("not yet")
@@ -134,3 +141,81 @@ def test_a_greeting_is_no_scan():
 def test_addresses_that_cannot_be(address: str):
     with pytest.raises(ContractError, match="host:port"):
         ServerUSkin(address)
+
+
+# -- the WebSocket below ----------------------------------------------------------------------------------
+
+TEXTS = ["", "short", "x" * 126, "y" * 70_000]
+
+
+@pytest.fixture
+def messages() -> XelaMessages:
+    return open_messages()
+
+
+def open_messages() -> XelaMessages:
+    """Return a client that has been answered."""
+    client = XelaMessages("127.0.0.1", 5000, "server")
+    client.feed(greeting(b"".join(client.protocol.data_to_send())))
+    return client
+
+
+@examples(60)
+@given(cuts=st.lists(st.integers(0, 70_300), max_size=12), pieces=st.integers(1, 4))
+def test_how_frames_are_cut_makes_no_difference(cuts: list[int], pieces: int):
+    data = b"".join(fragmented(text.encode(), pieces) for text in TEXTS)
+    client, edges = open_messages(), sorted({0, *(min(c, len(data)) for c in cuts), len(data)})
+    assert [text for a, b in itertools.pairwise(edges) for text in client.feed(data[a:b])] == TEXTS
+    pongs = b"".join(client.protocol.data_to_send()).count(bytes([0x80 | Opcode.PONG]))
+    assert pongs >= (pieces - 1) * len(TEXTS)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\xc1\x00",  # reserved bit
+        b"\x81\x80\x00\x00\x00\x00",  # masked
+        b"\x83\x00",  # reserved opcode
+        b"\x80\x00",  # continuation of nothing
+        b"\x01\x01a\x81\x01b",  # a new message inside a fragmented one
+        b"\x09\x00",  # a ping in fragments
+        b"\x89\x7e\x00\x80" + b"x" * 128,  # a ping beyond 125 bytes
+        b"\x81\x7f" + (MAX_MESSAGE_BYTES + 1).to_bytes(8),
+        b"\x81\x02\xff\xfe",  # no UTF-8
+    ],
+)
+def test_what_the_rfc_forbids_is_a_typed_error(messages: XelaMessages, data: bytes):
+    with pytest.raises(ProtocolError):
+        messages.feed(data)
+
+
+def test_fragments_without_end_stay_bounded(messages: XelaMessages):
+    messages.feed(frame(Opcode.TEXT, b"a", False))
+    for _ in range(5000):
+        messages.feed(frame(Opcode.CONT, b"", False))
+    assert len(messages._parts) == 1
+    with pytest.raises(ProtocolError, match="limit"):
+        for _ in range(20):
+            messages.feed(frame(Opcode.CONT, b"x" * 60_000, False))
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 9000, b"", b"HTTP/1.1 101 S\r\n\r\n"])
+def test_what_is_no_websocket_server_is_a_typed_error(answer: bytes):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(4096)
+                connection.sendall(answer)
+
+        threading.Thread(target=serve, daemon=True).start()
+        with pytest.raises((ProtocolError, LostSensorError)):
+            ServerUSkin("{}:{}".format(*listener.getsockname())).open()
+
+
+def test_an_address_without_a_server():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        address = "{}:{}".format(*listener.getsockname())
+    with pytest.raises(LostSensorError, match="running"):
+        ServerUSkin(address).open()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import warnings
 from collections.abc import Callable, Iterator
@@ -9,13 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
 
 from benchmarks.recorder.uskin_rate import measure_rate
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, ProtocolError, StaleSensorError
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
-from uniforce_robots.sensors.uskin_slcan import SlcanUSkin
+from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans, SlcanUSkin, uspa44_ids
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
+from uniforce_robots.standins.slcan import scan_lines
+from uniforce_vtla.errors import ContractError
 
 RATE_HZ = 100.0  # of the shared stand-in
 MAX_AGE_MS = 150.0
@@ -74,7 +80,7 @@ def test_a_dead_patch_is_a_typed_error_and_comes_back(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["bel", "garbage", "split"])
-def test_a_noisy_line_costs_no_scan(slcan: StandIn, reader: SampleReader, source: SlcanUSkin, fault: str):
+def test_a_noisy_line_costs_no_scan(slcan: StandIn, reader: SampleReader, fault: str):
     truth = {scan.tobytes() for scan in taxel_cycle(Scene(), RATE_HZ)}
     for _ in range(TIMES):
         slcan.inject(fault)
@@ -83,7 +89,7 @@ def test_a_noisy_line_costs_no_scan(slcan: StandIn, reader: SampleReader, source
         assert all(scan.tobytes() in truth for scan in reader.since(before).data)
         assert after.index > before + 5
         slcan.inject("none")
-    assert source.scans.bells > 0 if fault == "bel" else (reader.counts.bad > 0) == (fault == "garbage")
+    assert (reader.counts.bad > 0) == (fault == "garbage")
 
 
 @pytest.mark.parametrize(("fault", "says"), [("refuse", "refused"), ("mute", "no answer")])
@@ -130,3 +136,93 @@ def test_500_scans_per_second_and_none_lost():
     assert seen["samples"] == seen["sent"]
     assert seen["rate_hz"] == pytest.approx(500, rel=0.02)
     assert seen["age_p50_ms"] <= 2.0
+
+
+# -- the text below --------------------------------------------------------------------------------------
+
+CYCLE = np.random.default_rng(0).integers(0, 65_536, (6, 16, 3)).astype(np.uint16)
+LINES = scan_lines(CYCLE, controller=4)
+STREAM = b"".join(b"".join(lines) for lines in LINES)
+
+
+def new_scans() -> SlcanScans:
+    return SlcanScans(uspa44_ids(4))
+
+
+def test_a_line_of_a_real_patch():
+    first = b"t0048937E317E1593120F\r"  # candump 004 [8] 93 7E 31 7E 15 93 12 0F
+    rest = b"".join(LINES[0][1:])
+    (scan,) = new_scans().feed(first + rest)
+    assert scan.dtype == np.uint16 and scan[0].tolist() == [0x7E31, 0x7E15, 0x9312]
+    assert scan[1:].tolist() == CYCLE[0][1:].tolist()
+
+
+@examples(40)
+@given(st.lists(st.integers(0, len(STREAM)), max_size=30))
+def test_how_the_stream_is_cut_makes_no_difference(cuts: list[int]):
+    scans, edges = new_scans(), [0, *sorted(cuts), len(STREAM)]
+    got = [scan for a, b in itertools.pairwise(edges) for scan in scans.feed(STREAM[a:b])]
+    assert np.array_equal(got, CYCLE)
+    assert (scans.counts.samples, scans.counts.lost, scans.counts.bad) == (6, 0, 0)
+
+
+@examples(60)
+@given(st.lists(st.tuples(st.integers(0, 95), st.sampled_from(["drop", "twice", "noise"])), max_size=6))
+def test_whatever_breaks_taxels_of_two_scans_never_mix(faults: list[tuple[int, str]]):
+    lines = [line for scan in LINES for line in scan]
+    for at, fault in sorted(faults, reverse=True):
+        line = lines[at : at + 1]  # empty where the last one was dropped before
+        lines[at : at + 1] = {"drop": [], "twice": line * 2, "noise": [b"\x00xq\r", *line]}[fault]
+    got = new_scans().feed(b"".join(lines))
+    truth = {scan.tobytes() for scan in CYCLE}
+    assert all(scan.tobytes() in truth for scan in got)
+
+
+def test_broken_scans_are_counted():
+    scans = new_scans()
+    missing = b"".join(LINES[0][:7] + LINES[0][8:])
+    doubled = b"".join([*LINES[1][:4], *LINES[1][3:]])
+    assert scans.feed(missing + doubled + b"".join(LINES[2])) and scans.counts.lost == 2
+
+
+def test_joining_in_the_middle_of_a_scan_loses_nothing_that_was_whole():
+    scans = new_scans()
+    got = scans.feed(b"".join(LINES[0][9:]) + b"".join(LINES[1]))
+    assert len(got) == 1 and np.array_equal(got[0], CYCLE[1]) and scans.counts.lost == 0
+
+
+def test_replies_bells_and_other_nodes_do_no_harm():
+    scans = new_scans()
+    extra = b"\r\x07z\rV1013\rF00\rt7FF3010203\rt7208" + b"0" * 16 + b"\rT0000000081122334455667788\r"
+    assert len(scans.feed(extra + b"".join(LINES[0]))) == 1
+    assert scans.counts.bad == 0
+
+
+def test_adapter_time_stamps_are_allowed():
+    stamped = b"".join(line[:-1] + b"EA5F\r" for line in LINES[0])
+    assert np.array_equal(new_scans().feed(stamped), CYCLE[:1])
+
+
+@pytest.mark.parametrize("line", [b"t00489", b"t0048937E317E1593120G", b"t0048 37E317E1593120F", b"hello"])
+def test_nonsense_is_counted_as_bad(line: bytes):
+    scans = new_scans()
+    assert not scans.feed(line + b"\r") and scans.counts.bad == 1
+
+
+def test_a_stream_without_line_ends_stays_bounded():
+    scans = new_scans()
+    for _ in range(1000):
+        scans.feed(b"a" * 1000)
+    assert len(scans._tail) <= MAX_TAIL_BYTES and scans.counts.bad == 1000
+
+
+@pytest.mark.parametrize("ids", [(1, 2), (0,) * 16, (*range(15), 0x800)])
+def test_an_id_map_that_cannot_be(ids: tuple[int, ...]):
+    with pytest.raises(ContractError, match="id map"):
+        SlcanScans(ids)
+
+
+def test_ids_of_a_patch():
+    assert uspa44_ids(4)[:5] == (0x004, 0x014, 0x024, 0x034, 0x104) and uspa44_ids()[-1] == 0x330
+    with pytest.raises(ContractError, match="controller"):
+        uspa44_ids(16)

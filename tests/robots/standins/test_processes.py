@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 
@@ -71,27 +70,3 @@ def test_slcan_speaks_to_plain_serial_lines():
         assert len(line) == 22 and line[4:7] == b"893"
         assert np.array_equal([int(line[i : i + 4], 16) for i in (7, 11, 15)], counts)
     assert [line[1:4] for line in lines[:5]] == [b"004", b"014", b"024", b"034", b"104"]
-
-
-@pytest.mark.slow
-def test_slcan_is_understood_by_python_can():
-    can = pytest.importorskip("can")
-    with StandIn("slcan", "rate_hz=50") as stand_in:
-        bus = can.Bus(interface="slcan", channel=stand_in.address, tty_baudrate=3_000_000, bitrate=1_000_000)
-        frame = bus.recv(20)
-        bus.shutdown()
-    assert frame is not None and frame.dlc == 8 and not frame.is_extended_id
-
-
-@pytest.mark.slow
-def test_xela_is_understood_by_the_websockets_package():
-    client = pytest.importorskip("websockets.sync.client")
-    with (
-        StandIn("xela", "rate_hz=50") as stand_in,
-        client.connect(f"ws://{stand_in.address}", open_timeout=60) as connection,
-    ):
-        messages = [json.loads(connection.recv(60)) for _ in range(3)]
-    assert messages[0]["message"] == "Welcome"
-    words = messages[1]["1"]["data"].split(",")
-    assert messages[1]["type"] == "routine" and len(words) == 48
-    assert [int(word, 16) for word in words] == taxel_cycle(Scene(), 50)[0].ravel().tolist()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uniforce_robots.standins.pace import MAX_BEHIND_S, Pace
+from uniforce_robots.standins.control import MAX_BEHIND_S, Pace
 from uniforce_robots.standins.scene import QUARTERS, TAXEL_NOISE_COUNTS, Scene, frame_cycle, taxel_cycle
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers import Canonicalizer
@@ -52,7 +52,7 @@ def test_cameras_show_frames_and_taxels_do_not():
 
 def test_pace_catches_up_and_then_gives_up(monkeypatch: pytest.MonkeyPatch):
     clock = [100.0]
-    monkeypatch.setattr("uniforce_robots.standins.pace.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("uniforce_robots.standins.control.time.monotonic", lambda: clock[0])
     pace = Pace(100)
     assert pace.due() == 1 and pace.due() == 0 and pace.wait_s() == pytest.approx(0.01)
     clock[0] += 0.055

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ def leader(connected: Callable[[str], Any], measured: np.ndarray) -> Any:
 
 
 def test_joints_become_the_tools_pose(leader: Any) -> None:
-    assert np.abs(leader.joints() - HOME_q_rad).max() < 0.03  # it swings by 0.02
+    assert np.abs(leader._joints_and_trigger()[0] - HOME_q_rad).max() < 0.03  # it swings by 0.02
     # the Franka's home posture in Franka's own documents: the hand 0.307 m in front of the base, pointing down
     assert abs(leader._pose()[0] - 0.307) < 0.03
     assert leader._pose()[4] == pytest.approx(0.08)
@@ -96,6 +97,14 @@ def test_a_mute_chain_is_no_connection(gello: StandIn, tmp_path: Path) -> None:
     with pytest.raises(TeleoperatorError):
         device.connect()
     assert not device.is_connected
+
+
+def test_a_missing_library_is_named_with_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "dynamixel_sdk", None)
+    device = ours.UniforceGello(ours.UniforceGelloConfig(port="x", calibration_dir=tmp_path))
+    with pytest.raises(TeleoperatorError, match=r"lerobot\[dynamixel\]") as error:
+        device.connect()
+    assert error.value.fault == "missing"
 
 
 def test_a_chain_needs_seven_joints_and_a_trigger(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from properties import examples
 
 import uniforce_robots.teleop as ours
-from uniforce_robots.teleop.action_files import read_actions
+from uniforce_robots.teleop.replay import read_actions
 from uniforce_vtla.errors import TeleoperatorError
 from uniforce_vtla.keys import AXES
 

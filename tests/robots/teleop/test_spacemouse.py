@@ -16,8 +16,7 @@ from properties import examples
 import uniforce_robots.teleop as ours
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.spacemouse import reports
-from uniforce_robots.teleop.spacemouse_reports import LARGEST_COUNT, SpaceMouseReports
-from uniforce_robots.teleop.spacemouse_source import find_spacemice
+from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseReports, find_spacemice
 from uniforce_vtla.errors import TeleoperatorError
 
 counts = st.tuples(*[st.integers(-350, 350)] * 6)
@@ -71,7 +70,7 @@ def test_the_left_button_closes(
 def test_a_queue_is_drained_before_it_is_followed(
     mouse: Any, spacemouse: StandIn, until: Callable[..., Any]
 ) -> None:
-    """Forty reports per beat and nobody asking: once the cap is let go, the very next answer is rest."""
+    """Forty reports per beat and no question: once the cap is let go, the very next answer is rest."""
     spacemouse.inject("burst")
     time.sleep(0.5)
     spacemouse.inject("none")
@@ -94,7 +93,7 @@ def test_faults_are_told_and_stay_until_the_next_start(
     assert fault_of(mouse.get_action) == kind
     spacemouse.inject("none")
     time.sleep(0.1)
-    with pytest.raises(TeleoperatorError):  # plugged in again, but nobody has said that the arm may go on
+    with pytest.raises(TeleoperatorError):  # plugged in again, but no start has allowed the arm to go on
         mouse.get_action()
     starts(mouse)
     assert mouse.get_action()

@@ -12,8 +12,7 @@ import pytest
 import uniforce_robots.teleop as ours
 from uniforce_robots.franka.arm import HAND_GUIDED
 from uniforce_robots.teleop.base import FEEDBACK_AGE_S
-from uniforce_robots.teleop.keyboard import KEYS
-from uniforce_robots.teleop.terminal_keys import PULSE_S
+from uniforce_robots.teleop.keyboard import KEYS, PULSE_S
 from uniforce_vtla.errors import TeleoperatorError
 from uniforce_vtla.keys import AXES
 

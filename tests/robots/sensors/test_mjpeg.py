@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import socket
+import threading
 
 import numpy as np
 import pytest
@@ -10,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
+from uniforce_robots.sensors.camera_source import CaptureSettings
 from uniforce_robots.sensors.faults import ProtocolError
-from uniforce_robots.sensors.http_capture import decode_bgr
-from uniforce_robots.sensors.multipart_jpeg import MAX_JPEG_BYTES, MultipartJpeg, jpeg_size
+from uniforce_robots.sensors.mjpeg import MAX_JPEG_BYTES, MultipartJpeg, StreamSource, decode_bgr, jpeg_size
 from uniforce_robots.standins.mjpeg import encode, part
 
 HEADER = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=uniforceframe\r\n\r\n"
@@ -66,3 +68,24 @@ def test_only_a_jpeg_of_sensible_size_is_decoded():
     at = jpeg.index(b"\xff\xc0") + 5
     assert decode_bgr(jpeg[:at] + b"\xff\xff\xff\xff" + jpeg[at + 4 :]) is None  # 65,535 px a side
     assert decode_bgr(b"") is None and decode_bgr(b"\xff\xd8") is None and decode_bgr(b"GIF89a") is None
+
+
+def test_a_login_in_the_address_is_sent_and_never_part_of_the_path() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        heard: list[bytes] = []
+
+        def serve() -> None:
+            connection, _ = server.accept()
+            with connection:
+                heard.append(connection.recv(4096))
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        address = f"http://anna:s3%20cret@127.0.0.1:{server.getsockname()[1]}/video"
+        source = StreamSource(address, CaptureSettings(), "cam")
+        source.open()
+        source.close()
+        assert "s3" not in source.name
+        thread.join()
+    assert heard[0].startswith(b"GET /video HTTP/1.0\r\n")
+    assert b"Authorization: Basic YW5uYTpzMyBjcmV0\r\n" in heard[0]  # anna:s3 cret
