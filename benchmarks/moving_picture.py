@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -77,7 +78,7 @@ def draw_frames(watched: Watched, rollout: Rollout, every: int, titles: Sequence
     time_s, press_N = np.asarray(rollout.trace.time_s), np.asarray(rollout.trace.press_N)
     figure = Figure(figsize=(5.6, 3.5), dpi=80, layout="constrained")
     canvas = FigureCanvasAgg(figure)
-    places = figure.subplot_mosaic(
+    places: dict[str, Axes] = figure.subplot_mosaic(
         [["front", "tactile_left", "tactile_right"], ["press"] * 3], height_ratios=[3, 2]
     )
     pictures = {}

@@ -181,7 +181,7 @@ def random_limits(rng: np.random.Generator) -> GuardLimits:
     centre = rng.uniform([0.3, -0.3, 0.1, -1, 0.03], [0.6, 0.3, 0.4, 1, 0.05])
     half = rng.uniform(0.01, 0.03, 5) * [*rng.uniform(1, 8, 4), 1]
     hardest = {"step_m": 0.1, "step_rad": 0.8, "speed_m_s": 0.5, "speed_rad_s": 2.5, "speed_width_m_s": 0.2}
-    drawn = {name: float(high * rng.uniform(0.01, 1)) for name, high in hardest.items()}
+    drawn: dict[str, Any] = {name: float(high * rng.uniform(0.01, 1)) for name, high in hardest.items()}
     corners = tuple((centre - half).tolist()), tuple((centre + half).tolist())
     return GuardLimits(*corners, **drawn, longest_gap_s=rng.uniform(0.01, 0.2))
 

@@ -6,7 +6,7 @@ Axes are x, y, z m, yaw rad, and for an action width m, in the robot's base fram
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -14,17 +14,7 @@ SLACK = 1e-5  # m or rad; a rounding is no violation
 HERE_m, HERE_rad = 1e-3, 1e-2  # as near to the arm as this a target pulls at nothing
 
 
-class Limits(Protocol):
-    """The settings that bound what is sent."""
-
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-    step_m: float
-    step_rad: float
-    speed_m_s: float
-    speed_rad_s: float
-    speed_width_m_s: float
-    longest_gap_s: float
+Limits = Any  # low, high, step_m, step_rad, speed_m_s, speed_rad_s, speed_width_m_s, longest_gap_s
 
 
 def pose_of(axes: np.ndarray) -> np.ndarray:

@@ -36,7 +36,9 @@ class GuardsConfig:
 def attack(episodes: int, seed: int) -> dict[str, Any]:
     """Return the table's row: settings tried and refused, poses sent, violations."""
     settings = try_all()
-    sent, actions, violations, faults = 0, 0, [], {}
+    sent, actions = 0, 0
+    violations: list[str] = []
+    faults: dict[str, int] = {}
     for chunk in tqdm(range(0, episodes, CHUNK), desc="episodes"):
         found = drive(min(CHUNK, episodes - chunk), seed + chunk // CHUNK)
         sent, actions = sent + found["sent"], actions + found["actions"]

@@ -107,7 +107,7 @@ def connect(client: str, fci: StandIn, folder: Path) -> UniforceFranka:
         id="hostile",
         calibration_dir=folder,
         address=fci.address,
-        backend=client,
+        backend=client,  # type: ignore[arg-type]
         guards=BOX,  # type: ignore[arg-type]
     )
     robot = UniforceFranka(config)
