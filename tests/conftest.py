@@ -37,7 +37,7 @@ def dots() -> np.ndarray:
 
 # These run whole programs, wait as long as it takes and hold no clock against them.
 PATIENT = ("test_lossy_recording.py", "test_recorder_trials.py", "test_command.py", "test_store_process.py")
-REALTIME = ("devices", "recording", "robots", "standins", "teleoperators")
+REALTIME = ("sensors", "recorder", "franka", "standins", "teleop")  # folders of tests/robots
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -47,7 +47,11 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what runs against a clock; with several processes begin with the files that would end last."""
     for item in items:
-        if item.path.parent.name in REALTIME and item.path.name not in PATIENT:
+        if (
+            item.path.parent.parent.name == "robots"
+            and item.path.parent.name in REALTIME
+            and item.path.name not in PATIENT
+        ):
             item.add_marker("realtime")
     if hasattr(config, "workerinput"):
         long = {item.path for item in items if item.get_closest_marker("timeout")}

@@ -11,7 +11,6 @@ import logging
 import shutil
 import sys
 import tempfile
-import tomllib
 from collections import Counter
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -26,16 +25,26 @@ from benchmarks.trust.command_worker import CommandWorker, Ended, import_once
 from benchmarks.trust.report import update
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_cli.boundary import REFUSED, guarded
+from uniforce_cli.main import VERBS
 from uniforce_vtla.arguments import Option, options_of, parse, split_words
 from uniforce_vtla.options import Existing, Names, OutFile, Positive, Workers, split
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = Path("docs/results")
-COMMANDS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
-Commands = Annotated[str, Names(tuple(name.removeprefix("uniforce-") for name in COMMANDS), many=True)]
+BENCHMARKS = sorted(  # whatever declares its options to the boundary
+    file.parent.name if file.stem == "__main__" else file.stem
+    for pattern in ("*.py", "*/__main__.py")
+    for file in (ROOT / "benchmarks").glob(pattern)
+    if "@command(" in file.read_text()
+)
+MODULES = {verb: f"uniforce_cli.{verb}" for verb in VERBS} | {
+    name: f"benchmarks.{name}{'.__main__' * (ROOT / 'benchmarks' / name).is_dir()}" for name in BENCHMARKS
+}
+COMMANDS = {name: f"{module}:main" for name, module in MODULES.items()}
+Commands = Annotated[str, Names(tuple(COMMANDS), many=True)]
 SOUND = {  # what a command needs besides sound folders, to begin its work
     "touch": ("source=standin",),
-    "score-recording": ("pad_friction=0.6,0.7",),
+    "estimate": ("pad_friction=0.6,0.7",),
     "calibrate": ("grasps=60",),
 }
 ROBOT = ("robot=franka", "teleop=keyboard", "prompts=[wipe]")
@@ -82,7 +91,7 @@ def trials(command: str, room: Room) -> list[Trial]:
 
 
 def _entry(command: str) -> Any:
-    module, function = COMMANDS[f"uniforce-{command}"].split(":")
+    module, function = COMMANDS[command].split(":")
     return getattr(importlib.import_module(module), function)
 
 
@@ -149,7 +158,7 @@ def try_command(
     """Run a command's trials (``most`` of them, spread over all); return counts and every failure."""
     every = trials(command, room)
     chosen = every if most is None else every[:: max(1, len(every) // most)][:most]
-    worker, failures, counts = CommandWorker(COMMANDS[f"uniforce-{command}"], folder), [], Counter[str]()
+    worker, failures, counts = CommandWorker(COMMANDS[command], folder), [], Counter[str]()
     try:
         control = {sound: worker.run(sound, CONTROL_S) for sound in sorted({trial.sound for trial in chosen})}
         for trial in tqdm(chosen, desc=command, leave=False):
@@ -187,9 +196,8 @@ def prepare(folder: Path) -> Room:
 
 def attack(config: CommandLineConfig) -> dict[str, Any]:
     """Return the table."""
-    known = [name.removeprefix("uniforce-") for name in COMMANDS]
-    chosen = split(config.only) or known
-    import_once([COMMANDS[f"uniforce-{name}"].partition(":")[0] for name in chosen])
+    chosen = split(config.only) or list(COMMANDS)
+    import_once([MODULES[name] for name in chosen])
     with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(config.workers) as pool:
         folder = Path(scratch)
         room, places = prepare(folder), (ROOT / PUBLISHED, folder / "work" / PUBLISHED)

@@ -33,9 +33,9 @@ from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import Range, Writable, check_text, shortened
 
 HELP = """\
-Train a policy with LeRobot's trainer; everything after the script's name is a setting of lerobot-train.
+Train a policy with LeRobot's trainer; everything after the verb is a setting of lerobot-train.
 
-  python scripts/train.py policy=pi05_uniforce dataset.repo_id=local/wipe dataset.root=outputs/wipe \\
+  uniforce train policy=pi05_uniforce dataset.repo_id=local/wipe dataset.root=outputs/wipe \\
       output_dir=outputs/train steps=3000 batch_size=32
 
   policy=NAME            becomes --policy.type=NAME; policy.size=tiny|base chooses the size (tiny without CUDA)

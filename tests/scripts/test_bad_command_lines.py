@@ -10,7 +10,7 @@ from benchmarks.trust.command_worker import Ended, _code
 from uniforce_vtla.arguments import Option, options_of
 from uniforce_vtla.options import Existing, Names, Pattern, Plain, Range, Writable
 
-NAMES = [name.removeprefix("uniforce-") for name in sorted(COMMANDS)]
+NAMES = sorted(COMMANDS)
 SHARE = 3  # of each command
 
 

@@ -10,7 +10,7 @@ from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import HASHES, check_hashes
 
 ROOT = Path(__file__).parents[2]
-OURS = ("checkpoints", "policies", "recording", "uniforce_vtla")
+OURS = ("checkpoints", "policies", "robots", "uniforce_vtla")
 SHIPPED = sorted(path.parent for folder in OURS for path in (ROOT / folder).rglob("model.safetensors"))
 SOUND = {damage.sound: replace(damage, damage=lambda _: None) for damage in CHECKPOINT_DAMAGES}
 

@@ -17,7 +17,7 @@ from uniforce_vtla.sensors.uskin_csv import COLUMNS
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 
-FOLDER = Path(__file__).parents[2].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"
+FOLDER = Path(__file__).parents[3].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"
 HERE = SlipConfig(lender="b")
 T = 60
 

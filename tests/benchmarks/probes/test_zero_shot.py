@@ -20,7 +20,7 @@ from benchmarks.probes.zero_shot import check_frozen, score, summary, transfer_n
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.errors import DatasetError
 
-RESULTS = Path(__file__).parents[2] / "docs" / "results"
+RESULTS = Path(__file__).parents[3] / "docs" / "results"
 SHORT = replace(FROZEN, sequences=2, length=3)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uniforce_datasets.readers import ForceAxes, GenForceConfig, ReadOptions, force_set, read_genforce
+from uniforce_datasets.readers import ForceAxes, GenForceConfig, ReadOptions, read_genforce
 from uniforce_datasets.readers.genforce import read_packed
 from uniforce_vtla.errors import ContractError, DatasetError
 
@@ -256,9 +256,3 @@ def test_folders_without_the_layout_are_refused(tmp_path: Path, content: str | N
         list(read_genforce(tmp_path))
     with pytest.raises(DatasetError, match="a folder"):
         list(read_genforce(tmp_path / "absent"))
-
-
-def test_layout_is_detected(genforce: Path) -> None:
-    found = force_set(genforce)
-    assert found.format == "genforce"
-    assert len(list(found)) == len(list(found)) == 6  # it can be read again

@@ -101,7 +101,7 @@ def test_kill_9_loses_the_running_episode_at_most(tmp_path: Path) -> None:
     """Two processes are involved, and the storing one is spawned: a program of its own, not a thread of this."""
     root, program = tmp_path / "data", tmp_path / "program.py"
     program.write_text(PROGRAM)
-    paths = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "robots")]
+    paths = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "franka")]
     words = [*QUICK, f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "reserve_MB=1", f"root={root}"]
     command = [sys.executable, str(program), *paths, *words]
     child = subprocess.Popen([*command, "episodes=100"], stdout=subprocess.PIPE, text=True)
