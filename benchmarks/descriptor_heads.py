@@ -51,7 +51,7 @@ Scenes = Annotated[int, Range(2, 10_000)]  # half of them on each rig
 class DescriptorHeadsConfig:
     """Let experts of all strengths wipe, fit a head per sensor to their forces, score it on scenes it never saw.
 
-    Example: uniforce-scene-head scenes=60 out=outputs/descriptor_heads_wiping
+    Example: python -m benchmarks.descriptor_heads scenes=60 out=outputs/descriptor_heads_wiping
     """
 
     level: Level = "paper"  # locked level

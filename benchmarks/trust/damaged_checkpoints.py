@@ -23,8 +23,7 @@ from uniforce_vtla.tokenizer.weights import ASSETS
 CONFIG, WEIGHTS, CARD = "config.json", "model.safetensors", "README.md"
 STATISTICS = "policy_preprocessor_step_3_normalizer_processor.safetensors"
 ARMS = Path(__file__).parents[2] / "checkpoints" / "wiping"
-OTHER_ARM, OTHER_SEED = ARMS / "seed0" / "vtg", ARMS / "seed1" / "vt"
-IN_TOKENIZER = "model.tactile_encoder.model.encoder."
+OTHER_ARM = ARMS / "seed0" / "vtg"
 
 Tensors = dict[str, torch.Tensor]
 Damage = Callable[[Path], object]
@@ -123,16 +122,6 @@ def made_nan(tensors: Tensors) -> None:
     next(iter(tensors.values())).view(-1)[0] = torch.nan
 
 
-def nudged(prefix: str) -> Callable[[Tensors], None]:
-    """Change the first floating tensor of a part by a thousandth."""
-
-    def change(tensors: Tensors) -> None:
-        name = next(name for name in sorted(tensors) if name.startswith(prefix))
-        tensors[name] = tensors[name] * 1.001
-
-    return change
-
-
 def set_in_config(**settings: object) -> Damage:
     """Change settings and write the hashes again."""
 
@@ -142,6 +131,13 @@ def set_in_config(**settings: object) -> Damage:
         write_hashes(folder)
 
     return damage
+
+
+def another_tokenizer(folder: Path) -> None:
+    """Name another tactile tokenizer in the config and write the hashes again."""
+    touch = json.loads((folder / CONFIG).read_text())["touch"]
+    touch["tokenizer"]["hash"] = "0" * 64
+    set_in_config(touch=touch)(folder)
 
 
 def _head(path: Path, share: float) -> bytes:
@@ -187,11 +183,11 @@ CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (
     _policy("one bit of a weight", flipped(WEIGHTS, 0.7)),
     _policy("one bit of the weights' header", flipped(WEIGHTS, 0.0005)),
     _policy("weights cut", cut(WEIGHTS)),
-    _policy("weights of another seed", replaced(WEIGHTS, OTHER_SEED)),
+    _policy("weights of another arm", replaced(WEIGHTS, OTHER_ARM)),
     _policy("a weight that is NaN, saved so", with_tensors(made_nan)),
     _policy("a tensor more, saved so", with_tensors(lambda tensors: tensors.update(more=torch.zeros(2)))),
     _policy("a tensor less, saved so", with_tensors(lambda tensors: tensors.popitem())),
-    _policy("another tactile tokenizer inside, saved so", with_tensors(nudged(IN_TOKENIZER))),
+    _policy("another tactile tokenizer named, saved so", another_tokenizer),
     _policy("config of another arm", replaced(CONFIG, OTHER_ARM)),
     _policy("config cut", cut(CONFIG)),
     _policy("no config", removed(CONFIG)),

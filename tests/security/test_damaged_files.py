@@ -106,7 +106,7 @@ def test_a_processors_state_that_is_damaged(tmp_path: Path) -> None:
     folder = copy_of_shipped(tmp_path / "policy")
     state = next(folder.glob("policy_preprocessor_*.safetensors"))
     state.write_bytes(b"\xff" * 64)
-    with pytest.raises(CheckpointError, match="processors' state"):
+    with pytest.raises(CheckpointError, match="a whole safetensors file"):
         PolicyController(folder, {})
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uniforce_vtla.tokenizer import bench
+from benchmarks.speed import encode as bench
 from uniforce_vtla.tokenizer.streaming import StreamingEncoder, StreamStep
 
 
