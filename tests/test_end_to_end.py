@@ -129,4 +129,4 @@ def test_a_recording_without_known_friction_is_refused(
     friction: str, demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert score_recording_main([f"root={demos}", f"pad_friction={friction}", f"out={tmp_path}"]) == 2
-    assert "pad_friction" in capsys.readouterr().out
+    assert "pad_friction" in capsys.readouterr().err
