@@ -166,7 +166,7 @@ def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
 
 @command(DescriptorHeadsConfig)
 def main(config: DescriptorHeadsConfig) -> int:
-    """Entry of ``uniforce-scene-head``."""
+    """Entry of ``python -m benchmarks.descriptor_heads``."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     report = make_heads(config)
