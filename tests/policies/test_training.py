@@ -148,7 +148,7 @@ def test_command_line_becomes_lerobots():
 
 def test_help_teaches_with_an_example(capsys):
     train.main(["--help"])
-    assert "python scripts/train.py policy=pi05_uniforce" in capsys.readouterr().out
+    assert "uniforce train policy=pi05_uniforce" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(importlib.util.find_spec("peft") is None, reason="peft isn't installed (an extra)")
