@@ -167,13 +167,21 @@ def try_command(
             counts[verdict] += 1
             if verdict != "one_line":
                 words = " ".join(word[:120] for word in trial.words)
-                failures.append(f"{verdict}: {command} {words} -> {ended.code}: {ended.said[-300:]}")
+                said = f"{verdict}: {command} {words} -> {ended.code}: {ended.said[-300:]}"
+                failures.append(_portable(said, room))
                 tqdm.write(failures[-1])
     finally:
         worker.close()
     counted = {"inputs": len(chosen), **{verdict: counts[verdict] for verdict in VERDICTS}}
-    sound = {" ".join(words): _how(ended) for words, ended in control.items()}
+    sound = {
+        _portable(" ".join(words), room): _portable(_how(ended), room) for words, ended in control.items()
+    }
     return counted | {"failures": failures, "sound_words": sound}
+
+
+def _portable(text: str, room: Room) -> str:
+    """Return a text without this machine's folders, for a published file."""
+    return text.replace(str(room.folder), "ROOM").replace(str(ROOT), "ROOT")
 
 
 def _how(ended: Ended) -> str:
