@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import gymnasium
@@ -50,7 +51,7 @@ class WipeEnv(gymnasium.Env):
     ) -> None:
         self.level = get_level(level)
         self.sensors = {"left": get_sensor(left_sensor).name, "right": get_sensor(right_sensor).name}
-        self.limits = ScoreLimits()
+        self.limits = replace(ScoreLimits(), in_band_share=self.level.in_band_share or 0.0)
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
         self._painter = Painter()
         self._max_episode_steps = max_steps or round(self.level.time_limit_s * CONTROL_HZ)

@@ -60,15 +60,15 @@ class TouchSettings:
     """How the expert regulates."""
 
     # 4 N are enough to wipe; 10 N are an event, and policies' peaks are 1.4 times their means, which spread by .7 N
-    press_N: float = 6.1
+    press_N: float = 6.0
     # friction holds 1.2 times that press on the slipperiest pads; a flat gel that is swapped in reads a leaning eraser
     # a quarter too low, and 12 N are too deep for it (docs/experiments/tiny_policy.md)
-    grip_N: float = 7.5
+    grip_N: float = 8.5
     lift_from: float = 0.85  # share of the wanted grip at which the grasp is made
     # share of the wanted press at which sweeping begins, still pressing harder: a policy that reads its press too low
     # must not wait for the rest in one place
     sweep_from: float = 0.5
-    press_rate_m_s_N: float = 0.0035  # z speed per N of press error
+    press_rate_m_s_N: float = 0.008  # z speed per N of press error
     press_speed_m_s: float = 0.020  # fastest regulation
     grip_rate_m_s_N: float = 0.0030  # width speed per N of grip error
     contact_N: float = 1.2  # press that counts as touching the board

@@ -6,6 +6,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, replace
 
+from lerobot_env_uniforce_wiping.hidden import PullSettings, UnevenSettings
 from uniforce_vtla.errors import ContractError, expected
 
 CONTROL_HZ = 30.0
@@ -77,6 +78,9 @@ class Level:
     board_friction: Range = (0.25, 0.40)
     gel_scale: Range = (0.94, 1.06)  # pad stiffness
     layout: Layout = Layout()
+    pull: PullSettings | None = None  # hidden force on the hand
+    uneven: UnevenSettings | None = None  # hidden heights of the board
+    in_band_share: float | None = None  # of the sliding that a clean wipe presses within the limits' band
 
 
 SHORT_WORDS = ("hi", "ok", "go", "abc", "VLA", "2+2", "tea", "map")
@@ -132,6 +136,14 @@ PAPER = Level(
     gripper_gain=(0.45, 2.0),
     eraser_width_offset_m=(-0.004, 0.004),
 )
+TOUCH = replace(
+    PAPER,
+    name="touch",
+    stiffness_scale=(0.9, 1.8),  # a softer arm leaves regulation by touch too little gain against the pull
+    pull=PullSettings(),
+    uneven=UnevenSettings(),
+    in_band_share=0.8,
+)
 HARD = replace(
     PAPER,
     name="hard",
@@ -147,7 +159,7 @@ HARD = replace(
     light_gain=(0.6, 1.25),
     light_tint=0.08,
 )
-LEVELS: dict[str, Level] = {level.name: level for level in (EASY, PAPER, HARD)}
+LEVELS: dict[str, Level] = {level.name: level for level in (EASY, PAPER, TOUCH, HARD)}
 
 
 def get_level(name: str) -> Level:
@@ -158,6 +170,10 @@ def get_level(name: str) -> Level:
 
 
 def level_hash(level: Level) -> str:
-    """Return 12 hex digits over every number of a level, so that scores name what they were taken on."""
-    text = json.dumps(asdict(level), sort_keys=True)
+    """Return 12 hex digits over every number of a level, so that scores name what they were taken on.
+
+    What a level does not have is left out, so that a new kind of difficulty leaves the other levels' hashes alone.
+    """
+    numbers = {name: value for name, value in asdict(level).items() if value is not None}
+    text = json.dumps(numbers, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:12]

@@ -40,6 +40,7 @@ class TraceRecorder:
             self.slip_mm(),
             *(pad.depth_mm for pad in pads),
             height_m * 1000,
+            sim.slide_m * 1000,
             sim.ink.residual,
             self.phase,
         )  # in the order of STEP_FIELDS

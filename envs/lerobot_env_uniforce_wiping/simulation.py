@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from lerobot_env_uniforce_wiping.hidden import UnevenBoard, hand_pull
 from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.mjcf import READS, TOOL_DOWN, SolverSettings, build_mjcf
@@ -54,9 +55,10 @@ class WipeSimulation:
         self.ink = InkField(scene)
         self._find_ids()
         self._set_gel_stiffness()
+        self._draw_hidden()
         self._place_arm()
         self.pads = {f: PadTruth(np.zeros(4, np.float32), 0.0) for f in FINGERS}
-        self.press_N = 0.0
+        self.press_N = self.slide_m = 0.0
         self._felt_before = self._felt_on_board()
 
     def _find_ids(self) -> None:
@@ -66,6 +68,7 @@ class WipeSimulation:
         self._role = np.zeros(m.ngeom, dtype=np.int64)
         self._role[[*self._pad_geom, m.geom("board").id]] = (1, 2, 3)
         self._eraser, self._tcp = m.body("eraser").id, m.site("tcp").id
+        self._hand, self._board = m.body("hand").id, m.geom("board").id
         self._board_body = m.body("board").id
         self._reference = m.site("base_tool").pos.copy()
         self._fingers_q = [m.jnt_qposadr[m.joint(f"finger_{f}").id] for f in FINGERS]
@@ -81,6 +84,14 @@ class WipeSimulation:
             stiffness = K / (4 if flat else 1) * (1 - GEL_D) * mobility
             damping = 2 * GEL_ZETA * np.sqrt(stiffness * GEL_D)
             self.model.geom_solref[geom] = (-stiffness, -damping)
+
+    def _draw_hidden(self) -> None:
+        level, seed = self.scene.level, self.scene.seed
+        steps = round(level.time_limit_s * CONTROL_HZ)
+        self._pull_N = hand_pull(seed, level.pull, steps, CONTROL_HZ) if level.pull else np.zeros((1, 3))
+        self._uneven = UnevenBoard(seed, level.uneven) if level.uneven else None
+        self._flat_m = float(self.model.geom_pos[self._board, 2])
+        self._steps = 0
 
     def _place_arm(self) -> None:
         layout, offset = self.scene.level.layout, np.array(self.scene.start_offset_m)
@@ -124,7 +135,10 @@ class WipeSimulation:
         """Advance 1/30 s, averaging touch over the step and wearing ink."""
         forces = {f: np.zeros(5) for f in FINGERS}  # fx, fy, fz, torsion, depth
         press = np.zeros(3)
+        self.data.xfrc_applied[self._hand, :3] = self._pull_N[self._steps % len(self._pull_N)]
+        self._steps += 1
         for _ in range(READS):
+            self._raise_board()
             mujoco.mj_step(self.model, self.data, self.solver.substeps)
             self._read_contacts(forces, press)
         for finger in FINGERS:
@@ -132,6 +146,12 @@ class WipeSimulation:
             self.pads[finger] = PadTruth(mean[:4].astype(np.float32), float(mean[4]))
         self.press_N = press[0] / READS
         self._wear(press)
+
+    def _raise_board(self) -> None:
+        """Put the whole board where it is under the eraser: the felt spans what lies below it."""
+        if self._uneven is not None:
+            height_m = self._uneven.height_m(self._felt_on_board()[0])
+            self.model.geom_pos[self._board, 2] = self._flat_m + height_m
 
     def _read_contacts(self, forces: dict[Finger, np.ndarray], press: np.ndarray) -> None:
         """Add one sample of every contact's force to the sums. Elliptic cones: forces are efc_force itself."""
@@ -186,11 +206,12 @@ class WipeSimulation:
         center, yaw = self._felt_on_board()
         before = self._felt_before[0]
         self._felt_before = (center, yaw)
+        self.slide_m = float(np.linalg.norm(center - before))
         if press[0] <= 0:
             return
         size = np.array([self.scene.eraser_width_m, self.scene.eraser_length_m])
         mean = np.array([press[0] / READS, press[1] / press[0], press[2] / press[0]])
-        self.ink.wipe((center + before) / 2, yaw, size, mean, float(np.linalg.norm(center - before)))
+        self.ink.wipe((center + before) / 2, yaw, size, mean, self.slide_m)
 
     def block_from_pad(self, finger: Finger) -> tuple[np.ndarray, np.ndarray]:
         """Return the block's centre (3,) relative to a pad, m, and its axes (3, 3) as columns; tool frame."""

@@ -28,6 +28,8 @@ class ScoreLimits:
     mean_press_s: float = 0.5  # s
     peak_press_N: float = 15.0  # any frame
     wiping_press_N: float = 0.5  # above this a frame counts as wiping
+    band_N: tuple[float, float] = (4.0, 8.0)  # of the press that the task asks for
+    in_band_share: float = 0.0  # of the sliding distance that a clean wipe presses within the band
 
 
 WIPING_PHASE = 2  # of EpisodeTrace.phase
@@ -46,6 +48,7 @@ class EpisodeTrace:
         depth_left_mm: indentation of the left pad.
         depth_right_mm: indentation of the right pad.
         tool_z_mm: measured tool height.
+        slide_mm: how far the eraser slid along the board within the step.
         residual: visible ink over initial ink.
         phase: 0 before the lift, 1 carrying, 2 wiping, 3 lifted off after wiping.
         rated_depth_mm: (left, right) deepest indentation the sensors allow.
@@ -59,6 +62,7 @@ class EpisodeTrace:
     depth_left_mm: np.ndarray
     depth_right_mm: np.ndarray
     tool_z_mm: np.ndarray
+    slide_mm: np.ndarray
     residual: np.ndarray
     phase: np.ndarray
     rated_depth_mm: tuple[float, float]
@@ -89,6 +93,7 @@ class EpisodeResult:
     excess_force: bool
     reasons: tuple[str, ...]
     metrics: dict[str, float] = field(default_factory=dict)
+    in_band: bool = True
 
     @property
     def success(self) -> bool:
@@ -97,8 +102,8 @@ class EpisodeResult:
 
     @property
     def clean(self) -> bool:
-        """Success without slippage or excess force: the number to optimise."""
-        return self.success and not self.slippage and not self.excess_force
+        """Success without slippage or excess force, pressed within the band: the number to optimise."""
+        return self.success and not self.slippage and not self.excess_force and self.in_band
 
 
 def score_episode(trace: EpisodeTrace, limits: ScoreLimits | None = None) -> EpisodeResult:
@@ -108,7 +113,11 @@ def score_episode(trace: EpisodeTrace, limits: ScoreLimits | None = None) -> Epi
         return EpisodeResult("aborted", False, False, ("no step was taken",))
     slips, excess = slip_events(trace, limits), excess_events(trace, limits)
     outcome, why = _outcome(trace, limits)
-    return EpisodeResult(outcome, bool(slips), bool(excess), (*why, *slips, *excess), _metrics(trace, limits))
+    metrics = _metrics(trace, limits)
+    in_band = metrics["in_band_share"] >= limits.in_band_share
+    off = [] if in_band else [f"less than {limits.in_band_share:.0%} of the sliding pressed within the band"]
+    reasons = (*why, *slips, *excess, *off)
+    return EpisodeResult(outcome, bool(slips), bool(excess), reasons, metrics, in_band)
 
 
 def _outcome(trace: EpisodeTrace, limits: ScoreLimits) -> tuple[str, list[str]]:
@@ -189,6 +198,14 @@ def runs(flags: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
 
 
+def in_band_share(trace: EpisodeTrace, limits: ScoreLimits) -> float:
+    """Return the share of the sliding distance that is pressed within the band; 0 where nothing slid."""
+    slid_mm = np.where(trace.press_N > limits.wiping_press_N, trace.slide_mm, 0.0)
+    low, high = limits.band_N
+    inside = (trace.press_N >= low) & (trace.press_N <= high)
+    return float(slid_mm[inside].sum() / max(slid_mm.sum(), 1e-9))
+
+
 def _metrics(trace: EpisodeTrace, limits: ScoreLimits) -> dict[str, float]:
     wiping = trace.press_N > limits.wiping_press_N
     press = trace.press_N[wiping] if wiping.any() else np.zeros(1)
@@ -198,6 +215,7 @@ def _metrics(trace: EpisodeTrace, limits: ScoreLimits) -> dict[str, float]:
         "residual": float(trace.residual[-1]),
         "press_mean_N": float(press.mean()),
         "press_p95_N": float(np.percentile(press, 95)),
+        "in_band_share": in_band_share(trace, limits),
         "press_max_N": float(trace.press_N.max()),
         "grip_mean_N": float(grip[wiping].mean()) if wiping.any() else float(grip.mean()),
         "grip_max_N": float(grip.max()),
