@@ -60,18 +60,23 @@ class TouchSettings:
     """How the expert regulates."""
 
     # 4 N are enough to wipe; 10 N are an event, and policies' peaks are 1.4 times their means, which spread by .7 N
-    press_N: float = 6.0
+    press_N: float = 6.1
     # friction holds 1.2 times that press on the slipperiest pads; a flat gel that is swapped in reads a leaning eraser
     # a quarter too low, and 12 N are too deep for it (docs/experiments/tiny_policy.md)
-    grip_N: float = 8.5
+    grip_N: float = 7.5
     lift_from: float = 0.85  # share of the wanted grip at which the grasp is made
     # share of the wanted press at which sweeping begins, still pressing harder: a policy that reads its press too low
     # must not wait for the rest in one place
     sweep_from: float = 0.5
-    press_rate_m_s_N: float = 0.008  # z speed per N of press error
+    press_rate_m_s_N: float = 0.0035  # z speed per N of press error
     press_speed_m_s: float = 0.020  # fastest regulation
     grip_rate_m_s_N: float = 0.0030  # width speed per N of grip error
     contact_N: float = 1.2  # press that counts as touching the board
+
+
+# against a pull that changes within a second: press in the middle of the band, regulated twice as fast, and a grip that
+# holds what the pull adds (docs/experiments/scene.md)
+AGAINST_PULL = TouchSettings(press_N=6.0, grip_N=8.5, press_rate_m_s_N=0.008)
 
 
 class TouchRegulator:
@@ -116,7 +121,7 @@ class WipeExpert:
     Args:
         fingers: which pads it reads.
         noise: drawn from the scene's seed, so that an episode repeats exactly.
-        settings: set points and rates of its regulation.
+        settings: set points and rates of its regulation; None: what the level needs.
     """
 
     def __init__(
@@ -129,12 +134,13 @@ class WipeExpert:
             raise ContractError(expected("fingers", " | ".join(FINGERS_USED), repr(fingers), "Name one."))
         self.fingers = FINGERS_USED[fingers]
         self.noise = noise or ExpertNoise()
-        self.settings = settings or TouchSettings()
+        self._given = settings
 
     def reset(self, env: WipeEnv) -> None:
         """Start a new episode: draw this run's pace, set points and sensor gains."""
         rng = self._rng = np.random.default_rng([env.scene.seed, 4242])
-        n = self.noise
+        n, level = self.noise, env.scene.level
+        self.settings = self._given or (AGAINST_PULL if level.pull else TouchSettings())
         self._gain = {f: 1 + n.force_gain_sd * rng.standard_normal() for f in FINGERS}
         press = self.settings.press_N + n.press_sd_N * rng.standard_normal()
         grip = self.settings.grip_N + n.grip_sd_N * rng.standard_normal()
@@ -148,7 +154,7 @@ class WipeExpert:
         )
         self._phase_rad, self._clock = rng.uniform(0, 2 * np.pi, 2), 0
         self._contact = Contact(0.0, 0.0)
-        level = self._own_heights(env.scene.level)
+        level = self._own_heights(level)
         self._weight_N = level.layout.eraser_mass_kg * GRAVITY_m_s2
         regulator = self._regulator(level.layout, press, grip)
         start = env.state.astype(np.float64)

@@ -56,7 +56,7 @@ class RecordConfig:
     teleop: FileName = "expert"
     rig: FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
     episodes: Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
-    level: Level = "paper"  # simulation: easy | paper | hard, locked in the environment package
+    level: Level = "paper"  # simulation: easy | paper | touch | hard, locked in the environment package
     # simulation: gelsight | tactip | uskin; a robot's own config says it there
     left_sensor: Sensor = "gelsight"
     right_sensor: Sensor = "tactip"  # simulation

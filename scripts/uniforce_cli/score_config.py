@@ -36,7 +36,7 @@ class ScoreConfig:
     # e.g. two training seeds) take turns, scene by scene
     policy: Policies = "shipped"
     arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
-    level: Level = "paper"  # easy | paper (what the shipped policy learnt at) | hard
+    level: Level = "paper"  # easy | paper (what the shipped policy learnt at) | touch | hard
     left_sensor: Sensor = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
     right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot

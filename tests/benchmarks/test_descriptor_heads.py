@@ -33,6 +33,7 @@ def made_up(seed: int) -> EpisodeForces:
         flat,
         flat,
         flat,
+        flat,
         np.digitize(t, [1.2, 2.0]),
         rated_depth_mm=(1.5, 5.0),
     )

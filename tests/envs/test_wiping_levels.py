@@ -16,6 +16,7 @@ LOCKED = {
     "easy": "532baefcfd12",
     "paper": "86163b2c2d29",
     "hard": "ae94c474e3d0",
+    "touch": "0845719889bd",
 }
 
 
@@ -54,7 +55,7 @@ def test_stiffness_is_as_likely_twice_as_half_its_middle() -> None:
 
 
 @examples(40)
-@given(st.integers(0, 2**31 - 1), st.sampled_from(["easy", "paper", "hard"]))
+@given(st.integers(0, 2**31 - 1), st.sampled_from(sorted(LEVELS)))
 def test_writing_of_any_size_and_place_lies_where_the_eraser_goes(seed: int, name: str) -> None:
     """Every cell of the word is under the swept band, whatever the board's place and turn."""
     scene, level = draw_scene(seed, name), LEVELS[name]

@@ -86,6 +86,19 @@ def test_excess_force(field: str, where: slice, value: float, excess: bool) -> N
     assert result.success and result.clean is not excess
 
 
+@pytest.mark.parametrize(("inside", "clean"), [(0.85, True), (0.75, False)])
+def test_a_clean_wipe_presses_within_the_band_over_most_of_the_way(inside: float, clean: bool) -> None:
+    """By distance: a slow stretch beside the band counts as little as it slides."""
+    wiping = np.flatnonzero(good_trace().phase == 2)
+    slide_mm, press_N = np.zeros(N), good_trace().press_N
+    slide_mm[wiping] = np.where(np.arange(len(wiping)) < 20, inside / 20, (1 - inside) / (len(wiping) - 20))
+    press_N[wiping[20:]] = 9.0
+    result = score_episode(good_trace(slide_mm=slide_mm, press_N=press_N), ScoreLimits(in_band_share=0.8))
+    assert result.metrics["in_band_share"] == pytest.approx(inside)
+    assert result.success and result.clean is clean
+    assert score_episode(good_trace(slide_mm=slide_mm, press_N=press_N)).clean, "without a band in the limits"
+
+
 def test_an_empty_trace_is_aborted_and_bad_ones_are_refused() -> None:
     empty = EpisodeTrace(*[np.zeros(0)] * len(STEP_FIELDS), rated_depth_mm=(1.5, 1.5))
     assert score_episode(empty).outcome == "aborted"
