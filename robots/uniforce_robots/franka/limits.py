@@ -76,11 +76,6 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
         "clip_m": (Range(0, 0.05),) * 3,
         "clip_rad": Range(0, 0.5),
     },
-    "ArmSettings": {
-        "connect_deadline_s": Range(0, 60, above=True),
-        "reflex_torque_Nm": Range(0, 100, above=True),
-        "reflex_force_N": Range(0, 100, above=True),
-    },
     "UniforceFrankaConfig": {
         "fps": Range(5, 100),
         "connect_deadline_s": Range(0, 60, above=True),

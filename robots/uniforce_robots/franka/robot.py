@@ -16,10 +16,10 @@ from lerobot.cameras import Camera, make_cameras_from_configs
 from lerobot.robots import Robot
 
 from uniforce_robots.franka.arm import ArmState
+from uniforce_robots.franka.clients import make_backend
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardChain
-from uniforce_robots.franka.hand import HandReading, HandThread, require_open
-from uniforce_robots.franka.make_backend import make_backend
+from uniforce_robots.franka.hand import Hand, HandReading, require_open
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.shutdown import forbid_return_motion
 from uniforce_robots.franka.stream import ArmStream
@@ -46,9 +46,9 @@ class UniforceFranka(Robot):
         self._clock = clock
         self.cameras = make_cameras_from_configs(config.cameras)
         self.guards = GuardChain(config.guards)
-        self._arm, self._hand_driver = make_backend(config)
+        self._arm, self._hand_client = make_backend(config)
         self._stream: ArmStream | None = None
-        self._hand: HandThread | None = None
+        self._hand: Hand | None = None
         self._fault: RobotError | None = None
 
     # --- features ----------------------------------------------------------------------------------------------------
@@ -104,7 +104,7 @@ class UniforceFranka(Robot):
 
     def _connect_all(self) -> None:
         self._arm.connect()
-        hand = HandThread(self._hand_driver, self.config.gripper)
+        hand = Hand(self._hand_client, self.config.gripper)
         hand.start()
         self._hand = hand
         if any(finger.reference_on_connect for finger in self.config.fingers.values()):
@@ -126,7 +126,7 @@ class UniforceFranka(Robot):
         if self._hand is None:
             raise RobotError("robot: expected a hand, got none. Call connect().", "ended")
         settings = replace(self.config.stream, action_period_s=1 / self.config.fps)
-        stream = ArmStream(self._arm, settings, self.config.guards, self._hand.check, self._clock)
+        stream = ArmStream(self._arm, settings, self.config.guards, self._hand.tick, self._clock)
         stream.start()
         self._stream = stream
         self._fault = None
@@ -139,27 +139,21 @@ class UniforceFranka(Robot):
             RobotError: the cause is still there (a pressed stop, a hand that is gone), or the robot is not connected.
         """
         stream, hand = self._parts()
+        stream.stop()  # first: its thread ticks the hand
         hand.recover()
-        stream.stop()
         self._arm.recover()
         self._start_stream()
 
     def disconnect(self) -> None:
-        """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice.
-
-        Threads left inside a C++ client at the interpreter's end abort the process (exit code 134).
-        """
-        stream, self._stream = self._stream, None
-        hand, self._hand = self._hand, None
+        """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice."""
+        stream, self._stream, self._hand = self._stream, None, None
         stale_count = stream.stale_count if stream is not None else 0
         with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
             closing.callback(log.info, "guards acted: %s", {**self.guards.counts, "watchdog": stale_count})
             for camera in self.cameras.values():
                 closing.callback(_disconnect_camera, camera)
             closing.callback(self._arm.close)
-            closing.callback(self._hand_driver.close)
-            if hand is not None:
-                closing.callback(hand.stop)
+            closing.callback(self._hand_client.close)
             if stream is not None:
                 closing.callback(stream.stop)
 
@@ -270,7 +264,7 @@ class UniforceFranka(Robot):
             self._fault = fault
             self._stream.halt(fault)
 
-    def _parts(self) -> tuple[ArmStream, HandThread]:
+    def _parts(self) -> tuple[ArmStream, Hand]:
         if self._stream is None or self._hand is None:
             raise RobotError("robot: expected a connected one, got none. Call connect().", "ended")
         return self._stream, self._hand

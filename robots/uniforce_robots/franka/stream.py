@@ -13,7 +13,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from uniforce_robots.franka.arm import UNBELIEVED, Arm, ArmState, refuse_stopped
+from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
+from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
 from uniforce_robots.franka.limits import require_in_limits
 from uniforce_robots.franka.poses import ToolPose, between

@@ -293,7 +293,7 @@ def test_nested_settings_are_parsed_from_the_command_line() -> None:
     config = draccus.parse(Program, args=[f"--robot.{key}={value}" for key, value in words.items()]).robot
     assert isinstance(config, UniforceFrankaConfig)
     assert config.guards.step_m == 0.03
-    assert config.arm_settings.gains == Gains((200, 200, 200), clip_m=(0.01, 0.01, 0.02))
+    assert config.gains == Gains((200, 200, 200), clip_m=(0.01, 0.01, 0.02))
 
 
 class BrokenCamera:
