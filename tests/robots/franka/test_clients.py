@@ -173,15 +173,15 @@ def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(arm: A
     goal = arm.state().ee_to_base
     goal[2, 3] -= 0.015
 
-    def pressed_N() -> float:
+    def pressed() -> float:
         return float(fci.do("look")["arm"]["felt_N"][2])
 
     def presses() -> bool:
         arm.set_target(goal)
-        return pressed_N() > 5.0
+        return pressed() > 5.0
 
     wait_until(presses, PATIENCE_s, "a press")
-    wait_until(lambda: pressed_N() < 2.0, PATIENCE_s, "a spring that has let go")
+    wait_until(lambda: pressed() < 2.0, PATIENCE_s, "a spring that has let go")
 
 
 def test_a_robot_that_vanishes_is_an_error_of_the_connection(arm: Arm, fci: StandIn) -> None:
