@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from uniforce_robots.fr3 import DQ_MAX_rad_s
 from uniforce_robots.franka.arm import ArmState
 from uniforce_vtla.errors import RobotError, expected
 
-# Franka Research 3 data sheet; a fifth more than a joint can do is no measurement.
-JOINT_SPEED_rad_s = 1.2 * np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
+JOINT_SPEED_rad_s = 1.2 * DQ_MAX_rad_s  # a fifth more than a joint can do is no measurement
 HAND_SPEED_m_s, HAND_TURN_rad_s = 2.0, 3.0
 LONGEST_s = (
     0.02  # after a longer pause the allowed distance is counted from here: a pause does not excuse a jump

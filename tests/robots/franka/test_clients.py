@@ -143,7 +143,7 @@ def test_however_far_the_target_the_press_is_stiffness_times_clip(
     def settles() -> bool:
         arm.set_target(pose)
         look = fci.do("look")["arm"]
-        pressed.append(look["felt_N"][2])
+        pressed.append(look["contact_N"][2])
         return look["speed_rad_s"] < 2e-3 and pressed[-1] > 2.0
 
     wait_until(settles, PATIENCE_s, "a steady press")
@@ -174,7 +174,7 @@ def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(arm: A
     goal[2, 3] -= 0.015
 
     def pressed() -> float:
-        return float(fci.do("look")["arm"]["felt_N"][2])
+        return float(fci.do("look")["arm"]["contact_N"][2])
 
     def presses() -> bool:
         arm.set_target(goal)

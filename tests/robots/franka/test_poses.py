@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture
 from uniforce_robots.franka.arm import HAND_GUIDED, ROLLOUT, Gains
 from uniforce_robots.franka.poses import ToolPose, between, shortest_turn
-from uniforce_robots.standins.fci.kinematics import HAND_TO_FLANGE, HOME_q_rad, posture
 from uniforce_vtla.errors import ContractError
 
 

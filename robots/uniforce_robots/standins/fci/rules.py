@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from uniforce_robots.fr3 import JOINTS, DQ_MAX_rad_s, TAU_MAX_Nm, rotation_error
 from uniforce_robots.standins.fci.arm import Arm, TICK_s
-from uniforce_robots.standins.fci.kinematics import JOINTS, DQ_MAX_rad_s, TAU_MAX_Nm, rotation_error
 from uniforce_robots.standins.fci.protocol import ErrorBit, Generator, RobotCommand
 
 TOLERANCE = 1.01  # states are float32, and a client's rounding is no fault
