@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import importlib.util
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import psutil
 
 from uniforce_robots.franka.arm import ROBOT_STOPS, ArmState, refuse_stopped
-from uniforce_robots.franka.child import Child, END_s, error_of
+from uniforce_robots.franka.child import Child, END_s
 from uniforce_robots.franka.hand import HandCommand, HandReading, OUTER_m
 from uniforce_vtla.errors import RobotError, expected
 
@@ -28,6 +29,7 @@ STOP_s = 8.0  # braking takes a few tenths of a second; a robot that has died is
 STATE_AGE_s = 1.5  # the child notices a dead robot after 1 s and says so
 FIRST_READING_s = 3.0  # of the hand, which gives ten a second
 HAND_PORT = 1338  # of every Franka Hand; the arm's is 1337
+POLL_s = 0.002
 LOOK_s = 0.1  # a look at the hand's connection costs up to a millisecond
 
 
@@ -54,41 +56,31 @@ class Arm:
     """
 
     def __init__(self, config: UniforceFrankaConfig) -> None:
-        self._config, self._what = config, f"robot at {config.address}"
+        self._config = config
         self._gains_rotation: np.ndarray | None = None  # in which the child knows the gains
-        self._child: Child | None = None
         self._state: ArmState | None = None
         self._fault: RobotError | None = None
         self._controls = False
+        words = (config.address, config.realtime, str(config.reflex_torque_Nm), str(config.reflex_force_N))
+        script, what = f"{config.backend}_arm.py", f"robot at {config.address}"
+        self._child = Child(what, script, *words, listen=self._listen)
 
     def connect(self) -> None:
         """Open the connection within the configured deadline and set the reflex thresholds. Nothing moves."""
-        config = self._config
-        require_installed(config.backend)
+        require_installed(self._config.backend)
         self._state, self._fault, self._controls = None, None, False
-        words = (config.address, config.realtime, str(config.reflex_torque_Nm), str(config.reflex_force_N))
-        deadline_s = config.connect_deadline_s
-        self._child = Child(f"{config.backend}_arm.py", *words, listen=self._listen)
+        self._child.connect(self._config.connect_deadline_s)
         try:
-            self._child.connect(deadline_s, self._what)
-            self._child.wait_for(lambda: self._state is not None or self._read_fault(), deadline_s)
+            wait_for(lambda: self._state is not None or self._read_fault(), self._config.connect_deadline_s)
             self.state()
         except RobotError:
             self.close()
             raise
 
-    def _listen(self, line: dict) -> None:
-        self._state = ArmState(
-            time_s=line["time_s"],
-            robot_time_s=line["robot_time_s"],
-            q_rad=np.array(line["q"]),
-            dq_rad_s=np.array(line["dq"]),
-            ee_to_base=np.array(line["pose"]).reshape(4, 4).T,
-            wrench_N=np.array(line["wrench"]),
-            mode=line["mode"],
-            success_rate=line["success_rate"],
-            errors=tuple(line["errors"]),
-        )
+    def _listen(self, **state: Any) -> None:
+        arrays = {name: np.array(state[name]) for name in ("q_rad", "dq_rad_s", "wrench_N")}
+        pose = np.array(state["ee_to_base"]).reshape(4, 4).T
+        self._state = ArmState(**state | arrays | {"ee_to_base": pose})
 
     def state(self) -> ArmState:
         """Return the newest reading; there are a hundred a second. Never blocks."""
@@ -97,8 +89,7 @@ class Arm:
             raise fault  # a reflex or a stop leaves an arm that can be read
         age_s = float("inf") if state is None else time.monotonic() - state.time_s
         if state is None or age_s > STATE_AGE_s:
-            wanted = f"one younger than {STATE_AGE_s} s"
-            do = "Is the robot alive?"
+            wanted, do = f"one younger than {STATE_AGE_s} s", "Is the robot alive?"
             raise RobotError(expected("arm state", wanted, f"{age_s:.1f} s", do), "connection")
         return state
 
@@ -107,23 +98,22 @@ class Arm:
 
         Repeat it: the child holds the measured pose when it receives nothing for 0.3 s.
         """
-        child, fault = self._running(), self._read_fault()
-        if fault is not None:
+        if (fault := self._read_fault()) is not None:
             raise fault
         if not self._controls:
             refuse_stopped(self.state())
             self._controls, self._gains_rotation = True, None
-        self._turn_gains(child, ee_to_base[:3, :3])
-        child.send("target", pose=ee_to_base.T.ravel().tolist())
+        self._turn_gains(ee_to_base[:3, :3])
+        self._child.send("target", pose=ee_to_base.T.ravel().tolist())
 
-    def _turn_gains(self, child: Child, rotation: np.ndarray) -> None:
+    def _turn_gains(self, rotation: np.ndarray) -> None:
         """Express the gains in the base frame, at first and when the hand has turned."""
         known, gains = self._gains_rotation, self._config.gains
         if known is not None and np.abs(rotation - known).max() <= TURN_rad:
             return
         self._gains_rotation = rotation.copy()
         stiffness = gains.matrix_in_base(rotation).tolist()
-        child.send("gains", stiffness=stiffness, clip_m=gains.clip_m, clip_rad=gains.clip_rad)
+        self._child.send("gains", stiffness=stiffness, clip_m=gains.clip_m, clip_rad=gains.clip_rad)
 
     def stop(self, at_once: bool = False) -> None:
         """Give up control; the arm comes to rest and holds. Does nothing without control.
@@ -131,46 +121,35 @@ class Arm:
         Args:
             at_once: leave the braking to the robot: for readings that can't be believed, by which nothing can brake.
         """
-        if self._child is None or not self._controls:
-            return
-        self._controls = False
-        if self._fault is not None or not self._child.is_alive:
-            return  # it lost control before, which set_target tells
+        controls, self._controls = self._controls, False
+        if not controls or self._fault is not None or not self._child.is_alive:
+            return  # where control was lost before, set_target says so
         self._child.send("stop", at_once=at_once)
         try:
-            self._child.wait("stopped", STOP_s, "arm at rest")
+            self._child.wait("stopped", STOP_s)
         except RobotError as error:
             self._fault = error
             raise
 
     def recover(self) -> None:
         """Clear a reflex. Nothing moves; the next target takes control again."""
-        child = self._child
-        if child is None or not child.is_alive:
+        if not self._child.is_alive:
             raise RobotError("arm: expected a running client, got none. Connect again.", "connection")
-        self._controls = False
-        while child.poll() is not None:  # what was said about the old fault
-            pass
-        self._fault = None
-        child.send("recover")
-        child.wait("recovered", STOP_s, "recovery")
+        self._controls, self._fault = False, None
+        self._child.forget()  # what was said about the old fault
+        self._child.send("recover")
+        self._child.wait("recovered", STOP_s)
 
     def close(self) -> None:
         """Stop and hang up. Safe to call twice."""
-        child, self._child = self._child, None
-        if child is not None:
-            child.close()
-
-    def _running(self) -> Child:
-        if self._child is None:
-            raise RobotError("arm: expected connect() first, got no connection. Connect the robot.", "ended")
-        return self._child
+        self._child.close()
 
     def _read_fault(self) -> RobotError | None:
         """Return what the child said went wrong, None while all is well."""
-        line = self._running().poll()
-        if line is not None and self._fault is None and line["say"] in ("error", "gone"):
-            self._fault = error_of(line, self._what)
+        try:
+            self._child.poll()
+        except RobotError as error:
+            self._fault = self._fault or error
         return self._fault
 
 
@@ -184,50 +163,45 @@ class HandClient:
     def __init__(self, config: UniforceFrankaConfig) -> None:
         self._config, self._what = config, f"hand at {config.address}"
         self.reads_while_busy = config.backend == "franky"
-        self._child: Child | None = None
         self._reading: HandReading | None = None
         self._looked_s = 0.0
         self._busy = False
+        self._child = Child(self._what, "hand.py", config.backend, config.address, listen=self._listen)
 
     def connect(self) -> None:
-        """Open the connection."""
+        """Open the connection and wait for a reading."""
         require_installed(self._config.backend)
-        self._reading = None
-        self._child = Child("hand.py", self._config.backend, self._config.address, listen=self._listen)
-        try:
-            self._child.connect(self._config.connect_deadline_s, self._what)
-        except RobotError:
-            self.close()
-            raise
-        self._child.wait_for(lambda: self._reading is not None, FIRST_READING_s)
+        self._reading, self._busy = None, False
+        self._child.connect(self._config.connect_deadline_s)
+        wait_for(lambda: self._reading is not None, FIRST_READING_s)
 
-    def _listen(self, line: dict) -> None:
-        self._reading = HandReading(line["time_s"], line["width_m"], line["max_width_m"], line["is_grasped"])
+    def _listen(self, **state: Any) -> None:
+        self._reading = HandReading(**state)
 
     def begin(self, command: HandCommand) -> None:
         """Start a command; none is in flight."""
         self._busy = True
         if command.force_N > 0:
             widths = {"width_m": command.grasp_width_m, "inner_m": command.inner_m, "outer_m": OUTER_m}
-            self._running().send("grasp", speed_m_s=command.speed_m_s, force_N=command.force_N, **widths)
+            self._child.send("grasp", speed_m_s=command.speed_m_s, force_N=command.force_N, **widths)
         else:
-            self._running().send("move", width_m=command.width_m, speed_m_s=command.speed_m_s)
+            self._child.send("move", width_m=command.width_m, speed_m_s=command.speed_m_s)
 
     def poll(self) -> bool | None:
         """Return how the command in flight ended (False: nothing grasped), None while it runs."""
-        line = self._running().poll()
+        try:
+            line = self._child.poll()
+        except RobotError as error:
+            fault = "hand_connection" if error.fault == "connection" else error.fault
+            raise RobotError(str(error), fault) from error
         if line is None:
             return None
         self._busy = False
-        if line["say"] == "outcome":
-            return bool(line["ok"])
-        error = error_of(line, self._what)
-        error.fault = "hand_connection" if error.fault == "connection" else error.fault
-        raise error
+        return bool(line["ok"])
 
     def read(self) -> HandReading | None:
         """Return the newest reading, None before the first. Never blocks."""
-        if not self._running().is_alive:
+        if not self._child.is_alive:
             raise RobotError(f"{self._what}: the client process ended. Connect again.", "hand_connection")
         return self._reading
 
@@ -236,11 +210,11 @@ class HandClient:
 
         Looks at most every ``LOOK_s``; called by any thread.
         """
-        now_s, child = time.monotonic(), self._child
-        if child is None or now_s - self._looked_s < LOOK_s:
+        now_s, pid = time.monotonic(), self._child.pid
+        if pid is None or now_s - self._looked_s < LOOK_s:
             return
         self._looked_s = now_s
-        if is_hand_closed(child.pid):
+        if is_hand_closed(pid):
             do = "Check the cable and the robot's controller, then connect again."
             raise RobotError(expected(self._what, "a connection", "one it has closed", do), "hand_connection")
 
@@ -249,14 +223,14 @@ class HandClient:
 
         A client that takes no stop while the fingers move is killed: they stop when their client has gone.
         """
-        child, self._child = self._child, None
-        if child is not None:
-            child.close(0.0 if self._busy and not self.reads_while_busy else END_s)
+        self._child.close(0.0 if self._busy and not self.reads_while_busy else END_s)
 
-    def _running(self) -> Child:
-        if self._child is None:
-            raise RobotError("hand: expected connect() first, got no connection. Connect the robot.", "ended")
-        return self._child
+
+def wait_for(condition: Callable[[], object], deadline_s: float) -> None:
+    """Wait until something is so, or the deadline has passed."""
+    end = time.monotonic() + deadline_s
+    while not condition() and time.monotonic() < end:
+        time.sleep(POLL_s)
 
 
 def is_hand_closed(pid: int) -> bool:

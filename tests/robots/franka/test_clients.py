@@ -266,6 +266,7 @@ def test_the_robot_from_end_to_end(config: UniforceFrankaConfig, fci: StandIn) -
     fci.do("user_stop")
     assert fault_within(lambda: robot.send_action(goal)) == "user_stop"
     assert_still(fci)
+    assert fault_within(robot.recover) == "user_stop", "the button is still pressed"
     fci.do("release")
     robot.recover()
     assert not fci.do("look")["arm"]["moving"], "recovery moves nothing"

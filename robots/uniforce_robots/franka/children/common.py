@@ -59,23 +59,34 @@ def say_why(error: Exception) -> None:
 
 def report(state: Any, pose: list[float]) -> None:
     """Pass an arm's state on; ``pose`` has 16 numbers, column by column."""
-    say(
-        "state",
-        time_s=time.monotonic(),
-        robot_time_s=state.time.to_sec(),
-        q=list(state.q),
-        dq=list(state.dq),
-        pose=pose,
-        wrench=list(state.O_F_ext_hat_K),
-        mode=mode_of(state),
-        success_rate=float(state.control_command_success_rate),
-        errors=error_names(state),
-    )
+    reading = {
+        "time_s": time.monotonic(),
+        "robot_time_s": state.time.to_sec(),
+        "q_rad": list(state.q),
+        "dq_rad_s": list(state.dq),
+        "ee_to_base": pose,
+        "wrench_N": list(state.O_F_ext_hat_K),
+        "mode": mode_of(state),
+        "success_rate": float(state.control_command_success_rate),
+        "errors": error_names(state),
+    }
+    say("state", state=reading)
 
 
 def say_lost(state: Any, text: str) -> None:
     """Tell the parent that control is gone, and the mode that says why."""
     say("error", fault=STOPPED.get(mode_of(state), "other"), text=text, errors=error_names(state))
+
+
+def say_recovered(state: Any) -> bool:
+    """Tell the parent whether the arm may move again, and return it."""
+    mode = mode_of(state)
+    if mode in STOPPED:
+        text = f"recovery: expected an arm that may move, got mode {mode}. Release the stop or the joints by hand."
+        say("error", fault=STOPPED[mode], text=text, errors=error_names(state))
+    else:
+        say("recovered")
+    return mode not in STOPPED
 
 
 def mode_of(state: Any) -> str:

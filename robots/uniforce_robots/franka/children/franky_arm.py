@@ -11,7 +11,18 @@ import time
 from typing import Any
 
 import numpy as np
-from common import REPORT_s, SILENCE_s, client_errors, connect, orders, report, say, say_lost, say_why
+from common import (
+    REPORT_s,
+    SILENCE_s,
+    client_errors,
+    connect,
+    orders,
+    report,
+    say,
+    say_lost,
+    say_recovered,
+    say_why,
+)
 
 
 class Loop:
@@ -102,17 +113,13 @@ class Loop:
     def recover(self) -> None:
         """Clear a reflex; nothing moves."""
         self.stop()
-        if not self.robot.recover_from_errors():
-            say(
-                "error",
-                fault="reflex",
-                text="recovery: errors are left. Release the user stop or the joints.",
-            )
+        try:
+            self.robot.recover_from_errors()  # its answer may be of a state from before
+        except self.client.CommandException as error:
+            say_lost(self.report(), str(error))
             return
-        self.lost_control = False
         _ = self.robot.state  # a queued one may be from before
-        self.report()
-        say("recovered")
+        self.lost_control = not say_recovered(self.report())
 
     def report(self) -> Any:
         """Pass the newest state on; about 0.3 ms, up to 1 s when the robot has died."""

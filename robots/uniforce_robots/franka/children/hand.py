@@ -57,8 +57,8 @@ def ended(client: Any, future: Any) -> bool | None:
 def tell(gripper: Any) -> None:
     """Wait for the hand's next state, a tenth of a second, and pass it on."""
     s = gripper.state if hasattr(type(gripper), "state") else gripper.read_once()
-    widths = {"width_m": s.width, "max_width_m": s.max_width}
-    say("state", time_s=time.monotonic(), **widths, is_grasped=bool(s.is_grasped))
+    reading = {"width_m": s.width, "max_width_m": s.max_width, "is_grasped": bool(s.is_grasped)}
+    say("state", state={"time_s": time.monotonic(), **reading})
 
 
 def main() -> None:

@@ -12,7 +12,18 @@ import time
 from typing import Any
 
 import numpy as np
-from common import REPORT_s, SILENCE_s, client_errors, connect, orders, report, say, say_lost, say_why
+from common import (
+    REPORT_s,
+    SILENCE_s,
+    client_errors,
+    connect,
+    orders,
+    report,
+    say,
+    say_lost,
+    say_recovered,
+    say_why,
+)
 
 TICK_s = 1e-3
 TORQUE_STEP_Nm = 0.9  # per millisecond; the robot refuses more than 1
@@ -89,15 +100,26 @@ class Loop:
         """Take orders without control."""
         for order in self.take():
             if order["do"] == "recover":
-                self.robot.automatic_error_recovery()
-                self.lost_control = False
-                self.robot.read_once()  # a queued one may be from before
-                self.report(self.robot.read_once())
-                say("recovered")
+                self.recover()
             elif order["do"] == "stop":
                 say("stopped")
             else:
                 self.remember(order)
+
+    def recover(self) -> None:
+        """Clear a reflex; nothing moves."""
+        text = ""
+        try:
+            self.robot.automatic_error_recovery()
+        except self.client.CommandException as error:
+            text = str(error)
+        self.robot.read_once()  # a queued one may be from before
+        state = self.robot.read_once()
+        self.report(state)
+        if text:
+            say_lost(state, text)
+        else:
+            self.lost_control = not say_recovered(state)
 
     def take(self) -> list[dict]:
         """Return the orders so far; a closed pipe ends the child."""
