@@ -88,7 +88,7 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
     "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),
     "stream: a halt ends nothing": (
         STREAM,
-        "self._fault = self._fault or fault\n        self._ending.set()",
+        "self.fault = self.fault or fault\n        self._ending.set()",
         "pass",
     ),
     "state: numbers unchecked": (STATE, "if not (whole and np.isfinite(state.robot_time_s)):", "if False:"),

@@ -51,8 +51,6 @@ class UniforceFranka(Robot):
         self._hand: Hand | None = None
         self._fault: RobotError | None = None
 
-    # --- features ----------------------------------------------------------------------------------------------------
-
     @property
     def observation_features(self) -> dict[str, Any]:
         """Five measured axes, (height, width, 3) for each camera, and again for each finger's reference."""
@@ -64,8 +62,6 @@ class UniforceFranka(Robot):
     def action_features(self) -> dict[str, type]:
         """Five target axes."""
         return dict.fromkeys(AXES, float)
-
-    # --- life --------------------------------------------------------------------------------------------------------
 
     @property
     def is_connected(self) -> bool:
@@ -92,9 +88,7 @@ class UniforceFranka(Robot):
                 reference.
         """
         if self.is_connected:
-            raise RobotError(
-                "robot: expected a robot not connected, got one that is. Disconnect first.", "other"
-            )
+            raise RobotError("robot: expected one not connected, got one that is. Disconnect first.", "other")
         forbid_return_motion()
         try:
             self._connect_all()
@@ -104,9 +98,8 @@ class UniforceFranka(Robot):
 
     def _connect_all(self) -> None:
         self._arm.connect()
-        hand = Hand(self._hand_client, self.config.gripper)
+        self._hand = hand = Hand(self._hand_client, self.config.gripper)
         hand.start()
-        self._hand = hand
         if any(finger.reference_on_connect for finger in self.config.fingers.values()):
             require_open(hand.reading, self.config.open_width_m)
         for camera in self.cameras.values():
@@ -151,13 +144,12 @@ class UniforceFranka(Robot):
         with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
             closing.callback(log.info, "guards acted: %s", {**self.guards.counts, "watchdog": stale_count})
             for camera in self.cameras.values():
-                closing.callback(_disconnect_camera, camera)
+                if camera.is_connected:
+                    closing.callback(camera.disconnect)
             closing.callback(self._arm.close)
             closing.callback(self._hand_client.close)
             if stream is not None:
                 closing.callback(stream.stop)
-
-    # --- observation and action --------------------------------------------------------------------------------------
 
     def measured(self) -> np.ndarray:
         """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
@@ -195,7 +187,11 @@ class UniforceFranka(Robot):
         with self._halting():
             axes = dict(zip(AXES, self.measured().tolist(), strict=True))
         images = {name: self._image(name, camera) for name, camera in self.cameras.items()}
-        return {**axes, **images, **{f"{name}_ref": self._reference(name) for name in self.config.fingers}}
+        # Copies: what LeRobot gets it may write to.
+        references = {
+            f"{name}_ref": self.cameras[name].reference_image().copy() for name in self.config.fingers
+        }
+        return {**axes, **images, **references}
 
     def _image(self, name: str, camera: Camera) -> np.ndarray:
         try:
@@ -205,10 +201,6 @@ class UniforceFranka(Robot):
             self._halt(RobotError(f"{name}: {error}", "sensor"))
             raise
         return image
-
-    def _reference(self, name: str) -> np.ndarray:
-        image: np.ndarray = self.cameras[name].reference_image()
-        return image.copy()  # what LeRobot gets it may write to
 
     def hold(self) -> None:
         """Let the arm rest where it is, at once; nothing is refused afterwards. Does nothing once it has stopped."""
@@ -278,8 +270,3 @@ def _number(axis: str, value: Any) -> float:
     if not math.isfinite(number):
         raise RobotError(expected(axis, "a finite number", number, "The robot stops."), "action")
     return number
-
-
-def _disconnect_camera(camera: Camera) -> None:
-    if camera.is_connected:
-        camera.disconnect()
