@@ -33,9 +33,11 @@ def serve(client: Any, gripper: Any) -> None:
 
 def begin(client: Any, gripper: Any, order: dict) -> Any:
     """Begin a command; return franky's future of its success, or success itself."""
-    name, arguments = "move", (order["width_m"], order["speed_m_s"])
-    if order["do"] == "grasp":
-        name, arguments = "grasp", (*arguments, order["force_N"], order["inner_m"], order["outer_m"])
+    name, keys = (
+        order["do"],
+        ("width_m", "speed_m_s", "force_N", "inner_m", "outer_m"),
+    )  # a move has two of them
+    arguments = [order[key] for key in keys if key in order]
     try:
         return getattr(gripper, f"{name}_async", getattr(gripper, name))(*arguments)
     except client.CommandException:

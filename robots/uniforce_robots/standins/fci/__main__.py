@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import ipaddress
 import sys
 from pathlib import Path
@@ -34,18 +35,9 @@ def parse(arguments: list[str] | None = None) -> ServerOptions:
     return ServerOptions(chosen.address, arm, chosen.hand_hz, chosen.mute, chosen.log, chosen.fault)
 
 
-def main() -> None:
-    """Serve until interrupted, told to stop, or told to die."""
+if __name__ == "__main__":
     server = Server(parse())
     sys.stdout.write("ready\n")
     sys.stdout.flush()
-    try:
+    with contextlib.closing(server), contextlib.suppress(KeyboardInterrupt):
         server.run()
-    except KeyboardInterrupt:
-        pass
-    finally:
-        server.close()
-
-
-if __name__ == "__main__":
-    main()

@@ -190,7 +190,6 @@ class Arm:
             "speed_rad_s": float(np.abs(self.dq_rad_s).max()),
             "contact_N": self.contact_N.tolist(),
             "tau_Nm": self.tau_Nm.tolist(),
-            "command_force_N": np.linalg.lstsq(self.jacobian.T, self.tau_Nm, rcond=None)[0].tolist(),
         }
 
 

@@ -40,8 +40,10 @@ class Hand:
     def __init__(self) -> None:
         self.width_m = MAX_WIDTH_m
         self.object_m = self.force_N = 0.0
-        self.is_grasped = False
-        self.stop()
+        self.is_grasped = self._homing = False
+        self._goal_m: float | None = None
+        self._speed_m_s = 0.0
+        self._grasp: Grasp | None = None
 
     def start(self, request: Grasp | HandMove | None) -> bool:
         """Begin to close until something is held, to go to a width, or (None) to home; return whether it is possible.
@@ -63,9 +65,7 @@ class Hand:
 
     def stop(self) -> None:
         """Stop where the fingers are."""
-        self._goal_m: float | None = None
-        self._grasp: Grasp | None = None
-        self._homing = False
+        self._goal_m, self._grasp, self._homing = None, None, False
 
     def slip(self) -> None:
         """Lose what is held: the fingers close on nothing."""

@@ -20,7 +20,7 @@ import math
 import os
 import random
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -86,7 +86,7 @@ def corrupt(change: Change) -> Act:
     return lambda arm, _: setattr(arm, "outgoing", changed)
 
 
-def fill(values: dict[str, np.ndarray | float]) -> Change:
+def fill(values: Mapping[str, np.ndarray | float]) -> Change:
     """Return what replaces these fields."""
 
     def change(floats: np.ndarray) -> None:

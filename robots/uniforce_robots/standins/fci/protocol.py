@@ -221,24 +221,16 @@ def decode_hand[Request: (Grasp, HandMove)](kind: type[Request], payload: bytes)
 
 # --- UDP -------------------------------------------------------------------------------------------------------------
 
-STATE_FLOATS = {
-    **dict.fromkeys(("O_T_EE", "O_T_EE_d", "F_T_EE", "EE_T_K", "F_T_NE", "NE_T_EE"), 16),
-    **{
-        "m_ee": 1,
-        "I_ee": 9,
-        "F_x_Cee": 3,
-        "m_load": 1,
-        "I_load": 9,
-        "F_x_Cload": 3,
-        "elbow": 2,
-        "elbow_d": 2,
-    },
-    **dict.fromkeys(("tau_J", "tau_J_d", "dtau_J", "q", "q_d", "dq", "dq_d", "ddq_d"), 7),
-    **{"joint_contact": 7, "cartesian_contact": 6, "joint_collision": 7, "cartesian_collision": 6},
-    **{"tau_ext_hat_filtered": 7, "O_F_ext_hat_K": 6, "K_F_ext_hat_K": 6, "O_dP_EE_d": 6, "O_ddP_O": 3},
-    **{"elbow_c": 2, "delbow_c": 2, "ddelbow_c": 2, "O_T_EE_c": 16, "O_dP_EE_c": 6, "O_ddP_EE_c": 6},
-    **{"theta": 7, "dtheta": 7, "accelerometer_top": 18, "accelerometer_bottom": 18},
-}
+# Names and numbers of float32, in the order of a state.
+_LAYOUT = """
+O_T_EE 16 O_T_EE_d 16 F_T_EE 16 EE_T_K 16 F_T_NE 16 NE_T_EE 16 m_ee 1 I_ee 9 F_x_Cee 3 m_load 1 I_load 9 F_x_Cload 3
+elbow 2 elbow_d 2 tau_J 7 tau_J_d 7 dtau_J 7 q 7 q_d 7 dq 7 dq_d 7 ddq_d 7 joint_contact 7 cartesian_contact 6
+joint_collision 7 cartesian_collision 6 tau_ext_hat_filtered 7 O_F_ext_hat_K 6 K_F_ext_hat_K 6 O_dP_EE_d 6 O_ddP_O 3
+elbow_c 2 delbow_c 2 ddelbow_c 2 O_T_EE_c 16 O_dP_EE_c 6 O_ddP_EE_c 6 theta 7 dtheta 7
+accelerometer_top 18 accelerometer_bottom 18
+"""
+_WORDS = _LAYOUT.split()
+STATE_FLOATS = {name: int(size) for name, size in zip(_WORDS[::2], _WORDS[1::2], strict=True)}
 _ENDS = np.cumsum(list(STATE_FLOATS.values())).tolist()
 STATE_SLICES = {
     name: slice(end - size, end) for (name, size), end in zip(STATE_FLOATS.items(), _ENDS, strict=True)
@@ -301,7 +293,6 @@ def _bits(flags: bytes) -> frozenset[int]:
 
 
 _COMMAND = struct.Struct("<Q7d7d16d6d2d??7d?")
-COMMAND_BYTES = _COMMAND.size  # 371
 
 
 @dataclass(frozen=True)
@@ -331,7 +322,8 @@ class RobotCommand:
         """
         values = unpack(_COMMAND, datagram, "RobotCommand")
         floats = _finite(np.array([*values[1:39], *values[41:48]]), "RobotCommand")
-        return cls(values[0], *np.split(floats, [7, 14, 30, 36, 38]), finished=values[40] or values[48])
+        q, dq, pose, twist, elbow, tau = np.split(floats, [7, 14, 30, 36, 38])
+        return cls(values[0], q, dq, pose, twist, elbow, tau, values[40] or values[48])
 
 
 _HAND_STATE = struct.Struct("<IddBH")

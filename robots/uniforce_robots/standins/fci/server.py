@@ -90,7 +90,9 @@ class Server:
 
     def close(self) -> None:
         """Close every socket."""
-        for each in (self.arm.link, self.hand.link, *self._controllers, self._control):
+        self.arm.link.close()
+        self.hand.link.close()
+        for each in (*self._controllers, self._control):
             each.close()
         self.journal.flush()
 
