@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 EXTRAS = {"franky": "franka", "pylibfranka": "franka-official"}
 DISTRIBUTION = "lerobot_policy_pi05_uniforce"
 TURN_rad = 0.01  # the hand's turn after which the gains are expressed in the base frame anew
-STOP_s = 8.0  # braking takes a few tenths of a second; a robot that has died is noticed after one
+STOP_s = 8.0  # braking takes a few tenths of a second, longer beside a busy machine
+GIVE_UP_s = 2.0  # without braking; a robot that has died is noticed after one second, and a client may hang
 STATE_AGE_s = 1.5  # the child notices a dead robot after 1 s and says so
 FIRST_READING_s = 3.0  # of the hand, which gives ten a second
 HAND_PORT = 1338  # of every Franka Hand; the arm's is 1337
@@ -126,7 +127,7 @@ class Arm:
             return  # where control was lost before, set_target says so
         self._child.send("stop", at_once=at_once)
         try:
-            self._child.wait("stopped", STOP_s)
+            self._child.wait("stopped", GIVE_UP_s if at_once else STOP_s)
         except RobotError as error:
             self._fault = error
             raise

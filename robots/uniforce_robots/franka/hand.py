@@ -1,6 +1,6 @@
 """The gripper: one command in flight, never interrupted, its state never waited for.
 
-The real hand answers a command when its fingers have arrived, tells its state about ten times a second and takes an
+The real hand answers a command when its fingers have arrived, gives its state about ten times a second and takes an
 interruption badly; a control loop at 30 Hz can wait for none of that.
 """
 

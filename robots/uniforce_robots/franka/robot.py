@@ -163,7 +163,7 @@ class UniforceFranka(Robot):
 
     @property
     def reading(self) -> tuple[ArmState, HandReading]:
-        """All that arm and hand told last, for a recorder. Never blocks.
+        """The newest readings of arm and hand, for a recorder. Never blocks.
 
         Raises:
             RobotError: as ``measured``.

@@ -1,4 +1,4 @@
-"""An arm and a hand that do what they are told at once, and fail when they are told to."""
+"""An arm and a hand that do what they are asked at once, and fail when they are asked to."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class FakeHand:
         self.overlaps = 0
         self.fault: RobotError | None = None
         self.closed = False
-        self.is_grasped = self.closed_by_peer = False
+        self.is_grasped = self.closed_by_hand = False
         self.silent_since_s: float | None = None  # readings repeat from then on
         self._ends_s: float | None = None
 
@@ -118,7 +118,7 @@ class FakeHand:
         return self.succeeds
 
     def refuse_closed(self) -> None:
-        if self.closed_by_peer:
+        if self.closed_by_hand:
             raise RobotError("closed", "hand_connection")
 
     def read(self) -> HandReading | None:

@@ -146,7 +146,7 @@ def test_old_readings_are_a_fault_while_they_are_old(bench: Bench) -> None:
 
 
 def test_a_hand_that_hangs_up_is_noticed_though_its_client_waits_on(bench: Bench) -> None:
-    bench.client.closed_by_peer = True
+    bench.client.closed_by_hand = True
     assert bench.run(TICK_s) == "hand_connection"
 
 

@@ -176,7 +176,7 @@ def test_no_call_of_a_loop_waits_for_a_client_that_blocks(robot: UniforceFranka,
     arm.blocks_s = 0.0
 
 
-def test_a_reflex_is_told_and_recovery_moves_nothing(
+def test_a_reflex_is_raised_and_recovery_moves_nothing(
     robot: UniforceFranka, arm: FakeArm, eventually: Callable
 ) -> None:
     robot.connect()
@@ -202,14 +202,14 @@ def test_a_lost_hand_stops_the_arm(
     robot.send_action(action())
     hand.fault = RobotError("hand gone", "connection")
 
-    def told() -> bool:
+    def refused() -> bool:
         try:
             robot.get_observation()
         except RobotError:
             return True
         return False
 
-    eventually(told)
+    eventually(refused)
     eventually(lambda: bool(arm.stopped_at))
     with pytest.raises(RobotError, match="hand gone"):
         robot.send_action(action())
@@ -297,7 +297,7 @@ def test_nested_settings_are_parsed_from_the_command_line() -> None:
 
 
 class BrokenCamera:
-    """A camera that works until told otherwise."""
+    """A camera that works until it gets an error."""
 
     height, width = 4, 6
 

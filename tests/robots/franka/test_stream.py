@@ -153,7 +153,7 @@ def test_a_mistake_in_a_backend_lets_the_arm_go_too(
     assert caught.value.fault == "other" and "ZeroDivisionError" in str(caught.value)
 
 
-def test_late_commands_are_told_once(
+def test_late_commands_are_logged_once(
     arm: FakeArm, stream: ArmStream, eventually: Callable, caplog: pytest.LogCaptureFixture
 ) -> None:
     arm.success_rate, arm.mode = 0.5, "move"

@@ -1,4 +1,4 @@
-"""When a fault begins and ends, in the robot's own milliseconds, and what is told of the arm after it."""
+"""When a fault begins and ends, in the robot's own milliseconds, and what is said of the arm after it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_every_fault_says_in_one_line_what_it_does_and_where_it_comes_from() -> 
 
 
 @pytest.mark.slow
-def test_a_fault_waits_and_lasts_as_long_as_it_is_told(fci: StandIn) -> None:
+def test_a_fault_waits_and_lasts_as_long_as_ordered(fci: StandIn) -> None:
     with RawArm(fci.address) as arm:
         ordered = fci.do("fault", name="nan_state", after_ms=60, duration_ms=40)
         assert ordered["fault"]["name"] == NONE
@@ -51,7 +51,7 @@ def test_a_second_fault_takes_the_place_of_the_first(fci: StandIn) -> None:
 
 
 @pytest.mark.slow
-def test_the_arm_tells_how_long_after_a_fault_it_came_to_rest(fci: StandIn) -> None:
+def test_it_is_known_how_long_after_a_fault_the_arm_came_to_rest(fci: StandIn) -> None:
     with RawArm(fci.address) as arm:
         goal = arm.state()["O_T_EE"][12:15] + np.array([0, 0, -0.05])
         arm.start()
@@ -69,7 +69,7 @@ def test_the_arm_tells_how_long_after_a_fault_it_came_to_rest(fci: StandIn) -> N
 
 
 @pytest.mark.slow
-def test_no_fault_of_the_states_reaches_what_is_told_beside_them(fci: StandIn) -> None:
+def test_no_fault_of_the_states_reaches_what_is_said_beside_them(fci: StandIn) -> None:
     with RawArm(fci.address) as arm:
         arm.state()
         before = fci.do("look")["arm"]

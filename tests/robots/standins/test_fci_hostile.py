@@ -1,4 +1,4 @@
-"""Every fault of the registry, on the wire, through a client of plain sockets; and what is told of it afterwards."""
+"""Every fault of the registry, on the wire, through a client of plain sockets; and what is said of it afterwards."""
 
 from __future__ import annotations
 

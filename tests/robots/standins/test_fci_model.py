@@ -133,7 +133,7 @@ def test_the_hand_moves_homes_grasps_and_fails_to() -> None:
     assert not hand.start(HandMove(0.2, 0.1)), "wider than the hand"
 
 
-def test_the_watch_tells_when_the_arm_moved_last() -> None:
+def test_the_watch_knows_when_the_arm_moved_last() -> None:
     arm, watch = Arm(), Watch()
     watch.look(arm, 1)
     assert watch.describe(1)["held_since_ms"] == 0
@@ -148,7 +148,7 @@ def test_the_watch_tells_when_the_arm_moved_last() -> None:
 
 
 @pytest.mark.parametrize("slow", [True, False])
-def test_the_watch_tells_when_the_torque_changed_last(slow: bool) -> None:
+def test_the_watch_knows_when_the_torque_changed_last(slow: bool) -> None:
     arm, watch = Arm(), Watch()
     step = 0.02 if slow else 0.5
     for now_ms in range(1, 11):

@@ -63,7 +63,7 @@ def test_setters_are_answered_and_change_what_the_state_says(fci: StandIn) -> No
     assert {"CONNECT", "GET_ROBOT_MODEL", "SET_GUIDING_MODE"} <= set(sizes)
 
 
-def test_a_torque_motion_reaches_its_target_and_ends_when_told(fci: StandIn) -> None:
+def test_a_torque_motion_reaches_its_target_and_ends_when_asked(fci: StandIn) -> None:
     with RawArm(fci.address) as arm:
         goal = arm.state()["O_T_EE"][12:15] + np.array([0, 0, -0.01])
         command_id = arm.start()

@@ -25,7 +25,7 @@ def serve(client: Any, gripper: Any) -> None:
         if future is not None and (outcome := ended(client, future)) is not None:
             future = None
             say("outcome", ok=outcome)
-        tell(gripper)
+        report(gripper)
     if future is not None:
         gripper.stop()
         future.wait(END_s)
@@ -56,7 +56,7 @@ def ended(client: Any, future: Any) -> bool | None:
         return False
 
 
-def tell(gripper: Any) -> None:
+def report(gripper: Any) -> None:
     """Wait for the hand's next state, a tenth of a second, and pass it on."""
     s = gripper.state if hasattr(type(gripper), "state") else gripper.read_once()
     reading = {"width_m": s.width, "max_width_m": s.max_width, "is_grasped": bool(s.is_grasped)}

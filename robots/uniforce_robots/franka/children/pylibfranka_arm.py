@@ -94,7 +94,7 @@ class Loop:
                 self.report_in_time(self.robot.read_once())
                 self.obey_idle()
             else:
-                self.control_until_told()
+                self.hold_control()
 
     def obey_idle(self) -> None:
         """Take orders without control."""
@@ -135,8 +135,8 @@ class Loop:
         elif order["do"] == "gains":
             self.gains = order
 
-    def control_until_told(self) -> None:
-        """Hold control until told to stop; say why when it is lost."""
+    def hold_control(self) -> None:
+        """Hold control until the order to stop; say why when it is lost."""
         control = None
         try:
             control = self.robot.start_torque_control()

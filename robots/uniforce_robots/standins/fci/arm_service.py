@@ -1,4 +1,4 @@
-"""The arm's side of the wire: requests by TCP, a Move under way, a millisecond driven and told; and what stops it."""
+"""The arm's side of the wire: requests by TCP, a Move under way, a millisecond driven and sent; and what stops it."""
 
 from __future__ import annotations
 

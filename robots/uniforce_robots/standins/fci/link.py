@@ -163,7 +163,7 @@ class Link:
             return
         try:
             self.udp.sendto(datagram, self.states_to)
-        except (ConnectionError, BlockingIOError):  # its socket is closed; TCP will tell
+        except (ConnectionError, BlockingIOError):  # its socket is closed; TCP will show it
             return
 
     def datagrams(self) -> Iterator[bytes]:
