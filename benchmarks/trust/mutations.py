@@ -94,7 +94,7 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
     "state: numbers unchecked": (STATE, "if not (whole and np.isfinite(state.robot_time_s)):", "if False:"),
     "state: force unchecked": (STATE, "if not np.isfinite(state.wrench_N).all():", "if False:"),
     "state: speed unchecked": (STATE, "if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():", "if False:"),
-    "state: jumps pass": (STATE, "if far or jumped.any():", "if False:"),
+    "state: jumps pass": (STATE, "if far or turned or jumped.any():", "if False:"),
     "state: clocks run backwards": (STATE, "if elapsed_s < 0:", "if False:"),
     "state: mirrored poses pass": (STATE, " or np.linalg.det(rotation) < 0", ""),
     "robot: faults not latched": (

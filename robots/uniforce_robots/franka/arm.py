@@ -20,12 +20,9 @@ STOPPED_MODES = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "gu
 UNBELIEVED = ("bad_state", "jump", "speed", "frozen", "connection", "stale")  # faults of readings themselves
 # Every fault of an arm that has stopped by itself and can still be read.
 ROBOT_STOPS = (*STOPPED_MODES.values(), "communication", "discontinuity", "limit")
-CLIENT_WORDS = {
-    "incompatible": "version",
-    "infinite or nan": "bad_state",
-    "user stop": "user_stop",
-    "reflex": "reflex",
-}
+ERROR_WORDS = {"communication": "communication", "discontinuity": "discontinuity", "violation": "limit"}
+CLIENT_WORDS = {"incompatible": "version", "infinite or nan": "bad_state", "user stop": "user_stop"}
+CLIENT_WORDS |= {"reflex": "reflex"}
 CLIENT_WORDS |= dict.fromkeys(("timeout", "connection", "network", "tcp", "udp"), "connection")
 
 
@@ -67,18 +64,13 @@ def refuse_stopped(state: ArmState) -> None:
     if state.mode in STOPPED_MODES:
         fault = fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
         came = f"{state.mode} {', '.join(state.errors)}".strip()
-        raise RobotError(
-            expected("arm mode", "idle or move", came, "See to the robot, then call recover()."), fault
-        )
+        do = "See to the robot, then call recover()."
+        raise RobotError(expected("arm mode", "idle or move", came, do), fault)
 
 
 def fault_of_errors(errors: Iterable[str]) -> str:
     """Return the ``RobotError.fault`` of the robot's own error names."""
-    return _first(
-        {"communication": "communication", "discontinuity": "discontinuity", "violation": "limit"},
-        " ".join(errors),
-        "reflex",
-    )
+    return _first(ERROR_WORDS, " ".join(errors), "reflex")
 
 
 def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:

@@ -81,7 +81,7 @@ class Arm:
     def _listen(self, **state: Any) -> None:
         arrays = {name: np.array(state[name]) for name in ("q_rad", "dq_rad_s", "wrench_N")}
         pose = np.array(state["ee_to_base"]).reshape(4, 4).T
-        self._state = ArmState(**state | arrays | {"ee_to_base": pose})
+        self._state = ArmState(**state | arrays | {"ee_to_base": pose, "errors": tuple(state["errors"])})
 
     def state(self) -> ArmState:
         """Return the newest reading; there are a hundred a second. Never blocks."""

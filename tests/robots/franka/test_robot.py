@@ -37,11 +37,7 @@ def hand() -> FakeHand:
 
 @pytest.fixture
 def robot(
-    arm: FakeArm,
-    hand: FakeHand,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    patient: StreamSettings,
+    arm: FakeArm, hand: FakeHand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patient: StreamSettings
 ) -> Iterator[UniforceFranka]:
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
     robot = UniforceFranka(UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient))
