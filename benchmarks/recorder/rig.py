@@ -16,7 +16,7 @@ import psutil
 from benchmarks.recorder.plan import Plan
 from benchmarks.recorder.session import Program, Session
 from benchmarks.recorder.stillness import arm_clock, find_hold
-from uniforce_robots.standins.fci.journal import read_journal
+from uniforce_robots.standins.fci.link import read_journal
 from uniforce_robots.standins.fci.process import StandIn as ArmStandIn
 from uniforce_robots.standins.process import StandIn
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from uniforce_robots.franka.arm import ArmSettings, Gains
+from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.config import NESTED, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.hand import HandSettings
@@ -19,7 +19,6 @@ NEEDS: dict[type, dict[str, Any]] = {
     StreamSettings: {},
     HandSettings: {},
     Gains: {"stiffness_N_m": (800.0, 800.0, 800.0)},
-    ArmSettings: {"address": "127.0.0.2"},
     UniforceFrankaConfig: {},
 }
 

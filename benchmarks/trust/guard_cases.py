@@ -152,7 +152,7 @@ class ScriptedHand:
     def check(self) -> None:
         """Nothing is wrong."""
 
-    recover = check
+    tick = recover = check
 
     @property
     def reading(self) -> HandReading:

@@ -8,6 +8,7 @@ from itertools import chain
 
 import numpy as np
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, PacketHandler, PortHandler
+from fci_client import RawArm, RawClient, RawHand
 from mutations import chunks
 from websockets.frames import Opcode
 
@@ -33,7 +34,6 @@ from uniforce_robots.standins.fci.protocol import (
     ProtocolError,
     RobotState,
 )
-from uniforce_robots.standins.fci.raw_client import RawArm, RawClient, RawHand
 from uniforce_robots.standins.gello import status
 from uniforce_robots.standins.mjpeg import encode, part
 from uniforce_robots.standins.slcan import scan_lines

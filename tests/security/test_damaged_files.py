@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from fci_client import RawHand
 
 from benchmarks.baselines.checkpoint import read_tensors
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
@@ -19,7 +20,6 @@ from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_robots.standins.fci.protocol import HAND_HEADER, HandCommand, Message, ProtocolError
-from uniforce_robots.standins.fci.raw_client import RawHand
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.file_hashes import drop_hashes

@@ -8,11 +8,11 @@ import socket
 
 import psutil
 import pytest
+from fci_client import RawClient
 
 from uniforce_robots.standins.fci.__main__ import parse
 from uniforce_robots.standins.fci.process import StandIn as FciStandIn
 from uniforce_robots.standins.fci.protocol import ARM_HEADER
-from uniforce_robots.standins.fci.raw_client import RawClient
 from uniforce_robots.standins.process import StandIn
 
 EVERYWHERE = ("0.0.0.0", "''", '""', "'::'", "INADDR_ANY")

@@ -1,25 +1,29 @@
-"""What any arm backend does, and the data that flow through it.
+"""A reading of the arm, the faults it can have, and its gains.
 
 Poses are (4, 4) ``ee_to_base``: the frame between the finger tips in the robot's base frame, metres. On a Franka Hand
-the fingers close along that frame's y axis and z points out of the hand. A backend belongs to one thread.
+the fingers close along that frame's y axis and z points out of the hand.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_robots.franka.limits import FORCE_N, TORQUE_Nm, require_in_limits, require_one_of
+from uniforce_robots.franka.limits import FORCE_N, TORQUE_Nm, require_in_limits
 from uniforce_vtla.errors import ContractError, RobotError, expected
 
 # A mode in which nothing may move, and the RobotError.fault it means.
 STOPPED_MODES = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
-# Every fault of an arm that has stopped by itself and can still be read.
 UNBELIEVED = ("bad_state", "jump", "speed", "frozen", "connection", "stale")  # faults of readings themselves
+# Every fault of an arm that has stopped by itself and can still be read.
 ROBOT_STOPS = (*STOPPED_MODES.values(), "communication", "discontinuity", "limit")
+ERROR_WORDS = {"communication": "communication", "discontinuity": "discontinuity", "violation": "limit"}
+CLIENT_WORDS = {"incompatible": "version", "infinite or nan": "bad_state", "user stop": "user_stop"}
+CLIENT_WORDS |= {"reflex": "reflex"}
+CLIENT_WORDS |= dict.fromkeys(("timeout", "connection", "network", "tcp", "udp"), "connection")
 
 
 @dataclass(frozen=True)
@@ -60,16 +64,30 @@ def refuse_stopped(state: ArmState) -> None:
     if state.mode in STOPPED_MODES:
         fault = fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
         came = f"{state.mode} {', '.join(state.errors)}".strip()
-        raise RobotError(
-            expected("arm mode", "idle or move", came, "See to the robot, then call recover()."), fault
-        )
+        do = "See to the robot, then call recover()."
+        raise RobotError(expected("arm mode", "idle or move", came, do), fault)
 
 
-def fault_of_errors(errors: tuple[str, ...]) -> str:
+def fault_of_errors(errors: Iterable[str]) -> str:
     """Return the ``RobotError.fault`` of the robot's own error names."""
-    kinds = {"communication": "communication", "discontinuity": "discontinuity", "violation": "limit"}
-    text = " ".join(errors)
-    return next((fault for word, fault in kinds.items() if word in text), "reflex")
+    return _first(ERROR_WORDS, " ".join(errors), "reflex")
+
+
+def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
+    """Return the ``RobotError.fault`` of a client's message; the clients share libfranka's wording.
+
+    Args:
+        fault: what the child process knows of it: ``other`` where only the text says more.
+        text: the client's message.
+        errors: the robot's own error names.
+    """
+    fault = _first(CLIENT_WORDS, text.lower(), "other") if fault == "other" else fault
+    return fault_of_errors((*errors, text)) if fault == "reflex" else fault
+
+
+def _first(words: dict[str, str], text: str, otherwise: str) -> str:
+    """Return what the first word that stands in a text means."""
+    return next((fault for word, fault in words.items() if word in text), otherwise)
 
 
 @dataclass(frozen=True)
@@ -116,73 +134,8 @@ class Gains:
         K[3:, 3:] = rotation @ np.diag(self.rotation_Nm_rad) @ rotation.T
         return K
 
-    def force_bound(self, rotation: np.ndarray) -> np.ndarray:
-        """(3,) largest spring force along each base axis, Σ |K_ij| clip_j, N."""
-        return np.abs(self.matrix_in_base(rotation)[:3, :3]) @ np.array(self.clip_m)
-
 
 # The simulated scene's own stiffness: 800 N/m × 18 mm bounds the press at 14.4 N.
 ROLLOUT = Gains((2000.0, 2000.0, 800.0))
 # For a person who leads the hand: soft but along the closing axis, so that a squeeze does not drag the arm.
 HAND_GUIDED = Gains((200.0, 2000.0, 200.0), (20.0, 20.0, 20.0))
-
-
-@dataclass(frozen=True)
-class ArmSettings:
-    """How a backend connects.
-
-    Attributes:
-        address: of the robot's controller, or of the stand-in.
-        connect_deadline_s: after the client is loaded; a robot that does not answer by then is an error. With the
-            client's own start, a person waits about 3 s.
-        reflex_torque_Nm, reflex_force_N: the robot stops by reflex above these, at any joint and along any axis. 40 N
-            lies above the press that 800 N/m × 18 mm allows and below what breaks a gel.
-        gains: to start with.
-        realtime: ``ignore`` works on any kernel, ``enforce`` refuses one without PREEMPT_RT.
-    """
-
-    address: str
-    connect_deadline_s: float = 2.5
-    reflex_torque_Nm: float = 40.0
-    reflex_force_N: float = 40.0
-    gains: Gains = field(default_factory=lambda: ROLLOUT)
-    realtime: str = "ignore"
-
-    def __post_init__(self) -> None:
-        require_in_limits(self)
-        require_one_of("realtime", self.realtime, ("ignore", "enforce"))
-
-
-class Arm(Protocol):
-    """A seven-jointed arm under Cartesian impedance control.
-
-    Every method may raise RobotError; its ``fault`` says what happened.
-    """
-
-    def connect(self) -> None:
-        """Open the connection within the configured deadline and set the reflex thresholds. Nothing moves."""
-
-    def state(self) -> ArmState:
-        """Return the newest reading."""
-
-    def set_target(self, ee_to_base: np.ndarray) -> None:
-        """Pull towards a pose from now on. The first call takes control of the arm.
-
-        Repeat it: a backend whose loop lives elsewhere holds the measured pose when it hears nothing for 0.3 s.
-        """
-
-    def set_gains(self, gains: Gains) -> None:
-        """Change the stiffness; before the first target it becomes the one to start with."""
-
-    def stop(self, at_once: bool = False) -> None:
-        """Give up control; the arm comes to rest and holds. Does nothing without control.
-
-        Args:
-            at_once: leave the braking to the robot: for readings that can't be believed, by which nothing can brake.
-        """
-
-    def recover(self) -> None:
-        """Clear a reflex. Nothing moves; the next target takes control again."""
-
-    def close(self) -> None:
-        """Stop and hang up. Safe to call twice."""

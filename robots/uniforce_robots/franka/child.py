@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from uniforce_robots.franka.arm import fault_of
 from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
@@ -21,59 +22,79 @@ SCRIPTS = Path(__file__).parent / "children"
 
 
 class Child:
-    """Run one of ``children/``. ``listen`` gets each line as a dict from the reader thread; others wait for a word.
+    """A client in a process of its own, running one of ``children/`` between ``connect`` and ``close``.
 
     Args:
+        what: for messages, e.g. ``robot at 172.16.0.2``.
         script: file name in ``children/``.
         arguments: its command line.
-        listen: called for lines nobody waits for (states); must be quick.
+        listen: called by the reader thread for each state, as a dict; must be quick. Other lines wait to be asked for.
     """
 
-    def __init__(self, script: str, *arguments: str, listen: Callable[[dict], None] | None = None) -> None:
-        self._listen = listen or (lambda line: None)
+    def __init__(self, what: str, script: str, *arguments: str, listen: Callable[..., None]) -> None:
+        self._what, self._command = what, [sys.executable, str(SCRIPTS / script), *arguments]
+        self._listen = listen
+        self._process: subprocess.Popen[str] | None = None
         self._answers: queue.Queue[dict] = queue.Queue()
-        command = [sys.executable, str(SCRIPTS / script), *arguments]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        # A daemon, so that a program that forgets close() can end; it never is inside a C++ client.
-        self._reader = threading.Thread(target=self._read, name=f"child {script}", daemon=True)
-        self._reader.start()
 
-    def _read(self) -> None:
-        for line in self._process.stdout or ():
-            said = json.loads(line)
-            if said["say"] == "state":
-                self._listen(said)
+    def connect(self, deadline_s: float) -> None:
+        """Start the process, wait until the client is loaded, then for the connection within the deadline.
+
+        Raises:
+            RobotError: as ``wait``; the process is gone then.
+        """
+        begun = time.monotonic()
+        self._answers = queue.Queue()
+        self._process = subprocess.Popen(
+            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        # A daemon, so that a program that forgets close() can end; it never is inside a C++ client.
+        self._reader = threading.Thread(target=self._read, args=(self._process, self._answers), daemon=True)
+        self._reader.start()
+        try:
+            self.wait("loaded", LOAD_s)
+            log.info("client loaded in %.1f s", time.monotonic() - begun)
+            self.wait("connected", deadline_s)
+        except RobotError:
+            self.close()
+            raise
+
+    def _read(self, process: subprocess.Popen[str], answers: queue.Queue[dict]) -> None:
+        for text in process.stdout or ():
+            line = json.loads(text)
+            if line["say"] == "state":
+                self._listen(**line["state"])
             else:
-                self._answers.put(said)
-        self._answers.put({"say": "gone"})
+                answers.put(line)
+        answers.put({"say": "gone"})
 
     @property
     def is_alive(self) -> bool:
         """Whether the process runs."""
-        return self._process.poll() is None
+        return self._process is not None and self._process.poll() is None
 
     @property
-    def pid(self) -> int:
-        """Of the process."""
-        return self._process.pid
+    def pid(self) -> int | None:
+        """Of the process, None while there is none."""
+        return self._process.pid if self._process else None
 
     def send(self, do: str, **details: object) -> None:
         """Send an order.
 
         Raises:
-            RobotError: the process is gone.
+            RobotError: there is no process, or no longer.
         """
+        pipe = self._running().stdin
+        assert pipe is not None
         try:
-            assert self._process.stdin is not None
-            self._process.stdin.write(json.dumps({"do": do, **details}) + "\n")
-            self._process.stdin.flush()
-        except (BrokenPipeError, ValueError) as error:  # ValueError: the pipe is closed here
-            raise RobotError(
-                "client process: expected it to run, got a closed pipe. Connect again.", "ended"
-            ) from error
+            pipe.write(json.dumps({"do": do, **details}) + "\n")
+            pipe.flush()
+        except BrokenPipeError as error:
+            text = f"{self._what}: expected a client that runs, got a closed pipe. Connect again."
+            raise RobotError(text, "ended") from error
 
-    def wait(self, word: str, deadline_s: float, what: str) -> dict:
-        """Return the next line that says ``word``; kill the process if it does not come in time.
+    def wait(self, word: str, deadline_s: float) -> None:
+        """Wait for the line that says ``word``; kill the process if it does not come in time.
 
         Raises:
             RobotError: an error came instead, the process ended, or the deadline passed.
@@ -81,52 +102,63 @@ class Child:
         end = time.monotonic() + deadline_s
         while True:
             try:
-                said = self._answers.get(timeout=max(end - time.monotonic(), 0.001))
+                line = self._answers.get(timeout=max(end - time.monotonic(), 0.001))
             except queue.Empty:
-                self.kill()
-                do = "Is it switched on, unlocked, FCI activated, and is nobody else connected?"
+                self.close(grace_s=0.0)
+                do = "Is it switched on, unlocked, FCI activated, and no other program connected?"
                 came = f"none after {deadline_s:.1f} s"
-                raise RobotError(expected(what, "an answer", came, do), "connection") from None
-            if said["say"] == word:
-                return said
-            if said["say"] == "error":
-                raise RobotError(f"{what}: {said['text']}", said["fault"])
-            if said["say"] == "gone":
-                raise RobotError(
-                    expected(what, "an answer", "the client process ended", "See its output."), "ended"
-                )
+                raise RobotError(expected(self._what, "an answer", came, do), "connection") from None
+            if line["say"] == word:
+                return
+            if (error := self._error(line)) is not None:
+                raise error
 
     def poll(self) -> dict | None:
-        """Return the next line that is no state, None when there is none."""
+        """Return the next line that is no state, None when there is none.
+
+        Raises:
+            RobotError: it is an error, or the process has ended.
+        """
+        self._running()
         try:
-            return self._answers.get_nowait()
+            line = self._answers.get_nowait()
         except queue.Empty:
             return None
+        if (error := self._error(line)) is not None:
+            raise error
+        return line
 
-    def connect(self, deadline_s: float, what: str) -> None:
-        """Wait until the client is loaded, then for the connection within the deadline."""
-        begun = time.monotonic()
-        self.wait("loaded", LOAD_s, "Franka client")
-        log.info("client loaded in %.1f s", time.monotonic() - begun)
-        self.wait("connected", deadline_s, what)
+    def forget(self) -> None:
+        """Drop what was said so far."""
+        while not self._answers.empty():
+            self._answers.get_nowait()
 
-    def kill(self) -> None:
-        """End the process at once: a client that waits for a mute server ignores signals it could catch."""
-        self._process.kill()
-        self.close()
+    def _error(self, line: dict) -> RobotError | None:
+        if line["say"] not in ("error", "gone"):
+            return None
+        text = line.get("text", "the client process ended; see its output. Connect again.")
+        fault = fault_of(line.get("fault", "connection"), text, line.get("errors", ()))
+        return RobotError(f"{self._what}: {text}", fault)
 
-    def close(self) -> None:
-        """Ask the process to end, wait, and kill it if it won't. Safe to call twice."""
-        if self._process.stdin and not self._process.stdin.closed:
-            try:
-                self._process.stdin.close()  # the end of its orders is its order to end
-            except BrokenPipeError:
-                log.debug("the child had gone before")
+    def _running(self) -> subprocess.Popen[str]:
+        if self._process is None:
+            do = "Call connect()."
+            raise RobotError(expected(self._what, "connect() first", "no connection", do), "ended")
+        return self._process
+
+    def close(self, grace_s: float = END_s) -> None:
+        """Ask the process to end, and kill it if it has not after ``grace_s``. Safe to call twice."""
+        process, self._process = self._process, None
+        if process is None or process.stdin is None or process.stdout is None:
+            return
         try:
-            self._process.wait(END_s)
+            process.stdin.close()  # the end of its orders is its order to end
+        except BrokenPipeError:
+            log.debug("the child had gone before")
+        try:
+            process.wait(grace_s)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            process.kill()
+            process.wait()
         self._reader.join()
-        if self._process.stdout:
-            self._process.stdout.close()
+        process.stdout.close()

@@ -8,7 +8,7 @@ from typing import Literal
 from lerobot.cameras import CameraConfig
 from lerobot.robots.config import RobotConfig
 
-from uniforce_robots.franka.arm import ROLLOUT, ArmSettings, Gains
+from uniforce_robots.franka.arm import ROLLOUT, Gains
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.hand import HandSettings
 from uniforce_robots.franka.limits import require_in_limits, require_kind, require_one_of
@@ -25,14 +25,15 @@ class UniforceFrankaConfig(RobotConfig):
 
     Attributes:
         address: of the robot's controller; 127.0.0.N for the stand-in.
-        backend: ``franky`` (extra ``franka``) or ``pylibfranka`` (extra ``franka-official``); one per process.
-        fps: actions per second of whoever drives; a target is reached within one period.
+        backend: ``franky`` (extra ``franka``) or ``pylibfranka`` (extra ``franka-official``).
+        fps: actions per second; a target is reached within one period.
         gains: stiffness and clip; the force bound is their product.
         guards: limits every action passes.
         stream: rhythm and watchdog; its ``action_period_s`` follows ``fps``.
         gripper: how widths become commands.
-        reflex_torque_Nm, reflex_force_N: the robot's own stop.
-        connect_deadline_s: for an answer, once the client is loaded.
+        reflex_torque_Nm, reflex_force_N: the robot's own stop, at any joint and along any axis. 40 N lies above the
+            press that 800 N/m × 18 mm allows and below what breaks a gel.
+        connect_deadline_s: for an answer, once the client is loaded; with the client's own start a person waits 3 s.
         realtime: ``ignore`` or ``enforce`` (needs PREEMPT_RT).
         cameras: scene and tactile cameras by name; each is one image of the observation, and a tactile one two: its
             free-air reference is ``NAME_ref``.
@@ -65,15 +66,3 @@ class UniforceFrankaConfig(RobotConfig):
     def fingers(self) -> dict[str, TactileFingerConfig]:
         """The tactile ones of the cameras."""
         return {name: c for name, c in self.cameras.items() if isinstance(c, TactileFingerConfig)}
-
-    @property
-    def arm_settings(self) -> ArmSettings:
-        """What the arm's backend wants to know."""
-        return ArmSettings(
-            address=self.address,
-            connect_deadline_s=self.connect_deadline_s,
-            reflex_torque_Nm=self.reflex_torque_Nm,
-            reflex_force_N=self.reflex_force_N,
-            gains=self.gains,
-            realtime=self.realtime,
-        )

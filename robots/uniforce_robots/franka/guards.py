@@ -17,13 +17,7 @@ from uniforce_vtla.errors import ContractError, RobotError, expected
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
-GUARDS = (
-    "finite",
-    "box",
-    "step",
-    "rate",
-    "sensor",
-)  # the last one acts on the robot's word, not on an action
+GUARDS = ("finite", "box", "step", "rate", "sensor")  # the last one acts on a camera, not on an action
 
 
 @dataclass(frozen=True)
@@ -52,10 +46,8 @@ class GuardLimits:
     def __post_init__(self) -> None:
         require_in_limits(self)
         if not np.all(np.less(self.low, self.high)):
-            came = f"{self.low}, {self.high}"
-            raise ContractError(
-                expected("workspace box", f"low < high for {AXES}", came, "Check the config.")
-            )
+            wanted, came = f"low < high for {AXES}", f"{self.low}, {self.high}"
+            raise ContractError(expected("workspace box", wanted, came, "Check the config."))
 
 
 class GuardChain:
@@ -131,9 +123,8 @@ class GuardChain:
         if acts:
             self.counts[guard] += 1
             if guard not in self._acting:
-                log.warning(
-                    "guard %s: %s became %s", guard, before.round(4).tolist(), after.round(4).tolist()
-                )
+                was, became = before.round(4).tolist(), after.round(4).tolist()
+                log.warning("guard %s: %s became %s", guard, was, became)
         (self._acting.add if acts else self._acting.discard)(guard)
         return after
 

@@ -1,29 +1,28 @@
-"""The gripper, owned by a thread: one command in flight, never interrupted, its state never waited for.
+"""The gripper: one command in flight, never interrupted, its state never waited for.
 
-The real hand answers a command when its fingers have arrived, tells its state about ten times a second and takes an
+The real hand answers a command when its fingers have arrived, gives its state about ten times a second and takes an
 interruption badly; a control loop at 30 Hz can wait for none of that.
 """
 
 from __future__ import annotations
 
 import logging
-import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from uniforce_robots.franka.limits import require_in_limits
 from uniforce_vtla.errors import RobotError, SensorError, expected
 
+if TYPE_CHECKING:
+    from uniforce_robots.franka.clients import HandClient
+
 log = logging.getLogger(__name__)
-POLL_s = 0.01
 THINNEST_m = 0.002  # of what may be grasped; fingers closer than this hold nothing
 OUTER_m = 0.08  # outer tolerance of a grasp: the tool may be thicker than the target, on purpose
-JOIN_s = 8.0  # the longest grasp, and the reading after it
 GRACE_s = 0.5  # a command may take its travel at the set speed and this much more: the hand begins slowly
-LOST_s = (
-    0.3  # without hold, by the hand's own word, after which what was grasped counts as lost: three readings
-)
+LOST_s = 0.3  # three readings without hold, by the hand's own word: what was grasped counts as lost
 WIDEST_m = 0.12  # no hand opens so far
 
 
@@ -54,37 +53,6 @@ class HandReading:
     width_m: float
     max_width_m: float
     is_grasped: bool
-
-
-class HandDriver(Protocol):
-    """A gripper's client, called by one thread but for ``refuse_closed``. Every method may raise RobotError.
-
-    Attributes:
-        reads_while_busy: whether ``read`` gives new readings while a command is in flight.
-    """
-
-    reads_while_busy: bool
-
-    def connect(self) -> None:
-        """Open the connection."""
-
-    def begin(self, command: HandCommand) -> None:
-        """Start a command; none is in flight."""
-
-    def poll(self) -> bool | None:
-        """Return how the command in flight ended (False: nothing grasped), None while it runs."""
-
-    def read(self) -> HandReading | None:
-        """Return a new reading, which may take a tenth of a second, or None when there is none now."""
-
-    def refuse_closed(self) -> None:
-        """Raise when the other end has closed the connection. Never blocks; called by any thread."""
-
-    def stop(self) -> None:
-        """Stop the fingers where they are."""
-
-    def close(self) -> None:
-        """Hang up. Safe to call twice."""
 
 
 @dataclass(frozen=True)
@@ -133,74 +101,90 @@ def require_open(reading: HandReading, open_width_m: float) -> None:
         raise SensorError(expected("free air", f"fingers ≥ {open_width_m * 1000:.0f} mm apart", came, do))
 
 
-class HandThread:
-    """Own a hand: ``start``, ``submit`` widths, read ``reading``, ``check`` that all is well, ``stop``."""
+class Hand:
+    """What is wanted of a hand, one command at a time: ``start``, ``submit`` widths, ``tick``, read ``reading``.
 
-    def __init__(self, driver: HandDriver, settings: HandSettings | None = None) -> None:
+    No call but ``start`` waits. The arm's stream ticks it, so that what is wrong with the hand stops the arm.
+    """
+
+    def __init__(
+        self,
+        client: HandClient,
+        settings: HandSettings | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.settings = settings or HandSettings()
         self.failed_grasps = 0
-        self._driver = driver
-        self._lock = threading.Lock()
+        self._client, self._clock = client, clock
         self._reading: HandReading | None = None
         self._target_m: float | None = None
         self._last: HandCommand | None = None
         self._in_flight = False
         self._deadline_s = self._ended_s = 0.0  # of the command in flight; when the last one ended
-        self._held_s: float | None = (
-            None  # when the hand last said that it holds something; None: nothing to lose
-        )
+        self._held_s: float | None = None  # when it last said that it holds something; None: nothing to lose
         self._fault: RobotError | None = None
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="hand")
 
     def start(self) -> None:
-        """Connect, read the hand once, and begin.
+        """Connect and read the hand once.
 
         Raises:
             RobotError: no connection, or no first reading.
         """
-        self._driver.connect()
+        self._client.connect()
         self._take_reading()
         if self._reading is None:
-            raise RobotError(
-                "hand: expected a first reading, got none. Is the hand initialised?", "hand_connection"
-            )
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop the fingers, wait for the thread, hang up. Safe to call twice."""
-        self._ending.set()
-        if self._thread.ident is not None:
-            self._thread.join(JOIN_s)
-        if self._thread.is_alive():
-            do = "The client hangs; end the process."
-            raise RobotError(
-                expected("hand thread", f"an end within {JOIN_s} s", "none", do), "hand_connection"
-            )
-        self._driver.close()
-
-    @property
-    def fault(self) -> RobotError | None:
-        """What ended the thread, None while all is well."""
-        return self._fault
+            came = "hand: expected a first reading, got none. Is the hand initialised?"
+            raise RobotError(came, "hand_connection")
 
     @property
     def reading(self) -> HandReading:
-        """The newest reading, whatever its age: while a command runs some clients give none. Never blocks.
+        """The newest reading, whatever its age: while a command runs some clients give none.
 
         Raises:
             RobotError: the hand has a fault.
         """
         if self._fault is not None:
             raise self._fault
-        with self._lock:
-            reading = self._reading
-        if reading is None:
+        if self._reading is None:
             raise RobotError("hand: expected start() first, got no reading. Connect the robot.", "ended")
-        return reading
+        return self._reading
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a command is in flight."""
+        return self._in_flight
+
+    def submit(self, width_m: float) -> None:
+        """Want a width from now on; the newest one counts once the hand is free.
+
+        Raises:
+            RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
+        """
+        if self._fault is not None:
+            raise self._fault
+        if not -THINNEST_m <= width_m <= WIDEST_m:
+            do = "Not sent; please report it."
+            raise RobotError(expected("width to send", f"0 to {WIDEST_m} m", width_m, do), "guard")
+        self._target_m = width_m
+
+    def tick(self) -> None:
+        """Take the newest reading and outcome, begin the next command, and check; one thread at a time.
+
+        Raises:
+            RobotError: as ``check``; a fault of the client stays until the robot connects again.
+        """
+        try:
+            self._take_reading()
+            if self._in_flight:
+                self._finish(self._client.poll())
+            else:
+                self._begin()
+        except RobotError as fault:
+            self._fault = self._fault or fault
+        self.check()
 
     def check(self) -> None:
-        """Raise what is wrong with the hand now. Never blocks; the arm's thread calls it each tick.
+        """Raise what is wrong with the hand now.
 
         Raises:
             RobotError: the hand's fault; ``hand_connection``: it has hung up; ``hand_deadline``: a command takes too
@@ -208,23 +192,20 @@ class HandThread:
         """
         if self._fault is not None:
             raise self._fault
-        self._driver.refuse_closed()
-        now_s = time.monotonic()
-        if self._in_flight and now_s > self._deadline_s:
-            do = "Is something in its way? Free it, then connect again."
-            raise RobotError(
-                expected("hand", f"an answer to {self._last}", "none in time", do), "hand_deadline"
-            )
-        self._refuse_old(now_s)
+        self._client.refuse_closed()
+        if self._in_flight and self._clock() > self._deadline_s:
+            came, do = f"an answer to {self._last}", "Is something in its way? Free it, then connect again."
+            raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
+        self._refuse_old()
         held_s, reading = self._held_s, self._reading
         if held_s is not None and reading is not None and reading.time_s - held_s > LOST_s:
             do = "Put it back into the fingers, then call recover()."
             raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
 
-    def _refuse_old(self, now_s: float) -> None:
-        if self._reading is None or (self._in_flight and not self._driver.reads_while_busy):
+    def _refuse_old(self) -> None:
+        if self._reading is None or (self._in_flight and not self._client.reads_while_busy):
             return  # the deadline of the command bounds the time without readings
-        age_s = now_s - max(self._reading.time_s, self._ended_s)
+        age_s = self._clock() - max(self._reading.time_s, self._ended_s)
         if age_s > self.settings.reading_age_s:
             wanted = f"a reading younger than {self.settings.reading_age_s} s"
             do = "Check the cable and the robot's controller."
@@ -237,57 +218,10 @@ class HandThread:
             RobotError: anything else is wrong still.
         """
         self._held_s = None
-        self.check()
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether a command is in flight."""
-        return self._in_flight
-
-    def submit(self, width_m: float) -> None:
-        """Want a width from now on; the newest one counts once the hand is free. Never blocks.
-
-        Raises:
-            RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
-        """
-        if self._fault is not None:
-            raise self._fault
-        if not -THINNEST_m <= width_m <= WIDEST_m:
-            do = "Not sent; please report it."
-            raise RobotError(expected("width to send", f"0 to {WIDEST_m} m", width_m, do), "guard")
-        if self._ending.is_set():
-            raise RobotError(
-                "hand: expected a running thread, got one that has ended. Connect again.", "ended"
-            )
-        with self._lock:
-            self._target_m = width_m
-
-    def _run(self) -> None:
-        try:
-            while not self._ending.wait(POLL_s) and threading.main_thread().is_alive():
-                self._tick()
-            if self._in_flight:
-                self._driver.stop()
-        except RobotError as fault:
-            self._end_with(fault)
-        except Exception as error:  # the thread's outermost frame: the caller must learn why it ended
-            self._end_with(RobotError(f"hand: {type(error).__name__}: {error}. Please report it.", "other"))
-        finally:
-            self._ending.set()
-
-    def _end_with(self, fault: RobotError) -> None:
-        self._fault = self._fault or fault
-        log.error("hand stopped (%s): %s", self._fault.fault, self._fault)
-
-    def _tick(self) -> None:
-        self._take_reading()
-        if self._in_flight:
-            self._finish(self._driver.poll())
-        else:
-            self._begin()
+        self.tick()
 
     def _take_reading(self) -> None:
-        reading = self._driver.read()
+        reading = self._client.read()
         if reading is None:
             return
         widths = (reading.width_m, reading.max_width_m)
@@ -297,26 +231,23 @@ class HandThread:
         grasps = self._last is not None and self._last.force_N > 0 and not self._in_flight
         if grasps and reading.is_grasped:
             self._held_s = reading.time_s
-        with self._lock:
-            self._reading = reading
+        self._reading = reading
 
     def _finish(self, outcome: bool | None) -> None:
         if outcome is None:
             return
-        self._ended_s = time.monotonic()  # first: the arm's thread may look in between
+        self._ended_s = self._clock()  # first: another thread may check in between
         self._in_flight = False
         if not outcome:
             self.failed_grasps += 1
             log.warning("hand: %s did not succeed", self._last)
 
     def _begin(self) -> None:
-        with self._lock:
-            target, reading = self._target_m, self._reading
-        command = None if target is None else next_command(target, self._last, self.settings)
-        if command is None or reading is None:
+        command = None if self._target_m is None else next_command(self._target_m, self._last, self.settings)
+        if command is None or self._reading is None:
             return
         end_m = 0.0 if command.force_N > 0 else command.width_m  # a grasp of nothing closes fully
-        travel_s = abs(reading.width_m - end_m) / command.speed_m_s
-        self._driver.begin(command)
-        self._deadline_s = time.monotonic() + travel_s + GRACE_s
+        travel_s = abs(self._reading.width_m - end_m) / command.speed_m_s
+        self._client.begin(command)
+        self._deadline_s = self._clock() + travel_s + GRACE_s
         self._held_s, self._last, self._in_flight = None, command, True

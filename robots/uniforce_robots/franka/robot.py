@@ -16,10 +16,10 @@ from lerobot.cameras import Camera, make_cameras_from_configs
 from lerobot.robots import Robot
 
 from uniforce_robots.franka.arm import ArmState
+from uniforce_robots.franka.clients import make_backend
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardChain
-from uniforce_robots.franka.hand import HandReading, HandThread, require_open
-from uniforce_robots.franka.make_backend import make_backend
+from uniforce_robots.franka.hand import Hand, HandReading, require_open
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.shutdown import forbid_return_motion
 from uniforce_robots.franka.stream import ArmStream
@@ -46,12 +46,10 @@ class UniforceFranka(Robot):
         self._clock = clock
         self.cameras = make_cameras_from_configs(config.cameras)
         self.guards = GuardChain(config.guards)
-        self._arm, self._hand_driver = make_backend(config)
+        self._arm, self._hand_client = make_backend(config)
         self._stream: ArmStream | None = None
-        self._hand: HandThread | None = None
+        self._hand: Hand | None = None
         self._fault: RobotError | None = None
-
-    # --- features ----------------------------------------------------------------------------------------------------
 
     @property
     def observation_features(self) -> dict[str, Any]:
@@ -64,8 +62,6 @@ class UniforceFranka(Robot):
     def action_features(self) -> dict[str, type]:
         """Five target axes."""
         return dict.fromkeys(AXES, float)
-
-    # --- life --------------------------------------------------------------------------------------------------------
 
     @property
     def is_connected(self) -> bool:
@@ -92,9 +88,7 @@ class UniforceFranka(Robot):
                 reference.
         """
         if self.is_connected:
-            raise RobotError(
-                "robot: expected a robot not connected, got one that is. Disconnect first.", "other"
-            )
+            raise RobotError("robot: expected one not connected, got one that is. Disconnect first.", "other")
         forbid_return_motion()
         try:
             self._connect_all()
@@ -104,9 +98,8 @@ class UniforceFranka(Robot):
 
     def _connect_all(self) -> None:
         self._arm.connect()
-        hand = HandThread(self._hand_driver, self.config.gripper)
+        self._hand = hand = Hand(self._hand_client, self.config.gripper)
         hand.start()
-        self._hand = hand
         if any(finger.reference_on_connect for finger in self.config.fingers.values()):
             require_open(hand.reading, self.config.open_width_m)
         for camera in self.cameras.values():
@@ -126,7 +119,7 @@ class UniforceFranka(Robot):
         if self._hand is None:
             raise RobotError("robot: expected a hand, got none. Call connect().", "ended")
         settings = replace(self.config.stream, action_period_s=1 / self.config.fps)
-        stream = ArmStream(self._arm, settings, self.config.guards, self._hand.check, self._clock)
+        stream = ArmStream(self._arm, settings, self.config.guards, self._hand.tick, self._clock)
         stream.start()
         self._stream = stream
         self._fault = None
@@ -139,31 +132,24 @@ class UniforceFranka(Robot):
             RobotError: the cause is still there (a pressed stop, a hand that is gone), or the robot is not connected.
         """
         stream, hand = self._parts()
+        stream.stop()  # first: its thread ticks the hand
         hand.recover()
-        stream.stop()
         self._arm.recover()
         self._start_stream()
 
     def disconnect(self) -> None:
-        """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice.
-
-        Threads left inside a C++ client at the interpreter's end abort the process (exit code 134).
-        """
-        stream, self._stream = self._stream, None
-        hand, self._hand = self._hand, None
+        """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice."""
+        stream, self._stream, self._hand = self._stream, None, None
         stale_count = stream.stale_count if stream is not None else 0
         with ExitStack() as closing:  # last in, first out, and each of them even if another one fails
             closing.callback(log.info, "guards acted: %s", {**self.guards.counts, "watchdog": stale_count})
             for camera in self.cameras.values():
-                closing.callback(_disconnect_camera, camera)
+                if camera.is_connected:
+                    closing.callback(camera.disconnect)
             closing.callback(self._arm.close)
-            closing.callback(self._hand_driver.close)
-            if hand is not None:
-                closing.callback(hand.stop)
+            closing.callback(self._hand_client.close)
             if stream is not None:
                 closing.callback(stream.stop)
-
-    # --- observation and action --------------------------------------------------------------------------------------
 
     def measured(self) -> np.ndarray:
         """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
@@ -177,7 +163,7 @@ class UniforceFranka(Robot):
 
     @property
     def reading(self) -> tuple[ArmState, HandReading]:
-        """All that arm and hand told last, for a recorder. Never blocks.
+        """The newest readings of arm and hand, for a recorder. Never blocks.
 
         Raises:
             RobotError: as ``measured``.
@@ -201,7 +187,11 @@ class UniforceFranka(Robot):
         with self._halting():
             axes = dict(zip(AXES, self.measured().tolist(), strict=True))
         images = {name: self._image(name, camera) for name, camera in self.cameras.items()}
-        return {**axes, **images, **{f"{name}_ref": self._reference(name) for name in self.config.fingers}}
+        # Copies: what LeRobot gets it may write to.
+        references = {
+            f"{name}_ref": self.cameras[name].reference_image().copy() for name in self.config.fingers
+        }
+        return {**axes, **images, **references}
 
     def _image(self, name: str, camera: Camera) -> np.ndarray:
         try:
@@ -211,10 +201,6 @@ class UniforceFranka(Robot):
             self._halt(RobotError(f"{name}: {error}", "sensor"))
             raise
         return image
-
-    def _reference(self, name: str) -> np.ndarray:
-        image: np.ndarray = self.cameras[name].reference_image()
-        return image.copy()  # what LeRobot gets it may write to
 
     def hold(self) -> None:
         """Let the arm rest where it is, at once; nothing is refused afterwards. Does nothing once it has stopped."""
@@ -270,7 +256,7 @@ class UniforceFranka(Robot):
             self._fault = fault
             self._stream.halt(fault)
 
-    def _parts(self) -> tuple[ArmStream, HandThread]:
+    def _parts(self) -> tuple[ArmStream, Hand]:
         if self._stream is None or self._hand is None:
             raise RobotError("robot: expected a connected one, got none. Call connect().", "ended")
         return self._stream, self._hand
@@ -284,8 +270,3 @@ def _number(axis: str, value: Any) -> float:
     if not math.isfinite(number):
         raise RobotError(expected(axis, "a finite number", number, "The robot stops."), "action")
     return number
-
-
-def _disconnect_camera(camera: Camera) -> None:
-    if camera.is_connected:
-        camera.disconnect()

@@ -1,7 +1,7 @@
 """No motion after the end: LeRobot's rollout would lead the arm back to where it began, through whatever is there.
 
-``lerobot-rollout`` does so unless told ``--return_to_initial_position=false``; on a robot that has just pressed on a
-board, or has just been stopped, that is a motion nobody asked for. The robot can't tell those actions from a policy's.
+``lerobot-rollout`` does so unless given ``--return_to_initial_position=false``, also on a robot that has just pressed
+on a board, or has just been stopped. The robot can't know those actions from a policy's.
 """
 
 from __future__ import annotations

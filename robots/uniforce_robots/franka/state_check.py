@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from uniforce_robots.fr3 import DQ_MAX_rad_s
 from uniforce_robots.franka.arm import ArmState
 from uniforce_vtla.errors import RobotError, expected
 
-# Franka Research 3 data sheet; a fifth more than a joint can do is no measurement.
-JOINT_SPEED_rad_s = 1.2 * np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
+JOINT_SPEED_rad_s = 1.2 * DQ_MAX_rad_s  # a fifth more than a joint can do is no measurement
 HAND_SPEED_m_s, HAND_TURN_rad_s = 2.0, 3.0
-LONGEST_s = (
-    0.02  # after a longer pause the allowed distance is counted from here: a pause does not excuse a jump
-)
+LONGEST_s = 0.02  # after a longer pause the allowed distance is counted from here: a pause excuses no jump
 NOISE_m, NOISE_rad = 0.005, 0.05
+RESTART = "restart the robot's controller."
 ROTATION_ERROR = 1e-2  # of RᵀR from the identity
-LEAD_m = (
-    0.015  # closer to its target than this the spring is not clipped, so a target that moves moves the arm
-)
+LEAD_m = 0.015  # closer to its target the spring is not clipped, so a target that moves moves the arm
 # a target went so far and no joint changed by a single bit, by the robot's clock: a busy computer whose command is late
 # by some milliseconds is no frozen robot
 FROZEN_m, FROZEN_s = 0.005, 0.1
@@ -58,47 +55,38 @@ class StateCheck:
             self._unanswered_m, self._changed_s = 0.0, state.robot_time_s
         if self._unanswered_m > FROZEN_m and state.robot_time_s - self._changed_s > FROZEN_s:
             came = f"none while the target moved {1000 * self._unanswered_m:.0f} mm"
-            raise RobotError(
-                expected("arm state", "joints that change", came, "Restart the robot's controller."), "frozen"
-            )
+            raise _wrong("arm state", "joints that change", came, "frozen")
 
 
 def _require_possible(state: ArmState) -> None:
     pose, joints = state.ee_to_base, (state.q_rad, state.dq_rad_s)
     whole = np.isfinite(pose).all() and all(np.isfinite(row).all() for row in joints)
     if not (whole and np.isfinite(state.robot_time_s)):
-        raise _bad("finite numbers", "NaN or infinity")
+        raise _wrong("arm state", "finite numbers", "NaN or infinity", "bad_state")
     rotation = pose[:3, :3]
     if np.abs(rotation.T @ rotation - np.eye(3)).max() > ROTATION_ERROR or np.linalg.det(rotation) < 0:
-        raise _bad("a rotation in its pose", rotation.round(3).tolist())
+        raise _wrong("arm state", "a rotation in its pose", rotation.round(3).tolist(), "bad_state")
     if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():
-        do = "Its encoders or the network lie; restart the robot's controller."
-        raise RobotError(
-            expected("joint speed", "within the data sheet's", state.dq_rad_s.round(2).tolist(), do), "speed"
-        )
+        came, do = state.dq_rad_s.round(2).tolist(), f"Its encoders or the network are wrong; {RESTART}"
+        raise _wrong("joint speed", "within the data sheet's", came, "speed", do)
     if not np.isfinite(state.wrench_N).all():
-        do = "Without it nothing bounds a press; restart the robot's controller."
-        raise RobotError(
-            expected("force estimate", "finite numbers", state.wrench_N.round(2).tolist(), do), "force"
-        )
+        came, do = state.wrench_N.round(2).tolist(), f"Without it nothing bounds a press; {RESTART}"
+        raise _wrong("force estimate", "finite numbers", came, "force", do)
 
 
 def _require_continuous(last: ArmState, state: ArmState) -> None:
     elapsed_s = state.robot_time_s - last.robot_time_s
     if elapsed_s < 0:
-        raise _bad("a clock that advances", f"{1000 * elapsed_s:.0f} ms")
+        raise _wrong("arm state", "a clock that advances", f"{1000 * elapsed_s:.0f} ms", "bad_state")
     elapsed_s = min(elapsed_s, LONGEST_s)
     moved_m = float(np.linalg.norm(state.ee_to_base[:3, 3] - last.ee_to_base[:3, 3]))
     turned_rad = _angle(last.ee_to_base[:3, :3].T @ state.ee_to_base[:3, :3])
     jumped = np.abs(state.q_rad - last.q_rad) > JOINT_SPEED_rad_s * elapsed_s + NOISE_rad
-    far = (
-        moved_m > HAND_SPEED_m_s * elapsed_s + NOISE_m or turned_rad > HAND_TURN_rad_s * elapsed_s + NOISE_rad
-    )
-    if far or jumped.any():
+    far = moved_m > HAND_SPEED_m_s * elapsed_s + NOISE_m
+    turned = turned_rad > HAND_TURN_rad_s * elapsed_s + NOISE_rad
+    if far or turned or jumped.any():
         came = f"{1000 * moved_m:.0f} mm and {turned_rad:.2f} rad in {1000 * elapsed_s:.0f} ms"
-        raise RobotError(
-            expected("arm state", "a continuous motion", came, "Restart the robot's controller."), "jump"
-        )
+        raise _wrong("arm state", "a continuous motion", came, "jump")
 
 
 def _angle(rotation: np.ndarray) -> float:
@@ -106,6 +94,5 @@ def _angle(rotation: np.ndarray) -> float:
     return float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
 
 
-def _bad(wanted: str, came: object) -> RobotError:
-    do = "Nothing it says can be used; restart the robot's controller."
-    return RobotError(expected("arm state", wanted, came, do), "bad_state")
+def _wrong(what: str, wanted: str, came: object, fault: str, do: str = "") -> RobotError:
+    return RobotError(expected(what, wanted, came, do or f"Nothing it reports can be used; {RESTART}"), fault)

@@ -1,7 +1,7 @@
 """The one thread that owns the arm: reads it and streams targets to it at 100 Hz, between actions that come at 30 Hz.
 
 A policy's steps become ramps; when actions stop coming the target becomes the measured pose, so that a spring that
-pressed lets go; a fault ends the stream and nothing moves until somebody recovers the arm. Each reading is checked
+pressed lets go; a fault ends the stream and nothing moves until the arm is recovered. Each reading is checked
 before it is used, and each pose before it is sent.
 """
 
@@ -13,7 +13,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from uniforce_robots.franka.arm import UNBELIEVED, Arm, ArmState, refuse_stopped
+from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
+from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
 from uniforce_robots.franka.limits import require_in_limits
 from uniforce_robots.franka.poses import ToolPose, between
@@ -48,7 +49,7 @@ class StreamSettings:
 
 @dataclass(frozen=True)
 class Ramp:
-    """A straight way from one pose to another, begun at a time."""
+    """A straight way from one pose to another, begun at a time; before and after it the pose rests."""
 
     start: ToolPose
     end: ToolPose
@@ -56,7 +57,7 @@ class Ramp:
     duration_s: float
 
     def at(self, now_s: float) -> ToolPose:
-        """Return the pose at a time; before the start and after the end it rests."""
+        """Return the pose at a time."""
         share = (now_s - self.begun_s) / self.duration_s if self.duration_s > 0 else 1.0
         return between(self.start, self.end, min(max(share, 0.0), 1.0))
 
@@ -91,10 +92,9 @@ class ArmStream:
         self._sent: ToolPose | None = None
         self._sent_s = self._submitted_s = 0.0
         self._robot_time_s = self._advanced_s = 0.0
-        self._asked_s: float | None = None  # since when the client owes us a reading
-        self._read_s = 0.0  # when it gave the last one
+        self._read_s = 0.0  # when the client gave the last reading, be it an old one
         self._rest_wanted = self._holding = self._late = False
-        self._fault: RobotError | None = None
+        self.fault: RobotError | None = None  # what ended the stream
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="arm-stream")
 
@@ -108,11 +108,7 @@ class ArmStream:
         self._thread.start()
 
     def read_first(self) -> None:
-        """Read the arm once without starting the thread.
-
-        Raises:
-            RobotError: no reading, or one that can't be.
-        """
+        """Read the arm once without starting the thread; raises as ``start``."""
         state = self._arm.state()
         self._check_state(state)
         self._state = state
@@ -130,13 +126,8 @@ class ArmStream:
 
     def halt(self, fault: RobotError) -> None:
         """End the stream for a reason; the thread lets go of the arm by itself. Never blocks."""
-        self._fault = self._fault or fault
+        self.fault = self.fault or fault
         self._ending.set()
-
-    @property
-    def fault(self) -> RobotError | None:
-        """What ended the stream, None while all is well."""
-        return self._fault
 
     @property
     def state(self) -> ArmState:
@@ -147,27 +138,21 @@ class ArmStream:
         """
         self._check()
         with self._lock:
-            state = self._state
-        if state is None:
-            raise RobotError(
-                "arm stream: expected start() first, got no reading. Connect the robot.", "ended"
-            )
-        self._refuse_old(state)
-        return state
-
-    def _refuse_old(self, state: ArmState) -> None:
+            state = self._read_before()
         now_s, limit_s = self._clock(), self.settings.state_age_s
         age_s = now_s - state.time_s
         if age_s <= limit_s:
-            return
-        owes = self._asked_s is not None and now_s - self._asked_s > age_s / 2  # the client does not answer
-        repeats = now_s - self._read_s < age_s / 2  # it answers with what it said before
-        if owes or repeats:
+            return state
+        if now_s - self._read_s < age_s / 2:  # the client answers with what it said before
             raise _silent(age_s)
-        wanted = f"a reading younger than {limit_s} s"
-        raise RobotError(
-            expected("arm state", wanted, f"{age_s:.2f} s", "Is the computer overloaded?"), "stale"
-        )
+        wanted, do = f"a reading younger than {limit_s} s", "Is the computer overloaded?"
+        raise RobotError(expected("arm state", wanted, f"{age_s:.2f} s", do), "stale")
+
+    def _read_before(self) -> ArmState:
+        if self._state is None:
+            text = "arm stream: expected start() first, got no reading. Connect the robot."
+            raise RobotError(text, "ended")
+        return self._state
 
     def submit(self, target: ToolPose) -> None:
         """Go to a pose within an action's period. Never blocks.
@@ -177,9 +162,8 @@ class ArmStream:
         """
         self._check()
         if self._ending.is_set():
-            raise RobotError(
-                "arm: expected a running stream, got one that has ended. Connect again.", "ended"
-            )
+            text = "arm: expected a running stream, got one that has ended. Connect again."
+            raise RobotError(text, "ended")
         with self._lock:
             now = self._clock()
             self._ramp = Ramp(self._sent or self._measured(), target, now, self.settings.action_period_s)
@@ -190,39 +174,28 @@ class ArmStream:
         self._rest_wanted = True
 
     def _check(self) -> None:
-        if self._fault is not None:
-            raise self._fault
+        if self.fault is not None:
+            raise self.fault
 
     def _measured(self) -> ToolPose:
-        if self._state is None:
-            raise RobotError("arm stream: expected start() first, got an action. Connect the robot.", "ended")
-        return ToolPose.from_ee(self._state.ee_to_base)
+        return ToolPose.from_ee(self._read_before().ee_to_base)
 
     def _run(self) -> None:
         """Stream until asked to end; whatever ends it, the arm is let go and nothing more is taken."""
+        due = time.monotonic()
         try:
-            self._loop()
-        except RobotError as fault:
-            self._end_with(fault)
+            # Not a daemon, which would leave the arm pulling: it ends in order when the program does.
+            while not self._ending.is_set() and threading.main_thread().is_alive():
+                self.tick()
+                due = max(due + 1 / self.settings.rate_hz, time.monotonic())
+                self._ending.wait(due - time.monotonic())
         except Exception as error:  # the thread's outermost frame: the caller must learn why it ended
-            self._end_with(
-                RobotError(f"arm stream: {type(error).__name__}: {error}. Please report it.", "other")
-            )
+            text = f"arm stream: {type(error).__name__}: {error}. Please report it."
+            self.fault = self.fault or (error if isinstance(error, RobotError) else RobotError(text, "other"))
+            log.error("arm stopped (%s): %s", self.fault.fault, self.fault)
         finally:
             self._ending.set()
             self._let_go()
-
-    def _end_with(self, fault: RobotError) -> None:
-        self._fault = self._fault or fault
-        log.error("arm stopped (%s): %s", self._fault.fault, self._fault)
-
-    def _loop(self) -> None:
-        due = time.monotonic()
-        # Not a daemon, which would die inside the C++ client: it ends in order when the program does.
-        while not self._ending.is_set() and threading.main_thread().is_alive():
-            self.tick()
-            due = max(due + 1 / self.settings.rate_hz, time.monotonic())
-            self._ending.wait(due - time.monotonic())
 
     def tick(self) -> None:
         """Read, check, and send the next pose; what the thread does at ``rate_hz``.
@@ -240,9 +213,8 @@ class ArmStream:
 
     def _read(self) -> ArmState:
         """Return a reading that can be believed, of an arm that may move."""
-        self._asked_s = self._clock()
         state = self._arm.state()
-        self._asked_s, self._read_s = None, self._clock()
+        self._read_s = self._clock()
         self._check_state(state)
         self._refuse_silent(state)
         refuse_stopped(state)
@@ -304,16 +276,14 @@ class ArmStream:
         self._rest_wanted, self._holding = False, True
 
     def _let_go(self) -> None:
-        unbelieved = self._fault is not None and self._fault.fault in UNBELIEVED
+        unbelieved = self.fault is not None and self.fault.fault in UNBELIEVED
         try:
             self._arm.stop(at_once=unbelieved)
         except RobotError as error:
             log.error("arm did not stop in order: %s", error)
-            self._fault = self._fault or error
+            self.fault = self.fault or error
 
 
 def _silent(for_s: float) -> RobotError:
-    do = "Check the cable and the robot's controller."
-    return RobotError(
-        expected("arm", "new states from the robot", f"none for {for_s:.2f} s", do), "connection"
-    )
+    came, do = f"none for {for_s:.2f} s", "Check the cable and the robot's controller."
+    return RobotError(expected("arm", "new states from the robot", came, do), "connection")

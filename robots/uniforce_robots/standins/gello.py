@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from uniforce_robots.fr3 import HOME_q_rad
 from uniforce_robots.standins.control import StandInServer
-from uniforce_robots.standins.fci.kinematics import HOME_q_rad
 from uniforce_robots.standins.pseudo_terminal import PseudoTerminal
 from uniforce_vtla.arguments import parse
 

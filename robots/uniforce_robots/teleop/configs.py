@@ -11,7 +11,7 @@ from typing import Literal
 
 from lerobot.teleoperators import TeleoperatorConfig
 
-from uniforce_robots.standins.fci.kinematics import HAND_TO_FLANGE
+from uniforce_robots.fr3 import HAND_TO_FLANGE
 from uniforce_robots.teleop.integrator import StartWindow, TargetLimits
 
 

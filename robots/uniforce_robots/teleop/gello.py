@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from uniforce_robots.fr3 import HAND_TO_FLANGE, JOINTS, posture
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
-from uniforce_robots.standins.fci.kinematics import HAND_TO_FLANGE, JOINTS, posture
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.configs import UniforceGelloConfig
 from uniforce_robots.teleop.gello_bus import GelloBus

@@ -4,12 +4,14 @@ import itertools
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from uniforce_robots.franka.limits import HARD_LIMITS, Range
 from uniforce_robots.franka.stream import StreamSettings
+from uniforce_robots.standins.fci.process import wait_until
 
 sys.path.insert(0, str(Path(__file__).parent))  # robot_fakes.py: importlib mode gives test folders no package
 
@@ -23,11 +25,9 @@ def address() -> str:
 
 
 @pytest.fixture
-def eventually() -> Callable[[Callable[[], bool]], None]:
+def eventually() -> Callable[..., float]:
     """Wait until something is so; generous, for a busy machine."""
-    from uniforce_robots.standins.fci.process import wait_until
-
-    return lambda condition: wait_until(condition, 30.0) and None
+    return partial(wait_until, timeout_s=30.0)
 
 
 @pytest.fixture

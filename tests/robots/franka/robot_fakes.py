@@ -1,20 +1,19 @@
-"""An arm and a hand that do what they are told at once, and fail when they are told to."""
+"""An arm and a hand that do what they are asked at once, and fail when they are asked to."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 
-from uniforce_robots.franka.arm import ArmState, Gains
+from uniforce_robots.franka.arm import ArmState
 from uniforce_robots.franka.guards import towards
 from uniforce_robots.franka.hand import HandCommand, HandReading
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_vtla.errors import RobotError
 
 START = ToolPose(np.array([0.45, 0.0, 0.3]), 0.0)
-
-
 SPEED_m_s = 1.5  # of the fake: at once for a test, possible for an arm
 
 
@@ -73,9 +72,6 @@ class FakeArm:
             pose[:3, 3] = towards(self.pose[:3, 3], pose[:3, 3], reach_m)
             self.pose = pose
 
-    def set_gains(self, gains: Gains) -> None:
-        self.gains = gains
-
     def stop(self, at_once: bool = False) -> None:
         self.stopped_at.append(time.monotonic())
         self.stopped_at_once = at_once
@@ -92,15 +88,16 @@ class FakeHand:
 
     reads_while_busy = True
 
-    def __init__(self, takes_s: float = 0.1, read_s: float = 0.0, succeeds: bool = True) -> None:
-        self.takes_s, self.read_s, self.succeeds = takes_s, read_s, succeeds
+    def __init__(
+        self, takes_s: float = 0.1, succeeds: bool = True, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.takes_s, self.succeeds, self.clock = takes_s, succeeds, clock
         self.width_m = 0.08
         self.commands: list[HandCommand] = []
         self.overlaps = 0
-        self.stops = 0
         self.fault: RobotError | None = None
         self.closed = False
-        self.is_grasped = self.closed_by_peer = False
+        self.is_grasped = self.closed_by_hand = False
         self.silent_since_s: float | None = None  # readings repeat from then on
         self._ends_s: float | None = None
 
@@ -111,28 +108,24 @@ class FakeHand:
     def begin(self, command: HandCommand) -> None:
         self.overlaps += self._ends_s is not None
         self.commands.append(command)
-        self._ends_s = time.monotonic() + self.takes_s
+        self._ends_s = self.clock() + self.takes_s
 
     def poll(self) -> bool | None:
-        if self._ends_s is None or time.monotonic() < self._ends_s:
+        if self._ends_s is None or self.clock() < self._ends_s:
             return None
         self._ends_s = None
         self.width_m = self.commands[-1].width_m
         return self.succeeds
 
     def refuse_closed(self) -> None:
-        if self.closed_by_peer:
+        if self.closed_by_hand:
             raise RobotError("closed", "hand_connection")
 
     def read(self) -> HandReading | None:
         if self.fault is not None:
             raise self.fault
-        time.sleep(self.read_s)
-        now_s = time.monotonic() if self.silent_since_s is None else self.silent_since_s
+        now_s = self.clock() if self.silent_since_s is None else self.silent_since_s
         return HandReading(now_s, self.width_m, 0.08, self.is_grasped)
-
-    def stop(self) -> None:
-        self.stops += 1
 
     def close(self) -> None:
         self.closed = True

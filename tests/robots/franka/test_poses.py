@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from uniforce_robots.franka.arm import HAND_GUIDED, ROLLOUT, Gains
+from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture
+from uniforce_robots.franka.arm import HAND_GUIDED, Gains
 from uniforce_robots.franka.poses import ToolPose, between, shortest_turn
-from uniforce_robots.standins.fci.kinematics import HAND_TO_FLANGE, HOME_q_rad, posture
 from uniforce_vtla.errors import ContractError
 
 
@@ -49,12 +49,6 @@ def test_the_closing_axis_is_the_stiff_one_however_the_hand_is_turned(yaw: float
     np.testing.assert_allclose(K[:3, :3] @ across, 200 * across, atol=1e-9)
     np.testing.assert_allclose(K, K.T, atol=1e-9)
     assert not K[:3, 3:].any()
-
-
-def test_the_press_is_bounded_by_stiffness_times_clip() -> None:
-    for yaw in (0.0, 0.6):
-        R = ToolPose(np.zeros(3), yaw).ee_to_base()[:3, :3]
-        assert ROLLOUT.force_bound(R)[2] == pytest.approx(800 * 0.018)
 
 
 def test_gains_that_make_no_sense_are_refused() -> None:

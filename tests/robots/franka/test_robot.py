@@ -37,11 +37,7 @@ def hand() -> FakeHand:
 
 @pytest.fixture
 def robot(
-    arm: FakeArm,
-    hand: FakeHand,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    patient: StreamSettings,
+    arm: FakeArm, hand: FakeHand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patient: StreamSettings
 ) -> Iterator[UniforceFranka]:
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
     robot = UniforceFranka(UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient))
@@ -176,7 +172,7 @@ def test_no_call_of_a_loop_waits_for_a_client_that_blocks(robot: UniforceFranka,
     arm.blocks_s = 0.0
 
 
-def test_a_reflex_is_told_and_recovery_moves_nothing(
+def test_a_reflex_is_raised_and_recovery_moves_nothing(
     robot: UniforceFranka, arm: FakeArm, eventually: Callable
 ) -> None:
     robot.connect()
@@ -202,14 +198,14 @@ def test_a_lost_hand_stops_the_arm(
     robot.send_action(action())
     hand.fault = RobotError("hand gone", "connection")
 
-    def told() -> bool:
+    def refused() -> bool:
         try:
             robot.get_observation()
         except RobotError:
             return True
         return False
 
-    eventually(told)
+    eventually(refused)
     eventually(lambda: bool(arm.stopped_at))
     with pytest.raises(RobotError, match="hand gone"):
         robot.send_action(action())
@@ -293,11 +289,11 @@ def test_nested_settings_are_parsed_from_the_command_line() -> None:
     config = draccus.parse(Program, args=[f"--robot.{key}={value}" for key, value in words.items()]).robot
     assert isinstance(config, UniforceFrankaConfig)
     assert config.guards.step_m == 0.03
-    assert config.arm_settings.gains == Gains((200, 200, 200), clip_m=(0.01, 0.01, 0.02))
+    assert config.gains == Gains((200, 200, 200), clip_m=(0.01, 0.01, 0.02))
 
 
 class BrokenCamera:
-    """A camera that works until told otherwise."""
+    """A camera that works until it gets an error."""
 
     height, width = 4, 6
 

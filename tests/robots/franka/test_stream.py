@@ -37,16 +37,8 @@ def away(dz: float, yaw: float = 0.0) -> ToolPose:
 
 def test_a_ramp_is_straight_and_rests_at_both_ends() -> None:
     ramp = Ramp(away(0.0), away(-0.01, 0.2), 10.0, 0.04)
-    assert [
-        round(float(ramp.at(t).position_m[2] - 0.3), 5) for t in (9.0, 10.0, 10.01, 10.02, 10.04, 11.0)
-    ] == [
-        0,
-        0,
-        -0.0025,
-        -0.005,
-        -0.01,
-        -0.01,
-    ]
+    z = [round(float(ramp.at(t).position_m[2] - 0.3), 5) for t in (9.0, 10.0, 10.01, 10.02, 10.04, 11.0)]
+    assert z == [0, 0, -0.0025, -0.005, -0.01, -0.01]
     assert ramp.at(10.02).yaw_rad == pytest.approx(0.1)
 
 
@@ -128,8 +120,10 @@ def test_a_robot_that_says_nothing_new_is_gone(
     stream.submit(away(-0.01))
     begun = arm.silent_since_s = time.monotonic()
     eventually(lambda: bool(arm.stopped_at))
-    assert stream.fault is not None and stream.fault.fault == "connection"
     assert arm.stopped_at[0] - begun > 0.19, "not at once: a reading may repeat"
+    with pytest.raises(RobotError, match="new states") as caught:
+        _ = stream.state
+    assert caught.value.fault == "connection"
     stream.stop()
 
 
@@ -159,7 +153,7 @@ def test_a_mistake_in_a_backend_lets_the_arm_go_too(
     assert caught.value.fault == "other" and "ZeroDivisionError" in str(caught.value)
 
 
-def test_late_commands_are_told_once(
+def test_late_commands_are_logged_once(
     arm: FakeArm, stream: ArmStream, eventually: Callable, caplog: pytest.LogCaptureFixture
 ) -> None:
     arm.success_rate, arm.mode = 0.5, "move"
@@ -204,20 +198,6 @@ def test_a_program_that_forgets_to_disconnect_still_ends(tmp_path) -> None:
         "raise SystemExit(3)\n"
     )
     assert subprocess.run([sys.executable, str(program)], timeout=240).returncode == 3
-
-
-def test_a_caller_learns_of_a_silent_client_by_name_and_does_not_wait(arm: FakeArm) -> None:
-    stream = ArmStream(arm, StreamSettings(stale_s=1.0, state_age_s=0.1))
-    stream.start()
-    arm.blocks_s = 1.0  # as the clients do when the robot has died
-    begun = time.monotonic()
-    with pytest.raises(RobotError, match="new states") as caught:
-        while time.monotonic() < begun + 10:
-            _ = stream.state
-            time.sleep(0.01)
-    assert caught.value.fault == "connection" and time.monotonic() - begun < 0.9, "before the client answered"
-    arm.blocks_s = 0.0
-    stream.stop()
 
 
 @pytest.mark.parametrize("fault", ["bad_state", "force", "jump"])

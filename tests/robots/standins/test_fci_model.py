@@ -7,21 +7,15 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from uniforce_robots.standins.fci.arm import Arm, Wall
+from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, Q_MAX_rad, Q_MIN_rad, posture
+from uniforce_robots.standins.fci.arm import Arm, Wall, Watch
+from uniforce_robots.standins.fci.arm_service import urdf
 from uniforce_robots.standins.fci.hand import Hand
-from uniforce_robots.standins.fci.kinematics import (
-    HAND_TO_FLANGE,
-    HOME_q_rad,
-    Q_MAX_rad,
-    Q_MIN_rad,
-    posture,
-    urdf,
-)
 from uniforce_robots.standins.fci.protocol import (
     ErrorBit,
     Generator,
-    GraspRequest,
-    HandMoveRequest,
+    Grasp,
+    HandMove,
     HandStatus,
     RobotCommand,
 )
@@ -76,7 +70,7 @@ def test_pressing_on_the_wall_gives_stiffness_times_depth() -> None:
     goal = arm.ee_to_base[:3, 3] * [1, 1, 0] + [0, 0, 0.46]
     for _ in range(2500):
         arm.drive(spring(arm, goal, 800.0), Generator.NONE)
-    assert arm.felt_N[2] == pytest.approx(800 * 0.01, rel=0.05)
+    assert arm.contact_N[2] == pytest.approx(800 * 0.01, rel=0.05)
 
 
 @pytest.mark.parametrize("generator", [Generator.CARTESIAN_POSITION, Generator.JOINT_POSITION])
@@ -127,13 +121,37 @@ def run(hand: Hand) -> HandStatus:
 
 def test_the_hand_moves_homes_grasps_and_fails_to() -> None:
     hand = Hand()
-    assert hand.start_move(HandMoveRequest(0.03, 0.1)) and run(hand) == HandStatus.SUCCESS
+    assert hand.start(HandMove(0.03, 0.1)) and run(hand) == HandStatus.SUCCESS
     assert hand.width_m == pytest.approx(0.03, abs=1e-5)
-    grasp = GraspRequest(0.02, 0.005, 0.005, 0.1, 20.0)
-    assert hand.start_grasp(grasp) and run(hand) == HandStatus.UNSUCCESSFUL and not hand.is_grasped
-    hand.start_homing()
+    grasp = Grasp(0.02, 0.005, 0.005, 0.1, 20.0)
+    assert hand.start(grasp) and run(hand) == HandStatus.UNSUCCESSFUL and not hand.is_grasped
+    assert hand.start(None)
     assert run(hand) == HandStatus.SUCCESS and hand.width_m == pytest.approx(0.08, abs=1e-5)
     hand.object_m = 0.022
-    assert hand.start_grasp(grasp) and run(hand) == HandStatus.SUCCESS
+    assert hand.start(grasp) and run(hand) == HandStatus.SUCCESS
     assert hand.is_grasped and hand.width_m == pytest.approx(0.022, abs=1e-5) and hand.force_N == 20.0
-    assert not hand.start_move(HandMoveRequest(0.2, 0.1)), "wider than the hand"
+    assert not hand.start(HandMove(0.2, 0.1)), "wider than the hand"
+
+
+def test_the_watch_knows_when_the_arm_moved_last() -> None:
+    arm, watch = Arm(), Watch()
+    watch.look(arm, 1)
+    assert watch.describe(1)["held_since_ms"] == 0
+    arm.dq_rad_s = np.array([0.0, 0.1, 0, 0, 0, 0, 0])
+    arm.refresh()
+    watch.look(arm, 2)
+    assert watch.describe(2)["held_since_ms"] is None and watch.describe(2)["last_moving_ms"] == 2
+    arm.dq_rad_s = np.array([0.0, 1e-3, 0, 0, 0, 0, 0])  # creeps: slower than 2 mm/s and 0.02 rad/s
+    arm.refresh()
+    watch.look(arm, 3)
+    assert watch.describe(3)["held_since_ms"] == 3
+
+
+@pytest.mark.parametrize("slow", [True, False])
+def test_the_watch_knows_when_the_torque_changed_last(slow: bool) -> None:
+    arm, watch = Arm(), Watch()
+    step = 0.02 if slow else 0.5
+    for now_ms in range(1, 11):
+        arm.tau_Nm = np.full(7, step * now_ms)
+        watch.look(arm, now_ms)
+    assert watch.last_torque_change_ms == (6 if slow else 10), "small steps add up"

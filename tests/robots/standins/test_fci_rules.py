@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from fci_client import RawArm
 
+from uniforce_robots.fr3 import DQ_MAX_rad_s, TAU_MAX_Nm, translation
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.arm import Arm
-from uniforce_robots.standins.fci.kinematics import DQ_MAX_rad_s, TAU_MAX_Nm, translation
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_robots.standins.fci.protocol import ErrorBit, Generator, RobotCommand
-from uniforce_robots.standins.fci.raw_client import RawArm
 from uniforce_robots.standins.fci.rules import (
     ACCELERATION_m_s2,
     DDQ_MAX_rad_s2,
@@ -101,8 +101,7 @@ def test_a_torque_step_ends_the_motion_before_the_arm_follows_unless_the_rules_a
     options = [] if rules else ["--no-rules"]
     with StandIn(address, *options) as fci, RawArm(address) as arm:
         arm.state()
-        arm.move()
-        arm.receive()
+        arm.start()
         for _ in range(5):
             state = arm.newest()
             arm.command(RobotCommand(state.message_id, tau_J_d=np.array([0, 5.0, 0, 0, 0, 0, 0])))
@@ -121,8 +120,7 @@ def test_the_rules_can_be_switched_while_it_runs(fci: StandIn) -> None:
     with RawArm(fci.address) as arm:
         fci.do("rules", on=False)
         arm.state()
-        arm.move()
-        arm.receive()
+        arm.start()
         arm.command(RobotCommand(arm.newest().message_id, tau_J_d=np.full(7, 3.0)))
         arm.newest()
         assert fci.do("look")["arm"]["moving"]

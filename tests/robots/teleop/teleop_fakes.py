@@ -12,7 +12,7 @@ from lerobot.teleoperators import make_teleoperator_from_config
 from lerobot.utils.rotation import Rotation
 
 import uniforce_robots.teleop as ours
-from uniforce_robots.standins.fci.kinematics import HAND_TO_FLANGE, HOME_q_rad
+from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad
 from uniforce_robots.teleop.gello import tool_axes
 
 

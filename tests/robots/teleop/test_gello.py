@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from teleop_fakes import Paced
 
 import uniforce_robots.teleop as ours
-from uniforce_robots.standins.fci.kinematics import HOME_q_rad
+from uniforce_robots.fr3 import HOME_q_rad
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.teleop.gello import offsets
 from uniforce_vtla.errors import ContractError, TeleoperatorError

@@ -1,4 +1,4 @@
-"""How the stand-in's arm moves: joints with inertia under torques, and what it feels at the hand.
+"""How the stand-in's arm moves: joints with inertia under torques, and the wrench at the hand.
 
 Gravity and Coriolis forces are taken as compensated, as the real controller presents itself to a torque client. Good
 enough that commanded targets are reached and that pressing on the wall gives stiffness × distance; no dynamics model.
@@ -6,11 +6,12 @@ enough that commanded targets are reached and that pressing on the wall gives st
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from uniforce_robots.standins.fci.kinematics import (
+from uniforce_robots.fr3 import (
     HAND_TO_FLANGE,
     JOINTS,
     DQ_MAX_rad_s,
@@ -31,7 +32,7 @@ from uniforce_robots.standins.fci.protocol import (
 )
 
 TICK_s = 0.001
-INERTIA_kgm2 = np.array([1.0, 1.0, 0.8, 0.8, 0.25, 0.25, 0.12])  # at each joint, about 3 kg felt at the hand
+INERTIA_kgm2 = np.array([1.0, 1.0, 0.8, 0.8, 0.25, 0.25, 0.12])  # at each joint, about 3 kg at the hand
 FRICTION_Nms = np.array([0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.1])
 FOLLOW_1_s = 50.0  # how fast the internal controllers close a position error
 BRAKE_SHARE = 0.9  # of the joint speed left each millisecond when something stops the arm: still after 50 ms
@@ -39,6 +40,8 @@ STILL_rad_s = 1e-9
 GUIDING_DAMPING_Nms = 5.0  # a hand that pushes moves the arm, and it stops when the push does
 PINV_DAMPING = 0.05
 SPEED_MAX_m_s = 3.0  # of the hand (FR3 specification)
+MOVING_m_s, MOVING_rad_s = 0.002, 0.02  # of the tool; below both the arm is at rest
+TORQUE_CHANGE_Nm = 0.1  # smaller ones are a steady push
 
 
 @dataclass(frozen=True)
@@ -77,18 +80,18 @@ class Arm:
         self.ee_to_base = self.posture.flange_to_base @ self.ne_to_flange @ self.ee_to_ne
         self.jacobian = self.posture.jacobian(self.ee_to_base[:3, 3])
         self.twist = self.jacobian @ self.dq_rad_s  # of the hand, m/s and rad/s
-        self.felt_N = self._felt()
-        self.tau_ext_Nm = self.jacobian.T @ self.felt_N
+        self.contact_N = self._contact()
+        self.tau_ext_Nm = self.jacobian.T @ self.contact_N
 
-    def _felt(self) -> np.ndarray:
+    def _contact(self) -> np.ndarray:
         """(6,) wrench on the hand: what was set, and the wall."""
-        felt = self.wrench_N.copy()
+        wrench = self.wrench_N.copy()
         if self.wall is not None:
             depth = self.wall.height_m - self.ee_to_base[2, 3]
             if depth > 0:
                 speed = float(self.twist[2])
-                felt[2] += max(self.wall.stiffness_N_m * depth - self.wall.damping_Ns_m * speed, 0.0)
-        return felt
+                wrench[2] += max(self.wall.stiffness_N_m * depth - self.wall.damping_Ns_m * speed, 0.0)
+        return wrench
 
     def drive(self, command: RobotCommand, generator: Generator) -> None:
         """Follow a client's command for a millisecond."""
@@ -133,15 +136,10 @@ class Arm:
         self.q_rad = self.q_rad + TICK_s * self.dq_rad_s
         self.refresh()
 
-    def set_ee(self, ee_to_ne: np.ndarray) -> None:
-        """Move the hand's frame; (4, 4)."""
-        self.ee_to_ne = ee_to_ne
-        self.refresh()
-
     def violations(self) -> frozenset[int]:
         """Return the error bits that would stop a motion now."""
         found = set()
-        if np.any(np.abs(self.felt_N) > self.upper_force_N):
+        if np.any(np.abs(self.contact_N) > self.upper_force_N):
             found.add(ErrorBit.CARTESIAN_REFLEX)
         if np.any(np.abs(self.tau_ext_Nm) > self.upper_torque_Nm):
             found.add(ErrorBit.JOINT_REFLEX)
@@ -156,40 +154,30 @@ class Arm:
     def state_floats(self) -> np.ndarray:
         """(320,) float32 of a state, in the order of ``STATE_FLOATS``."""
         if self._floats is None:
-            self._floats = self._compose()
+            self._floats = np.zeros(STATE_FLOAT_COUNT, np.float32)
+            for name, value in self._state_values().items():
+                self._floats[STATE_SLICES[name]] = value
         return self._floats
-
-    def _compose(self) -> np.ndarray:
-        floats = np.zeros(STATE_FLOAT_COUNT, np.float32)
-        for name, value in self._state_values().items():
-            floats[STATE_SLICES[name]] = value
-        return floats
 
     def _state_values(self) -> dict[str, np.ndarray]:
         pose = self.ee_to_base.T.ravel()
         ee_to_flange = self.ne_to_flange @ self.ee_to_ne
         turn = (self.ee_to_base @ self.k_to_ee)[:3, :3].T
+        motor = {"q": self.q_rad, "dq": self.dq_rad_s, "tau_J": self.tau_Nm}
         return {
-            "O_T_EE": pose,
-            "O_T_EE_d": pose,
-            "O_T_EE_c": pose,
+            **dict.fromkeys(("O_T_EE", "O_T_EE_d", "O_T_EE_c"), pose),
             "F_T_EE": ee_to_flange.T.ravel(),
             "EE_T_K": self.k_to_ee.T.ravel(),
             "F_T_NE": self.ne_to_flange.T.ravel(),
             "NE_T_EE": self.ee_to_ne.T.ravel(),
-            "tau_J": self.tau_Nm,
-            "tau_J_d": self.tau_Nm,
-            "q": self.q_rad,
-            "q_d": self.q_rad,
+            **motor,
+            **{f"{name}_d": value for name, value in motor.items()},
             "theta": self.q_rad,
-            "dq": self.dq_rad_s,
-            "dq_d": self.dq_rad_s,
             "dtheta": self.dq_rad_s,
             "tau_ext_hat_filtered": self.tau_ext_Nm,
-            "O_F_ext_hat_K": self.felt_N,
-            "K_F_ext_hat_K": np.concatenate([turn @ self.felt_N[:3], turn @ self.felt_N[3:]]),
-            "O_dP_EE_c": self.twist,
-            "O_dP_EE_d": self.twist,
+            "O_F_ext_hat_K": self.contact_N,
+            "K_F_ext_hat_K": np.concatenate([turn @ self.contact_N[:3], turn @ self.contact_N[3:]]),
+            **dict.fromkeys(("O_dP_EE_c", "O_dP_EE_d"), self.twist),
             "O_ddP_O": np.array([0.0, 0.0, -9.81]),  # a client computes gravity from this
         }
 
@@ -200,7 +188,43 @@ class Arm:
             "position_m": self.ee_to_base[:3, 3].tolist(),
             "rotation": self.ee_to_base[:3, :3].tolist(),
             "speed_rad_s": float(np.abs(self.dq_rad_s).max()),
-            "felt_N": self.felt_N.tolist(),
+            "contact_N": self.contact_N.tolist(),
             "tau_Nm": self.tau_Nm.tolist(),
-            "command_force_N": np.linalg.lstsq(self.jacobian.T, self.tau_Nm, rcond=None)[0].tolist(),
+        }
+
+
+@dataclass
+class Watch:
+    """Last times something happened; None: never.
+
+    Attributes:
+        last_moving_ms: the tool was faster than 2 mm/s or 0.02 rad/s.
+        last_moving_s: the same, CLOCK_MONOTONIC: a robot that waits for its client has the slower clock.
+        last_command_ms: a command of the control loop arrived.
+        last_torque_change_ms: the torque on the joints was another than before by more than 0.1 Nm.
+    """
+
+    last_moving_ms: int | None = None
+    last_moving_s: float | None = None
+    last_command_ms: int | None = None
+    last_torque_change_ms: int | None = None
+    _tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
+
+    def look(self, arm: Arm, now_ms: int) -> None:
+        """Look at the arm at the end of a millisecond."""
+        twist = arm.twist
+        if twist[:3] @ twist[:3] > MOVING_m_s**2 or twist[3:] @ twist[3:] > MOVING_rad_s**2:
+            self.last_moving_ms, self.last_moving_s = now_ms, time.monotonic()
+        if arm.tau_Nm is not self._tau_Nm and np.abs(arm.tau_Nm - self._tau_Nm).max() > TORQUE_CHANGE_Nm:
+            self.last_torque_change_ms, self._tau_Nm = now_ms, arm.tau_Nm
+
+    def describe(self, now_ms: int) -> dict[str, float | None]:
+        """Return the times, and since when the arm is at rest (None while it moves)."""
+        last = self.last_moving_ms
+        return {
+            "last_moving_ms": last,
+            "last_moving_s": self.last_moving_s,
+            "last_command_ms": self.last_command_ms,
+            "last_torque_change_ms": self.last_torque_change_ms,
+            "held_since_ms": 0 if last is None else last + 1 if last < now_ms else None,
         }

@@ -1,84 +1,157 @@
-"""The arm's requests by TCP: greeting, Move and its end, recovery, the model, setters."""
+"""The arm's side of the wire: requests by TCP, a Move under way, a millisecond driven and sent; and what stops it."""
 
 from __future__ import annotations
 
 import struct
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
-from uniforce_robots.standins.fci.arm_settings import setting
-from uniforce_robots.standins.fci.control_loop import ArmOptions, ControlLoop
-from uniforce_robots.standins.fci.journal import Journal
-from uniforce_robots.standins.fci.kinematics import urdf
-from uniforce_robots.standins.fci.motion import Motion
+import numpy as np
+
+from uniforce_robots.fr3 import DH, JOINTS, DQ_MAX_rad_s, FLANGE_m, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm
+from uniforce_robots.standins.fci.arm import Arm, Watch
+from uniforce_robots.standins.fci.link import Journal, Link
 from uniforce_robots.standins.fci.protocol import (
     ARM_HEADER,
+    ARM_PORT,
+    ARM_VERSION,
+    GUIDING,
+    SETTER_COUNTS,
+    UPPER_FORCE,
+    UPPER_TORQUE,
     ArmCommand,
-    ConnectRequest,
-    ConnectStatus,
+    Controller,
+    ErrorBit,
+    Generator,
     Message,
-    MoveRequest,
     MoveStatus,
     ProtocolError,
+    RobotCommand,
     RobotMode,
+    RobotState,
     SetterStatus,
+    decode_move,
+    numbers,
+    unpack,
 )
+from uniforce_robots.standins.fci.rules import broken_rules
+
+KEPT = 200  # states sent, for faults that send them again
+SUCCESS_WINDOW = 100  # commands the success rate is about
+MISSES_ALLOWED = 20  # FCI: as many lost packets in a row end the motion
+STOPPED = (RobotMode.REFLEX, RobotMode.USER_STOPPED)
+ROUNDING = 1e-3  # of a rotation matrix a client computed
+LINK_MASS_kg = (3.0, 4.0, 2.5, 3.0, 2.5, 2.0, 1.5, 0.6, 0.05)  # link 0 to flange, plausible
 
 
-class ArmService(ControlLoop):
+@dataclass(frozen=True)
+class ArmOptions:
+    """How the arm behaves on the wire.
+
+    Attributes:
+        version: what the server says it is; another than 10 refuses every client of version 10.
+        patience_s: how long a tick waits for the client's command. Time then passes slower instead of the arm flying
+            off on a stale torque, which keeps results the same on a busy machine.
+        miss_rule: end a motion after 20 missed commands, as the real arm does. Off by default: a test machine without
+            a real-time kernel would be tested, not the client. On, a tick waits 1 ms only.
+        rules: end a motion by reflex when a command breaks a limit (``rules.py``), as the real arm does.
+    """
+
+    version: int = ARM_VERSION
+    patience_s: float = 0.02
+    miss_rule: bool = False
+    rules: bool = True
+
+
+@dataclass
+class Motion:
+    """A Move under way."""
+
+    command_id: int
+    controller: Controller
+    generator: Generator
+    command: RobotCommand | None = None  # the newest
+    answered: bool = False  # whether the last state has got its command
+    misses: int = 0  # in a row
+    broken: frozenset[int] = frozenset()  # rules, by commands that wait to be followed
+
+
+def whole(state: RobotState) -> Iterable[bytes]:
+    """Yield a state as it is: what an arm without a fault sends."""
+    yield state.encode()
+
+
+class ArmService:
     """An arm behind its port."""
 
     def __init__(self, address: str, options: ArmOptions, journal: Journal) -> None:
-        super().__init__(address, options, journal)
-        self._model = urdf().encode()
+        self.link = Link(address, ARM_PORT, ARM_HEADER, journal)
+        self.options, self.journal = options, journal
+        self.arm, self.watch = Arm(), Watch()
+        self.mode = RobotMode.IDLE
+        self.motion: Motion | None = None
+        self.errors: frozenset[int] = frozenset()
+        self.reflex_reason: frozenset[int] = frozenset()
+        self.success_rate = 0.0
+        self.miss_rule, self.rules = options.miss_rule, options.rules
+        self.milliseconds = 0
+        self.sent: deque[RobotState] = deque(maxlen=KEPT)  # the newest, until a fault
+        self._sent_at = 0.0
+        self.mend()
+
+    def mend(self) -> None:
+        """Take back every fault of the wire.
+
+        ``outgoing`` turns a state into datagrams. ``starved``: the client can't know of a tick, so none waits for it.
+        ``takes_commands``: whether commands arrive.
+        """
+        self.outgoing: Callable[[RobotState], Iterable[bytes]] = whole
+        self.starved, self.takes_commands = False, True
+        self.link.garbage = None
+
+    # --- requests ----------------------------------------------------------------------------------------------------
 
     def handle(self, message: Message) -> None:
         """Answer one request; a payload that can't be read ends the connection."""
         name = ArmCommand(message.command).name if message.command in list(ArmCommand) else "?"
         size = ARM_HEADER.layout.size + len(message.payload)
-        self.journal.write("request", device="arm", command=name, command_id=message.command_id, bytes=size)
+        self.link.write("request", command=name, command_id=message.command_id, bytes=size)
         try:
-            self._dispatch(message)
+            self._answer(message)
         except ProtocolError as error:
             self.client_gone()
             self.link.drop(str(error))
 
-    def _dispatch(self, message: Message) -> None:
+    def _answer(self, message: Message) -> None:
         match message.command:
             case ArmCommand.CONNECT:
-                self._connect(message)
+                self.link.greet(message, self.options.version, struct.Struct("<BH").pack)
             case ArmCommand.MOVE:
                 self._move(message)
             case ArmCommand.STOP_MOVE:
-                self._stop_move(message)
+                self._reply(message, SetterStatus.SUCCESS)
+                if self.motion is not None:
+                    self.end_motion(MoveStatus.PREEMPTED)
             case ArmCommand.AUTOMATIC_ERROR_RECOVERY:
                 self._recover(message)
             case ArmCommand.GET_ROBOT_MODEL:
-                self.link.send(Message(message.command, message.command_id, b"\0" + self._model))
+                self.link.reply(message, b"\0" + urdf().encode())
             case _:
-                self._set(message)
-
-    def _connect(self, message: Message) -> None:
-        request = ConnectRequest.decode(message.payload)
-        fits = request.version == self.options.version
-        status = ConnectStatus.SUCCESS if fits else ConnectStatus.INCOMPATIBLE_VERSION
-        self.link.greet(message, request, struct.pack("<BH", status, self.options.version), fits)
+                self._reply(message, self._set(message))
 
     def _move(self, message: Message) -> None:
-        request = MoveRequest.decode(message.payload)
+        controller, generator = decode_move(message.payload)
         if self.mode not in (RobotMode.IDLE, RobotMode.MOVE):
             self._reply(message, MoveStatus.NOT_POSSIBLE)
             return
         if self.motion is not None:
             self.end_motion(MoveStatus.PREEMPTED)
         self._reply(message, MoveStatus.MOTION_STARTED)
-        self.motion = Motion(message.command_id, request)
+        self.motion = Motion(message.command_id, controller, generator)
         self.mode, self.success_rate = RobotMode.MOVE, 1.0
-        modes = {"controller": request.controller.name, "generator": request.generator.name}
-        self.journal.write("motion", **modes)
-
-    def _stop_move(self, message: Message) -> None:
-        self._reply(message, SetterStatus.SUCCESS)
-        if self.motion is not None:
-            self.end_motion(MoveStatus.PREEMPTED)
+        self.journal.write("motion", controller=controller.name, generator=generator.name)
 
     def _recover(self, message: Message) -> None:
         if self.mode == RobotMode.USER_STOPPED:
@@ -88,19 +161,213 @@ class ArmService(ControlLoop):
             self.mode, self.errors = RobotMode.IDLE, frozenset()
         self._reply(message, SetterStatus.SUCCESS)
 
-    def _set(self, message: Message) -> None:
-        """Answer a setter; while the arm moves, the real one refuses what would change its dynamics."""
+    def _set(self, message: Message) -> SetterStatus:
+        """Obey a setter; while the arm moves, the real one refuses what would change its dynamics."""
         try:
-            apply = setting(self.arm, self.journal, message)
+            apply = self._setting(message)
         except ProtocolError as error:
             self.journal.write("invalid", why=str(error))
-            self._reply(message, SetterStatus.INVALID_ARGUMENT)
-            return
+            return SetterStatus.INVALID_ARGUMENT
         if self.motion is not None:
-            self._reply(message, SetterStatus.NOT_POSSIBLE)
-            return
+            return SetterStatus.NOT_POSSIBLE
         apply()
-        self._reply(message, SetterStatus.SUCCESS)
+        return SetterStatus.SUCCESS
+
+    def _setting(self, message: Message) -> Callable[[], None]:
+        """Return what applies a setter's values, which are read whole before anything changes.
+
+        Raises:
+            ProtocolError: no setter of this protocol, another size, or values that make no sense.
+        """
+        if message.command == ArmCommand.SET_GUIDING_MODE:
+            unpack(GUIDING, message.payload, "SetGuidingMode")
+            return lambda: None
+        if message.command not in SETTER_COUNTS:
+            raise ProtocolError("arm command", "0 to 11", message.command)
+        name = ArmCommand(message.command).name
+        values = numbers(message.payload, SETTER_COUNTS[ArmCommand(message.command)], name)
+        match message.command:
+            case ArmCommand.SET_COLLISION_BEHAVIOR:
+                return lambda: self._set_thresholds(values[UPPER_TORQUE], values[UPPER_FORCE])
+            case ArmCommand.SET_EE_TO_K | ArmCommand.SET_NE_TO_EE:
+                frame = "k_to_ee" if message.command == ArmCommand.SET_EE_TO_K else "ee_to_ne"
+                transform = _transform(values, name)
+                return lambda: self._set_frame(frame, transform)
+        return lambda: None  # the stand-in's dynamics don't depend on this value
+
+    def _set_thresholds(self, torque_Nm: np.ndarray, force_N: np.ndarray) -> None:
+        self.arm.upper_torque_Nm, self.arm.upper_force_N = torque_Nm, force_N
+        self.journal.write("thresholds", upper_torque_Nm=torque_Nm.tolist(), upper_force_N=force_N.tolist())
+
+    def _set_frame(self, name: str, transform: np.ndarray) -> None:
+        setattr(self.arm, name, transform)
+        self.arm.refresh()
 
     def _reply(self, message: Message, status: int) -> None:
-        self.link.send(Message(message.command, message.command_id, bytes([status])))
+        self.link.reply(message, bytes([status]))
+
+    # --- control loop ------------------------------------------------------------------------------------------------
+
+    def receive_command(self, datagram: bytes) -> None:
+        """Take a command of the control loop."""
+        if not self.takes_commands:
+            return
+        try:
+            command = RobotCommand.decode(datagram)
+        except ProtocolError as error:
+            self.journal.write("invalid", why=str(error), bytes=len(datagram))
+            return
+        if self.journal.is_on:
+            tau = [round(float(t), 4) for t in command.tau_J_d]
+            self.journal.write("command", id=command.message_id, tau_Nm=tau, finished=command.finished)
+        self.watch.last_command_ms = self.milliseconds
+        if (motion := self.motion) is not None:
+            if self.rules:
+                motion.broken |= broken_rules(command, motion.command, motion.generator, self.arm)
+            motion.command, motion.answered = command, command.message_id >= self.milliseconds
+
+    @property
+    def _counts_misses(self) -> bool:
+        return self.miss_rule or not self.takes_commands
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether the next millisecond may begin: the client has answered, or waited too long."""
+        if self.motion is None or self.motion.answered:
+            return True
+        patience = 0.001 if self._counts_misses or self.starved else self.options.patience_s
+        return now_s - self._sent_at >= patience
+
+    def tick(self) -> None:
+        """Let one millisecond of the robot's time pass and send a state."""
+        if self.motion is not None and self.motion.command is not None:
+            self._drive(self.motion, self.motion.command)
+        elif self.mode == RobotMode.GUIDING:
+            self.arm.guide()
+        else:
+            self.arm.hold()  # also while the client of a motion has not begun
+        self.milliseconds += 1
+        self.watch.look(self.arm, self.milliseconds)
+        self._send_state()
+
+    def _drive(self, motion: Motion, command: RobotCommand) -> None:
+        motion.misses = 0 if motion.answered else motion.misses + 1
+        self.success_rate += (float(motion.answered) - self.success_rate) / SUCCESS_WINDOW
+        motion.answered = False
+        violations = motion.broken
+        if not violations:
+            self.arm.drive(command, motion.generator)
+            lost = self._counts_misses and motion.misses >= MISSES_ALLOWED
+            violations = self.arm.violations() | (
+                {ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION} if lost else set()
+            )
+        if violations:
+            self.reflex(violations)
+        elif command.finished:
+            self.end_motion(MoveStatus.SUCCESS)
+
+    def _send_state(self) -> None:
+        self._sent_at = time.monotonic()
+        state = self._state()
+        if self.journal.is_on:
+            position = [round(float(x), 6) for x in self.arm.ee_to_base[:3, 3]]
+            self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position)
+        if self.outgoing is whole:
+            self.sent.append(state)
+        for datagram in self.outgoing(state):
+            self.link.send_state(datagram)
+
+    def newest(self) -> RobotState:
+        """Return the newest state that was sent without a fault; one of now if there is none."""
+        return self.sent[-1] if self.sent else self._state()
+
+    def _state(self) -> RobotState:
+        motion = self.motion
+        return RobotState(
+            self.milliseconds,
+            self.arm.state_floats(),
+            motion.generator + 1 if motion else 0,
+            motion.controller if motion else Controller.OTHER,
+            self.errors,
+            self.reflex_reason,
+            self.mode,
+            self.success_rate if motion else 0.0,
+        )
+
+    # --- what stops it -----------------------------------------------------------------------------------------------
+
+    def end_motion(self, status: MoveStatus, mode: RobotMode = RobotMode.IDLE) -> None:
+        """Show the new mode in a state first, then answer the Move: the order clients wait for."""
+        motion, self.motion, self.mode = self.motion, None, mode
+        self._send_state()
+        if motion is not None:
+            self._reply(Message(ArmCommand.MOVE, motion.command_id), status)
+
+    def client_gone(self) -> None:
+        """Brake when the client has left: no answer is sent."""
+        if self.motion is not None:
+            self.journal.write("motion lost its client")
+            self.motion, self.mode = None, RobotMode.IDLE
+
+    def reflex(self, errors: frozenset[int]) -> None:
+        """Stop by reflex; motion is refused until recovery."""
+        self.errors = self.reflex_reason = errors
+        self.journal.write("reflex", errors=sorted(int(e) for e in errors))
+        self.end_motion(MoveStatus.REFLEX_ABORTED, RobotMode.REFLEX)
+
+    def user_stop(self) -> None:
+        """Press the stop button."""
+        self.journal.write("user stop")
+        self.end_motion(MoveStatus.EMERGENCY_ABORTED, RobotMode.USER_STOPPED)
+
+    def release(self) -> None:
+        """Let go of the stop button or of the guiding buttons."""
+        if self.mode in (RobotMode.USER_STOPPED, RobotMode.GUIDING):
+            self.mode = RobotMode.IDLE
+
+    def guide(self) -> None:
+        """Press the guiding buttons at the flange."""
+        self.journal.write("guiding")
+        if self.mode not in STOPPED:
+            self.end_motion(MoveStatus.ABORTED, RobotMode.GUIDING)
+
+    def describe(self) -> dict[str, object]:
+        """Return what a test wants to know without a client."""
+        return {
+            "milliseconds": self.milliseconds,
+            "mode": self.mode.name,
+            "moving": self.motion is not None,
+            **self.arm.describe(),
+            **self.watch.describe(self.milliseconds),
+            "errors": sorted(int(e) for e in self.errors),
+        }
+
+
+def _transform(values: np.ndarray, what: str) -> np.ndarray:
+    transform = values.reshape(4, 4).T
+    turn = transform[:3, :3]
+    if np.abs(transform).max() > 2 or np.abs(turn @ turn.T - np.eye(3)).max() > ROUNDING:
+        raise ProtocolError(what, "a rotation and at most 2 m", "another matrix")
+    return transform
+
+
+def urdf() -> str:
+    """Return the model a client downloads: the names and limit tags are those libfranka's model loader asks for."""
+    links = "".join(
+        f'<link name="link{i}"><inertial><origin xyz="0 0 0" rpy="0 0 0"/><mass value="{mass}"/>'
+        f'<inertia ixx="{0.004 * mass}" iyy="{0.004 * mass}" izz="{0.004 * mass}" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link>"
+        for i, mass in enumerate(LINK_MASS_kg)
+    )
+    joints = "".join(
+        f'<joint name="fr3_joint{i + 1}" type="revolute"><parent link="link{i}"/><child link="link{i + 1}"/>'
+        f'<origin xyz="{a} {-d * np.sin(alpha):.12g} {d * np.cos(alpha):.12g}" rpy="{alpha:.12g} 0 0"/>'
+        f'<axis xyz="0 0 1"/><limit lower="{Q_MIN_rad[i]}" upper="{Q_MAX_rad[i]}" velocity="{DQ_MAX_rad_s[i]}" '
+        f'effort="{TAU_MAX_Nm[i]}"/>'
+        '<position_based_velocity_limits velocity_offset="0.3" deceleration_limit="6.0"/></joint>'
+        for i, (a, d, alpha) in enumerate(DH)
+    )
+    flange = (
+        f'<joint name="fr3_joint8" type="fixed"><parent link="link{JOINTS}"/><child link="link{JOINTS + 1}"/>'
+        f'<origin xyz="0 0 {FLANGE_m}" rpy="0 0 0"/></joint>'
+    )
+    return f'<?xml version="1.0"?><robot name="fr3">{links}{joints}{flange}</robot>'

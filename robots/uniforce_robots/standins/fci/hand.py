@@ -1,55 +1,67 @@
-"""How the stand-in's hand moves: one width, one object that may stand between the fingers."""
+"""The hand: how its fingers move, and its side of the wire: requests answered when they have arrived, slow states."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import struct
+import time
+from collections.abc import Callable, Iterable
 
-from uniforce_robots.standins.fci.protocol import GraspRequest, HandMoveRequest, HandStatus
+from uniforce_robots.standins.fci.link import Journal, Link
+from uniforce_robots.standins.fci.protocol import (
+    HAND_HEADER,
+    HAND_PORT,
+    HAND_VERSION,
+    Grasp,
+    HandCommand,
+    HandMove,
+    HandState,
+    HandStatus,
+    Message,
+    ProtocolError,
+    decode_hand,
+)
 
 MAX_WIDTH_m = 0.08
 HOMING_SPEED_m_s = 0.1
 ARRIVED_m = 1e-6
+STATE_HZ = 10.0  # about what the real one gives
+REST_C = 30  # temperature of a hand that is not there
+MIDWAY_s = 0.05  # a command is under way for
 
 
-@dataclass
 class Hand:
-    """Two fingers. ``start_*`` begins a motion; ``advance`` says how it ended, once it has."""
+    """Two fingers and what may stand between them. ``start`` begins a motion; ``advance`` says how it ended.
 
-    width_m: float = MAX_WIDTH_m
-    max_width_m: float = MAX_WIDTH_m
-    object_m: float = 0.0  # width of what stands between the fingers; 0: nothing
-    is_grasped: bool = False
-    force_N: float = 0.0  # of the last grasp that held
+    Attributes:
+        object_m: width of what stands between the fingers; 0: nothing.
+        force_N: of the last grasp that held.
+    """
 
-    _goal_m: float | None = None
-    _speed_m_s: float = 0.0
-    _grasp: GraspRequest | None = None
-    _homing: bool = False
+    def __init__(self) -> None:
+        self.width_m = MAX_WIDTH_m
+        self.object_m = self.force_N = 0.0
+        self.is_grasped = self._homing = False
+        self._goal_m: float | None = None
+        self._speed_m_s = 0.0
+        self._grasp: Grasp | None = None
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether a motion is under way."""
-        return self._goal_m is not None
+    def start(self, request: Grasp | HandMove | None) -> bool:
+        """Begin to close until something is held, to go to a width, or (None) to home; return whether it is possible.
 
-    def start_move(self, request: HandMoveRequest) -> bool:
-        """Begin to go to a width; return whether the request is possible."""
-        if not (0 <= request.width_m <= self.max_width_m and request.speed_m_s > 0):
+        Homing closes and opens fully, which measures the widest opening.
+        """
+        if request is None:
+            self._begin(0.0, HOMING_SPEED_m_s)
+            self._homing = True
+            return True
+        grasp = request if isinstance(request, Grasp) else None
+        if not (0 <= request.width_m <= MAX_WIDTH_m and request.speed_m_s > 0):
             return False
-        self._begin(request.width_m, request.speed_m_s)
-        return True
-
-    def start_grasp(self, request: GraspRequest) -> bool:
-        """Begin to close until something is held; return whether the request is possible."""
-        if not (0 <= request.width_m <= self.max_width_m and request.speed_m_s > 0 and request.force_N > 0):
+        if grasp is not None and not grasp.force_N > 0:
             return False
-        self._begin(0.0, request.speed_m_s)
-        self._grasp = request
+        self._begin(0.0 if grasp else request.width_m, request.speed_m_s)
+        self._grasp = grasp
         return True
-
-    def start_homing(self) -> None:
-        """Begin to close and to open fully, which measures the widest opening."""
-        self._begin(0.0, HOMING_SPEED_m_s)
-        self._homing = True
 
     def stop(self) -> None:
         """Stop where the fingers are."""
@@ -74,18 +86,126 @@ class Hand:
         self.width_m += min(max(goal - self.width_m, -step), step)
         if abs(self.width_m - goal) > ARRIVED_m:
             return None
-        return self._arrive()
+        return self._arrive(self._goal_m)
 
-    def _arrive(self) -> HandStatus | None:
-        if self._homing and self._goal_m == 0.0:
+    def _arrive(self, goal_m: float) -> HandStatus | None:
+        if self._homing and goal_m == 0.0:
             self._goal_m = MAX_WIDTH_m  # the way back
             return None
-        goal, grasp = self._goal_m or 0.0, self._grasp
+        grasp = self._grasp
         self.stop()
         if grasp is None:
-            return HandStatus.SUCCESS if abs(goal - self.width_m) < ARRIVED_m else HandStatus.UNSUCCESSFUL
+            return HandStatus.SUCCESS if abs(goal_m - self.width_m) < ARRIVED_m else HandStatus.UNSUCCESSFUL
         touches = self.object_m > 0 and self.width_m <= self.object_m + ARRIVED_m
         inside = grasp.width_m - grasp.inner_m < self.width_m < grasp.width_m + grasp.outer_m
         self.is_grasped = touches and inside
         self.force_N = grasp.force_N if self.is_grasped else 0.0
         return HandStatus.SUCCESS if self.is_grasped else HandStatus.UNSUCCESSFUL
+
+
+def whole(state: HandState) -> Iterable[bytes]:
+    """Yield a state as it is: what a hand without a fault sends."""
+    yield state.encode()
+
+
+class HandService:
+    """A hand behind its port."""
+
+    def __init__(self, address: str, state_hz: float, journal: Journal) -> None:
+        self.link = Link(address, HAND_PORT, HAND_HEADER, journal)
+        self.state_hz, self.hand = state_hz, Hand()
+        self._pending: Message | None = None  # what is to be answered when the fingers have arrived
+        self._states = 0
+        self._begun_s = 0.0
+        self.struck_s: float | None = None  # CLOCK_MONOTONIC, when a fault that waits for its moment came
+        self.mend()
+        self._next_state_s = self._last_tick_s = time.monotonic()
+
+    def mend(self) -> None:
+        """Take back every fault of the wire.
+
+        ``outgoing`` turns a state into datagrams. ``hung``: the fingers stand still and no command is answered.
+        """
+        self.outgoing: Callable[[HandState], Iterable[bytes]] = whole
+        self.hung = False
+        self.link.garbage = None
+
+    @property
+    def is_midway(self) -> bool:
+        """Whether a command has been under way for a while and is not done."""
+        return self._pending is not None and time.monotonic() - self._begun_s > MIDWAY_s
+
+    def handle(self, message: Message) -> None:
+        """Answer one request, or remember it until the fingers arrive."""
+        name = HandCommand(message.command).name if message.command in list(HandCommand) else "?"
+        details = {"command": name, "command_id": message.command_id, "busy": self._pending is not None}
+        self.link.write("request", bytes=HAND_HEADER.layout.size + len(message.payload), **details)
+        if self.hung and message.command != HandCommand.CONNECT:
+            return
+        try:
+            self._dispatch(message)
+        except ProtocolError as error:
+            self.link.drop(str(error))
+            self.client_gone()
+
+    def _dispatch(self, message: Message) -> None:
+        match message.command:
+            case HandCommand.CONNECT:
+                self.link.greet(message, HAND_VERSION, struct.Struct("<HH").pack)
+            case HandCommand.STOP:
+                self._abort()
+                self._reply(message, HandStatus.SUCCESS)
+            case HandCommand.HOMING:
+                self._begin(message, None)
+            case HandCommand.MOVE:
+                self._begin(message, decode_hand(HandMove, message.payload))
+            case HandCommand.GRASP:
+                self._begin(message, decode_hand(Grasp, message.payload))
+            case _:
+                raise ProtocolError("hand command", "0 to 4", message.command)
+
+    def _begin(self, message: Message, request: Grasp | HandMove | None) -> None:
+        """Start a motion; one that is under way is aborted, which the real hand takes badly."""
+        self._abort()
+        if request is not None:
+            self.link.journal.write("hand", request=type(request).__name__, **request._asdict())
+        if self.hand.start(request):
+            self._pending, self._begun_s = message, time.monotonic()
+        else:
+            self._reply(message, HandStatus.FAIL)
+
+    def _abort(self) -> None:
+        self.hand.stop()
+        self._end(HandStatus.ABORTED)
+
+    def _end(self, status: HandStatus) -> None:
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            self._reply(pending, status)
+
+    def _reply(self, message: Message, status: HandStatus) -> None:
+        self.link.reply(message, struct.pack("<H", status))
+
+    def client_gone(self) -> None:
+        """Stop when the client has left; no answer is sent."""
+        self.hand.stop()
+        self._pending = None
+
+    def tick(self, now_s: float) -> None:
+        """Let time pass, on the wall's clock: the hand waits for no client."""
+        outcome = None if self.hung else self.hand.advance(now_s - self._last_tick_s)
+        self._last_tick_s = now_s
+        if outcome is not None:
+            self._end(outcome)
+        if now_s >= self._next_state_s:
+            self._next_state_s = now_s + 1 / self.state_hz
+            self._states += 1
+            widths = (self.hand.width_m, MAX_WIDTH_m)
+            for datagram in self.outgoing(HandState(self._states, *widths, self.hand.is_grasped, REST_C)):
+                self.link.send_state(datagram)
+
+    def describe(self) -> dict[str, object]:
+        """Return what a test wants to know without a client."""
+        hand = self.hand
+        shown = {"width_m": hand.width_m, "is_grasped": hand.is_grasped, "force_N": hand.force_N}
+        return {**shown, "struck_s": self.struck_s}

@@ -9,35 +9,48 @@ Nothing here was ever run on hardware. Each entry says where the fault comes fro
 A fault is begun by ``{"do": "fault", "name": NAME}`` on the control socket and taken back by the name ``none``. What
 has happened stays so: a dropped connection, a reflex, an object that slipped out. One fault at a time.
 
-Faults of the states corrupt what is told, never the arm: ``describe()`` tells where it really is. Where the client
-can't answer (``starves``), the stand-in doesn't wait for it and drives the arm by the last torque at 1 kHz. A real arm
+Faults of the states corrupt what is sent, never the arm: ``describe()`` says where it really is. Where the client
+can't answer (``starve``), the stand-in doesn't wait for it and drives the arm by the last torque at 1 kHz. A real arm
 stops after 20 lost packets; the order ``miss_rule`` makes this one do so too.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 
-from uniforce_robots.standins.fci import hostile_states as states
+import numpy as np
+
+from uniforce_robots.fr3 import DQ_MAX_rad_s, rotation_z
 from uniforce_robots.standins.fci.arm_service import ArmService
-from uniforce_robots.standins.fci.hand_service import HandService
-from uniforce_robots.standins.fci.link import Link
-from uniforce_robots.standins.fci.protocol import HAND_STATE_BYTES, STATE_BYTES, ErrorBit
+from uniforce_robots.standins.fci.hand import HandService
+from uniforce_robots.standins.fci.link import Journal
+from uniforce_robots.standins.fci.protocol import (
+    HAND_STATE_BYTES,
+    STATE_BYTES,
+    STATE_SLICES,
+    ErrorBit,
+    RobotState,
+)
 
 NONE = "none"
 DIED = 9  # exit code of the death a test asked for
 DOCUMENTED, REPORTED, INVENTED = "documented", "reported", "invented"
 GARBAGE_BYTES = (1, 200)  # of what stands for an answer
+MEASURED = ("O_T_EE", "q", "dq", "theta", "dtheta")
+FORCES = ("tau_ext_hat_filtered", "O_F_ext_hat_K", "K_F_ext_hat_K")
+JUMP_rad = 0.3  # about the first joint's axis: 0.1 m at the hand
+BEYOND = 10.0  # × the joints' speed limits
+FLOOD = 5  # old states a millisecond
+NO_STATE_BYTES = (0, 1, 8, HAND_STATE_BYTES - 1, STATE_BYTES - 1, STATE_BYTES + 1, 4000)
+SOURCE = random.Random(0)
 
 Act = Callable[[ArmService, HandService], None]
-
-
-def nothing(arm: ArmService, hand: HandService) -> None:
-    """Do nothing."""
+Change = Callable[[np.ndarray], None]  # of a state's floats, in place
 
 
 @dataclass(frozen=True)
@@ -54,79 +67,115 @@ class Fault:
 
     does: str
     source: str
-    begin: Act = nothing
-    watch: Act = nothing
-    end: Act = nothing
+    begin: Act = lambda arm, hand: None
+    watch: Act = lambda arm, hand: None
+    end: Act = lambda arm, hand: None
 
 
-def says(wire: states.ArmWire) -> Act:
-    """Return what makes the arm's states go through ``wire``."""
-    return lambda arm, _: setattr(arm, "outgoing", wire)
+# --- the arm's states ------------------------------------------------------------------------------------------------
 
 
-def hand_says(wire: states.HandWire) -> Act:
-    """Return what makes the hand's states go through ``wire``."""
-    return lambda _, hand: setattr(hand, "outgoing", wire)
+def corrupt(change: Change) -> Act:
+    """Return what changes the numbers of each state that is sent; the arm's own stay as they are."""
+
+    def changed(state: RobotState) -> Iterable[bytes]:
+        floats = state.floats.copy()
+        change(floats)
+        yield replace(state, floats=floats).encode()
+
+    return lambda arm, _: setattr(arm, "outgoing", changed)
 
 
-def starves(wire: states.ArmWire) -> Act:
+def fill(values: Mapping[str, np.ndarray | float]) -> Change:
+    """Return what replaces these fields."""
+
+    def change(floats: np.ndarray) -> None:
+        for name, value in values.items():
+            floats[STATE_SLICES[name]] = value
+
+    return change
+
+
+def turn(floats: np.ndarray) -> None:
+    """Turn the first joint by 0.3 rad at once, and the hand with it."""
+    floats[STATE_SLICES["q"].start] += JUMP_rad
+    floats[STATE_SLICES["theta"].start] += JUMP_rad
+    pose = floats[STATE_SLICES["O_T_EE"]].reshape(4, 4).T
+    floats[STATE_SLICES["O_T_EE"]] = (rotation_z(JUMP_rad) @ pose).T.ravel()
+
+
+def freeze(arm: ArmService, hand: HandService) -> None:
+    """Send the same pose from now on, at the time that it is."""
+    last = arm.newest()
+    kept = {name: last[name].copy() for name in (*MEASURED, "O_dP_EE_d", "O_dP_EE_c")}
+    corrupt(fill(kept))(arm, hand)
+
+
+def starve(datagrams: Callable[[], Iterable[bytes]]) -> Act:
     """Return what leaves a client without a state it can answer."""
 
     def begin(arm: ArmService, hand: HandService) -> None:
-        arm.outgoing, arm.starved = wire, True
+        arm.outgoing, arm.starved = lambda _: datagrams(), True
 
     return begin
 
 
-def freeze(arm: ArmService, hand: HandService) -> None:
-    """Tell the same pose from now on."""
-    arm.outgoing = states.frozen(arm.newest())
-
-
 def stop_clock(arm: ArmService, hand: HandService) -> None:
     """Send the newest state again and again."""
-    starves(states.repeated(arm.newest()))(arm, hand)
+    newest = arm.newest().encode()
+    starve(lambda: [newest])(arm, hand)
 
 
 def send_old(arm: ArmService, hand: HandService) -> None:
-    """Send what was sent before again."""
-    starves(states.old([*arm.sent, arm.newest()], random.Random(0)))(arm, hand)
+    """Send what was sent before, in any order and several each millisecond."""
+    sent = [state.encode() for state in (*arm.sent, arm.newest())]
+    starve(lambda: SOURCE.choices(sent, k=FLOOD))(arm, hand)
 
 
-def babble(link: Link) -> None:
-    """Say random bytes at once, and in place of every answer."""
-    source = random.Random(0)
-    link.garbage = lambda: source.randbytes(source.randint(*GARBAGE_BYTES))
-    link.send_bytes(link.garbage())
+# --- connections -----------------------------------------------------------------------------------------------------
 
 
-def babble_arm(arm: ArmService, hand: HandService) -> None:
-    """Answer the arm's client with random bytes."""
-    babble(arm.link)
+def babble(service: ArmService | HandService) -> None:
+    """Send random bytes at once, and in place of every answer."""
+    service.link.garbage = lambda: SOURCE.randbytes(SOURCE.randint(*GARBAGE_BYTES))
+    service.link.send_bytes(service.link.garbage())
 
 
-def babble_hand(arm: ArmService, hand: HandService) -> None:
-    """Answer the hand's client with random bytes."""
-    babble(hand.link)
+def drop(service: ArmService | HandService) -> None:
+    """Close the connection."""
+    service.link.drop("fault")
+    service.client_gone()
 
 
-def drop_arm(arm: ArmService, hand: HandService) -> None:
-    """Close the arm's connection."""
-    arm.link.drop("fault")
-    arm.client_gone()
+def die(arm: ArmService, hand: HandService) -> None:
+    """End the process without a word to its clients."""
+    arm.journal.flush()
+    os._exit(DIED)
 
 
-def drop_hand(arm: ArmService, hand: HandService) -> None:
-    """Close the hand's connection."""
-    hand.link.drop("fault")
-    hand.client_gone()
+def reflex(bit: ErrorBit) -> Act:
+    """Return what stops the arm by reflex for this reason."""
+    return lambda arm, _: arm.reflex(frozenset({bit}))
+
+
+# --- the hand --------------------------------------------------------------------------------------------------------
+
+
+def hand_sends(datagrams: Callable[[], Iterable[bytes]]) -> Act:
+    """Return what is sent in place of each of the hand's states."""
+    return lambda _, hand: setattr(hand, "outgoing", lambda _: datagrams())
+
+
+def lose_width(arm: ArmService, hand: HandService) -> None:
+    """Send a width that is no number."""
+    hand.outgoing = lambda state: [state._replace(width_m=float("nan")).encode()]
 
 
 def drop_hand_midway(arm: ArmService, hand: HandService) -> None:
     """Close the hand's connection once a command is under way."""
     if hand.is_midway:
         hand.struck_s = time.monotonic()
-        drop_hand(arm, hand)
+        drop(hand)
 
 
 def hang_hand(arm: ArmService, hand: HandService) -> None:
@@ -142,57 +191,46 @@ def slip(arm: ArmService, hand: HandService) -> None:
         hand.hand.slip()
 
 
-def deafen(arm: ArmService, hand: HandService) -> None:
-    """Lose every command, under the rule that 20 in a row end a motion."""
-    arm.hears = False
+def all_are(names: Iterable[str], value: float) -> Act:
+    """Return what sends one value in place of every number of these fields."""
+    return corrupt(fill(dict.fromkeys(names, value)))
 
 
-def reflex(bit: ErrorBit) -> Act:
-    """Return what stops the arm by reflex for this reason."""
-    return lambda arm, _: arm.reflex(frozenset({bit}))
-
-
-def die(arm: ArmService, hand: HandService) -> None:
-    """End the process without a word to its clients."""
-    arm.journal.flush()
-    os._exit(DIED)
-
-
-def press_stop(arm: ArmService, hand: HandService) -> None:
-    """Press the stop button."""
-    arm.user_stop()
-
-
-def release_stop(arm: ArmService, hand: HandService) -> None:
-    """Let go of the stop button."""
-    arm.release()
-
-
-_random = random.Random(0)
-_garbage = states.garbage(STATE_BYTES, _random)
-_hand_garbage = states.garbage(HAND_STATE_BYTES, _random)
+FAST = corrupt(fill(dict.fromkeys(("dq", "dtheta"), BEYOND * DQ_MAX_rad_s)))
+GARBAGE = starve(lambda: [SOURCE.randbytes(STATE_BYTES)])
+WRONG_LENGTH = starve(lambda: [SOURCE.randbytes(SOURCE.choice(NO_STATE_BYTES))])
+HAND_GARBAGE = hand_sends(lambda: [SOURCE.randbytes(HAND_STATE_BYTES)])
 _nan, _inf = float("nan"), float("inf")
 
 FAULTS = {
     # the arm's states
-    "nan_state": Fault("pose, joints, speeds are NaN", INVENTED, says(states.all_are(states.MEASURED, _nan))),
-    "inf_state": Fault("pose, joints, speeds are inf", INVENTED, says(states.all_are(states.MEASURED, _inf))),
-    "nan_force": Fault("force estimates are NaN", INVENTED, says(states.all_are(states.FORCES, _nan))),
-    "pose_jump": Fault("joint 1 jumps by 0.3 rad, the pose with it", INVENTED, says(states.turned)),
-    "velocity_beyond_physics": Fault("joints at 10 × their fastest", INVENTED, says(states.too_fast)),
+    "nan_state": Fault("pose, joints, speeds are NaN", INVENTED, all_are(MEASURED, _nan)),
+    "inf_state": Fault("pose, joints, speeds are inf", INVENTED, all_are(MEASURED, _inf)),
+    "nan_force": Fault("force estimates are NaN", INVENTED, all_are(FORCES, _nan)),
+    "pose_jump": Fault("joint 1 jumps by 0.3 rad, the pose with it", INVENTED, corrupt(turn)),
+    "velocity_beyond_physics": Fault("joints at 10 × their fastest", INVENTED, FAST),
     "frozen_state": Fault("time goes on, pose and joints stay", INVENTED, freeze),
     "stopped_clock": Fault("the same state again and again", INVENTED, stop_clock),
     "state_flood_old": Fault("old states only, in any order, 5 a ms", INVENTED, send_old),
-    "silent_arm": Fault("no states; TCP stays open", REPORTED, starves(states.silent)),
-    "garbage_state": Fault("random bytes of a state's length", INVENTED, starves(_garbage)),
-    "wrong_length_state": Fault("0 to 4000 random bytes", INVENTED, starves(states.wrong_length(_random))),
+    "silent_arm": Fault("no states; TCP stays open", REPORTED, starve(lambda: ())),
+    "garbage_state": Fault("random bytes of a state's length", INVENTED, GARBAGE),
+    "wrong_length_state": Fault("0 to 4000 random bytes", INVENTED, WRONG_LENGTH),
     # the arm's connection
-    "lost_commands": Fault("no command arrives; 20 in a row end a motion", DOCUMENTED, deafen),
-    "arm_garbage_reply": Fault("random bytes on the arm's TCP", INVENTED, babble_arm),
-    "arm_dropped": Fault("the arm closes its TCP connection", REPORTED, drop_arm),
+    "lost_commands": Fault(
+        "no command arrives; 20 in a row end a motion",
+        DOCUMENTED,
+        lambda arm, _: setattr(arm, "takes_commands", False),
+    ),
+    "arm_garbage_reply": Fault("random bytes on the arm's TCP", INVENTED, lambda arm, _: babble(arm)),
+    "arm_dropped": Fault("the arm closes its TCP connection", REPORTED, lambda arm, _: drop(arm)),
     "server_death": Fault("the process ends; every socket closes", INVENTED, die),
     # what stops a real arm
-    "user_stop": Fault("the stop button is pressed", DOCUMENTED, press_stop, end=release_stop),
+    "user_stop": Fault(
+        "the stop button is pressed",
+        DOCUMENTED,
+        lambda arm, _: arm.user_stop(),
+        end=lambda arm, _: arm.release(),
+    ),
     "reflex": Fault("a collision at the hand", DOCUMENTED, reflex(ErrorBit.CARTESIAN_REFLEX)),
     "joint_reflex": Fault("a collision at a joint", DOCUMENTED, reflex(ErrorBit.JOINT_REFLEX)),
     "torque_discontinuity": Fault(
@@ -204,11 +242,71 @@ FAULTS = {
     "power_limit": Fault("too much power", DOCUMENTED, reflex(ErrorBit.POWER_LIMIT_VIOLATION)),
     # the hand
     "hung_hand": Fault("fingers stop midway, no answer any more; states go on", REPORTED, watch=hang_hand),
-    "hand_silent": Fault("no states; TCP stays open", INVENTED, hand_says(states.silent)),
-    "hand_dropped": Fault("the hand closes its TCP connection", INVENTED, drop_hand),
+    "hand_silent": Fault("no states; TCP stays open", INVENTED, hand_sends(lambda: ())),
+    "hand_dropped": Fault("the hand closes its TCP connection", INVENTED, lambda _, hand: drop(hand)),
     "hand_dropped_midway": Fault("the same, within a command", INVENTED, watch=drop_hand_midway),
-    "hand_garbage_state": Fault("random bytes of a state's length", INVENTED, hand_says(_hand_garbage)),
-    "nan_width": Fault("the width is NaN", INVENTED, hand_says(states.no_width)),
-    "hand_garbage_reply": Fault("random bytes on the hand's TCP", INVENTED, babble_hand),
+    "hand_garbage_state": Fault("random bytes of a state's length", INVENTED, HAND_GARBAGE),
+    "nan_width": Fault("the width is NaN", INVENTED, lose_width),
+    "hand_garbage_reply": Fault("random bytes on the hand's TCP", INVENTED, lambda _, hand: babble(hand)),
     "slip_out": Fault("what is held slips out; the fingers close", DOCUMENTED, watch=slip),
 }
+
+
+class Faults:
+    """One fault at a time, on the robot's own clock: ordered, begun, lasting, ended."""
+
+    def __init__(self, arm: ArmService, hand: HandService, journal: Journal) -> None:
+        self.arm, self.hand, self.journal = arm, hand, journal
+        self.name = NONE  # the one that lasts
+        self._last: dict[str, object] = {"last": NONE, "at_ms": None, "at_s": None}
+        self._ordered: str | None = None  # not begun yet
+        self._begin_ms = self._end_ms = self._duration_ms = math.inf
+
+    def order(self, name: str, after_ms: float = 0, duration_ms: float | None = None) -> None:
+        """End the fault that lasts, and begin another after some of the robot's milliseconds.
+
+        Raises:
+            ValueError: no such fault, or a time that is negative or no number.
+        """
+        if name != NONE and name not in FAULTS:
+            raise ValueError(f"fault: expected {NONE} or one of {sorted(FAULTS)}, got {name!r}")
+        duration = math.inf if duration_ms is None else float(duration_ms)
+        if not (0 <= after_ms < math.inf and duration > 0):
+            raise ValueError(f"fault times: expected ≥ 0 and > 0 ms, got {after_ms} and {duration_ms}")
+        self._end()
+        if name != NONE:
+            self._ordered, self._duration_ms = name, duration
+            self._begin_ms = self.arm.milliseconds + after_ms
+            self._begin_if_due()
+
+    def tick(self) -> None:
+        """Do what is due in this millisecond."""
+        self._begin_if_due()
+        if self.name != NONE:
+            FAULTS[self.name].watch(self.arm, self.hand)
+            if self.arm.milliseconds >= self._end_ms:
+                self._end()
+
+    def describe(self) -> dict[str, object]:
+        """Return the fault that lasts, and when the last one began: the robot's time and CLOCK_MONOTONIC."""
+        return {"name": self.name, **self._last}
+
+    def _begin_if_due(self) -> None:
+        now_ms = self.arm.milliseconds
+        if self._ordered is None or now_ms < self._begin_ms:
+            return
+        self.name, self._ordered = self._ordered, None
+        self._end_ms = now_ms + self._duration_ms
+        self._last = {"last": self.name, "at_ms": now_ms, "at_s": time.monotonic()}
+        self.journal.write("fault", name=self.name, milliseconds=now_ms)
+        FAULTS[self.name].begin(self.arm, self.hand)
+
+    def _end(self) -> None:
+        self._ordered = None
+        if self.name == NONE:
+            return
+        fault, self.name = FAULTS[self.name], NONE
+        self.arm.mend()
+        self.hand.mend()
+        fault.end(self.arm, self.hand)
+        self.journal.write("fault", name=NONE, milliseconds=self.arm.milliseconds)

@@ -1,15 +1,53 @@
-"""One device's sockets: a TCP listener, its one client, and the UDP socket its states leave from."""
+"""One device's sockets: a TCP listener, its one client, and the UDP socket its states leave from; and the journal."""
 
 from __future__ import annotations
 
+import json
 import socket
+import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TextIO
 
-from uniforce_robots.standins.fci.journal import Journal
-from uniforce_robots.standins.fci.protocol import ConnectRequest, Header, Message, ProtocolError
+from uniforce_robots.standins.fci.protocol import (
+    CONNECT,
+    ConnectStatus,
+    Header,
+    Message,
+    ProtocolError,
+    unpack,
+)
 
 DATAGRAM_BYTES = 65536
 UNREAD_s = 1.0  # how long an answer may wait for its client to read
+
+
+class Journal:
+    """What the wire saw, a JSON object per line. ``time_s`` is CLOCK_MONOTONIC, which other processes share."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._file: TextIO | None = path.open("w") if path else None
+
+    @property
+    def is_on(self) -> bool:
+        """Whether there is a file; spares the 1 kHz loop the work of describing."""
+        return self._file is not None
+
+    def write(self, what: str, **details: object) -> None:
+        """Add a line."""
+        if self._file is not None:
+            self._file.write(json.dumps({"time_s": time.monotonic(), "what": what, **details}) + "\n")
+
+    def flush(self) -> None:
+        """Make the lines so far readable for others."""
+        if self._file is not None:
+            self._file.flush()
+
+
+def read_journal(path: Path, begin: int = 0) -> list[dict]:
+    """Return a journal's whole lines from a byte on; a killed process may have left half a one at the end."""
+    text = path.read_bytes()[begin:].decode()
+    return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 
 
 class Link:
@@ -17,7 +55,6 @@ class Link:
 
     def __init__(self, address: str, port: int, header: Header, journal: Journal) -> None:
         self.header, self.journal = header, journal
-        self.address = address
         self.listener = socket.create_server((address, port), backlog=4)
         self.listener.setblocking(False)
         self.udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -26,7 +63,11 @@ class Link:
         self.client: socket.socket | None = None
         self.states_to: tuple[str, int] | None = None
         self.garbage: Callable[[], bytes] | None = None  # sent in place of every answer
-        self._peer, self._buffer = "", b""
+        self._host, self._buffer = "", b""
+
+    def write(self, what: str, **details: object) -> None:
+        """Add a line about this device to the journal."""
+        self.journal.write(what, device=self.header.device, **details)
 
     def sockets(self) -> list[socket.socket]:
         """Return what to wait on."""
@@ -39,17 +80,17 @@ class Link:
         if replaces:
             self.drop("gone")
         if self.client is not None:
-            self.journal.write("turned away", device=self.header.device, peer=peer)
+            self.write("turned away", peer=peer)
             connection.close()
             return False
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setblocking(False)
-        self.client, self._peer, self._buffer = connection, peer[0], b""
-        self.journal.write("client", device=self.header.device, peer=peer)
+        self.client, self._host, self._buffer = connection, peer[0], b""
+        self.write("client", peer=peer)
         return replaces
 
     def _client_left(self) -> bool:
-        """Return whether the client has hung up and nobody has looked yet."""
+        """Return whether the client has hung up and its socket was not read since."""
         if self.client is None:
             return False
         try:
@@ -60,14 +101,13 @@ class Link:
             return True
 
     def receive(self) -> Iterator[Message]:
-        """Yield the whole requests that have arrived; drop a client that is gone or talks nonsense."""
+        """Yield the whole requests that have arrived; drop a client that is gone or sends no protocol."""
         try:
             data = self.client.recv(DATAGRAM_BYTES) if self.client else b""
         except ConnectionError:
             data = b""
         if not data:
             self.drop("gone")
-            return
         self._buffer += data
         while self.client is not None:
             try:
@@ -83,26 +123,28 @@ class Link:
         """Close the connection to the client."""
         if self.client is not None:
             self.client.close()
-            self.journal.write("dropped", device=self.header.device, why=why)
+            self.write("dropped", why=why)
         self.client, self.states_to = None, None
 
-    def greet(self, message: Message, request: ConnectRequest, reply: bytes, accepted: bool) -> None:
-        """Answer Connect, and send states from now on if the version fits."""
-        self.send(Message(message.command, message.command_id, reply))
-        if accepted and self.client is not None:
-            self.states_to = (self._peer, request.udp_port)  # not getpeername(): it may have left again
+    def greet(self, message: Message, version: int, reply: Callable[[int, int], bytes]) -> None:
+        """Answer Connect by status and version, and send states from now on if the version fits.
 
-    def send(self, message: Message) -> None:
-        """Send an answer."""
-        self.journal.write(
-            "reply",
-            device=self.header.device,
-            command=message.command,
-            command_id=message.command_id,
-            status=message.payload[0] if message.payload else None,
-            bytes=self.header.layout.size + len(message.payload),
-        )
-        self.send_bytes(self.garbage() if self.garbage else self.header.encode(message))
+        Raises:
+            ProtocolError: no Connect.
+        """
+        wanted, udp_port = unpack(CONNECT, message.payload, "Connect")
+        fits = wanted == version
+        status = ConnectStatus.SUCCESS if fits else ConnectStatus.INCOMPATIBLE_VERSION
+        self.reply(message, reply(status, version))
+        if fits and self.client is not None:
+            self.states_to = (self._host, udp_port)  # not getpeername(): it may have left again
+
+    def reply(self, to: Message, payload: bytes) -> None:
+        """Answer a request."""
+        size, status = self.header.layout.size + len(payload), payload[0] if payload else None
+        self.write("reply", command=to.command, command_id=to.command_id, status=status, bytes=size)
+        answer = self.header.encode(Message(to.command, to.command_id, payload))
+        self.send_bytes(self.garbage() if self.garbage else answer)
 
     def send_bytes(self, data: bytes) -> None:
         """Send bytes as they are; drop a client that has left or doesn't read."""
@@ -121,7 +163,7 @@ class Link:
             return
         try:
             self.udp.sendto(datagram, self.states_to)
-        except (ConnectionError, BlockingIOError):  # nobody listens there any more; TCP will tell
+        except (ConnectionError, BlockingIOError):  # its socket is closed; TCP will show it
             return
 
     def datagrams(self) -> Iterator[bytes]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import socket
 import subprocess
 import sys
@@ -12,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from uniforce_robots.standins.fci.journal import read_journal
+from uniforce_robots.standins.fci.link import read_journal
 from uniforce_robots.standins.fci.server import CONTROL_PORT
 
 START_s = 30.0  # a busy machine needs long to import numpy
@@ -27,9 +26,7 @@ class StandIn:
         command = [sys.executable, "-m", "uniforce_robots.standins.fci", address, *options]
         if log is not None:
             command += ["--log", str(log)]
-        path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
-        environment = {**os.environ, "PYTHONPATH": path}
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         line = self.process.stdout.readline() if self.process.stdout else ""
         if line.strip() != "ready":
             self.close()
@@ -40,7 +37,7 @@ class StandIn:
         self._answers = self._control.makefile("r")
 
     def do(self, what: str, **details: object) -> dict:
-        """Order something (see ``Server._do``) and return ``{"arm": …, "hand": …}`` as they are afterwards."""
+        """Order something (see ``Server``) and return ``{"arm": …, "hand": …}`` as they are afterwards."""
         self._control.sendall(json.dumps({"do": what, **details}).encode() + b"\n")
         answer = json.loads(self._answers.readline())
         if "error" in answer:

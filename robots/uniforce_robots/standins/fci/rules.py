@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from uniforce_robots.fr3 import DQ_MAX_rad_s, TAU_MAX_Nm, rotation_error
 from uniforce_robots.standins.fci.arm import Arm, TICK_s
-from uniforce_robots.standins.fci.kinematics import JOINTS, DQ_MAX_rad_s, TAU_MAX_Nm, rotation_error
 from uniforce_robots.standins.fci.protocol import ErrorBit, Generator, RobotCommand
 
 TOLERANCE = 1.01  # states are float32, and a client's rounding is no fault
@@ -25,82 +25,73 @@ def broken_rules(
     command: RobotCommand, before: RobotCommand | None, generator: Generator, arm: Arm
 ) -> frozenset[int]:
     """Return the error bits of a command that follows on ``before`` (None: on rest, where the arm is)."""
+    gap = command.message_id - before.message_id if before else 1
+    elapsed_s = TICK_s * min(max(gap, 1), PACKETS)  # the robot goes on by itself where packets are lost
     match generator:
         case Generator.NONE:
-            bits = _torque(command, before)
+            broken = _torque(command.tau_J_d, before)
         case Generator.JOINT_POSITION:
-            bits = _joint_position(command, before, arm)
+            broken = _joint_position(command.q_c, before, arm, elapsed_s)
         case Generator.JOINT_VELOCITY:
-            bits = _joint_velocity(command, before)
+            broken = _joint_velocity(command.dq_c, before, elapsed_s)
         case Generator.CARTESIAN_POSITION:
-            bits = _pose(command, before, arm)
+            broken = _pose(command.O_T_EE_c.reshape(4, 4).T, before, arm, elapsed_s)
         case Generator.CARTESIAN_VELOCITY:
-            bits = _twist(command, before)
-    return frozenset(bits)
+            broken = _twist(command.O_dP_EE_c, before, elapsed_s)
+    return frozenset(bit for bit, is_broken in broken.items() if is_broken)
 
 
-def _torque(command: RobotCommand, before: RobotCommand | None) -> set[int]:
-    last = before.tau_J_d if before else np.zeros(JOINTS)
-    bits: set[int] = set()
-    if _beyond(command.tau_J_d - last, TORQUE_STEP_Nm):
-        bits.add(ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY)
-    if _beyond(command.tau_J_d, TAU_MAX_Nm):
-        bits.add(ErrorBit.TAU_J_RANGE_VIOLATION)
-    return bits
+def _torque(tau_Nm: np.ndarray, before: RobotCommand | None) -> dict[ErrorBit, bool]:
+    step = tau_Nm - (before.tau_J_d if before else 0.0)
+    return {
+        ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY: _beyond(step, TORQUE_STEP_Nm),
+        ErrorBit.TAU_J_RANGE_VIOLATION: _beyond(tau_Nm, TAU_MAX_Nm),
+    }
 
 
-def _joint_position(command: RobotCommand, before: RobotCommand | None, arm: Arm) -> set[int]:
-    step = command.q_c - (before.q_c if before else arm.q_rad)
-    too_fast = _beyond(step, DQ_MAX_rad_s * _elapsed_s(command, before))
+def _joint_position(
+    q_rad: np.ndarray, before: RobotCommand | None, arm: Arm, elapsed_s: float
+) -> dict[ErrorBit, bool]:
+    too_fast = _beyond(q_rad - (before.q_c if before else arm.q_rad), DQ_MAX_rad_s * elapsed_s)
     start, later = ErrorBit.JOINT_POSITION_START_POSE_INVALID, ErrorBit.JOINT_COMMAND_VELOCITY_LIMITS
-    return {later if before else start} if too_fast else set()
+    return {later if before else start: too_fast}
 
 
-def _joint_velocity(command: RobotCommand, before: RobotCommand | None) -> set[int]:
-    bits: set[int] = set()
-    if _beyond(command.dq_c, DQ_MAX_rad_s):
-        bits.add(ErrorBit.JOINT_COMMAND_VELOCITY_LIMITS)
-    step = command.dq_c - (before.dq_c if before else 0.0)
-    if _beyond(step, DDQ_MAX_rad_s2 * _elapsed_s(command, before)):
-        bits.add(ErrorBit.JOINT_COMMAND_VELOCITY_DISCONTINUITY)
-    return bits
+def _joint_velocity(
+    dq_rad_s: np.ndarray, before: RobotCommand | None, elapsed_s: float
+) -> dict[ErrorBit, bool]:
+    step = dq_rad_s - (before.dq_c if before else 0.0)
+    return {
+        ErrorBit.JOINT_COMMAND_VELOCITY_LIMITS: _beyond(dq_rad_s, DQ_MAX_rad_s),
+        ErrorBit.JOINT_COMMAND_VELOCITY_DISCONTINUITY: _beyond(step, DDQ_MAX_rad_s2 * elapsed_s),
+    }
 
 
-def _pose(command: RobotCommand, before: RobotCommand | None, arm: Arm) -> set[int]:
-    pose = command.O_T_EE_c.reshape(4, 4).T
+def _pose(pose: np.ndarray, before: RobotCommand | None, arm: Arm, elapsed_s: float) -> dict[ErrorBit, bool]:
     turn = pose[:3, :3]
     if np.abs(turn).max() > 1 + ROUNDING or np.abs(turn @ turn.T - np.eye(3)).max() > ROUNDING:
-        return {ErrorBit.CARTESIAN_COMMAND_INVALID_FRAME}
+        return {ErrorBit.CARTESIAN_COMMAND_INVALID_FRAME: True}
     last = before.O_T_EE_c.reshape(4, 4).T if before else arm.ee_to_base
-    elapsed_s = _elapsed_s(command, before)
-    moved = _length_beyond(pose[:3, 3] - last[:3, 3], SPEED_m_s * elapsed_s)
-    turned = _length_beyond(rotation_error(turn, last[:3, :3]), TURN_rad_s * elapsed_s)
+    moved = _longer(pose[:3, 3] - last[:3, 3], SPEED_m_s * elapsed_s)
+    turned = _longer(rotation_error(turn, last[:3, :3]), TURN_rad_s * elapsed_s)
     start, later = ErrorBit.CARTESIAN_POSITION_START_POSE_INVALID, ErrorBit.CARTESIAN_COMMAND_VELOCITY_LIMITS
-    return {later if before else start} if moved or turned else set()
+    return {later if before else start: moved or turned}
 
 
-def _twist(command: RobotCommand, before: RobotCommand | None) -> set[int]:
-    twist = command.O_dP_EE_c
+def _twist(twist: np.ndarray, before: RobotCommand | None, elapsed_s: float) -> dict[ErrorBit, bool]:
     step = twist - (before.O_dP_EE_c if before else 0.0)
-    elapsed_s = _elapsed_s(command, before)
-    bits: set[int] = set()
-    if _length_beyond(twist[:3], SPEED_m_s) or _length_beyond(twist[3:], TURN_rad_s):
-        bits.add(ErrorBit.CARTESIAN_COMMAND_VELOCITY_LIMITS)
-    linear = _length_beyond(step[:3], ACCELERATION_m_s2 * elapsed_s)
-    if linear or _length_beyond(step[3:], TURN_rad_s2 * elapsed_s):
-        bits.add(ErrorBit.CARTESIAN_COMMAND_VELOCITY_DISCONTINUITY)
-    return bits
-
-
-def _elapsed_s(command: RobotCommand, before: RobotCommand | None) -> float:
-    """Return the time since the command before: the robot goes on by itself where packets are lost."""
-    gap = command.message_id - before.message_id if before else 1
-    return TICK_s * min(max(gap, 1), PACKETS)
+    too_fast = _longer(twist[:3], SPEED_m_s) or _longer(twist[3:], TURN_rad_s)
+    linear = _longer(step[:3], ACCELERATION_m_s2 * elapsed_s)
+    jumps = linear or _longer(step[3:], TURN_rad_s2 * elapsed_s)
+    return {
+        ErrorBit.CARTESIAN_COMMAND_VELOCITY_LIMITS: too_fast,
+        ErrorBit.CARTESIAN_COMMAND_VELOCITY_DISCONTINUITY: jumps,
+    }
 
 
 def _beyond(values: np.ndarray, limit: np.ndarray | float) -> bool:
     return bool((np.abs(values) > TOLERANCE * limit).any())
 
 
-def _length_beyond(vector: np.ndarray, limit: float) -> bool:
+def _longer(vector: np.ndarray, limit: float) -> bool:
     return bool(np.abs(vector).max() > TOLERANCE * limit or vector @ vector > (TOLERANCE * limit) ** 2)

@@ -6,18 +6,17 @@ import json
 import select
 import socket
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from uniforce_robots.standins.fci.arm import TICK_s, Wall
-from uniforce_robots.standins.fci.arm_service import ArmService
-from uniforce_robots.standins.fci.control_loop import ArmOptions
-from uniforce_robots.standins.fci.faults import Faults
-from uniforce_robots.standins.fci.hand_service import HandOptions, HandService
-from uniforce_robots.standins.fci.journal import Journal
-from uniforce_robots.standins.fci.link import Link
+from uniforce_robots.standins.fci.arm_service import ArmOptions, ArmService
+from uniforce_robots.standins.fci.hand import STATE_HZ, HandService
+from uniforce_robots.standins.fci.hostile import Faults
+from uniforce_robots.standins.fci.link import Journal
 
 CONTROL_PORT = 1339  # ours, beside the robot's two
 CATCH_UP_s = 0.05  # a loop that lags more forgets the lag instead of racing through it
@@ -30,6 +29,7 @@ class ServerOptions:
 
     Attributes:
         address: loopback unless the command line says otherwise.
+        hand_hz: states of the hand per second.
         mute: accept connections and never answer.
         log: file of JSON lines, one for each message.
         fault: one of ``hostile.FAULTS`` from the first millisecond on.
@@ -37,7 +37,7 @@ class ServerOptions:
 
     address: str
     arm: ArmOptions = field(default_factory=ArmOptions)
-    hand: HandOptions = field(default_factory=HandOptions)
+    hand_hz: float = STATE_HZ
     mute: bool = False
     log: Path | None = None
     fault: str = "none"
@@ -49,13 +49,30 @@ class Server:
     def __init__(self, options: ServerOptions) -> None:
         self.journal = Journal(options.log)
         self.arm = ArmService(options.address, options.arm, self.journal)
-        self.hand = HandService(options.address, options.hand, self.journal)
-        self.mute = options.mute
-        self.stopped = False
+        self.hand = HandService(options.address, options.hand_hz, self.journal)
+        self.mute, self.stopped = options.mute, False
         self.faults = Faults(self.arm, self.hand, self.journal)
         self.faults.order(options.fault)
         self._control = socket.create_server((options.address, CONTROL_PORT))
         self._controllers: dict[socket.socket, bytes] = {}
+        self._orders: dict[str, Callable[..., object]] = {
+            "look": lambda: None,
+            "fault": self.faults.order,
+            "reflex": lambda: self.faults.order("reflex"),
+            "user_stop": lambda: self.faults.order("user_stop"),
+            "die": lambda: self.faults.order("server_death"),
+            "release": self.arm.release,
+            "guide": self.arm.guide,
+            "mute": lambda on=True: setattr(self, "mute", bool(on)),
+            "miss_rule": lambda on=True: setattr(self.arm, "miss_rule", bool(on)),
+            "rules": lambda on=True: setattr(self.arm, "rules", bool(on)),
+            "wrench": self._set_wrench,
+            "wall": self._set_wall,
+            "object": lambda width_m: setattr(self.hand.hand, "object_m", float(width_m)),
+            "hand_hz": self._set_hand_rate,
+            "flush": self.journal.flush,
+            "stop": lambda: setattr(self, "stopped", True),
+        }
 
     def run(self) -> None:
         """Serve until told to stop."""
@@ -63,7 +80,10 @@ class Server:
         while not self.stopped:
             now = time.monotonic()
             if now >= due and self.arm.is_due(now):
-                self._tick()
+                if not self.mute:
+                    self.arm.tick()
+                    self.hand.tick(time.monotonic())
+                    self.faults.tick()
                 due = max(due + TICK_s, now - CATCH_UP_s)
                 now = time.monotonic()
             self._serve(max(due - now, 0.0) if now < due else TICK_s / 5)
@@ -72,16 +92,9 @@ class Server:
         """Close every socket."""
         self.arm.link.close()
         self.hand.link.close()
-        for controller in self._controllers:
-            controller.close()
-        self._control.close()
+        for each in (*self._controllers, self._control):
+            each.close()
         self.journal.flush()
-
-    def _tick(self) -> None:
-        if not self.mute:
-            self.arm.tick()
-            self.hand.tick(time.monotonic())
-            self.faults.tick()
 
     def _serve(self, timeout_s: float) -> None:
         """Answer what has arrived, or wait for it. ``select`` waits in microseconds, ``epoll`` in milliseconds."""
@@ -104,7 +117,7 @@ class Server:
             self._read_device(self.arm if ready in self.arm.link.sockets() else self.hand, ready)
 
     def _read_device(self, service: ArmService | HandService, ready: socket.socket) -> None:
-        link: Link = service.link
+        link = service.link
         if ready is link.listener:
             if link.accept():
                 service.client_gone()
@@ -133,37 +146,13 @@ class Server:
     def _obey(self, line: bytes) -> dict[str, object]:
         try:
             order = json.loads(line)
-            answer = self._do(order.pop("do"), **order)
+            what = order.pop("do")
+            if what not in self._orders:
+                raise ValueError(f"do: expected one of {sorted(self._orders)}, got {what!r}")
+            self._orders[what](**order)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             return {"error": f"{type(error).__name__}: {error}"}
-        shown = {"arm": self.arm.describe(), "hand": self.hand.describe(), "fault": self.faults.describe()}
-        return {**shown, "answer": answer}
-
-    def _do(self, what: str, **details: object) -> object:
-        orders = {
-            "look": lambda: None,
-            "fault": self.faults.order,
-            "reflex": lambda: self.faults.order("reflex"),
-            "user_stop": lambda: self.faults.order("user_stop"),
-            "release": self.arm.release,
-            "guide": self.arm.guide,
-            "mute": self._set_mute,
-            "wrench": self._set_wrench,
-            "wall": self._set_wall,
-            "object": self._set_object,
-            "miss_rule": self._set_miss_rule,
-            "rules": self._set_rules,
-            "hand_hz": self._set_hand_rate,
-            "flush": self.journal.flush,
-            "stop": self._stop,
-            "die": lambda: self.faults.order("server_death"),
-        }
-        if what not in orders:
-            raise ValueError(f"do: expected one of {sorted(orders)}, got {what!r}")
-        return orders[what](**details)  # type: ignore[no-any-return, operator]
-
-    def _set_mute(self, on: bool = True) -> None:
-        self.mute = bool(on)
+        return {"arm": self.arm.describe(), "hand": self.hand.describe(), "fault": self.faults.describe()}
 
     def _set_wrench(self, newtons: list[float]) -> None:
         wrench = np.asarray(newtons, float)
@@ -176,19 +165,7 @@ class Server:
         self.arm.arm.wall = None if height_m is None else Wall(float(height_m), float(stiffness_N_m))
         self.arm.arm.refresh()
 
-    def _set_object(self, width_m: float) -> None:
-        self.hand.hand.object_m = float(width_m)
-
-    def _set_miss_rule(self, on: bool = True) -> None:
-        self.arm.miss_rule = bool(on)
-
-    def _set_rules(self, on: bool = True) -> None:
-        self.arm.rules = bool(on)
-
     def _set_hand_rate(self, hz: float) -> None:
         if not hz > 0:
             raise ValueError(f"hand_hz: expected > 0, got {hz}")
         self.hand.state_hz = float(hz)
-
-    def _stop(self) -> None:
-        self.stopped = True

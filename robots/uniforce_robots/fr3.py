@@ -1,7 +1,7 @@
-"""Kinematics of the Franka Research 3 from its published Denavit–Hartenberg table, and a URDF made from it.
+"""The Franka Research 3 in numbers: its published Denavit–Hartenberg table, joint limits and kinematics.
 
-Source: Franka documentation, "Robot and interface specifications" (Craig's modified convention) and the joint limits
-given there. Masses and inertias in the URDF are plausible, not identified: the stand-in proves software, not dynamics.
+Source: Franka documentation, "Robot and interface specifications" (Craig's modified convention). One place for the
+driver's checks, the GELLO and the stand-in; imports numpy alone, so that the stand-in starts without torch.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ Q_MIN_rad = np.array([-2.7501, -1.7918, -2.9065, -3.0481, -2.8101, 0.5409, -3.01
 Q_MAX_rad = np.array([2.7501, 1.7918, 2.9065, -0.1458, 2.8101, 4.5205, 3.0196])
 DQ_MAX_rad_s = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
 TAU_MAX_Nm = np.array([87.0, 87, 87, 87, 12, 12, 12])
-LINK_MASS_kg = (3.0, 4.0, 2.5, 3.0, 2.5, 2.0, 1.5, 0.6)  # link 0 to 7, plausible
 HOME_q_rad = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 
 
@@ -45,19 +44,14 @@ def translation(x: float, y: float, z: float) -> np.ndarray:
     return T
 
 
+def _fixed(a: float, d: float, alpha: float) -> np.ndarray:
+    c, s = np.cos(alpha), np.sin(alpha)
+    return np.array([[1, 0, 0, a], [0, c, -s, -d * s], [0, s, c, d * c], [0, 0, 0, 1]])
+
+
 # The hand is mounted turned by −45°; its tool point lies 103.4 mm below the flange (Franka Hand manual).
 HAND_TO_FLANGE = translation(0, 0, 0.1034) @ rotation_z(-np.pi / 4)
-
-
-def _fixed_parts() -> np.ndarray:
-    parts = np.empty((JOINTS, 4, 4))
-    for part, (a, d, alpha) in zip(parts, DH, strict=True):
-        c, s = np.cos(alpha), np.sin(alpha)
-        part[:] = [[1, 0, 0, a], [0, c, -s, -d * s], [0, s, c, d * c], [0, 0, 0, 1]]
-    return parts
-
-
-_FIXED = _fixed_parts()
+_FIXED = np.array([_fixed(*row) for row in DH])
 _FLANGE = translation(0, 0, FLANGE_m)
 
 
@@ -90,44 +84,7 @@ def posture(q_rad: np.ndarray) -> Posture:
     return Posture(T @ _FLANGE, frames[:, :3, 2], frames[:, :3, 3])
 
 
-def hand_jacobian(q_rad: np.ndarray) -> np.ndarray:
-    """Return (6, 7): joint speeds to the velocity of the hand's tool point, base frame."""
-    here = posture(q_rad)
-    return here.jacobian((here.flange_to_base @ HAND_TO_FLANGE)[:3, 3])
-
-
 def rotation_error(target: np.ndarray, current: np.ndarray) -> np.ndarray:
     """(3,) rotation vector, to first order, that turns ``current`` into ``target`` (3, 3), in the frame of both."""
     turn = target @ current.T
     return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-
-
-def urdf() -> str:
-    """Return the model a client downloads: the names and limit tags are those libfranka's model loader asks for."""
-    links = "".join(_link(i, mass) for i, mass in enumerate((*LINK_MASS_kg, 0.05)))
-    joints = "".join(_joint(i) for i in range(JOINTS))
-    flange = (
-        '<joint name="fr3_joint8" type="fixed"><parent link="link7"/><child link="link8"/>'
-        f'<origin xyz="0 0 {FLANGE_m}" rpy="0 0 0"/></joint>'
-    )
-    return f'<?xml version="1.0"?><robot name="fr3">{links}{joints}{flange}</robot>'
-
-
-def _link(i: int, mass_kg: float) -> str:
-    inertia = 0.004 * mass_kg
-    return (
-        f'<link name="link{i}"><inertial><origin xyz="0 0 0" rpy="0 0 0"/><mass value="{mass_kg}"/>'
-        f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-    )
-
-
-def _joint(i: int) -> str:
-    a, d, alpha = DH[i]
-    origin = f"{a} {-d * np.sin(alpha):.12g} {d * np.cos(alpha):.12g}"
-    limits = f'lower="{Q_MIN_rad[i]}" upper="{Q_MAX_rad[i]}" velocity="{DQ_MAX_rad_s[i]}"'
-    return (
-        f'<joint name="fr3_joint{i + 1}" type="revolute"><parent link="link{i}"/><child link="link{i + 1}"/>'
-        f'<origin xyz="{origin}" rpy="{alpha:.12g} 0 0"/><axis xyz="0 0 1"/>'
-        f'<limit {limits} effort="{TAU_MAX_Nm[i]}"/>'
-        '<position_based_velocity_limits velocity_offset="0.3" deceleration_limit="6.0"/></joint>'
-    )

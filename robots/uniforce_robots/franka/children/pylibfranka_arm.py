@@ -1,4 +1,4 @@
-"""Serve an arm to the parent with pylibfranka: ``arm_loop.py address ignore|enforce torque_Nm force_N``.
+"""Serve an arm to the parent with pylibfranka: ``pylibfranka_arm.py address ignore|enforce torque_Nm force_N``.
 
 Without a target it reads states; with one it runs a Cartesian impedance controller at 1 kHz,
 τ = Jᵀ(K e − D ẋ) + c + (I − Jᵀ J⁺ᵀ) τ₀, with the error e clipped, the torque's change limited to what the robot takes,
@@ -12,30 +12,26 @@ import time
 from typing import Any
 
 import numpy as np
-from lines import normal_scheduling, orders, say
+from common import (
+    REPORT_s,
+    SILENCE_s,
+    client_errors,
+    connect,
+    orders,
+    report,
+    say,
+    say_lost,
+    say_recovered,
+    say_why,
+)
 
-REPORT_s = 0.01  # a state for the parent that often, by the host's clock: also when the loop is late
+TICK_s = 1e-3
 TORQUE_STEP_Nm = 0.9  # per millisecond; the robot refuses more than 1
 GAINS_TAU_s = 0.1  # time constant of a change of stiffness
-SILENCE_s = 0.3  # of the parent, after which the target is the measured pose
 POSTURE_Nm_rad, POSTURE_Nms_rad = 10.0, 6.0  # keeps the elbow where it was when control began
 BRAKE_Nms_rad = np.array([25.0, 25.0, 25.0, 25.0, 8.0, 8.0, 8.0])  # large joints stop in about 0.1 s
 BRAKE_LIMIT_TICKS = 2000
 REST_rad_s, REST_Nm = 0.02, 1.0  # slower and with less torque than this the arm is at rest
-MODES = ("other", "idle", "move", "guiding", "reflex", "user_stopped", "recovery")
-STOPPED = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
-
-
-def rotation_error(target: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """(3,) rotation vector, to first order, from ``current`` to ``target`` (3, 3), base frame."""
-    turn = target @ current.T
-    return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-
-
-def critical_damping(K: np.ndarray) -> np.ndarray:
-    """Return 2 √K of a symmetric (6, 6) stiffness."""
-    values, vectors = np.linalg.eigh(K)
-    return 2 * vectors @ np.diag(np.sqrt(np.clip(values, 0, None))) @ vectors.T
 
 
 class Impedance:
@@ -51,35 +47,30 @@ class Impedance:
         self._goal_K, self._goal_D = self.K, self.D
 
     def set_gains(self, stiffness: np.ndarray, clip_m: list[float], clip_rad: float) -> None:
-        """Move to a stiffness (6, 6), base frame, with critical damping."""
-        self._goal_K, self._goal_D = stiffness, critical_damping(stiffness)
+        """Move to a stiffness (6, 6), base frame, with critical damping, 2 √K."""
+        values, vectors = np.linalg.eigh(stiffness)
+        self._goal_K = stiffness
+        self._goal_D = 2 * vectors @ np.diag(np.sqrt(np.clip(values, 0, None))) @ vectors.T
         self.clip = np.array([*clip_m, *[clip_rad] * 3])
 
     def torques(
-        self,
-        q: np.ndarray,
-        dq: np.ndarray,
-        pose: np.ndarray,
-        J: np.ndarray,
-        coriolis: np.ndarray,
-        dt_s: float,
+        self, q: np.ndarray, dq: np.ndarray, pose: np.ndarray, J: np.ndarray, coriolis: np.ndarray
     ) -> np.ndarray:
         """(7,) Nm for the next millisecond."""
-        share = min(dt_s / GAINS_TAU_s, 1.0)
+        share = TICK_s / GAINS_TAU_s
         self.K = self.K + share * (self._goal_K - self.K)
         self.D = self.D + share * (self._goal_D - self.D)
-        error = np.concatenate(
-            [self.target[:3, 3] - pose[:3, 3], rotation_error(self.target[:3, :3], pose[:3, :3])]
-        )
+        turn = self.target[:3, :3] @ pose[:3, :3].T  # to first order a rotation vector
+        turn_rad = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+        error = np.concatenate([self.target[:3, 3] - pose[:3, 3], turn_rad])
         force = self.K @ np.clip(error, -self.clip, self.clip) - self.D @ (J @ dq)
         posture = POSTURE_Nm_rad * (self.posture_rad - q) - POSTURE_Nms_rad * dq
         nullspace = posture - J.T @ np.linalg.lstsq(J.T, posture, rcond=None)[0]
-        return self.limited(J.T @ force + nullspace + coriolis, dt_s)
+        return self.limited(J.T @ force + nullspace + coriolis)
 
-    def limited(self, tau_Nm: np.ndarray, dt_s: float) -> np.ndarray:
-        """Return torques no further from the last ones than the robot takes."""
-        step = TORQUE_STEP_Nm * max(dt_s, 1e-3) / 1e-3 if dt_s < 2e-3 else TORQUE_STEP_Nm
-        self.tau_Nm = self.tau_Nm + np.clip(tau_Nm - self.tau_Nm, -step, step)
+    def limited(self, tau_Nm: np.ndarray) -> np.ndarray:
+        """Return torques no further from the last ones than the robot takes in a millisecond."""
+        self.tau_Nm = self.tau_Nm + np.clip(tau_Nm - self.tau_Nm, -TORQUE_STEP_Nm, TORQUE_STEP_Nm)
         return self.tau_Nm
 
 
@@ -100,29 +91,35 @@ class Loop:
         """Serve until the parent closes the pipe or the robot dies."""
         while not self.ended:
             if self.target is None:
-                self.idle()
+                self.report_in_time(self.robot.read_once())
+                self.obey_idle()
             else:
-                self.control_until_told()
-
-    def idle(self) -> None:
-        """Read states and pass them on until a target comes."""
-        while not self.ended and self.target is None:
-            self.report_in_time(self.robot.read_once())
-            self.obey_idle()
+                self.hold_control()
 
     def obey_idle(self) -> None:
         """Take orders without control."""
         for order in self.take():
             if order["do"] == "recover":
-                self.robot.automatic_error_recovery()
-                self.lost_control = False
-                self.robot.read_once()  # a queued one may be from before
-                self.report(self.robot.read_once())
-                say("recovered")
+                self.recover()
             elif order["do"] == "stop":
                 say("stopped")
             else:
                 self.remember(order)
+
+    def recover(self) -> None:
+        """Clear a reflex; nothing moves."""
+        text = ""
+        try:
+            self.robot.automatic_error_recovery()
+        except self.client.CommandException as error:
+            text = str(error)
+        self.robot.read_once()  # a queued one may be from before
+        state = self.robot.read_once()
+        self.report(state)
+        if text:
+            say_lost(state, text)
+        else:
+            self.lost_control = not say_recovered(state)
 
     def take(self) -> list[dict]:
         """Return the orders so far; a closed pipe ends the child."""
@@ -138,8 +135,8 @@ class Loop:
         elif order["do"] == "gains":
             self.gains = order
 
-    def control_until_told(self) -> None:
-        """Hold control until told to stop; say why when it is lost."""
+    def hold_control(self) -> None:
+        """Hold control until the order to stop; say why when it is lost."""
         control = None
         try:
             control = self.robot.start_torque_control()
@@ -147,19 +144,15 @@ class Loop:
                 say("stopped")
         except self.client.NetworkException:
             raise
-        except (RuntimeError, self.client.FrankaException) as error:
+        except client_errors(self.client) as error:
             text = str(error)
             control = error.__traceback__ = None  # either would keep the client's lock
-            self.lost(text)
+            self.lost_control = True
+            self.robot.read_once()  # a queued one may be from before
+            state = self.robot.read_once()
+            self.report(state)
+            say_lost(state, text)
         self.target = None
-
-    def lost(self, text: str) -> None:
-        """Tell the parent that control is gone, and the mode that says why."""
-        self.lost_control = True
-        self.robot.read_once()
-        state = self.robot.read_once()
-        self.report(state)
-        say("error", fault=STOPPED.get(mode_of(state), "other"), text=text, errors=error_names(state))
 
     def control(self, control: Any) -> bool:
         """Run the controller; return whether the parent asked for the end."""
@@ -206,13 +199,13 @@ class Loop:
         """Evaluate the law at a state."""
         J = np.array(self.model.zero_jacobian(state)).reshape(7, 6).T
         coriolis = np.array(self.model.coriolis(state))
-        return law.torques(np.array(state.q), np.array(state.dq), matrix(state.O_T_EE), J, coriolis, 1e-3)
+        return law.torques(np.array(state.q), np.array(state.dq), matrix(state.O_T_EE), J, coriolis)
 
     def brake(self, control: Any, law: Impedance, state: Any) -> None:
         """Damp the joints to rest, let the torques fade, and end the motion in order."""
         for left in reversed(range(BRAKE_LIMIT_TICKS)):
             damping = -BRAKE_Nms_rad * np.array(state.dq)
-            command = self.client.Torques(law.limited(damping, 1e-3).tolist())
+            command = self.client.Torques(law.limited(damping).tolist())
             rests = np.abs(state.dq).max() < REST_rad_s and np.abs(law.tau_Nm).max() < REST_Nm
             command.motion_finished = bool(rests or not left)
             control.writeOnce(command)
@@ -229,34 +222,7 @@ class Loop:
     def report(self, state: Any) -> None:
         """Pass a state on."""
         self.reported_s = time.monotonic()
-        say(
-            "state",
-            time_s=time.monotonic(),
-            robot_time_s=state.time.to_sec(),
-            q=list(state.q),
-            dq=list(state.dq),
-            pose=list(state.O_T_EE),
-            wrench=list(state.O_F_ext_hat_K),
-            mode=mode_of(state),
-            success_rate=state.control_command_success_rate,
-            errors=error_names(state),
-        )
-
-
-def mode_of(state: Any) -> str:
-    """Return a state's mode in the project's words."""
-    return MODES[int(state.robot_mode.value)]
-
-
-def error_names(state: Any) -> list[str]:
-    """Return the robot's own names of what stopped it, those of now or else of the last motion."""
-    if mode_of(state) != "reflex":
-        return []
-    for errors in (state.current_errors, state.last_motion_errors):
-        names = [name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True]
-        if names:
-            return names
-    return []
+        report(state, list(state.O_T_EE))
 
 
 def is_whole(state: Any) -> bool:
@@ -269,29 +235,24 @@ def matrix(column_major: list[float]) -> np.ndarray:
     return np.array(column_major).reshape(4, 4).T
 
 
-def connect(client: Any, address: str, realtime: str, torque_Nm: float, force_N: float) -> Any:
-    """Connect and set the reflex thresholds."""
-    config = client.RealtimeConfig.kIgnore if realtime == "ignore" else client.RealtimeConfig.kEnforce
-    robot = client.Robot(address, config)
-    normal_scheduling()
-    robot.set_collision_behavior([torque_Nm] * 7, [torque_Nm] * 7, [force_N] * 6, [force_N] * 6)
-    return robot
-
-
 def main() -> None:
     """Say ``loaded``, ``connected``, then states until the parent closes the pipe; ``error`` when the robot is lost."""
     import pylibfranka
 
     say("loaded")
-    address, realtime, torque_Nm, force_N = sys.argv[1:5]
+    address, realtime = sys.argv[1:3]
+    torque_Nm, force_N = map(float, sys.argv[3:5])
+    modes = pylibfranka.RealtimeConfig
     try:
-        robot = connect(pylibfranka, address, realtime, float(torque_Nm), float(force_N))
+        robot = connect(
+            pylibfranka, "Robot", address, modes.kIgnore if realtime == "ignore" else modes.kEnforce
+        )
+        robot.set_collision_behavior([torque_Nm] * 7, [torque_Nm] * 7, [force_N] * 6, [force_N] * 6)
         loop = Loop(pylibfranka, robot)
         say("connected")
         loop.run()
-    except (RuntimeError, pylibfranka.FrankaException) as error:  # most of its exceptions are RuntimeErrors
-        fault = "version" if "ncompatible" in str(error) else "connection"
-        say("error", fault=fault, text=str(error))
+    except client_errors(pylibfranka) as error:
+        say_why(error)
 
 
 if __name__ == "__main__":

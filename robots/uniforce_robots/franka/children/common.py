@@ -1,0 +1,105 @@
+"""What the children share: JSON lines to and from the parent. A plain module: our package would load torch."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import sys
+import time
+from typing import Any
+
+REPORT_s = 0.01  # a state for the parent that often, by the host's clock: also when the loop is late
+SILENCE_s = 0.3  # of the parent, after which the target is the measured pose
+MODES = ("other", "idle", "move", "guiding", "reflex", "user_stopped", "recovery")
+STOPPED = {"reflex": "reflex", "user_stopped": "user_stop", "guiding": "guiding"}
+STDIN = 0
+_buffer = b""
+
+
+def say(word: str, **details: object) -> None:
+    """Send a line to the parent."""
+    sys.stdout.write(json.dumps({"say": word, **details}) + "\n")
+    sys.stdout.flush()
+
+
+def orders(wait_s: float = 0.0) -> list[dict] | None:
+    """Return the parent's orders so far, or None once it has closed the pipe, which means: end."""
+    global _buffer
+    if not select.select([STDIN], [], [], wait_s)[0]:
+        return []
+    data = os.read(STDIN, 65536)
+    if not data:
+        return None
+    *lines, _buffer = (_buffer + data).split(b"\n")
+    return [json.loads(line) for line in lines]
+
+
+def client_errors(client: Any) -> tuple[type[Exception], ...]:
+    """Return all that a client raises: its own, and what becomes of the standard library's errors in its C++."""
+    own = [getattr(client, n, None) for n in ("Exception", "FrankaException", "GripperException")]
+    return (*filter(None, own), RuntimeError, ValueError)
+
+
+def connect(client: Any, kind: str, *arguments: Any, **options: Any) -> Any:
+    """Return the client's ``Robot`` or ``Gripper``; by root its constructor takes SCHED_FIFO 99, which is given up.
+
+    With that priority one busy Python thread starves the machine.
+    """
+    connected = getattr(client, kind)(*arguments, **options)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    return connected
+
+
+def say_why(error: Exception) -> None:
+    """Tell the parent that the connection has failed."""
+    fault = "version" if "ncompatible" in str(error) else "connection"
+    say("error", fault=fault, text=str(error))
+
+
+def report(state: Any, pose: list[float]) -> None:
+    """Pass an arm's state on; ``pose`` has 16 numbers, column by column."""
+    reading = {
+        "time_s": time.monotonic(),
+        "robot_time_s": state.time.to_sec(),
+        "q_rad": list(state.q),
+        "dq_rad_s": list(state.dq),
+        "ee_to_base": pose,
+        "wrench_N": list(state.O_F_ext_hat_K),
+        "mode": mode_of(state),
+        "success_rate": float(state.control_command_success_rate),
+        "errors": error_names(state),
+    }
+    say("state", state=reading)
+
+
+def say_lost(state: Any, text: str) -> None:
+    """Tell the parent that control is gone, and the mode that says why."""
+    say("error", fault=STOPPED.get(mode_of(state), "other"), text=text, errors=error_names(state))
+
+
+def say_recovered(state: Any) -> bool:
+    """Tell the parent whether the arm may move again, and return it."""
+    mode = mode_of(state)
+    if mode in STOPPED:
+        text = f"recovery: expected an arm that may move, got mode {mode}. Release the stop or the joints by hand."
+        say("error", fault=STOPPED[mode], text=text, errors=error_names(state))
+    else:
+        say("recovered")
+    return mode not in STOPPED
+
+
+def mode_of(state: Any) -> str:
+    """Return a state's mode in the project's words."""
+    return MODES[int(state.robot_mode.value)]
+
+
+def error_names(state: Any) -> list[str]:
+    """Return the robot's own names of what stopped it, those of now or else of the last motion."""
+    if mode_of(state) != "reflex":
+        return []
+    for errors in (state.current_errors, state.last_motion_errors):
+        names = [name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True]
+        if names:
+            return names
+    return []

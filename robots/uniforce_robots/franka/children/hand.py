@@ -1,0 +1,80 @@
+"""Serve a hand to the parent: ``hand.py franky|pylibfranka address``. One command at a time.
+
+franky's commands are futures, and states go on while the fingers move. pylibfranka's hold this process until they end.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import time
+from typing import Any
+
+from common import client_errors, connect, orders, say, say_why
+
+END_s = 2.0  # for the answer to a command that was stopped
+
+
+def serve(client: Any, gripper: Any) -> None:
+    """Tell states and outcomes until the parent closes the pipe; then stop the fingers."""
+    future = None
+    while (todo := orders()) is not None:
+        for order in todo:
+            future = begin(client, gripper, order)
+        if future is not None and (outcome := ended(client, future)) is not None:
+            future = None
+            say("outcome", ok=outcome)
+        report(gripper)
+    if future is not None:
+        gripper.stop()
+        future.wait(END_s)
+
+
+def begin(client: Any, gripper: Any, order: dict) -> Any:
+    """Begin a command; return franky's future of its success, or success itself."""
+    name, keys = (
+        order["do"],
+        ("width_m", "speed_m_s", "force_N", "inner_m", "outer_m"),
+    )  # a move has two of them
+    arguments = [order[key] for key in keys if key in order]
+    try:
+        return getattr(gripper, f"{name}_async", getattr(gripper, name))(*arguments)
+    except client.CommandException:
+        return False
+
+
+def ended(client: Any, future: Any) -> bool | None:
+    """Return whether a command has succeeded, None while it runs; one that is refused or aborted has not."""
+    if isinstance(future, bool):
+        return future
+    if not future.wait(0):
+        return None
+    try:
+        return bool(future.get())
+    except client.CommandException:
+        return False
+
+
+def report(gripper: Any) -> None:
+    """Wait for the hand's next state, a tenth of a second, and pass it on."""
+    s = gripper.state if hasattr(type(gripper), "state") else gripper.read_once()
+    reading = {"width_m": s.width, "max_width_m": s.max_width, "is_grasped": bool(s.is_grasped)}
+    say("state", state={"time_s": time.monotonic(), **reading})
+
+
+def main() -> None:
+    """Say ``loaded``, ``connected``, then states and outcomes until the parent closes the pipe."""
+    client = importlib.import_module(sys.argv[1])
+    say("loaded")
+    try:
+        gripper = connect(client, "Gripper", sys.argv[2])
+        say("connected")
+        serve(client, gripper)
+    except client_errors(client) as error:
+        say_why(error)
+
+
+if __name__ == "__main__":
+    main()
+    os._exit(0)  # a client's destructor may wait for an answer that never comes

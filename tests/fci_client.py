@@ -1,0 +1,176 @@
+"""A client of the stand-in arm and hand in plain sockets, so that the wire is tested without a vendor's wheel."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Self
+
+import numpy as np
+
+from uniforce_robots.fr3 import HAND_TO_FLANGE, JOINTS, posture
+from uniforce_robots.standins.fci import protocol as p
+from uniforce_robots.standins.fci.rules import TORQUE_STEP_Nm
+
+TIMEOUT_s = 30.0  # a busy machine is slow, a hung server is for ever
+
+
+def move(controller: int, generator: int) -> bytes:
+    """Return a Move's payload; deviations and speeds, which the stand-in does not use, as libfranka's."""
+    return p.MOVE.pack(controller, generator, *(10.0, 3.12, 2 * np.pi) * 2, False, *[2.0] * 7)
+
+
+def hand_request(*numbers: float) -> bytes:
+    return np.array(numbers, "<f8").tobytes()
+
+
+class RawClient:
+    """One TCP connection, one UDP socket, answers matched by command id."""
+
+    def __init__(self, address: str, port: int, header: p.Header) -> None:
+        tcp = socket.create_connection((address, port), TIMEOUT_s)
+        udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        udp.bind((tcp.getsockname()[0], 0))  # states go to the address the TCP connection came from
+        udp.settimeout(TIMEOUT_s)
+        self._talk(tcp, udp, header)
+
+    @classmethod
+    def on(cls, tcp: socket.socket, udp: socket.socket, header: p.Header) -> Self:
+        """Return a client of sockets that are open already, before it has greeted."""
+        client = cls.__new__(cls)
+        client._talk(tcp, udp, header)
+        return client
+
+    def _talk(self, tcp: socket.socket, udp: socket.socket, header: p.Header) -> None:
+        self.tcp, self.udp, self.header = tcp, udp, header
+        self.server: tuple[str, int] | None = None
+        self._buffer, self._next_id = b"", 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        self.tcp.close()
+        self.udp.close()
+
+    def send(self, command: int, payload: bytes = b"") -> int:
+        """Send a request; return its id."""
+        command_id, self._next_id = self._next_id, self._next_id + 1
+        self.tcp.sendall(self.header.encode(p.Message(command, command_id, payload)))
+        return command_id
+
+    def receive(self) -> p.Message:
+        """Return the next answer; raise ConnectionError when the server hung up."""
+        while True:
+            message, self._buffer = self.header.decode(self._buffer)
+            if message is not None:
+                return message
+            data = self.tcp.recv(65536)
+            if not data:
+                raise ConnectionError("the server hung up")
+            self._buffer += data
+
+    def ask(self, command: int, payload: bytes = b"") -> bytes:
+        """Send a request and return its answer's payload."""
+        asked, answer = (command, self.send(command, payload)), self.receive()
+        if (answer.command, answer.command_id) != asked:
+            raise ConnectionError(f"answer to {asked} was ({answer.command}, {answer.command_id})")
+        return answer.payload
+
+    def datagram(self) -> bytes:
+        """Return the next datagram and remember who sent it."""
+        data, self.server = self.udp.recvfrom(65536)
+        return data
+
+    def greet(self, version: int) -> None:
+        """Say hello; keep what the server answered."""
+        layout = struct.Struct("<BH" if self.header is p.ARM_HEADER else "<HH")
+        answer = self.ask(p.ArmCommand.CONNECT, p.CONNECT.pack(version, self.udp.getsockname()[1]))
+        self.status, self.version = p.unpack(layout, answer, "answer to Connect")
+
+
+class RawArm(RawClient):
+    """The arm's port."""
+
+    _tau_Nm: np.ndarray = np.zeros(JOINTS)  # last sent
+
+    def __init__(self, address: str, version: int = p.ARM_VERSION) -> None:
+        super().__init__(address, p.ARM_PORT, p.ARM_HEADER)
+        self.greet(version)
+
+    def state(self) -> p.RobotState:
+        """Return the next state, in order: older ones may be queued."""
+        return p.RobotState.decode(self.datagram())
+
+    def newest(self) -> p.RobotState:
+        """Return the newest state, skipping what is queued."""
+        state = self.state()
+        self.udp.setblocking(False)
+        try:
+            while True:
+                state = self.state()
+        except BlockingIOError:
+            return state
+        finally:
+            self.udp.settimeout(TIMEOUT_s)
+
+    def move(self, generator: int = p.Generator.NONE, controller: int = p.Controller.EXTERNAL) -> int:
+        """Ask for a motion; return the request's id. The first answer is still to be received."""
+        self._tau_Nm = np.zeros(JOINTS)
+        return self.send(p.ArmCommand.MOVE, move(controller, generator))
+
+    def start(self) -> int:
+        """Begin a torque motion, which the arm has to accept; return the request's id."""
+        command_id, answer = self.move(), self.receive()
+        assert (answer.command_id, answer.payload) == (command_id, bytes([p.MoveStatus.MOTION_STARTED]))
+        return command_id
+
+    def command(self, command: p.RobotCommand) -> None:
+        """Send a command of the control loop."""
+        if self.server is None:
+            raise ConnectionError("no state has come yet: where commands go is not known")
+        self.udp.sendto(command.encode(), self.server)
+
+    def loop(self, law: Callable[[p.RobotState], p.RobotCommand], ticks: int) -> p.RobotState:
+        """Answer so many states with a control law, its torques limited in rate; return the last one."""
+        for _ in range(ticks):
+            state = self.newest()
+            command = law(state)
+            step = np.clip(command.tau_J_d - self._tau_Nm, -TORQUE_STEP_Nm, TORQUE_STEP_Nm)
+            self._tau_Nm = self._tau_Nm + step
+            self.command(replace(command, tau_J_d=self._tau_Nm))
+        return state
+
+
+def pull_to(target_m: np.ndarray, stiffness_N_m: float = 1000.0) -> Callable[[p.RobotState], p.RobotCommand]:
+    """Return a control law: a damped spring from the hand to a point."""
+
+    def law(state: p.RobotState) -> p.RobotCommand:
+        here = posture(state["q"].astype(float))
+        J = here.jacobian((here.flange_to_base @ HAND_TO_FLANGE)[:3, 3])
+        error = np.concatenate([target_m - state["O_T_EE"][12:15], np.zeros(3)])
+        force = stiffness_N_m * error - np.array([90.0] * 3 + [10.0] * 3) * (J @ state["dq"])
+        return p.RobotCommand(state.message_id, tau_J_d=J.T @ force)
+
+    return law
+
+
+class RawHand(RawClient):
+    """The hand's port."""
+
+    def __init__(self, address: str, version: int = p.HAND_VERSION) -> None:
+        super().__init__(address, p.HAND_PORT, p.HAND_HEADER)
+        self.greet(version)
+
+    def state(self) -> p.HandState:
+        """Return the next state."""
+        return p.HandState.decode(self.datagram())
+
+    def status_of(self, command: int, payload: bytes = b"") -> int:
+        """Send a request and return how it ended."""
+        return int(p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0])

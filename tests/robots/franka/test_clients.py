@@ -1,0 +1,317 @@
+"""Arm and hand through both real clients, against the stand-in."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka.arm import Gains, fault_of
+from uniforce_robots.franka.clients import EXTRAS, Arm, HandClient, require_installed
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.franka.hand import Hand, HandSettings
+from uniforce_robots.franka.poses import ToolPose
+from uniforce_robots.franka.stream import ArmStream, StreamSettings
+from uniforce_robots.standins.fci.process import StandIn, wait_until
+from uniforce_vtla.errors import RobotError
+
+PATIENCE_s = 60.0  # a busy machine; the robot's own clock is what is asserted on
+BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(params=EXTRAS)
+def backend(request: pytest.FixtureRequest) -> str:
+    if importlib.util.find_spec(request.param) is None:
+        extra = EXTRAS[request.param]
+        pytest.skip(f"{request.param} is not installed: pip install '.[{extra}]' to run the real client")
+    return str(request.param)
+
+
+@pytest.fixture
+def config(backend: str, address: str, tmp_path: Path, patient: StreamSettings) -> UniforceFrankaConfig:
+    return UniforceFrankaConfig(
+        id="test",
+        calibration_dir=tmp_path,
+        address=address,
+        backend=backend,  # type: ignore[arg-type]
+        connect_deadline_s=PATIENCE_s,
+        stream=patient,
+        guards=BOX,
+        gripper=HandSettings(reading_age_s=PATIENCE_s),
+    )
+
+
+@pytest.fixture
+def fci(address: str, tmp_path: Path) -> Iterator[StandIn]:
+    with StandIn(address, log=tmp_path / "wire.jsonl") as standin:
+        yield standin
+
+
+@pytest.fixture
+def arm(config: UniforceFrankaConfig, fci: StandIn) -> Iterator[Arm]:
+    arm = Arm(config)
+    arm.connect()
+    yield arm
+    arm.close()
+    arm.close()
+
+
+def fault_within(use: Callable[[], object], seconds: float = PATIENCE_s) -> str:
+    """Use something until it raises; a fault that never comes is a failure."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            use()
+        except RobotError as error:
+            return error.fault
+        time.sleep(0.01)
+    raise AssertionError(f"no fault within {seconds} s")
+
+
+def reach(arm: Arm, fci: StandIn, goal: np.ndarray, tolerance_m: float = 2e-3) -> None:
+    def arrived() -> bool:
+        arm.set_target(goal)  # again and again: a target that is not repeated is let go of
+        return bool(np.abs(fci.do("look")["arm"]["position_m"] - goal[:3, 3]).max() < tolerance_m)
+
+    wait_until(arrived, PATIENCE_s, "the target")
+
+
+def assert_still(fci: StandIn) -> None:
+    """Assert that the arm rests a fifth of a second of its own time after now; it brakes within a tenth."""
+    begun = fci.do("look")["arm"]["milliseconds"]
+    wait_until(
+        lambda: fci.do("look")["arm"]["milliseconds"] >= begun + 200, PATIENCE_s, "a fifth of a second"
+    )
+    assert fci.do("look")["arm"]["speed_rad_s"] < 1e-3, "the arm still moves"
+
+
+def test_connecting_moves_nothing_a_target_is_reached_and_stop_rests(arm: Arm, fci: StandIn) -> None:
+    state, shown = arm.state(), fci.do("look")["arm"]
+    np.testing.assert_allclose(state.ee_to_base[:3, 3], shown["position_m"], atol=1e-4)
+    np.testing.assert_allclose(state.ee_to_base[:3, :3], shown["rotation"], atol=1e-4)
+    np.testing.assert_allclose(state.q_rad, shown["q_rad"], atol=1e-4)
+    assert state.mode == "idle" and not shown["moving"]
+    goal = state.ee_to_base.copy()
+    goal[:3, 3] += [0.005, 0, -0.01]
+    reach(arm, fci, goal)
+    wait_until(lambda: arm.state().mode == "move", PATIENCE_s, "the mode")
+    arm.stop()
+    assert_still(fci)
+    assert fci.do("look")["arm"]["mode"] == "IDLE"
+    here = arm.state().ee_to_base
+    arm.set_target(here)
+    wait_until(lambda: fci.do("look")["arm"]["moving"], PATIENCE_s, "control again")
+    arm.close()
+    assert_still(fci)
+    wire = fci.wire()
+    thresholds = [line for line in wire if line["what"] == "thresholds"]
+    assert thresholds[-1]["upper_force_N"] == [40.0] * 6
+    assert torque_step(wire) <= 1.0 + 1e-3, "Nm in a millisecond"
+    assert {line["generator"] for line in wire if line["what"] == "motion"} == {"NONE"}
+
+
+def torque_step(wire: list[dict]) -> float:
+    """Return the largest change of a torque between two commands of one motion, Nm."""
+    largest, last = 0.0, None
+    for line in wire:
+        if line["what"] == "motion":
+            last = np.zeros(7)
+        elif line["what"] == "command" and last is not None:
+            tau = np.array(line["tau_Nm"])
+            largest, last = max(largest, float(np.abs(tau - last).max())), tau
+    return largest
+
+
+def test_however_far_the_target_the_press_is_stiffness_times_clip(
+    config: UniforceFrankaConfig, fci: StandIn
+) -> None:
+    config.gains = Gains((400.0, 400.0, 400.0), clip_m=(0.01, 0.01, 0.01))
+    arm = Arm(config)
+    arm.connect()
+    pose = arm.state().ee_to_base
+    fci.do("wall", height_m=float(pose[2, 3]) - 0.002, stiffness_N_m=20000.0)
+    pose[2, 3] -= 0.3
+    pressed: list[float] = []
+
+    def settles() -> bool:
+        arm.set_target(pose)
+        look = fci.do("look")["arm"]
+        pressed.append(look["contact_N"][2])
+        return look["speed_rad_s"] < 2e-3 and pressed[-1] > 2.0
+
+    wait_until(settles, PATIENCE_s, "a steady press")
+    assert abs(pressed[-1] - 4.0) < 0.8, f"pressed {pressed[-1]:.2f} N, stiffness × clip is 4 N"
+    arm.close()
+
+
+def test_a_reflex_is_named_and_motion_refused_until_recovery(arm: Arm, fci: StandIn) -> None:
+    goal = arm.state().ee_to_base
+    goal[2, 3] -= 0.005
+    reach(arm, fci, goal)
+    fci.do("reflex")
+    assert fault_within(lambda: arm.set_target(arm.state().ee_to_base)) == "reflex"
+    assert_still(fci)
+    wait_until(lambda: arm.state().mode == "reflex", PATIENCE_s, "the mode")
+    arm.stop()
+    assert fault_within(lambda: arm.set_target(np.eye(4)), 5.0) == "reflex"
+    arm.recover()
+    assert_still(fci)
+    assert not fci.do("look")["arm"]["moving"], "recovery moves nothing"
+    goal[0, 3] += 0.005
+    reach(arm, fci, goal)
+
+
+def test_a_parent_that_falls_silent_leaves_a_spring_that_pulls_at_nothing(arm: Arm, fci: StandIn) -> None:
+    fci.do("wall", height_m=float(arm.state().ee_to_base[2, 3]) - 0.001)
+    goal = arm.state().ee_to_base
+    goal[2, 3] -= 0.015
+
+    def pressed() -> float:
+        return float(fci.do("look")["arm"]["contact_N"][2])
+
+    def presses() -> bool:
+        arm.set_target(goal)
+        return pressed() > 5.0
+
+    wait_until(presses, PATIENCE_s, "a press")
+    wait_until(lambda: pressed() < 2.0, PATIENCE_s, "a spring that has let go")
+
+
+def test_a_robot_that_vanishes_is_an_error_of_the_connection(arm: Arm, fci: StandIn) -> None:
+    goal = arm.state().ee_to_base
+    goal[2, 3] -= 0.005
+    reach(arm, fci, goal)
+    fci.die()
+    assert fault_within(lambda: (arm.set_target(goal), arm.state())) in ("connection", "ended")
+    begun = time.monotonic()
+    arm.close()
+    assert time.monotonic() - begun < 20.0
+
+
+def test_under_the_stream_a_user_stop_ends_all(arm: Arm, fci: StandIn, patient: StreamSettings) -> None:
+    stream = ArmStream(arm, patient)
+    stream.start()
+    goal = ToolPose.from_ee(stream.state.ee_to_base)
+    goal = ToolPose(goal.position_m + np.array([0, 0, -0.01]), goal.yaw_rad)
+    stream.submit(goal)
+
+    def arrived() -> bool:
+        return bool(abs(fci.do("look")["arm"]["position_m"][2] - goal.position_m[2]) < 2e-3)
+
+    wait_until(arrived, PATIENCE_s, "the goal")
+    fci.do("user_stop")
+    wait_until(lambda: stream.fault is not None, PATIENCE_s, "the fault")
+    assert stream.fault is not None and stream.fault.fault == "user_stop", stream.fault
+    assert_still(fci)
+    stream.stop()
+
+
+def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(
+    config: UniforceFrankaConfig, fci: StandIn
+) -> None:
+    client = HandClient(config)
+    hand = Hand(client, config.gripper)
+    hand.start()
+    assert abs(hand.reading.width_m - 0.08) < 1e-6
+
+    def wait(condition: Callable[[], bool], what: str) -> None:
+        def ticked() -> bool:
+            hand.tick()
+            return condition() and not hand.is_busy
+
+        wait_until(ticked, PATIENCE_s, what)
+
+    fci.do("object", width_m=0.03)
+    hand.submit(0.02)
+    wait(lambda: hand.reading.is_grasped, "a grasp")
+    assert abs(fci.do("look")["hand"]["force_N"] - 10.0) < 1e-9
+    hand.submit(0.06)
+    wait(lambda: abs(hand.reading.width_m - 0.06) < 1e-3, "an open hand")
+    fci.do("object", width_m=0.0)
+    hand.submit(0.02)
+    wait(lambda: hand.failed_grasps == 1, "a failed grasp")
+    hand.submit(0.08)
+    wait_until(lambda: hand.tick() or fci.do("look")["hand"]["width_m"] > 0.01, PATIENCE_s, "a moving hand")
+    client.close()
+    stopped_m = fci.do("look")["hand"]["width_m"]
+    assert stopped_m < 0.07, "the fingers stop at the end, not when they have arrived"
+    time.sleep(0.1)
+    assert fci.do("look")["hand"]["width_m"] == stopped_m
+    requests = [r for r in fci.wire() if r["what"] == "request" and r["device"] == "hand"]
+    assert [r["command"] for r in requests][:5] == ["CONNECT", "GRASP", "MOVE", "GRASP", "MOVE"], requests
+    assert not any(r["busy"] for r in requests[:5])
+
+
+def test_the_robot_from_end_to_end(config: UniforceFrankaConfig, fci: StandIn) -> None:
+    """Act, be stopped by a person, refuse, recover, leave the arm still."""
+    robot = UniforceFranka(config)
+    robot.connect()
+    goal = robot.get_observation()
+    goal["z.pos"] -= 0.01
+    goal["width.pos"] = 0.05
+
+    def arrived() -> bool:
+        robot.send_action(goal)
+        seen = robot.get_observation()
+        return abs(seen["z.pos"] - goal["z.pos"]) < 2e-3 and abs(seen["width.pos"] - 0.05) < 2e-3
+
+    wait_until(arrived, PATIENCE_s, "arm and hand at the goal")
+    fci.do("user_stop")
+    assert fault_within(lambda: robot.send_action(goal)) == "user_stop"
+    assert_still(fci)
+    assert fault_within(robot.recover) == "user_stop", "the button is still pressed"
+    fci.do("release")
+    robot.recover()
+    assert not fci.do("look")["arm"]["moving"], "recovery moves nothing"
+    robot.send_action(robot.get_observation())
+    wait_until(lambda: fci.do("look")["arm"]["moving"], PATIENCE_s, "control again")
+    robot.disconnect()
+    assert_still(fci)
+    assert not fci.do("look")["arm"]["moving"]
+
+
+def test_another_server_version_is_refused_with_its_own_words(config: UniforceFrankaConfig) -> None:
+    with StandIn(config.address, "--server-version", "9"), pytest.raises(RobotError, match="9") as caught:
+        Arm(config).connect()
+    assert caught.value.fault == "version"
+
+
+def test_a_server_that_never_answers_is_an_error_at_the_deadline(
+    config: UniforceFrankaConfig, caplog: pytest.LogCaptureFixture
+) -> None:
+    config.connect_deadline_s = 1.0
+    with StandIn(config.address, "--mute"), caplog.at_level(logging.INFO):
+        with pytest.raises(RobotError, match=r"none after 1\.0 s") as caught:
+            Arm(config).connect()
+        ended = time.time()
+    [loaded] = [record.created for record in caplog.records if "client loaded" in record.message]
+    assert caught.value.fault == "connection" and ended - loaded < 1.5
+
+
+def test_a_client_that_is_not_installed_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(RobotError, match=r"\[franka-official\]") as caught:
+        require_installed("pylibfranka")
+    assert caught.value.fault == "backend"
+
+
+@pytest.mark.parametrize(
+    "text, fault",
+    [
+        ("libfranka: Incompatible library version (server version: 9, library version: 10)", "version"),
+        ("libfranka: Move command aborted: User Stop pressed!", "user_stop"),
+        ('libfranka: Move command aborted: motion aborted by reflex! ["cartesian_reflex"]', "reflex"),
+        ('libfranka: motion aborted by reflex! ["power_limit_violation"]', "limit"),
+        ("libfranka: UDP receive: Timeout", "connection"),
+        ("something else", "other"),
+    ],
+)
+def test_the_clients_words_are_understood(text: str, fault: str) -> None:
+    assert fault_of("other", text) == fault
