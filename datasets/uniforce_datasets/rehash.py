@@ -6,7 +6,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from uniforce_datasets.dataset_info import read_info
-from uniforce_datasets.hashes import check_verify, files_of, hash_files, write_hashes
+from uniforce_datasets.hashes import check_verify, write_hashes
 from uniforce_datasets.lossless import check_whole
 from uniforce_datasets.recorder_lock import claim, lock
 from uniforce_datasets.source import Source, read_table
@@ -32,7 +32,7 @@ def rehash(root: str | Path, verify: str = "full") -> Source:
         recover(root)
         read_info(root)
         source = check_whole(root, depth)
-        write_hashes(root, hash_files(root, files_of(root), _episodes(source).get))
+        write_hashes(root, _episodes(source))
     finally:
         held.release()
     return source

@@ -12,8 +12,9 @@ import os
 import shutil
 from pathlib import Path
 
+from uniforce_vtla.file_hashes import HASHES
+
 STAGING, COMMIT = ".staging", ".commit"
-HASHES = "hashes.json"  # of all files, moved in last
 ORDER = (
     *("data", "videos", "raw", "cards"),
     *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/info.json", HASHES),

@@ -15,7 +15,7 @@ from torch.utils.data import Dataset
 
 from uniforce_datasets.dataset_info import INFO
 from uniforce_datasets.features import WRENCH_AXES
-from uniforce_datasets.hashes import VIEW_PARTS, check_hashes, check_verify
+from uniforce_datasets.hashes import check_hashes, check_verify
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
@@ -107,7 +107,7 @@ class TrainingView(Dataset):
         self.root = Path(root)
         self.marker = read_marker(self.root)
         if check_verify(verify) != "off":
-            check_hashes(self.root, "full", VIEW_PARTS)
+            check_hashes(self.root)
         self._deltas = np.asarray(action_deltas, dtype=np.int64)
         self._touch = self._touch_columns(self.marker["slots"] if slots is None else slots, touch)
         self.episodes = None if episodes is None else list(episodes)

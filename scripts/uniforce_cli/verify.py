@@ -7,7 +7,7 @@ from pathlib import Path
 
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Verify
-from uniforce_datasets.hashes import VIEW_PARTS, check_hashes
+from uniforce_datasets.hashes import check_hashes
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.rehash import rehash
 from uniforce_datasets.view_marker import read_marker
@@ -51,7 +51,7 @@ def _verify_view(root: Path, config: VerifyConfig) -> str:
         do = "Build the view again with uniforce view."
         raise ContractError(expected("rehash", "false for a training view", "true", do))
     marker = read_marker(root)
-    check_hashes(root, "full", VIEW_PARTS)
+    check_hashes(root)
     return f"{root}: view of {len(marker['episodes'])} episodes, as it was built"
 
 
