@@ -19,8 +19,7 @@ from uniforce_datasets.hashes import check_hashes, check_verify
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
-from uniforce_datasets.view_marker import read_marker
-from uniforce_datasets.view_plan import touch_stream
+from uniforce_datasets.view_plan import read_marker, touch_stream
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import FINGERS, check_finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
@@ -156,7 +155,7 @@ class TrainingView(Dataset):
         return sample | self._place(index, episode, int(index - start))
 
     def _next(self, index: int, end: int) -> dict[str, torch.Tensor]:
-        """Return what is felt at ``index``, NaN where the episode has ended before."""
+        """Return the touch inputs at ``index``, NaN where the episode has ended before."""
         found = {}
         for key, name in self._touch.items():
             rows = self._arrays[name]

@@ -10,7 +10,7 @@ from uniforce_cli.option_types import Verify
 from uniforce_datasets.hashes import check_hashes
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.rehash import rehash
-from uniforce_datasets.view_marker import read_marker
+from uniforce_datasets.view_plan import read_marker
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import FolderPath

@@ -47,7 +47,7 @@ class LabelledRecording:
 
 @dataclass(frozen=True, eq=False)
 class PairRecording:
-    """Contacts felt by two fingers at once: frame k of the left and frame k of the right are a pair.
+    """Contacts that two fingers measure at once: frame k of the left and frame k of the right are a pair.
 
     Attributes:
         sensors: kinds of the left and the right sensor.

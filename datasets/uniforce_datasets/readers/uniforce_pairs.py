@@ -2,7 +2,7 @@
 
 640×480 JPEGs of quality 100 with a black border of 4 px; the same index on both sides is a pair. A folder counts by
 its ``collection_log.txt``. The layout names no free-air reference. This project's is ``reference.jpg`` beside the
-frames, or one for the whole sensor a level higher; where there is none, the reader must be told which frame it is.
+frames, or one for the whole sensor a level higher; where there is none, the caller names the frame.
 """
 
 from __future__ import annotations

@@ -94,30 +94,19 @@ def draw_grasp(
     shear = _shear(rng, grip, friction) * led[:, None]
     difference = RESIDUAL * grip[:, None] * _wander(rng, T, 3, 8)
     difference[:, 2] += mass_kg * acceleration[:, CLOSING]
-    left, right = _faulty(rng, settings, fault, grip, shear, difference, friction)
+    left, right = _faulty(rng, settings, fault, friction, grip, shear, difference)
     velocity = np.cumsum(acceleration, axis=0) * dt
-    velocity += (
-        0.03 * _wander(rng, T, 3, 6) * led[:, None]
-    )  # slow leading, whose acceleration is in SLOW_m_s2
-    return GuidedGrasp(
-        left,
-        right,
-        velocity + SPEED_NOISE_m_s * rng.standard_normal((T, 3)),
-        acceleration + ACCELERATION_NOISE_m_s2 * rng.standard_normal((T, 3)),
-        grip * (1 + GRIP_NOISE * rng.standard_normal()) + 0.1 * rng.standard_normal(T),
-        fault,
-    )
+    velocity += 0.03 * _wander(rng, T, 3, 6) * led[:, None]  # slow leading, its acceleration is in SLOW_m_s2
+    velocity += SPEED_NOISE_m_s * rng.standard_normal((T, 3))
+    acceleration += ACCELERATION_NOISE_m_s2 * rng.standard_normal((T, 3))
+    grip_N = grip * (1 + GRIP_NOISE * rng.standard_normal()) + 0.1 * rng.standard_normal(T)
+    return GuidedGrasp(left, right, velocity, acceleration, grip_N, fault)
 
 
 def _faulty(
-    rng: np.random.Generator,
-    settings: GraspSettings,
-    fault: str,
-    grip: np.ndarray,
-    shear: np.ndarray,
-    difference: np.ndarray,
-    friction: float,
-) -> tuple[np.ndarray, np.ndarray]:
+    rng: np.random.Generator, settings: GraspSettings, fault: str, friction: float,
+    grip: np.ndarray, shear: np.ndarray, difference: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return what left and right carry with the fault in it."""
     window = _window(rng, settings)
     side = 1 if rng.random() < 0.5 else -1

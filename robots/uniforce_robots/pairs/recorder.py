@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uniforce_robots.pairs.coverage import Coverage, contact_place
-from uniforce_robots.pairs.gate import MotionLimits
 from uniforce_robots.pairs.pair_judge import PairJudge, PairQuality
 from uniforce_robots.pairs.rig import PairRig
 from uniforce_robots.pairs.storage import MIN_CHUNK, Pair, PairStore, Session
-from uniforce_robots.pairs.track import FingerReaders, GraspTrack
+from uniforce_robots.pairs.track import FingerReaders, GraspTrack, MotionLimits
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError, expected
 
@@ -52,19 +51,17 @@ class Status:
     """What an operator sees.
 
     Attributes:
-        indenter, indenters: number of the current one, from 1, and of all.
+        indenter: number of the current one, from 1.
         name: of the indenter.
-        have, wanted: pairs.
+        have: pairs of it.
         error: live score of the newest pair.
         reason: why the newest frame would not be kept; "" where it would.
         coverage: of this indenter.
     """
 
     indenter: int
-    indenters: int
     name: str
     have: int
-    wanted: int
     error: float
     reason: str
     coverage: Coverage
@@ -148,16 +145,9 @@ class PairRecorder:
 
     def _status(self, track: GraspTrack, pairs: _Pairs) -> Status:
         quality = self._judge.judge(track.signals())
-        return Status(
-            pairs.indenter + 1,
-            len(self._store.indenters),
-            pairs.name,
-            pairs.have,
-            self._plan.pairs,
-            float(quality.error[-1]),
-            self._reasons(track, quality)[-1],
-            self._store.coverage[pairs.indenter],
-        )
+        error, reason = float(quality.error[-1]), self._reasons(track, quality)[-1]
+        coverage = self._store.coverage[pairs.indenter]
+        return Status(pairs.indenter + 1, pairs.name, pairs.have, error, reason, coverage)
 
     def _refuse_endless(self, frames: int, pairs: _Pairs) -> None:
         if frames < self._plan.longest_grasp + self._plan.give_up * self._plan.pairs:

@@ -55,8 +55,7 @@ class Observation:
     Attributes:
         time_s: when it was taken.
         axes: (5,) measured x, y, z, yaw, width as in ``keys.AXES``.
-        cameras: by name.
-        fingers: both.
+        cameras, fingers: by name.
         measured: further columns by key, dtype and shape as ``RigFacts.measured`` announces.
         force_N: (3,) force of the world on the hand since the references were taken, base frame; on a robot an
             estimate.
@@ -87,9 +86,9 @@ class RigFacts:
         raw_frames: (rows, columns, 3) of raw camera frames by finger, those to be kept; taxels aren't in here.
         windows: taxel scans kept per tick, by finger.
         measured: LeRobot feature of each further column, by key.
-        truth: whether ``measured`` holds the true pad wrenches.
         paced: whether ticks keep to the wall clock; False runs as fast as the scene steps.
-        drives_between: whether ``act`` may be called between episodes; a scene only steps inside one.
+        simulated: whether it is the scene: ``measured`` holds the true pad wrenches, it brings its instruction, and it
+            steps only inside an episode.
     """
 
     name: str
@@ -99,9 +98,8 @@ class RigFacts:
     raw_frames: dict[Finger, Shape] = field(default_factory=dict)
     windows: dict[Finger, int] = field(default_factory=dict)
     measured: dict[str, dict[str, Any]] = field(default_factory=dict)
-    truth: bool = False
     paced: bool = True
-    drives_between: bool = True
+    simulated: bool = False
 
 
 class Rig(Protocol):
@@ -109,16 +107,13 @@ class Rig(Protocol):
 
     Attributes:
         facts: what it delivers.
+        prompt: the instruction a scene comes with; None where a person gives it.
         is_done: whether the task itself has ended; a robot never knows.
     """
 
     facts: RigFacts
+    prompt: str | None = None
     is_done: bool = False
-
-    @property
-    def prompt(self) -> str | None:
-        """The instruction a scene comes with; None where a person gives it."""
-        return None
 
     def now_s(self) -> float:
         """Return the time on the clock of all its stamps."""

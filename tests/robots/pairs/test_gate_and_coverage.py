@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from uniforce_robots.pairs.coverage import ENOUGH, Coverage, contact_place
-from uniforce_robots.pairs.gate import MotionLimits, quasi_static
-from uniforce_robots.pairs.touch_field import CHANNELS, GRID
+from uniforce_robots.pairs.finger_force import CHANNELS, GRID
+from uniforce_robots.pairs.track import MotionLimits, quasi_static
 from uniforce_vtla.errors import ContractError
 
 STILL = np.zeros((20, 3))

@@ -9,7 +9,7 @@ import pytest
 
 from uniforce_robots.pairs.guided_grasp import FAULTS, GraspSettings, draw_grasp
 from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig, equilibrium_error
-from uniforce_robots.pairs.robot_rig import HandMotion, RobotRig
+from uniforce_robots.pairs.rig import HandMotion, RobotRig
 from uniforce_vtla.errors import ContractError
 
 

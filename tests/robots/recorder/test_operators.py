@@ -1,4 +1,4 @@
-"""Keys become commands and notes; nobody begins at once and says one verdict."""
+"""Keys become commands and notes; an unattended session begins at once with one verdict."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ def test_a_note_is_typed_over_several_polls_and_may_hold_command_keys() -> None:
 
 def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
-    with pytest.raises(ContractError, match="operator=nobody"):
+    with pytest.raises(ContractError, match="operator=unattended"):
         KeyOperator().start()
 
 
-def test_nobody() -> None:
-    nobody = Unattended("residual")
-    said = {phase: [e.command for e in nobody.poll(phase)] for phase in Phase}
+def test_unattended() -> None:
+    rule = Unattended("residual")
+    said = {phase: [e.command for e in rule.poll(phase)] for phase in Phase}
     assert said[Phase.WAITING] == [Command.GO] and said[Phase.JUDGING] == [Command.RESIDUAL]
-    assert not said[Phase.RUNNING] and not nobody.is_attended
+    assert not said[Phase.RUNNING] and not rule.is_attended
     with pytest.raises(ContractError, match="verdict"):
         Unattended("great")
 
