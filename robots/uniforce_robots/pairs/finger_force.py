@@ -64,7 +64,7 @@ class TouchField:
             weight = self._weight[:, i]
             values = weight @ np.column_stack([motion, growth])
             field[:] = values / np.maximum(weight.sum(axis=1, keepdims=True), 1e-6)
-        maps = field.T.reshape(CHANNELS, GRID, GRID)
+        maps: np.ndarray = field.T.reshape(CHANNELS, GRID, GRID)
         if self._mirrors:
             maps = maps[:, :, ::-1].copy()
             maps[0] *= -1  # motion in x

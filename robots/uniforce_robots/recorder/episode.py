@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -37,6 +38,14 @@ class Parts:
         """Raise StopRequestedError once the program is to end."""
         if self.interrupts.count:
             raise StopRequestedError("interrupted by Ctrl-C")
+
+    def events(self, phase: Phase) -> Iterator[list[Event]]:
+        """Yield what the operator orders, once a tick; raise StopRequestedError once the program is to end."""
+        beat = Ticker(self.rig.facts.fps)
+        while True:
+            self.refuse_interrupted()
+            yield self.operator.poll(phase)
+            beat.wait()
 
 
 @dataclass(frozen=True)
@@ -160,18 +169,16 @@ class EpisodeLoop:
 
     def _pause(self) -> None:
         """Hold until a person goes on; nothing is stored meanwhile, and the times of the rows show the gap."""
-        parts, beat = self._parts, Ticker(self._parts.rig.facts.fps)
+        parts = self._parts
         self._pauses += 1
         parts.rig.hold()
         parts.view.say("paused; space goes on")
-        paused = True
-        while paused:
-            beat.wait()
+        for events in parts.events(Phase.PAUSED):
             self._tick_begun_s = time.perf_counter()
-            parts.refuse_interrupted()
             parts.rig.axes()  # a fault of the robot ends a pause too
-            for event in parts.operator.poll(Phase.PAUSED):
-                paused = paused and event.command is not Command.GO
+            for event in events:
                 self._obey(event)
+            if Command.GO in [event.command for event in events]:
+                break
         parts.steering.start_from(parts.rig.axes())
         self._ticker.resume()

@@ -30,8 +30,8 @@ def record_expert(
         ContractError: an expert that fails too often.
         DatasetError: see ``EpisodeRecorder``.
     """
-    sensors, fps = (env.sensors[finger] for finger in FINGERS), int(env.metadata["render_fps"])
-    with EpisodeRecorder(root, repo_id, *sensors, fps) as recorder:
+    worn, fps = env.sensors, int(env.metadata["render_fps"])
+    with EpisodeRecorder(root, repo_id, worn["left"], worn["right"], fps) as recorder:
         have = recorder.num_episodes
         first = next_seed(root, have, seed)
         seeds = iter(range(first, first + GIVE_UP_FACTOR * max(episodes - have, 0)))

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
 
 from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla.errors import ContractError, expected
@@ -22,33 +21,20 @@ class Phase(Enum):
 
 
 class Command(Enum):
-    """What an operator can order."""
+    """What an operator can order, by its key: a letter that LeRobot's and our keyboard teleoperators don't use."""
 
-    GO = "go"  # begin; pause; go on
-    SUCCESS = "success"  # a clean one: no slip, no excess force
-    RESIDUAL = "residual"  # failed: not wiped
-    FAILED_GRASP = "failed_grasp"
-    DISCARD = "discard"  # forget this episode
-    RERECORD = "rerecord"  # forget it and record the same one at once
-    NOTE = "note"
-    RECOVER = "recover"  # clear the robot's fault
-    QUIT = "quit"
+    GO = "space"  # begin; pause; go on
+    SUCCESS = "y"  # a clean one: no slip, no excess force
+    RESIDUAL = "f"  # failed: not wiped
+    FAILED_GRASP = "g"
+    DISCARD = "x"  # forget this episode
+    RERECORD = "r"  # forget it and record the same one at once
+    NOTE = "t"  # its text follows, up to Enter
+    RECOVER = "v"  # clear the robot's fault
+    QUIT = "q"
 
 
-VERDICTS = {c: c.value for c in (Command.SUCCESS, Command.RESIDUAL, Command.FAILED_GRASP)}
-
-# Letters that LeRobot's and our keyboard teleoperators don't steer with.
-KEYS = {
-    "space": Command.GO,
-    "y": Command.SUCCESS,
-    "f": Command.RESIDUAL,
-    "g": Command.FAILED_GRASP,
-    "x": Command.DISCARD,
-    "r": Command.RERECORD,
-    "v": Command.RECOVER,
-    "q": Command.QUIT,
-}
-NOTE_KEY = "t"
+VERDICTS = {c: c.name.lower() for c in (Command.SUCCESS, Command.RESIDUAL, Command.FAILED_GRASP)}
 
 
 @dataclass(frozen=True)
@@ -59,16 +45,17 @@ class Event:
     text: str = ""
 
 
-class Operator(Protocol):
+class Operator:
     """Asked at every tick; ``is_attended`` says whether a person can be waited for."""
 
-    is_attended: bool = True
+    is_attended = True
 
     def start(self) -> None:
         """Begin to read."""
 
     def poll(self, phase: Phase) -> list[Event]:
         """Return what was ordered since the last call. Never blocks."""
+        raise NotImplementedError
 
     def stop(self) -> None:
         """Stop reading; safe to call twice."""
@@ -90,7 +77,7 @@ class Unattended(Operator):
         if verdict not in VERDICTS.values():
             raise ContractError(expected("verdict", " | ".join(VERDICTS.values()), verdict, "Name one."))
         self._orders = {phase: Command.GO for phase in (Phase.WAITING, Phase.PAUSED)}
-        self._orders[Phase.JUDGING] = Command(verdict)
+        self._orders[Phase.JUDGING] = Command[verdict.upper()]
 
     def poll(self, phase: Phase) -> list[Event]:
         """Begin where there is waiting, judge where judging is due."""
@@ -107,7 +94,7 @@ class KeyOperator(Operator):
 
     def __init__(self, keys: TerminalKeys | None = None, quick_notes: Sequence[str] = ()) -> None:
         self._is_own, self._keys = keys is None, keys or TerminalKeys({})
-        self._meanings = {key: Event(command) for key, command in KEYS.items()}
+        self._meanings = {c.value: Event(c) for c in Command if c is not Command.NOTE}
         self._meanings |= {str(n): Event(Command.NOTE, note) for n, note in enumerate(quick_notes, 1)}
         self._note: str | None = None
 
@@ -132,7 +119,7 @@ class KeyOperator(Operator):
     def _meaning(self, key: str) -> Event | None:
         note = self._note
         if note is None:
-            self._note = "" if key == NOTE_KEY else None
+            self._note = "" if key == Command.NOTE.value else None
             return self._meanings.get(key)
         if key == "enter":
             self._note = None

@@ -26,23 +26,17 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class FingerTouch:
-    """One finger's newest sample.
+class FingerTouch(Picture):
+    """One finger's newest sample; ``image`` is (480, 640) uint8, the marker image as the sensor sees it.
 
     Attributes:
-        image: (480, 640) uint8 marker image, as the sensor sees it.
         reference: the same in free air; one array for the whole episode.
-        index: number of the sample since connecting.
-        time_s: when it was taken.
         raw: (H, W, 3) uint8 camera frame or (16, 3) counts, upright; None where a rig has no raw signal.
         window, window_times_s: of taxels only, the newest scans (size, 16, 3), oldest first, the oldest repeated where
             there were fewer, and when each was taken (size,).
     """
 
-    image: np.ndarray
     reference: np.ndarray
-    index: int
-    time_s: float
     raw: np.ndarray | None = None
     window: np.ndarray | None = None
     window_times_s: np.ndarray | None = None
@@ -69,9 +63,9 @@ class Observation:
     force_N: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @property
-    def samples(self) -> dict[str, Picture | FingerTouch]:
+    def samples(self) -> dict[str, Picture]:
         """What was seen, by camera and finger."""
-        return dict(self.cameras) | dict(self.fingers)  # type: ignore[arg-type]
+        return {**self.cameras, **{str(finger): touch for finger, touch in self.fingers.items()}}
 
 
 @dataclass(frozen=True)

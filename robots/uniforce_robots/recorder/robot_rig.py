@@ -160,10 +160,11 @@ class RobotRig(Rig):
         with named("touch", name := tactile_name(finger)):
             self._watches[name].look(time.monotonic(), device.counts.bad)
             sample = device.latest()
-            image, reference = device.marker_image(sample.raw), self._references[finger]
+            image = device.marker_image(sample.raw)
             window = _window(device, self._window) if isinstance(device, UniforceUskin) else ()
         raw = sample.raw if window or self._keep_raw else None
-        return FingerTouch(image, reference, sample.index, sample.stamp_ns / NS_PER_S, raw, *window)
+        taken_s, reference = sample.stamp_ns / NS_PER_S, self._references[finger]
+        return FingerTouch(image, sample.index, taken_s, reference, raw, *window)
 
 
 class GarbageWatch:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -10,7 +11,6 @@ from typing import Any
 from uniforce_robots.recorder.episode import ENDINGS, Ending, EpisodeLoop, Parts
 from uniforce_robots.recorder.faults import StopRequestedError, cause_of
 from uniforce_robots.recorder.operators import Command, Event, Phase
-from uniforce_robots.recorder.ticker import Ticker
 from uniforce_vtla.errors import (
     ContractError,
     DatasetError,
@@ -141,11 +141,11 @@ class RecordingSession:
         if self._is_attended:
             number = f"{self._judged + 1}/{self._settings.episodes}"
             self._say(f"episode {number} is next: open the gripper; space begins, q ends")
-        beat, driving = Ticker(self._fps), False
-        while not any(self._begins(event) for event in self._parts.operator.poll(Phase.WAITING)):
-            self._parts.refuse_interrupted()
+        driving = False
+        for events in self._parts.events(Phase.WAITING):
+            if any(self._begins(event) for event in events):
+                break
             driving = self._drive(driving)
-            beat.wait()
         self._parts.rig.hold()
 
     def _begins(self, event: Event) -> bool:
@@ -207,15 +207,15 @@ class RecordingSession:
             return ending
         if self._is_attended:
             self._say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
-        beat = Ticker(self._fps)
-        while not self._parts.interrupts.count:
-            for event in self._parts.operator.poll(Phase.JUDGING):
+        try:
+            for event in itertools.chain.from_iterable(self._parts.events(Phase.JUDGING)):
                 if event.command is Command.NOTE:
                     ending = replace(ending, notes=(*ending.notes, event.text))
                 elif event.command in ENDINGS:
                     return replace(ending, **ENDINGS[event.command])
-            beat.wait()
-        return replace(ending, how="aborted", cause="interrupt", message="interrupted")
+        except StopRequestedError as error:
+            ending = replace(ending, how="aborted", cause="interrupt", message=str(error))
+        return ending
 
     def _store(self, ending: Ending, card: dict[str, Any]) -> None:
         recorder, frames = self._parts.recorder, self._parts.recorder.num_frames

@@ -68,7 +68,7 @@ class SimRig(Rig):
             time_s=now_s,
             axes=self._seen["agent_pos"],
             cameras={name: Picture(pixels[name], step, now_s) for name in CAMERAS},
-            fingers={f: FingerTouch(images[f], self._references[f], step, now_s) for f in FINGERS},
+            fingers={f: FingerTouch(images[f], step, now_s, self._references[f]) for f in FINGERS},
             measured={truth_wrench_key(f): w.astype(np.float32) for f, w in self.env.true_wrench().items()},
             force_N=np.array([0.0, 0.0, self.env.sim.press_N]),
         )

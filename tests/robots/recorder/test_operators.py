@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from uniforce_robots.recorder.operators import KEYS, Command, Event, KeyOperator, Phase, Unattended
+from uniforce_robots.recorder.operators import Command, Event, KeyOperator, Phase, Unattended
 from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla.errors import ContractError
 
@@ -16,10 +16,6 @@ def typed(operator: KeyOperator, keys: TerminalKeys, *pressed: str) -> list[Even
     for key in pressed:
         keys.press(key)
     return operator.poll(Phase.RUNNING)
-
-
-def test_every_command_but_notes_has_one_key() -> None:
-    assert sorted(KEYS.values(), key=str) == sorted(set(Command) - {Command.NOTE}, key=str)
 
 
 def test_keys_mean_commands_and_unknown_ones_nothing() -> None:

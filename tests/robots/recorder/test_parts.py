@@ -112,7 +112,7 @@ def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
 
 def seen(force_N: float) -> Observation:
     picture = Picture(np.zeros((4, 4, 3), np.uint8), 0, 0.95)
-    touch = FingerTouch(np.zeros((480, 640), np.uint8), np.zeros((480, 640), np.uint8), 0, 0.98)
+    touch = FingerTouch(np.zeros((480, 640), np.uint8), 0, 0.98, np.zeros((480, 640), np.uint8))
     axes = np.array([0, 0, 0, 0, 0.04])
     fingers = {"left": touch, "right": touch}
     return Observation(1.0, axes, {"front": picture}, fingers, force_N=np.array([0, 0, force_N]))  # type: ignore[arg-type]
