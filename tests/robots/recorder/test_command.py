@@ -80,9 +80,8 @@ def test_a_root_that_cannot_be_ends_before_the_first_episode(
     assert main([*words, *own, f"root={root.format(file=file, full=full)}", "episodes=1"]) == 2
     said = capsys.readouterr()
     assert "folder" in said.err and "Traceback" not in said.err
-    assert file.read_text() == "mine" and [p.name for p in full.iterdir() if p.name[0] != "."] == [
-        "letter.txt"
-    ]
+    assert file.read_text() == "mine"
+    assert [path.name for path in full.iterdir() if path.name[0] != "."] == ["letter.txt"]
 
 
 PROGRAM = """

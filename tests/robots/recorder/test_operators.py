@@ -21,10 +21,8 @@ def typed(operator: KeyOperator, keys: TerminalKeys, *pressed: str) -> list[Even
 def test_keys_mean_commands_and_unknown_ones_nothing() -> None:
     keys = TerminalKeys({"w": (0, 1)})
     operator = KeyOperator(keys, ["slow", "slipped"])
-    assert [e.command for e in typed(operator, keys, "space", "w", "up", "y")] == [
-        Command.GO,
-        Command.SUCCESS,
-    ]
+    events = typed(operator, keys, "space", "w", "up", "y")
+    assert [event.command for event in events] == [Command.GO, Command.SUCCESS]
     assert typed(operator, keys, "2", "3") == [Event(Command.NOTE, "slipped")]
     assert operator.is_attended and not typed(operator, keys)
 
