@@ -46,16 +46,11 @@ class ForceAxes:
     The default is GenForce's: Fz is negative in compression (its labels are normalised from −20 N to 5 N), Fx and
     Fy are taken as image right and image down. How a rig's shear axes lie in the image is documented for no
     public set: ``shear_agreement`` (benchmarks) tells from the data whether the signs are right.
-
-    Attributes:
-        x: recorded axis that points to the right in the image, e.g. "+x" or "-y".
-        y: recorded axis that points down in the image.
-        z: recorded axis that is positive in compression.
     """
 
-    x: str = "+x"
-    y: str = "+y"
-    z: str = "-z"
+    x: str = "+x"  # recorded axis that points to the right in the image, e.g. "+x" or "-y"
+    y: str = "+y"  # recorded axis that points down in the image
+    z: str = "-z"  # recorded axis that is positive in compression
 
     def __post_init__(self) -> None:
         """Raise ContractError unless the three are signed and different."""
@@ -83,35 +78,24 @@ def check_compression(force_N: np.ndarray, where: str) -> None:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What to do where a trial isn't as the protocol promises, and how much to hold in memory.
+    """What to do where a trial isn't as the protocol promises, and how much to hold in memory."""
 
-    Attributes:
-        reference: frame taken as free air; the protocol begins a trial before contact.
-        max_reference_force_N: |F| in that frame; drift of a tared cell, less than any labelled press.
-        pressed_reference: what happens with a trial that has no such frame.
-        max_frames: per recording, 79 MB of images; a longer trial comes in parts.
-    """
-
-    reference: Literal["first", "quietest"] = "first"
-    max_reference_force_N: float = 0.5
-    pressed_reference: Literal["refuse", "skip"] = "refuse"
-    max_frames: int = 256
+    reference: Literal["first", "quietest"] = (
+        "first"  # frame taken as free air; a trial begins before contact
+    )
+    max_reference_force_N: float = 0.5  # |F| in it; drift of a tared cell, less than any labelled press
+    pressed_reference: Literal["refuse", "skip"] = "refuse"  # a trial that has no such frame
+    max_frames: int = 256  # per recording, 79 MB of images; a longer trial comes in parts
 
 
 @dataclass(frozen=True)
 class GenForceConfig:
-    """What to read of a GenForce folder.
+    """What to read of a GenForce folder."""
 
-    Attributes:
-        sensors: kinds to read; empty for all found.
-        split: "unseen" is sphere_s, triangle, pacman, cone, wave and torus; "seen" every other indenter.
-        axes: from the Nano17's axes to ours.
-        options: reference and memory.
-    """
-
-    sensors: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = ()  # kinds to read; empty for all found
+    # unseen: sphere_s, triangle, pacman, cone, wave and torus; seen: every other indenter
     split: Literal["all", "seen", "unseen"] = "all"
-    axes: ForceAxes = field(default_factory=ForceAxes)
+    axes: ForceAxes = field(default_factory=ForceAxes)  # from the Nano17's axes to ours
     options: ReadOptions = field(default_factory=ReadOptions)
 
 

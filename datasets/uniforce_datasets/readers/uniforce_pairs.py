@@ -34,17 +34,13 @@ HALF_WAY = 127  # grey level: a quality-100 JPEG of a binary image stays far on 
 
 @dataclass(frozen=True)
 class PairConfig:
-    """What to read of a folder of pairs.
+    """What to read of a folder of pairs."""
 
-    Attributes:
-        reference_index: frame taken as free air where there is no reference.jpg, e.g. 0; None refuses such a set.
-        indenters: names to read; empty for all.
-        max_frames: pairs per recording: two stacks of 79 MB; more come in parts.
-    """
-
-    reference_index: int | None = None
-    indenters: tuple[str, ...] = ()
-    max_frames: int = 256
+    reference_index: int | None = (
+        None  # frame of free air where there is no reference.jpg; None refuses such a set
+    )
+    indenters: tuple[str, ...] = ()  # names to read; empty for all
+    max_frames: int = 256  # pairs per recording: two stacks of 79 MB; more come in parts
 
 
 def pair_folders(folder: str | Path) -> list[Path]:

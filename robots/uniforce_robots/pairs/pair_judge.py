@@ -42,19 +42,13 @@ SPREAD_GRASPS = 4  # grasps the first guess of the spread is worth
 
 @dataclass(frozen=True)
 class GraspSignals:
-    """What a rig knows of one grasp so far, T frames.
+    """What a rig knows of one grasp so far, T frames."""
 
-    Attributes:
-        left_N, right_N: (T, 3) estimated forces, canonical frame.
-        velocity_m_s, acceleration_m_s2: (T, 3) of the hand in its own frame.
-        mass_kg: of object and moving holder.
-    """
-
-    left_N: np.ndarray
-    right_N: np.ndarray
-    velocity_m_s: np.ndarray
-    acceleration_m_s2: np.ndarray
-    mass_kg: float
+    left_N: np.ndarray  # (T, 3) estimated forces, canonical frame
+    right_N: np.ndarray  # likewise
+    velocity_m_s: np.ndarray  # (T, 3) of the hand in its own frame
+    acceleration_m_s2: np.ndarray  # likewise
+    mass_kg: float  # of object and moving holder
 
 
 @dataclass(frozen=True)

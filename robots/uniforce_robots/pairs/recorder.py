@@ -27,57 +27,34 @@ LIVE_EVERY = 5  # frames between two live scores
 
 @dataclass(frozen=True)
 class RecordingPlan:
-    """What to record.
+    """What to record."""
 
-    Attributes:
-        pairs: per indenter.
-        chunk: pairs saved at once; what a kill may cost.
-        limits: what counts as slow.
-        crowded: largest share of an indenter's pairs in one cell of force; more are left out.
-        longest_grasp: frames after which a grasp is judged although the fingers hold on.
-        give_up: frames per wanted pair after which an indenter is given up: something is wrong then.
-    """
-
-    pairs: int = 1000
-    chunk: int = 50
-    limits: MotionLimits = field(default_factory=MotionLimits)
-    crowded: float = 0.25
-    longest_grasp: int = 300
-    give_up: int = 60
+    pairs: int = 1000  # per indenter
+    chunk: int = 50  # pairs saved at once; what a kill may cost
+    limits: MotionLimits = field(default_factory=MotionLimits)  # what counts as slow
+    crowded: float = 0.25  # largest share of an indenter's pairs in one cell of force; more are left out
+    longest_grasp: int = 300  # frames after which a grasp is judged although the fingers hold on
+    give_up: int = 60  # frames per wanted pair after which an indenter is given up: something is wrong then
 
 
 @dataclass(frozen=True)
 class Status:
-    """What an operator sees.
+    """What an operator sees."""
 
-    Attributes:
-        indenter: number of the current one, from 1.
-        name: of the indenter.
-        have: pairs of it.
-        error: live score of the newest pair.
-        reason: why the newest frame would not be kept; "" where it would.
-        coverage: of this indenter.
-    """
-
-    indenter: int
-    name: str
-    have: int
-    error: float
-    reason: str
-    coverage: Coverage
+    indenter: int  # number of the current one, from 1
+    name: str  # of the indenter
+    have: int  # pairs of it
+    error: float  # live score of the newest pair
+    reason: str  # why the newest frame would not be kept; "" where it would
+    coverage: Coverage  # of this indenter
 
 
 @dataclass
 class SessionReport:
-    """What became of the frames.
+    """What became of the frames."""
 
-    Attributes:
-        outcomes: how many frames were kept, or why not.
-        kept: (grasp, frame within the grasp) of every kept pair, in order.
-    """
-
-    outcomes: Counter[str] = field(default_factory=Counter)
-    kept: list[tuple[int, int]] = field(default_factory=list)
+    outcomes: Counter[str] = field(default_factory=Counter)  # how many frames were kept, or why not
+    kept: list[tuple[int, int]] = field(default_factory=list)  # (grasp, frame within it) of every kept pair
 
 
 class PairRecorder:

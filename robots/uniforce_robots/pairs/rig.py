@@ -30,20 +30,13 @@ OPENED_m = 0.003  # fingers that open by so much have let go
 
 @dataclass(frozen=True)
 class RigFrame:
-    """One moment.
+    """One moment."""
 
-    Attributes:
-        grasp: counts grasps; a new number means the fingers had opened between.
-        images: finger → (480, 640) uint8 marker image, as the sensor saw it.
-        velocity_m_s, acceleration_m_s2: (3,) of the hand in its own frame, x = the fingers' closing axis.
-        grip_N: the gripper's own estimate of its force.
-    """
-
-    grasp: int
-    images: dict[Finger, np.ndarray]
-    velocity_m_s: np.ndarray
-    acceleration_m_s2: np.ndarray
-    grip_N: float
+    grasp: int  # counts grasps; a new number means the fingers had opened between
+    images: dict[Finger, np.ndarray]  # finger → (480, 640) uint8 marker image, as the sensor saw it
+    velocity_m_s: np.ndarray  # (3,) of the hand in its own frame, x = the fingers' closing axis
+    acceleration_m_s2: np.ndarray  # likewise
+    grip_N: float  # the gripper's own estimate of its force
 
 
 class PairRig(Protocol):

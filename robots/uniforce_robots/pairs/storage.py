@@ -53,19 +53,12 @@ class Session:
 
 @dataclass(frozen=True)
 class Pair:
-    """A kept pair.
+    """A kept pair."""
 
-    Attributes:
-        frame: images and motion.
-        force_N: finger → (3,) estimates, canonical frame.
-        place: (2,) estimated, see ``coverage.contact_place``.
-        error: estimated equilibrium error.
-    """
-
-    frame: RigFrame
-    force_N: dict[Finger, np.ndarray]
-    place: np.ndarray
-    error: float
+    frame: RigFrame  # images and motion
+    force_N: dict[Finger, np.ndarray]  # finger → (3,) estimates, canonical frame
+    place: np.ndarray  # (2,) estimated, see ``coverage.contact_place``
+    error: float  # estimated equilibrium error
 
     @property
     def mean_force_N(self) -> np.ndarray:  # noqa: N802  a unit

@@ -20,19 +20,12 @@ from uniforce_vtla.errors import ContractError, expected
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What still counts as slow.
+    """What still counts as slow."""
 
-    Attributes:
-        speed_m_s: of the hand; at 30 Hz 0.15 m/s is 5 mm between two frames.
-        acceleration_m_s2: of the hand; 0.3 kg × 1 m/s² is 0.3 N, a tenth of a light grip.
-        settle_s: how long it must have been slow: the rubber needs some time to come to rest.
-        grip_N: a lighter grip says nothing of equilibrium.
-    """
-
-    speed_m_s: float = 0.15
-    acceleration_m_s2: float = 1.0
-    settle_s: float = 0.1
-    grip_N: float = 0.8
+    speed_m_s: float = 0.15  # of the hand; at 30 Hz 0.15 m/s is 5 mm between two frames
+    acceleration_m_s2: float = 1.0  # of the hand; 0.3 kg × 1 m/s² is 0.3 N, a tenth of a light grip
+    settle_s: float = 0.1  # how long it must have been slow: the rubber needs some time to come to rest
+    grip_N: float = 0.8  # a lighter grip says nothing of equilibrium
 
     def __post_init__(self) -> None:
         if min(self.speed_m_s, self.acceleration_m_s2) <= 0 or min(self.settle_s, self.grip_N) < 0:

@@ -50,31 +50,19 @@ class Parts:
 
 @dataclass(frozen=True)
 class Ending:
-    """How an episode ended.
+    """How an episode ended."""
 
-    Attributes:
-        ticks: how the beat was kept.
-        how: ``judged``, ``open`` (over, still to be judged), ``aborted``, or what the operator asked for.
-        outcome: one of ``keys.OUTCOME_NAMES``; means something where judged.
-        clean: whether it was a success without slip or excess force.
-        cause: where aborted, one of ``keys.ABORT_CAUSES``.
-        message: what happened, in words.
-        held_s: from the beginning of the tick that met a fault until the rig was held; 0 without a fault.
-        notes: what the operator wrote.
-        pauses: how often it was paused.
-        quits: whether the session shall end after it.
-    """
-
-    ticks: TickStats
+    ticks: TickStats  # how the beat was kept
+    # open: over, still to be judged; the last two are what the operator asked for
     how: Literal["judged", "open", "aborted", "discard", "rerecord"] = "open"
-    outcome: str = "aborted"
-    clean: bool = False
-    cause: str = "none"
-    message: str = ""
-    held_s: float = 0.0
-    notes: tuple[str, ...] = ()
-    pauses: int = 0
-    quits: bool = False
+    outcome: str = "aborted"  # one of ``keys.OUTCOME_NAMES``; means something where judged
+    clean: bool = False  # whether it was a success without slip or excess force
+    cause: str = "none"  # where aborted, one of ``keys.ABORT_CAUSES``
+    message: str = ""  # what happened, in words
+    held_s: float = 0.0  # from the beginning of the tick that met a fault until the rig was held; 0: no fault
+    notes: tuple[str, ...] = ()  # what the operator wrote
+    pauses: int = 0  # how often it was paused
+    quits: bool = False  # whether the session shall end after it
 
     @property
     def label(self) -> str:

@@ -28,27 +28,16 @@ FAULT, DISK_FULL, INTERRUPTED = 3, 4, 130  # exit codes
 
 @dataclass(frozen=True)
 class SessionSettings:
-    """What is recorded.
+    """What is recorded."""
 
-    Attributes:
-        episodes: wanted in the dataset, those of earlier sessions included; aborted ones don't count.
-        prompts: instructions, one per episode in turn; empty takes the rig's own.
-        episode_s: time limit.
-        drive_between: whether the teleoperator moves the robot between episodes.
-        unwell_s: how long an unattended session waits for sensors to become well before it gives up.
-        keep_aborted: whether what was recorded until a fault is stored, labelled.
-        late_share: of its ticks that an episode may miss; one that missed more is ``aborted:late``.
-        settings: of the whole command, for the cards.
-    """
-
-    episodes: int = 50
-    prompts: tuple[str, ...] = ()
-    episode_s: float = 60.0
-    drive_between: bool = True
-    unwell_s: float = 10.0
-    keep_aborted: bool = True
-    late_share: float = 0.1
-    settings: dict[str, Any] = field(default_factory=dict)
+    episodes: int = 50  # wanted in the dataset, those of earlier sessions included; aborted ones don't count
+    prompts: tuple[str, ...] = ()  # instructions, one per episode in turn; empty takes the rig's own
+    episode_s: float = 60.0  # time limit
+    drive_between: bool = True  # whether the teleoperator moves the robot between episodes
+    unwell_s: float = 10.0  # how long an unattended session waits for sensors before it gives up
+    keep_aborted: bool = True  # whether what was recorded until a fault is stored, labelled
+    late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is ``aborted:late``
+    settings: dict[str, Any] = field(default_factory=dict)  # of the whole command, for the cards
 
     def __post_init__(self) -> None:
         if not 0 <= self.late_share <= 1:  # NaN is not, either
@@ -57,17 +46,11 @@ class SessionSettings:
 
 @dataclass(frozen=True)
 class SessionEnd:
-    """How a session ended.
+    """How a session ended."""
 
-    Attributes:
-        exit_code: 0 all wanted episodes are there or the operator quit, 3 a fault, 4 the disk is full, 130 interrupted.
-        message: why, in words.
-        endings: of every attempt of this session, in order.
-    """
-
-    exit_code: int
-    message: str
-    endings: tuple[Ending, ...] = ()
+    exit_code: int  # 0 all wanted episodes are there or the operator quit, or one of the constants above
+    message: str  # why, in words
+    endings: tuple[Ending, ...] = ()  # of every attempt of this session, in order
 
 
 class _End(Exception):  # noqa: N818  the way out of nested phases

@@ -11,21 +11,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class TickStats:
-    """How a beat was kept.
+    """How a beat was kept."""
 
-    Attributes:
-        ticks: how many there were.
-        mean_hz: over the whole stretch; 0 with fewer than two ticks.
-        jitter_p50_ms, jitter_p99_ms, jitter_max_ms: how late ticks came after their deadlines.
-        missed: deadlines that passed without a tick, because the one before took too long.
-    """
-
-    ticks: int = 0
-    mean_hz: float = 0.0
-    jitter_p50_ms: float = 0.0
-    jitter_p99_ms: float = 0.0
-    jitter_max_ms: float = 0.0
-    missed: int = 0
+    ticks: int = 0  # how many there were
+    mean_hz: float = 0.0  # over the whole stretch; 0 with fewer than two ticks
+    jitter_p50_ms: float = 0.0  # how late ticks came after their deadlines
+    jitter_p99_ms: float = 0.0  # likewise
+    jitter_max_ms: float = 0.0  # likewise
+    missed: int = 0  # deadlines that passed without a tick, because the one before took too long
 
     @property
     def late_share(self) -> float:
