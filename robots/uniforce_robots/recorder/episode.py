@@ -43,9 +43,9 @@ class Parts:
         """Yield what the operator orders, once a tick; raise StopRequestedError once the program is to end."""
         beat = Ticker(self.rig.facts.fps)
         while True:
+            beat.wait()
             self.refuse_interrupted()
             yield self.operator.poll(phase)
-            beat.wait()
 
 
 @dataclass(frozen=True)
