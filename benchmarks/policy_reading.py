@@ -24,7 +24,7 @@ from benchmarks.force_misreading import (
 from lerobot_policy_pi05_uniforce.controller import stored_config, stored_policy
 from uniforce_cli.boundary import command
 from uniforce_datasets.training_view import TrainingView
-from uniforce_datasets.view_marker import read_marker
+from uniforce_datasets.view_plan import read_marker
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, DatasetError, expected

@@ -1,38 +1,62 @@
-"""SHA-256 of every file of a checkpoint: written beside them when it is saved, compared when it is loaded."""
+"""SHA-256 of every file of a checkpoint, dataset or view: written beside them when they are saved, checked on load."""
 
 from __future__ import annotations
 
 import hashlib
 import io
+import json
 import logging
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from uniforce_vtla.errors import UniForceError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.results_file import write_json
 
 logger = logging.getLogger(__name__)
 
 HASHES = "hashes.json"
 CARD = "README.md"  # of a card only the header that programs read is hashed: people may edit the text
 HEADER = re.compile(rb"---\r?\n.*?\n---", re.DOTALL)
-QUICK_BELOW = 16 << 20  # bytes: verify=quick hashes smaller files, and compares sizes of all
-LOADED = ("model.safetensors", "config.json", "adapter_*", "policy_*")  # what loaders open
+QUICK_BELOW = 16 << 20  # bytes: verify=quick hashes a checkpoint's smaller files, and compares sizes of all
+LOADED = ("model.safetensors", "config.json", "adapter_*", "policy_*")  # what loaders of checkpoints open
+
+Entry = dict[str, Any]  # "bytes" and "sha256" of a file; of a dataset's also the "episode" it belongs to
+Entries = dict[str, Entry]  # by name relative to the folder
+
+
+def hash_files(folder: Path, names: Iterable[str]) -> Entries:
+    """Return size and SHA-256 of files in ``folder``; several are read at once."""
+
+    def entry(name: str) -> Entry:
+        return {"bytes": _size(folder / name), "sha256": _digest(folder / name)}
+
+    names = list(names)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return dict(zip(names, pool.map(entry, names), strict=True))
 
 
 def write_hashes(folder: str | Path, names: Iterable[str] = ()) -> Path:
     """Write size and SHA-256 of files in ``folder`` (all, or ``names``) into its ``hashes.json``; call it last."""
     drop_hashes(folder)
     found = [Path(folder) / name for name in names] or sorted(Path(folder).iterdir())
-    files = [path for path in found if path.is_file() and path.name[0] != "."]
-    entries = {path.name: {"bytes": _size(path), "sha256": _digest(path)} for path in files}
-    written = write_json(Path(folder) / HASHES, entries)
-    written.chmod(0o644)
-    return written
+    files = [path.name for path in found if path.is_file() and path.name[0] != "."]
+    return store_hashes(Path(folder), hash_files(Path(folder), files))
+
+
+def store_hashes(folder: Path, entries: Mapping[str, Entry]) -> Path:
+    """Write ``hashes.json`` in one step."""
+    fresh = folder / f".{HASHES}.new"
+    try:
+        fresh.write_text(json.dumps(entries, indent=1))
+        os.replace(fresh, folder / HASHES)
+    finally:
+        fresh.unlink(missing_ok=True)  # half a file of a full disk
+    return folder / HASHES
 
 
 def drop_hashes(folder: str | Path) -> None:
@@ -40,13 +64,25 @@ def drop_hashes(folder: str | Path) -> None:
     (Path(folder) / HASHES).unlink(missing_ok=True)
 
 
-def hashed_names(folder: Path, error: type[UniForceError]) -> list[str]:
-    """Return the names of the files that have a hash; none without ``hashes.json``.
+def read_hashes(folder: Path, error: type[UniForceError]) -> Entries | None:
+    """Return what ``hashes.json`` says; None where there is none.
 
     Raises:
         error: ``hashes.json`` is damaged, or names a file outside the folder.
     """
-    return list(_entries(folder, error)) if (folder / HASHES).is_file() else []
+    if not (folder / HASHES).exists():
+        return None
+    entries = read_object(folder / HASHES, error)
+    for name, entry in entries.items():
+        if not _is_entry(name, entry):
+            came, do = f"{name[:80]!r}: {entry!r}"[:200], "Copy the whole folder again."
+            raise error(expected(str(folder / HASHES), "file names with bytes and sha256", came, do))
+    return entries
+
+
+def hashed_names(folder: Path, error: type[UniForceError]) -> list[str]:
+    """Return the names of the files that have a hash; see ``read_hashes``."""
+    return list(read_hashes(folder, error) or {})
 
 
 def check_hashes(folder: Path, error: type[UniForceError], verify: str = "full") -> None:
@@ -62,31 +98,54 @@ def check_hashes(folder: Path, error: type[UniForceError], verify: str = "full")
     """
     if verify == "off":
         return
-    if not (folder / HASHES).is_file():
+    entries = read_hashes(folder, error)
+    if entries is None:
         logger.warning("%s has no %s: its files are not verified", folder, HASHES)
         return
-    entries = _entries(folder, error)
-    wrong = [_difference(folder / name, entry, verify) for name, entry in entries.items()]
-    wrong += [f"{path.name} without a hash" for path in _loaded(folder) if path.name not in entries]
-    if any(wrong):
+    files = {name: folder / name for name in entries if os.path.isfile(folder / name)}
+    wanted = {name: (entry,) for name, entry in entries.items()}
+    is_large = (lambda path: _size(path) >= QUICK_BELOW) if verify == "quick" else None
+    loaded = [p.name for p in sorted(folder.iterdir()) if any(fnmatch(p.name, name) for name in LOADED)]
+    wrong = [f"{name}: {came}" for name, came in differences(wanted, files, is_large)]
+    wrong += [f"{name}: without a hash" for name in loaded if name not in entries]
+    if wrong:
         do = "A file was changed or is another checkpoint's: copy the whole checkpoint again."
-        raise error(expected(str(folder), f"the files of {HASHES}", "; ".join(filter(None, wrong)), do))
+        raise error(expected(str(folder), f"the files of {HASHES}", "; ".join(wrong), do))
 
 
-def _loaded(folder: Path) -> list[Path]:
-    return [path for path in sorted(folder.iterdir()) if any(fnmatch(path.name, name) for name in LOADED)]
+def differences(
+    wanted: Mapping[str, Sequence[Entry]],
+    files: Mapping[str, Path],
+    by_size: Callable[[Path], bool] | None = None,
+) -> list[tuple[str, str]]:
+    """Return the name of each file that is not as it was saved, and what it is instead.
+
+    Args:
+        wanted: by name, the entries that are all right.
+        files: where the files are that exist.
+        by_size: whether a file's size is enough; None reads every file.
+    """
+
+    def look(name: str) -> str:
+        try:
+            return _difference(files.get(name), wanted[name], by_size)
+        except OSError as error:
+            return f"unreadable: {error}"
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return [(name, came) for name, came in zip(wanted, pool.map(look, wanted), strict=True) if came]
 
 
-def _difference(path: Path, entry: dict[str, Any], verify: str) -> str:
-    """Return what is wrong with a file; nothing if it is as it was."""
-    if not path.is_file():
-        return f"no {path.name}"
-    if (size := _size(path)) != entry["bytes"]:
-        return f"{path.name} of {size} bytes, not {entry['bytes']}"
-    if verify == "quick" and size >= QUICK_BELOW:
+def _difference(path: Path | None, accepted: Sequence[Entry], by_size: Callable[[Path], bool] | None) -> str:
+    if path is None:
+        return "none"
+    sizes = [entry["bytes"] for entry in accepted]
+    if (size := _size(path)) not in sizes:
+        return f"{size} bytes, not {sizes[0]}"
+    if by_size is not None and by_size(path):
         return ""
-    digest = _digest(path)
-    return "" if digest == entry["sha256"] else f"{path.name} {digest[:12]}…, not {entry['sha256'][:12]}…"
+    digests, digest = [entry["sha256"] for entry in accepted], _digest(path)
+    return "" if digest in digests else f"SHA-256 {digest[:12]}…, not {digests[0][:12]}…"
 
 
 def _size(path: Path) -> int:
@@ -103,16 +162,10 @@ def _header(card: Path) -> bytes:
     return found.group() if found else b""
 
 
-def _entries(folder: Path, error: type[UniForceError]) -> dict[str, dict[str, Any]]:
-    entries = read_object(folder / HASHES, error)
-    for name, entry in entries.items():
-        if not _is_entry(name, entry):
-            came, do = f"{name[:80]!r}: {entry!r}"[:200], "Copy the whole checkpoint again."
-            raise error(expected(str(folder / HASHES), "file names with bytes and sha256", came, do))
-    return entries
-
-
 def _is_entry(name: str, entry: Any) -> bool:
-    plain = name == Path(name).name and "\\" not in name and "\0" not in name
-    known = isinstance(entry, dict) and entry.keys() == {"bytes", "sha256"}
-    return plain and known and type(entry["bytes"]) is int and isinstance(entry["sha256"], str)
+    parts = Path(name).parts
+    inside = bool(parts) and name == str(Path(*parts)) and ".." not in parts and not Path(name).is_absolute()
+    known = isinstance(entry, dict) and entry.keys() - {"episode"} == {"bytes", "sha256"}
+    kinds = (("bytes", int), ("sha256", str), ("episode", int))
+    typed = known and all(type(entry[key]) is kind for key, kind in kinds if key in entry)
+    return inside and not set("\\\0") & set(name) and typed

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_robots.pairs.gate import MotionLimits
 from uniforce_robots.pairs.pair_judge import PairJudge
 from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig
 from uniforce_robots.pairs.rig import RigFrame
-from uniforce_robots.pairs.track import FingerReaders, GraspTrack
+from uniforce_robots.pairs.track import FingerReaders, GraspTrack, MotionLimits
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from uniforce_robots.pairs.finger_force import ASSETS, FingerForce
-from uniforce_robots.pairs.touch_field import TouchField
+from uniforce_robots.pairs.finger_force import ASSETS, FingerForce, TouchField
 from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects

@@ -73,7 +73,7 @@ class Rig:
             "robot": "franka",
             "rig": self._file,
             "teleop": "trial_circle",
-            "operator": "nobody",
+            "operator": "unattended",
             "root": root,
             "repo_id": "local/trial",
             "prompts": "[go round]",

@@ -20,11 +20,11 @@ from uniforce_datasets.cards import card_path
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.recorder import EpisodeRecorder
-from uniforce_datasets.staging import HASHES
 from uniforce_datasets.synthetic import FPS, dots, synthetic_frame
 from uniforce_datasets.training_view import TrainingView, build_view
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.file_hashes import HASHES
 from uniforce_vtla.keys import ACTION, STATE, SUCCESS, camera_key, sensor_key, tactile_key
 
 EPISODES, FRAMES = 3, 12

@@ -1,9 +1,12 @@
-"""What a dataset has to hold whatever its hashes say: exact marker images, resting references, every frame, numbers."""
+"""What a dataset has to hold whatever its hashes say: exact marker images, resting references, every frame, numbers.
+
+Looked at before an episode counts as saved (``check_stored``), and again before a dataset is read (``check_content``).
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -14,7 +17,7 @@ from tqdm import tqdm
 
 from uniforce_datasets.dataset_info import videos
 from uniforce_datasets.hashes import Verify
-from uniforce_datasets.raw_video import raw_path
+from uniforce_datasets.raw_video import FOLDER, raw_path
 from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames, stored_frames
 from uniforce_datasets.video_encoder import REFERENCE_KEYS
 from uniforce_vtla.contracts import FINGERS
@@ -49,6 +52,30 @@ def check_content(source: Source, verify: Verify = "full") -> None:
         for _ in pool.map(check, source.episodes):
             bar.update()
     _check_counts(source)
+
+
+def check_stored(staged: Path, frames: int, fps: int, ends: Mapping[str, tuple[np.ndarray, ...]]) -> None:
+    """Check the videos of one staged episode.
+
+    Args:
+        staged: staging folder with exactly one episode in it.
+        frames: its length.
+        fps: frames per second.
+        ends: first and last recorded (H, W, 3) image by marker key.
+
+    Raises:
+        DatasetError: a frame is missing, or a decoded marker image differs from the recorded one.
+    """
+    do = "Episode discarded; record it again."
+    raw = {file: f"raw {file.parts[-2]}" for file in sorted((staged / FOLDER).rglob("*.mp4"))}
+    videos = {file: file.parts[-3] for file in sorted((staged / "videos").rglob("*.mp4"))}
+    for file, key in (raw | videos).items():
+        stored = stored_frames(file)
+        if stored != frames:
+            raise DatasetError(expected(key, f"{frames} frames", stored, do))
+        decoded = end_frames(VideoSpan(file, 0.0), frames, fps) if key in ends else ()
+        if not all(np.array_equal(a, b) for a, b in zip(decoded, ends.get(key, ()), strict=True)):
+            raise DatasetError(expected(key, "the recorded marker images after decoding", "others", do))
 
 
 def end_frames(span: VideoSpan, length: int, fps: int) -> tuple[np.ndarray, ...]:

@@ -1,4 +1,4 @@
-"""The columns of a recorded demonstration: what LeRobot v3 is told to store.
+"""The columns of a recorded demonstration: the features that LeRobot v3 stores.
 
 Scene cameras and marker images are videos; truth and provenance are per-frame numbers, because LeRobot's delete
 and split drop per-episode columns, and they carry no ``observation.`` prefix, so that no policy ever reads them.
@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from lerobot.utils.constants import DEFAULT_FEATURES
 
-from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, check_marker_image
+from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.keys import (
     ACTION,
     AXES,
@@ -28,6 +29,7 @@ from uniforce_vtla.keys import (
     time_key,
     truth_wrench_key,
 )
+from uniforce_vtla.sensors import get_sensor, list_sensors
 
 CAMERA_SHAPE = (224, 224, 3)  # rows, columns, RGB
 MARKER_VIDEO_SHAPE = (*MARKER_IMAGE_SHAPE, 3)  # R = G = B: LeRobot has no one-channel cameras
@@ -103,3 +105,48 @@ def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, 
     odd = sorted(k for k in wanted | came if came.get(k) != wanted.get(k)) or f"{meta.fps} fps"
     do = "Record into another root."
     raise DatasetError(expected("dataset", "the features to record", f"others: {odd}", do))
+
+
+def sensor_index(name: str) -> int:
+    """Return the registry index of a sensor; raise SensorError if it is unknown."""
+    return list_sensors().index(get_sensor(name).name)
+
+
+class ColumnMaker:
+    """Makes columns of values; a reference, the same array object all episode long, is made only once."""
+
+    def __init__(self) -> None:
+        self._last: dict[str, tuple[Any, np.ndarray]] = {}
+
+    def __call__(self, key: str, value: Any) -> np.ndarray:
+        """Return the value as stored: marker images as (480, 640, 3) with R = G = B, the rest as it came.
+
+        An array that was passed must not be written to afterwards.
+        """
+        if key not in TACTILE_KEYS:
+            return np.asarray(value)
+        if key not in self._last or self._last[key][0] is not value:
+            self._last[key] = value, _marker_column(key, np.asarray(value))
+        return self._last[key][1]
+
+
+def _marker_column(key: str, array: np.ndarray) -> np.ndarray:
+    image = check_marker_image(array if array.ndim == 2 else array[..., 0], key)
+    if array.ndim == 3 and not (array == image[..., None]).all():
+        raise ContractError(expected(key, "R = G = B", "a coloured image", "Store marker images."))
+    return np.repeat(image[..., None], 3, axis=2)
+
+
+def check_row(row: dict[str, np.ndarray], features: dict[str, dict]) -> None:
+    """Raise ContractError for a missing or unknown column, a wrong shape or dtype, NaN or inf."""
+    missing, unknown = sorted(features.keys() - row.keys()), sorted(row.keys() - features.keys())
+    if missing or unknown:
+        came = f"missing {missing}, unknown {unknown}"
+        raise ContractError(expected("frame", "the dataset's columns", came, "See dataset_features."))
+    for key, value in row.items():
+        dtype = "uint8" if features[key]["dtype"] == "video" else features[key]["dtype"]
+        if value.shape != tuple(features[key]["shape"]) or value.dtype != dtype:
+            wanted, came = f"{features[key]['shape']} {dtype}", f"{value.shape} {value.dtype}"
+            raise ContractError(expected(key, wanted, came, "Convert it before add()."))
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            raise ContractError(expected(key, "finite numbers", "NaN or inf", "Check where it comes from."))

@@ -17,32 +17,26 @@ class LatentEncoder(Protocol):
     @property
     def hash(self) -> str:
         """Identity of the weights; policies refuse latents of another one."""
-        ...
 
     def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
         """Return (B, K·latent) float32 from a (H, W) reference and (B, H, W) images as the sensor saw them."""
-        ...
 
 
 class PooledTokenizer:
-    """The frozen tokenizer with its latents pooled to grid × grid."""
+    """A frozen tokenizer with its latents pooled to grid × grid.
 
-    def __init__(self, tokenizer: Tokenizer, grid: int) -> None:
-        self._tokenizer, self._grid = tokenizer, grid
+    Args:
+        tokenizer: it, the folder it is in, or None for the shipped one.
+        grid: cells per side.
+    """
 
-    @property
-    def hash(self) -> str:
-        """The tokenizer's content hash."""
-        return self._tokenizer.hash
+    def __init__(self, tokenizer: Tokenizer | str | Path | None, grid: int) -> None:
+        found = (
+            tokenizer if isinstance(tokenizer, Tokenizer) else Tokenizer.from_pretrained(tokenizer or None)
+        )
+        self._tokenizer, self._grid, self.hash = found, grid, found.hash
 
     def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
         """See ``LatentEncoder``."""
         latent = self._tokenizer.encode(reference[None], current, finger)  # (B, P, latent)
         return pool_latent(latent, self._grid).flatten(1).numpy()  # (B, K·latent)
-
-
-def pooled_tokenizer(tokenizer: Tokenizer | str | Path | None, grid: int) -> PooledTokenizer:
-    """Wrap a tokenizer, the one at a path, or the shipped one (None)."""
-    if not isinstance(tokenizer, Tokenizer):
-        tokenizer = Tokenizer.from_pretrained(tokenizer or None)
-    return PooledTokenizer(tokenizer, grid)

@@ -40,7 +40,7 @@ def pooled_stats(values: np.ndarray) -> dict[str, np.ndarray]:
 def write_pooled_stats(root: str | Path) -> None:
     """Replace the statistics of state and action, where a recording has them, in ``meta/stats.json`` by pooled ones.
 
-    Statistics and hashes change in one step; nobody else may write to the dataset meanwhile.
+    Statistics and hashes change in one step; no other program may write to the dataset meanwhile.
 
     Raises:
         DatasetError: the statistics or the columns are damaged.

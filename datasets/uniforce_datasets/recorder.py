@@ -16,16 +16,22 @@ from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.io_utils import write_info
 
 from uniforce_datasets.cards import write_card
-from uniforce_datasets.columns import ColumnMaker, check_row, sensor_index
+from uniforce_datasets.content import check_stored
 from uniforce_datasets.dataset_info import INFO
-from uniforce_datasets.features import CAMERA_SHAPE, Shape, dataset_features, refuse_other_features
+from uniforce_datasets.features import (
+    CAMERA_SHAPE,
+    ColumnMaker,
+    Shape,
+    check_row,
+    dataset_features,
+    refuse_other_features,
+    sensor_index,
+)
 from uniforce_datasets.hashes import check_hashes, stage_hashes
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.raw_video import RawVideo
-from uniforce_datasets.recorder_lock import claim, lock
 from uniforce_datasets.staged_writer import open_writer
-from uniforce_datasets.staging import STAGING, commit, recover
-from uniforce_datasets.stored_check import check_stored
+from uniforce_datasets.staging import STAGING, claim, commit, lock, recover
 from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, DatasetError, DiskFullError, DroppedFrameError, expected
@@ -63,7 +69,7 @@ class EpisodeRecorder:
         raw_shapes: shape of the raw tactile frames to keep beside the dataset, by finger.
         lock_wait_s: how long to wait for another recorder that is about to end.
         features: columns of another kind of recording, in place of a demonstration's (``truth`` and
-            ``camera_shape`` then say nothing); marker images are stored exactly there too.
+            ``cameras`` then say nothing); marker images are stored exactly there too.
 
     Raises:
         DatasetError: another recorder writes here, the folder can't be written, holds something else or other

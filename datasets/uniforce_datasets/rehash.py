@@ -6,11 +6,10 @@ from collections import defaultdict
 from pathlib import Path
 
 from uniforce_datasets.dataset_info import read_info
-from uniforce_datasets.hashes import check_verify, files_of, hash_files, write_hashes
+from uniforce_datasets.hashes import check_verify, write_hashes
 from uniforce_datasets.lossless import check_whole
-from uniforce_datasets.recorder_lock import claim, lock
 from uniforce_datasets.source import Source, read_table
-from uniforce_datasets.staging import recover
+from uniforce_datasets.staging import claim, lock, recover
 
 TABLES = ("data", "meta/episodes")
 NUMBERED = ("raw", "cards")  # files named after their episode
@@ -20,7 +19,7 @@ STEM = "episode_"
 def rehash(root: str | Path, verify: str = "full") -> Source:
     """Check a dataset's content and write the hashes of the files that are there now; return its source.
 
-    An interrupted save is finished before. Nobody may record there meanwhile.
+    An interrupted save is finished before. A recorder at work there is refused.
 
     Raises:
         DatasetError: content that can't be trusted (see ``check_dataset``), or a recorder at work; no hash is changed.
@@ -32,7 +31,7 @@ def rehash(root: str | Path, verify: str = "full") -> Source:
         recover(root)
         read_info(root)
         source = check_whole(root, depth)
-        write_hashes(root, hash_files(root, files_of(root), _episodes(source).get))
+        write_hashes(root, _episodes(source))
     finally:
         held.release()
     return source

@@ -38,21 +38,13 @@ class VideoSpan:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """One recorded episode.
+    """One recorded episode."""
 
-    Attributes:
-        index: its number in the dataset.
-        start: index of its first frame in the dataset.
-        length: frames.
-        task: the instruction in words.
-        videos: span by video key.
-    """
-
-    index: int
-    start: int
-    length: int
-    task: str
-    videos: dict[str, VideoSpan]
+    index: int  # its number in the dataset
+    start: int  # index of its first frame in the dataset
+    length: int  # frames
+    task: str  # the instruction in words
+    videos: dict[str, VideoSpan]  # span by video key
 
 
 @dataclass(frozen=True)

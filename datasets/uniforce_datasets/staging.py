@@ -3,21 +3,63 @@
 An episode is written into ``.staging``; when complete and flushed, the folder is renamed ``.commit`` (the one atomic
 step) and its files are moved into the dataset, ``meta/info.json`` and ``hashes.json`` last.  LeRobot's own loader can
 open the dataset at any instant in between, its hashes fit at any instant, and ``recover`` finishes or forgets
-whatever a power loss or kill -9 left behind.
+whatever a power loss or kill -9 left behind. One recorder at a time holds a dataset, by a file lock that ends with its
+process, however that ends.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
+from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.file_hashes import HASHES
+
 STAGING, COMMIT = ".staging", ".commit"
-HASHES = "hashes.json"  # of all files, moved in last
 ORDER = (
     *("data", "videos", "raw", "cards"),
     *("meta/episodes", "meta/tasks.parquet", "meta/stats.json", "meta/info.json", HASHES),
 )
+
+
+def claim(root: str | Path) -> Path:
+    """Return the folder of a dataset, made where there is none. Nothing is left in a folder that is refused.
+
+    Raises:
+        DatasetError: no name, nothing can be written there, or it holds something else.
+    """
+    do = "Give root=… a folder you may write to."
+    if not str(root).strip():
+        raise DatasetError(expected("root", "a folder", repr(str(root)), do))
+    folder = Path(root)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            foreign = [path.name for path in folder.iterdir() if not path.name.startswith(".")]
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise DatasetError(expected(f"root={root}", "a folder to write to", error, do)) from error
+    if foreign and not any((folder / name).exists() for name in (COMMIT, "meta/info.json")):
+        do = "Choose another root."
+        raise DatasetError(expected(str(folder), "an empty folder or a dataset", foreign[:3], do))
+    return folder
+
+
+def lock(root: Path, wait_s: float) -> FileLock:
+    """Return the held lock of a dataset's folder; releasing it lets others record.
+
+    Waits ``wait_s`` for another recorder that is about to end; raises DatasetError where it still holds the lock.
+    """
+    held = FileLock(root / ".recorder.lock")
+    try:
+        held.acquire(timeout=wait_s)
+    except Timeout as error:
+        do = "Wait, or use another root."
+        raise DatasetError(expected(str(root), "one recorder at a time", "another one", do)) from error
+    return held
 
 
 def recover(root: Path) -> None:

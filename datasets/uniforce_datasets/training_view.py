@@ -15,12 +15,11 @@ from torch.utils.data import Dataset
 
 from uniforce_datasets.dataset_info import INFO
 from uniforce_datasets.features import WRENCH_AXES
-from uniforce_datasets.hashes import VIEW_PARTS, check_hashes, check_verify
+from uniforce_datasets.hashes import check_hashes, check_verify
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
-from uniforce_datasets.view_marker import read_marker
-from uniforce_datasets.view_plan import touch_stream
+from uniforce_datasets.view_plan import read_marker, touch_stream
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import FINGERS, check_finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
@@ -107,7 +106,7 @@ class TrainingView(Dataset):
         self.root = Path(root)
         self.marker = read_marker(self.root)
         if check_verify(verify) != "off":
-            check_hashes(self.root, "full", VIEW_PARTS)
+            check_hashes(self.root)
         self._deltas = np.asarray(action_deltas, dtype=np.int64)
         self._touch = self._touch_columns(self.marker["slots"] if slots is None else slots, touch)
         self.episodes = None if episodes is None else list(episodes)
@@ -156,7 +155,7 @@ class TrainingView(Dataset):
         return sample | self._place(index, episode, int(index - start))
 
     def _next(self, index: int, end: int) -> dict[str, torch.Tensor]:
-        """Return what is felt at ``index``, NaN where the episode has ended before."""
+        """Return the touch inputs at ``index``, NaN where the episode has ended before."""
         found = {}
         for key, name in self._touch.items():
             rows = self._arrays[name]

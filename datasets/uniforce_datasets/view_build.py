@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from uniforce_datasets.hashes import VIEW_PARTS, check_hashes, files_of, hash_files, write_hashes
-from uniforce_datasets.latent_encoder import LatentEncoder, pooled_tokenizer
+from uniforce_datasets.hashes import check_hashes, write_hashes
+from uniforce_datasets.latent_encoder import LatentEncoder, PooledTokenizer
 from uniforce_datasets.source import Episode, episode_frames
 from uniforce_datasets.view_plan import (
     TOUCH_STREAMS,
@@ -74,7 +74,7 @@ def build_view(
     Raises:
         DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
     """
-    encoder = encoder or pooled_tokenizer(tokenizer, latent_grid)
+    encoder = encoder or PooledTokenizer(tokenizer, latent_grid)
     settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)
     plan = plan_view([roots] if isinstance(roots, str | Path) else roots, settings, keep, verify)
     out = Path(out)
@@ -85,7 +85,7 @@ def build_view(
     for key, values in plan.columns.items():
         np.save(building / f"{key}.npy", values)
     write_json(building / VIEW_MARKER, plan.marker)
-    write_hashes(building, hash_files(building, files_of(building, VIEW_PARTS), lambda name: None))
+    write_hashes(building, {})
     shutil.rmtree(out, ignore_errors=True)
     building.rename(out)
     return out
@@ -106,7 +106,7 @@ def _same_view(out: Path, plan: ViewPlan) -> bool:
 
 def _whole(view: Path) -> bool:
     try:
-        check_hashes(view, parts=VIEW_PARTS)
+        check_hashes(view)
     except DatasetError as error:
         logger.warning("built anew: %s", error)
         return False
@@ -143,7 +143,7 @@ def _write_frames(plan: ViewPlan, encoder: LatentEncoder, building: Path, worker
 
 
 def _in_turn(jobs: Sequence[_Job], workers: int) -> Generator[dict[str, np.ndarray]]:
-    """Yield the episodes' blocks in order, whoever made them."""
+    """Yield the episodes' blocks in order, whichever process made them."""
     if workers <= 1:
         yield from map(_episode_blocks, jobs)
         return

@@ -88,8 +88,8 @@ def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
 
 
 def _run(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> tuple[PairRig, SessionReport]:
-    from uniforce_robots.pairs.gate import MotionLimits
     from uniforce_robots.pairs.recorder import PairRecorder, RecordingPlan
+    from uniforce_robots.pairs.track import MotionLimits
 
     limits = MotionLimits(config.speed_m_s, config.acceleration_m_s2)
     plan = RecordingPlan(config.pairs, config.chunk, limits, crowded=config.crowded)
@@ -125,10 +125,10 @@ def _teller(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status], None
     """Return what shows the live status beside the bar."""
 
     def tell(status: Status) -> None:
-        bar.set_description_str(f"indenter {status.indenter}/{status.indenters} {status.name}")
+        bar.set_description_str(f"indenter {status.indenter}/{len(store.indenters)} {status.name}")
         saved = np.minimum(store.counts, wanted).sum() - min(int(store.counts[status.indenter - 1]), wanted)
         bar.update(int(saved) + status.have - bar.n)
-        balance = f"{status.have}/{status.wanted}, off balance {status.error:.0%}"
+        balance = f"{status.have}/{wanted}, off balance {status.error:.0%}"
         bar.set_postfix_str(f"{balance}, {status.reason or 'good'}; missing: {status.coverage.missing()}")
 
     return tell

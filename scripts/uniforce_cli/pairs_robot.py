@@ -14,7 +14,7 @@ from uniforce_vtla.keys import AXES
 
 if TYPE_CHECKING:
     from uniforce_robots.franka import UniforceFranka
-    from uniforce_robots.pairs.robot_rig import RobotRig
+    from uniforce_robots.pairs.rig import RobotRig
     from uniforce_robots.teleop import UniforceHandGuide
 
 
@@ -44,7 +44,7 @@ def opened_rig(session: RobotSession) -> Iterator[RobotRig]:
     from uniforce_cli.touch import TouchConfig, opened
     from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
     from uniforce_robots.franka.hand import HandSettings
-    from uniforce_robots.pairs.robot_rig import RobotRig
+    from uniforce_robots.pairs.rig import RobotRig
     from uniforce_robots.teleop import UniforceHandGuide, UniforceHandGuideConfig
 
     guide = UniforceHandGuide(UniforceHandGuideConfig())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Collection, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -27,9 +28,10 @@ from uniforce_vtla.options import (
 )
 
 if TYPE_CHECKING:
+    from lerobot.robots import RobotConfig
     from lerobot.teleoperators import Teleoperator
 
-    from uniforce_robots.recorder.build import Devices
+    from uniforce_robots.recorder.operators import Operator
     from uniforce_robots.recorder.rig import Rig
     from uniforce_robots.recorder.session import SessionEnd
 
@@ -68,8 +70,8 @@ class RecordConfig:
     keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
     prompts: Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
     episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
-    operator: Literal["keys", "nobody"] = "keys"  # who begins and judges
-    # what nobody calls an episode
+    operator: Literal["keys", "unattended"] = "keys"  # who begins and judges
+    # unattended: what every episode is called
     verdict: Literal["success", "residual", "failed_grasp"] = "success"
     quick_notes: Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
@@ -78,7 +80,7 @@ class RecordConfig:
     keep_raw: bool = True  # robot: raw tactile frames beside the dataset
     window: Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
     reserve_MB: NotNegative = 500.0  # MB that have to stay free on the disk
-    unwell_s: NotNegative = 10.0  # s, how long nobody waits for a sensor to become well
+    unwell_s: NotNegative = 10.0  # s, how long an unattended session waits for a sensor to become well
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
 
@@ -91,7 +93,7 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
         given: settings that were named, also with the value they have anyway.
 
     Raises:
-        ContractError: a robot, teleoperator, sensor, level or setting nobody knows.
+        ContractError: a robot, teleoperator, sensor, level or setting that is unknown.
         DatasetError: see ``EpisodeRecorder``.
         RobotError, SensorError, TeleoperatorError: it can't be connected.
     """
@@ -99,17 +101,17 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
     _refuse_ignored(config, device_flags, given)
     if config.robot == "sim" and config.teleop == "expert":
         return _record_expert(config)
-    from uniforce_robots.recorder.assemble import make_operator, run_session
+    from uniforce_robots.recorder.assemble import run_session
     from uniforce_robots.recorder.build import make_teleoperator, read_devices
     from uniforce_robots.recorder.session import SessionSettings
     from uniforce_robots.recorder.store import StoreSettings
 
-    devices = read_devices(device_flags, config.robot.replace("sim", ""), config.teleop, config.rig)
-    teleop = make_teleoperator(devices.teleop)
+    robot, steering = read_devices(device_flags, config.robot == "franka", config.teleop, config.rig)
+    teleop = make_teleoperator(steering)
     return run_session(
-        _rig(config, devices, teleop),
+        _rig(config, robot, teleop),
         teleop,
-        make_operator(config.operator, config.verdict, config.quick_notes, teleop),
+        _operator(config, teleop),
         StoreSettings(Path(config.root), config.repo_id, config.reserve_MB),
         SessionSettings(
             config.episodes,
@@ -127,27 +129,29 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
 
 
 def _record_expert(config: RecordConfig) -> SessionEnd:
-    from uniforce_robots.recorder.expert_demos import ExpertDemos, record_expert
+    from lerobot_env_uniforce_wiping import WipeEnv
+    from uniforce_robots.recorder.expert_demos import record_expert
     from uniforce_robots.recorder.session import SessionEnd
 
-    record_expert(
-        ExpertDemos(
-            Path(config.root),
-            config.repo_id,
-            config.episodes,
-            config.level,
-            config.left_sensor,
-            config.right_sensor,
-            config.seed,
-            config.nudge,
-            config.keep_failures,
-        )
-    )
+    root, wanted = Path(config.root), config.episodes
+    with closing(WipeEnv(config.level, config.left_sensor, config.right_sensor)) as env:
+        record_expert(env, root, config.repo_id, wanted, config.seed, config.nudge, config.keep_failures)
     return SessionEnd(0, f"{config.episodes} episodes")
 
 
-def _rig(config: RecordConfig, devices: Devices, teleop: Teleoperator) -> Rig:
-    if config.robot == "sim":
+def _operator(config: RecordConfig, teleop: Teleoperator) -> Operator:
+    """Return who judges; a teleoperator that reads the terminal itself lends its other keys."""
+    from uniforce_robots.recorder.operators import KeyOperator, Unattended
+    from uniforce_robots.teleop.keyboard import TerminalKeys
+
+    if config.operator == "unattended":
+        return Unattended(config.verdict)
+    keys = getattr(teleop, "keys", None)
+    return KeyOperator(keys if isinstance(keys, TerminalKeys) else None, config.quick_notes)
+
+
+def _rig(config: RecordConfig, robot: RobotConfig | None, teleop: Teleoperator) -> Rig:
+    if robot is None:
         from lerobot_env_uniforce_wiping import WipeEnv
         from uniforce_robots.recorder.sim_rig import SimRig
 
@@ -157,13 +161,12 @@ def _rig(config: RecordConfig, devices: Devices, teleop: Teleoperator) -> Rig:
     from uniforce_robots.recorder.build import make_robot
     from uniforce_robots.recorder.robot_rig import RobotRig
 
-    assert devices.robot is not None  # read_devices gives its type
-    return RobotRig(make_robot(devices.robot, teleop), config.window, config.keep_raw)
+    return RobotRig(make_robot(robot, teleop), config.window, config.keep_raw)
 
 
 def _check(config: RecordConfig) -> None:
     if config.robot == "franka" and config.teleop == "expert":
-        do = "The expert feels the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
+        do = "The expert reads the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
         raise ContractError(expected("teleop", "one that works on a robot", "expert", do))
     if config.robot == "franka" and not config.prompts:
         do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'
@@ -180,7 +183,7 @@ IGNORED = {  # by how it records: settings that would change nothing
     "robot=sim teleop=expert": (*ROBOT, *BY_HAND, "late_share", "reserve_MB", "unwell_s", "real_time"),
     "robot=sim, steered by hand": (*ROBOT, *EXPERT),
     "operator=keys": ("verdict", "unwell_s"),
-    "operator=nobody": ("quick_notes", "drive_between"),
+    "operator=unattended": ("quick_notes", "drive_between"),
 }
 
 

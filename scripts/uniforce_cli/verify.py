@@ -7,10 +7,10 @@ from pathlib import Path
 
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Verify
-from uniforce_datasets.hashes import VIEW_PARTS, check_hashes
+from uniforce_datasets.hashes import check_hashes
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.rehash import rehash
-from uniforce_datasets.view_marker import read_marker
+from uniforce_datasets.view_plan import read_marker
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import FolderPath
@@ -51,7 +51,7 @@ def _verify_view(root: Path, config: VerifyConfig) -> str:
         do = "Build the view again with uniforce view."
         raise ContractError(expected("rehash", "false for a training view", "true", do))
     marker = read_marker(root)
-    check_hashes(root, "full", VIEW_PARTS)
+    check_hashes(root)
     return f"{root}: view of {len(marker['episodes'])} episodes, as it was built"
 
 

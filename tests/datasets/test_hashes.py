@@ -13,12 +13,12 @@ import pytest
 from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
 
 from uniforce_cli import share, verify
-from uniforce_datasets.hashes import PARTS, FileHash, files_of, read_hashes, write_hashes
+from uniforce_datasets.hashes import PARTS, files_of
 from uniforce_datasets.lossless import check_dataset, open_dataset
 from uniforce_datasets.recorder import EpisodeRecorder
-from uniforce_datasets.staging import HASHES
 from uniforce_datasets.synthetic import FPS, record_synthetic
 from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.file_hashes import HASHES, read_hashes, store_hashes
 from uniforce_vtla.keys import ACTION
 
 
@@ -41,20 +41,12 @@ def test_every_file_has_its_hash_and_episode(demos: Path) -> None:
         assert entry.get("episode") == (None if shared else int(name.split(".")[-2][-3:]))
 
 
-@pytest.mark.parametrize(
-    "content", ['{"a": 1}', '{"a": {"sha256": "0"}}', '{"a": {"sha256": "0", "size": 1}}', "[]", "{", "\0"]
-)
-def test_hashes_that_are_none_are_refused(tmp_path: Path, content: str) -> None:
-    (tmp_path / HASHES).write_text(content)
-    with pytest.raises(DatasetError, match=HASHES):
-        read_hashes(tmp_path)
-
-
 @pytest.mark.parametrize("name", ["../outside", "/etc/passwd", "\0", "x" * 5000])
 def test_a_hash_opens_no_file_outside(copy: Path, name: str) -> None:
     (copy.parent / "outside").write_text("mine")
-    write_hashes(copy, (read_hashes(copy) or {}) | {name: FileHash("0", 4)})
-    with pytest.raises(DatasetError, match="got none"):
+    known = read_hashes(copy, DatasetError)
+    store_hashes(copy, (known or {}) | {name: {"bytes": 4, "sha256": "0"}})
+    with pytest.raises(DatasetError, match=r"file names with|got none"):
         check_dataset(copy, "full")
 
 
@@ -97,8 +89,8 @@ def test_merged_by_lerobot_then_hashed(demos: Path, tmp_path: Path) -> None:
     merged, fewer = tmp_path / "merged", tmp_path / "fewer"
     merge_datasets([open_dataset(demos), open_dataset(demos)], "local/merged", merged)
     assert ours(merged, "rehash=true") == 0
-    stored = read_hashes(merged)
-    assert stored is not None and {entry.episode for entry in stored.values()} == {None}  # packed files
+    stored = read_hashes(merged, DatasetError)
+    assert stored and not any("episode" in entry for entry in stored.values())  # packed files
     source = check_dataset(merged, "full")
     assert (
         len(source.episodes) == 6 and len({e.videos[k].file for e in source.episodes for k in e.videos}) == 6
@@ -144,8 +136,9 @@ def test_a_shared_dataset_is_checked_in_full_first(
 
 
 def test_hashes_of_a_thousand_episodes_cost_little(tmp_path: Path) -> None:
-    many = {f"videos/key_{n % 9}/chunk-000/file-{n}.mp4": FileHash("0" * 64, n, n) for n in range(9000)}
+    names = {f"videos/key_{n % 9}/chunk-000/file-{n}.mp4": n for n in range(9000)}
+    many = {name: {"bytes": n, "sha256": "0" * 64, "episode": n} for name, n in names.items()}
     began_s = time.process_time()
-    write_hashes(tmp_path, many)
-    assert read_hashes(tmp_path) == many
+    store_hashes(tmp_path, many)
+    assert read_hashes(tmp_path, DatasetError) == many
     assert time.process_time() - began_s < 1

@@ -1,9 +1,7 @@
 """Readers of users' tactile data sets; see docs/data_readers.md."""
 
-from uniforce_datasets.readers.force_axes import ForceAxes
-from uniforce_datasets.readers.genforce import GenForceConfig, read_genforce
+from uniforce_datasets.readers.genforce import ForceAxes, GenForceConfig, ReadOptions, read_genforce
 from uniforce_datasets.readers.recording import LabelledRecording, PairRecording
-from uniforce_datasets.readers.trial import ReadOptions
 from uniforce_datasets.readers.uniforce_pairs import PairConfig, read_uniforce_pairs, write_uniforce_pairs
 
 __all__ = [

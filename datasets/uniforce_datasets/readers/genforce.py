@@ -7,9 +7,9 @@ up; none of the authors' code is used.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -23,37 +23,80 @@ from uniforce_datasets.readers.files import (
     read_table,
     subfolders,
 )
-from uniforce_datasets.readers.force_axes import ForceAxes
 from uniforce_datasets.readers.recording import LabelledRecording
-from uniforce_datasets.readers.trial import ReadOptions, Trial, recordings_of
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contact import UNSEEN
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 
+log = logging.getLogger(__name__)
+
 PACKED_BYTES = MARKER_IMAGE_SHAPE[0] * MARKER_IMAGE_SHAPE[1] // 8
 LAYOUTS = (".", "hetero", "training/hetero", "dataset/training/hetero")  # where img/ and force/ may be
 SPLITS = ("all", "seen", "unseen")
+JPEG_WHITE = 50  # grey level above which a JPEG pixel is white, as the release binarises
+CLEAR_PULL_N = 2.0  # a pad can't be pulled; tare drift and gel that sticks stay below this
 MISSING_DO = "Give the folder that holds img/ and force/ (dataset/training/hetero in the release)."
 
 
 @dataclass(frozen=True)
-class GenForceConfig:
-    """What to read of a GenForce folder.
+class ForceAxes:
+    """Which recorded axis, with which sign, is each of ours.
 
-    Attributes:
-        sensors: kinds to read; empty for all found.
-        split: "unseen" is sphere_s, triangle, pacman, cone, wave and torus; "seen" every other indenter.
-        axes: from the Nano17's axes to ours.
-        options: reference and memory.
-        jpg_threshold: grey level above which a JPEG pixel is white.
+    The default is GenForce's: Fz is negative in compression (its labels are normalised from −20 N to 5 N), Fx and
+    Fy are taken as image right and image down. How a rig's shear axes lie in the image is documented for no
+    public set: ``shear_agreement`` (benchmarks) tells from the data whether the signs are right.
     """
 
-    sensors: tuple[str, ...] = ()
+    x: str = "+x"  # recorded axis that points to the right in the image, e.g. "+x" or "-y"
+    y: str = "+y"  # recorded axis that points down in the image
+    z: str = "-z"  # recorded axis that is positive in compression
+
+    def __post_init__(self) -> None:
+        """Raise ContractError unless the three are signed and different."""
+        names = (self.x, self.y, self.z)
+        if any(len(n) != 2 or n[0] not in "+-" for n in names) or {n[1] for n in names} != set("xyz"):
+            do = 'Give each recorded axis once, with its sign, e.g. ForceAxes("+x", "-y", "-z").'
+            raise ContractError(expected("force axes", "±x, ±y, ±z in some order", names, do))
+
+    def to_image(self, recorded_N: np.ndarray) -> np.ndarray:
+        """Return (T, 3) float32 forces in our axes from (T, 3 or more) recorded ones; moments are left aside."""
+        names = (self.x, self.y, self.z)
+        columns = ["xyz".index(name[1]) for name in names]
+        signs = np.array([1.0 if name[0] == "+" else -1.0 for name in names])
+        return (recorded_N[:, columns] * signs).astype(np.float32)  # (T, 3)
+
+
+def check_compression(force_N: np.ndarray, where: str) -> None:
+    """Raise DatasetError where a trial's strongest normal force is a clear pull: then z has the wrong sign."""
+    strongest_pull, strongest_push = -float(force_N[:, 2].min()), float(force_N[:, 2].max())
+    if strongest_pull > max(strongest_push, CLEAR_PULL_N):
+        came = f"{strongest_pull:.1f} N of pull, {max(strongest_push, 0):.1f} N of compression"
+        do = "Turn the sign of z in ForceAxes, or is another axis the normal?"
+        raise DatasetError(expected(f"{where}, force", "compression positive in z", came, do))
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What to do where a trial isn't as the protocol promises, and how much to hold in memory."""
+
+    reference: Literal["first", "quietest"] = (
+        "first"  # frame taken as free air; a trial begins before contact
+    )
+    max_reference_force_N: float = 0.5  # |F| in it; drift of a tared cell, less than any labelled press
+    pressed_reference: Literal["refuse", "skip"] = "refuse"  # a trial that has no such frame
+    max_frames: int = 256  # per recording, 79 MB of images; a longer trial comes in parts
+
+
+@dataclass(frozen=True)
+class GenForceConfig:
+    """What to read of a GenForce folder."""
+
+    sensors: tuple[str, ...] = ()  # kinds to read; empty for all found
+    # unseen: sphere_s, triangle, pacman, cone, wave and torus; seen: every other indenter
     split: Literal["all", "seen", "unseen"] = "all"
-    axes: ForceAxes = field(default_factory=ForceAxes)
+    axes: ForceAxes = field(default_factory=ForceAxes)  # from the Nano17's axes to ours
     options: ReadOptions = field(default_factory=ReadOptions)
-    jpg_threshold: int = 50  # grey levels, as the release binarises
 
 
 def genforce_root(folder: str | Path) -> Path | None:
@@ -81,7 +124,7 @@ def read_genforce(folder: str | Path, config: GenForceConfig | None = None) -> I
             if config.split != "all" and (indenter.name in UNSEEN) != (config.split == "unseen"):
                 continue
             for trial in subfolders(indenter, root):
-                yield from recordings_of(_trial(root, trial, config), config.options)
+                yield from _recordings(root, trial, config)
 
 
 def _sensors(root: Path, config: GenForceConfig) -> list[Path]:
@@ -96,16 +139,40 @@ def _sensors(root: Path, config: GenForceConfig) -> list[Path]:
     return [found[name] for name in wanted]
 
 
-def _trial(root: Path, folder: Path, config: GenForceConfig) -> Trial:
+def _recordings(root: Path, folder: Path, config: GenForceConfig) -> Iterator[LabelledRecording]:
+    """Yield a trial's recordings, at most ``config.options.max_frames`` frames each."""
     sensor, indenter, name = folder.relative_to(root / "img").parts
+    where, most = f"{sensor}/{indenter}/{name}", config.options.max_frames
     images = numbered_images(folder, root, (".npy", ".jpg", ".jpeg"))
     forces = inside(root, root / "force" / sensor / indenter / name / "ft.csv")
-    recorded_N = read_forces(forces)
-    if len(recorded_N) != len(images):
+    force_N = config.axes.to_image(read_forces(forces))
+    if len(force_N) != len(images):
         do = "Which force belongs to which frame can't be known: restore the trial."
-        raise DatasetError(expected(str(forces), f"{len(images)} rows, one per image", len(recorded_N), do))
-    signal = partial(_images, images, config.jpg_threshold)
-    return Trial(sensor, indenter, name, config.axes.to_image(recorded_N), signal)
+        raise DatasetError(expected(str(forces), f"{len(images)} rows, one per image", len(force_N), do))
+    check_compression(force_N, where)
+    free_air = _free_air(force_N, where, config.options)
+    if free_air is None:
+        return
+    reference = _image(images[free_air])
+    for first in range(0, len(images), most):
+        rows = slice(first, first + most)
+        frames = np.stack([_image(path) for path in images[rows]])
+        yield LabelledRecording(sensor, indenter, name, reference, frames, force_N[rows], first)
+
+
+def _free_air(force_N: np.ndarray, where: str, options: ReadOptions) -> int | None:
+    """Return the index of a trial's reference; None where the trial is to be left out."""
+    strength = np.linalg.norm(force_N, axis=1)  # (T,)
+    index = int(strength.argmin()) if options.reference == "quietest" else 0
+    if strength[index] <= options.max_reference_force_N:
+        return index
+    wanted = f"a free-air frame, |F| ≤ {options.max_reference_force_N:g} N"
+    came = f"{strength[index]:.2f} N in the {options.reference} frame"
+    if options.pressed_reference == "refuse":
+        do = 'Leave it out with ReadOptions(pressed_reference="skip"), or raise max_reference_force_N.'
+        raise DatasetError(expected(where, wanted, came, do))
+    log.warning("%s left out: expected %s, got %s", where, wanted, came)
+    return None
 
 
 def read_forces(path: Path) -> np.ndarray:
@@ -124,10 +191,8 @@ def read_forces(path: Path) -> np.ndarray:
     return values.to_numpy(np.float64)
 
 
-def _images(paths: list[Path], threshold: int, first: int) -> Iterator[np.ndarray]:
-    for path in paths[first:]:
-        is_array = path.suffix == ".npy"
-        yield read_packed(path) if is_array else read_marker_picture(path, threshold)
+def _image(path: Path) -> np.ndarray:
+    return read_packed(path) if path.suffix == ".npy" else read_marker_picture(path, JPEG_WHITE)
 
 
 def read_packed(path: Path) -> np.ndarray:

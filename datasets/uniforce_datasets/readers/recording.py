@@ -16,25 +16,15 @@ from uniforce_vtla.errors import ContractError, DatasetError, expected
 
 @dataclass(frozen=True, eq=False)
 class LabelledRecording:
-    """Consecutive frames of one trial of one sensor, with forces.
+    """Consecutive frames of one trial of one sensor, with forces."""
 
-    Attributes:
-        sensor: kind of sensor, a free name, e.g. "gelsight" or "gelsight_d".
-        indenter: what was pressed.
-        trial: name of the trial within its data set.
-        reference: (H, W) uint8 marker image in free air.
-        frames: (T, H, W) uint8 marker images.
-        force_N: (T, 3) float32.
-        first_frame: index of ``frames[0]`` within the trial: a long trial comes in several recordings.
-    """
-
-    sensor: str
-    indenter: str
-    trial: str
-    reference: np.ndarray
-    frames: np.ndarray
-    force_N: np.ndarray
-    first_frame: int = 0
+    sensor: str  # kind of sensor, a free name, e.g. "gelsight" or "gelsight_d"
+    indenter: str  # what was pressed
+    trial: str  # name of the trial within its data set
+    reference: np.ndarray  # (H, W) uint8 marker image in free air
+    frames: np.ndarray  # (T, H, W) uint8 marker images
+    force_N: np.ndarray  # (T, 3) float32
+    first_frame: int = 0  # index of ``frames[0]`` within the trial: a long trial comes in several recordings
 
     def __post_init__(self) -> None:
         """Raise DatasetError where images or forces break the form."""
@@ -47,25 +37,16 @@ class LabelledRecording:
 
 @dataclass(frozen=True, eq=False)
 class PairRecording:
-    """Contacts felt by two fingers at once: frame k of the left and frame k of the right are a pair.
+    """Contacts that two fingers measure at once: frame k of the left and frame k of the right are a pair."""
 
-    Attributes:
-        sensors: kinds of the left and the right sensor.
-        indenter: what was held.
-        name: where in its data set it comes from.
-        left_reference, right_reference: (H, W) uint8 marker images in free air.
-        left_frames, right_frames: (T, H, W) uint8 marker images.
-        first_frame: index of the first pair within the indenter's frames.
-    """
-
-    sensors: tuple[str, str]
-    indenter: str
-    name: str
-    left_reference: np.ndarray
-    right_reference: np.ndarray
-    left_frames: np.ndarray
-    right_frames: np.ndarray
-    first_frame: int = 0
+    sensors: tuple[str, str]  # kinds of the left and the right sensor
+    indenter: str  # what was held
+    name: str  # where in its data set it comes from
+    left_reference: np.ndarray  # (H, W) uint8 marker images in free air
+    right_reference: np.ndarray  # likewise
+    left_frames: np.ndarray  # (T, H, W) uint8 marker images
+    right_frames: np.ndarray  # likewise
+    first_frame: int = 0  # index of the first pair within the indenter's frames
 
     def __post_init__(self) -> None:
         """Raise DatasetError where images break the form or the fingers' frames don't pair up."""

@@ -2,7 +2,7 @@
 
 640×480 JPEGs of quality 100 with a black border of 4 px; the same index on both sides is a pair. A folder counts by
 its ``collection_log.txt``. The layout names no free-air reference. This project's is ``reference.jpg`` beside the
-frames, or one for the whole sensor a level higher; where there is none, the reader must be told which frame it is.
+frames, or one for the whole sensor a level higher; where there is none, the caller names the frame.
 """
 
 from __future__ import annotations
@@ -34,17 +34,13 @@ HALF_WAY = 127  # grey level: a quality-100 JPEG of a binary image stays far on 
 
 @dataclass(frozen=True)
 class PairConfig:
-    """What to read of a folder of pairs.
+    """What to read of a folder of pairs."""
 
-    Attributes:
-        reference_index: frame taken as free air where there is no reference.jpg, e.g. 0; None refuses such a set.
-        indenters: names to read; empty for all.
-        max_frames: pairs per recording: two stacks of 79 MB; more come in parts.
-    """
-
-    reference_index: int | None = None
-    indenters: tuple[str, ...] = ()
-    max_frames: int = 256
+    reference_index: int | None = (
+        None  # frame of free air where there is no reference.jpg; None refuses such a set
+    )
+    indenters: tuple[str, ...] = ()  # names to read; empty for all
+    max_frames: int = 256  # pairs per recording: two stacks of 79 MB; more come in parts
 
 
 def pair_folders(folder: str | Path) -> list[Path]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from uniforce_robots.pairs.touch_field import CHANNELS, GRID
+from uniforce_robots.pairs.finger_force import CHANNELS, GRID
 
 NORMAL_EDGES_N = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0)  # the paper's range, finer where grasps are gentle
 SHEAR_EDGES_N = (0.0, 0.5, 1.5, 3.0)  # magnitude

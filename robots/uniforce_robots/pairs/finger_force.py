@@ -1,8 +1,13 @@
-"""Force on one pad from its touch field: a small network per kind of sensor, trained in simulation on many units.
+"""Force on one pad from its markers: a field of their motion, and a small network per kind of sensor that reads it.
 
-It reads marker motion, not the tokenizer's latents, because a tenth of the force must be distinguished: on simulated
-grasps of units it has not seen its shear is off by less than 0.1 N, where heads on latents are off by a sixth of the
-force. Its normal force leans on the shape of what is held and is corrected per grasp (see ``pair_judge``).
+A field is (3, 8, 8): motion in x and y and growth on a fixed grid, whatever markers a sensor has. Markers are found and
+matched as for the hand descriptor; each cell takes the mean of the markers around it, near ones counting more. A lost
+marker leaves its neighbours in charge. Finger frame in, canonical frame out.
+
+The network is trained in simulation on many units. It reads marker motion, not the tokenizer's latents, because a tenth
+of the force must be distinguished: on simulated grasps of units it has not seen its shear is off by less than 0.1 N,
+where heads on latents are off by a sixth of the force. Its normal force leans on the shape of what is held and is
+corrected per grasp (see ``pair_judge``).
 """
 
 from __future__ import annotations
@@ -13,12 +18,57 @@ import numpy as np
 import torch
 from torch import nn
 
-from uniforce_robots.pairs.touch_field import FEATURES
-from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, check_marker_image
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.descriptor import MIN_MATCHES, find_blobs, marker_pitch_px, match
 from uniforce_vtla.tokenizer.weights import load_model, read_config
 
+GRID, CHANNELS = 8, 3
+FEATURES = CHANNELS * GRID * GRID
+MOTION_PX, GROWTH = 10.0, 0.2  # what counts as one: typical of a firm contact
 ASSETS = Path(__file__).parent / "assets"
 HIDDEN = (192, 96)
+
+
+class TouchField:
+    """Fields of one finger against its free-air reference.
+
+    Args:
+        reference: (480, 640) uint8 marker image in free air, as the sensor saw it.
+        finger: who wears it; the right finger's field is mirrored into the canonical frame.
+
+    Raises:
+        ContractError: no marker image, or too few markers.
+    """
+
+    def __init__(self, reference: np.ndarray, finger: Finger) -> None:
+        self._mirrors = finger == "right"
+        self._before = find_blobs(check_marker_image(reference, "reference"))
+        if len(self._before.area_px) < MIN_MATCHES:
+            came = len(self._before.area_px)
+            raise ContractError(expected("reference", f"≥ {MIN_MATCHES} markers", came, "Capture it again."))
+        self._reach_px = marker_pitch_px(self._before.centre_px)
+        y, x = ((np.arange(GRID) + 0.5) * size / GRID for size in MARKER_IMAGE_SHAPE)
+        cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        distance = np.linalg.norm(cells[:, None] - self._before.centre_px[None], axis=-1)
+        self._weight = np.exp(-0.5 * (distance / (0.7 * self._reach_px)) ** 2) + 1e-9  # (cells, M)
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """Return (192,) float32 of one (480, 640) image: motion x, motion y, growth of each cell, row by row."""
+        after = find_blobs(check_marker_image(image))
+        i, j = match(self._before, after, self._reach_px)
+        field = np.zeros((GRID * GRID, CHANNELS), np.float32)
+        if len(i) >= MIN_MATCHES:
+            motion = (after.centre_px[j] - self._before.centre_px[i]) / MOTION_PX
+            growth = np.log(after.area_px[j] / self._before.area_px[i]) / GROWTH
+            weight = self._weight[:, i]
+            values = weight @ np.column_stack([motion, growth])
+            field[:] = values / np.maximum(weight.sum(axis=1, keepdims=True), 1e-6)
+        maps: np.ndarray = field.T.reshape(CHANNELS, GRID, GRID)
+        if self._mirrors:
+            maps = maps[:, :, ::-1].copy()
+            maps[0] *= -1  # motion in x
+        return maps.ravel()
 
 
 class FingerForce(nn.Module):

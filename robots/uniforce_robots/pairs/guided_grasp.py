@@ -34,20 +34,15 @@ GRIP_NOISE = 0.08  # relative standard deviation of the gripper's force estimate
 class GraspSettings:
     """How grasps are drawn.
 
-    Attributes:
-        rate_hz: frames per second.
-        frames: per grasp.
-        rest_s: at first the hand rests while the fingers close to their firmest grip: nothing else loads the pads
-            then, so that each grasp shows how its two fingers compare.
-        fault_share: share of the grasps in which something goes wrong, the faults taking equal parts.
-        faults: those that may be drawn.
+    At first the hand rests while the fingers close to their firmest grip: nothing else loads the pads then, so that
+    each grasp shows how its two fingers compare.
     """
 
-    rate_hz: float = 15.0
-    frames: int = 45
+    rate_hz: float = 15.0  # frames per second
+    frames: int = 45  # per grasp
     rest_s: float = 1.0
-    fault_share: float = 0.5
-    faults: tuple[str, ...] = FAULTS
+    fault_share: float = 0.5  # of the grasps in which something goes wrong, the faults taking equal parts
+    faults: tuple[str, ...] = FAULTS  # those that may be drawn
 
     @property
     def times_s(self) -> np.ndarray:
@@ -57,21 +52,14 @@ class GraspSettings:
 
 @dataclass(frozen=True)
 class GuidedGrasp:
-    """One grasp of T frames.
+    """One grasp of T frames."""
 
-    Attributes:
-        left_N, right_N: (T, 3) what either pad is asked to carry, canonical frame.
-        velocity_m_s, acceleration_m_s2: (T, 3) of the hand in its own frame, as measured.
-        grip_N: (T,) the gripper's own estimate.
-        fault: one of ``FAULTS``, or "none".
-    """
-
-    left_N: np.ndarray
-    right_N: np.ndarray
-    velocity_m_s: np.ndarray
-    acceleration_m_s2: np.ndarray
-    grip_N: np.ndarray
-    fault: str = "none"
+    left_N: np.ndarray  # (T, 3) what either pad is asked to carry, canonical frame
+    right_N: np.ndarray  # likewise
+    velocity_m_s: np.ndarray  # (T, 3) of the hand in its own frame, as measured
+    acceleration_m_s2: np.ndarray  # likewise
+    grip_N: np.ndarray  # (T,) the gripper's own estimate
+    fault: str = "none"  # one of ``FAULTS``, or "none"
 
 
 def draw_grasp(
@@ -94,30 +82,19 @@ def draw_grasp(
     shear = _shear(rng, grip, friction) * led[:, None]
     difference = RESIDUAL * grip[:, None] * _wander(rng, T, 3, 8)
     difference[:, 2] += mass_kg * acceleration[:, CLOSING]
-    left, right = _faulty(rng, settings, fault, grip, shear, difference, friction)
+    left, right = _faulty(rng, settings, fault, friction, grip, shear, difference)
     velocity = np.cumsum(acceleration, axis=0) * dt
-    velocity += (
-        0.03 * _wander(rng, T, 3, 6) * led[:, None]
-    )  # slow leading, whose acceleration is in SLOW_m_s2
-    return GuidedGrasp(
-        left,
-        right,
-        velocity + SPEED_NOISE_m_s * rng.standard_normal((T, 3)),
-        acceleration + ACCELERATION_NOISE_m_s2 * rng.standard_normal((T, 3)),
-        grip * (1 + GRIP_NOISE * rng.standard_normal()) + 0.1 * rng.standard_normal(T),
-        fault,
-    )
+    velocity += 0.03 * _wander(rng, T, 3, 6) * led[:, None]  # slow leading, its acceleration is in SLOW_m_s2
+    velocity += SPEED_NOISE_m_s * rng.standard_normal((T, 3))
+    acceleration += ACCELERATION_NOISE_m_s2 * rng.standard_normal((T, 3))
+    grip_N = grip * (1 + GRIP_NOISE * rng.standard_normal()) + 0.1 * rng.standard_normal(T)
+    return GuidedGrasp(left, right, velocity, acceleration, grip_N, fault)
 
 
 def _faulty(
-    rng: np.random.Generator,
-    settings: GraspSettings,
-    fault: str,
-    grip: np.ndarray,
-    shear: np.ndarray,
-    difference: np.ndarray,
-    friction: float,
-) -> tuple[np.ndarray, np.ndarray]:
+    rng: np.random.Generator, settings: GraspSettings, fault: str, friction: float,
+    grip: np.ndarray, shear: np.ndarray, difference: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return what left and right carry with the fault in it."""
     window = _window(rng, settings)
     side = 1 if rng.random() < 0.5 else -1

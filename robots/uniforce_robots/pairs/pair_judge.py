@@ -15,6 +15,7 @@ fingers close with the hand at rest, both pads carry the same growing force.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,9 +23,7 @@ from uniforce_robots.pairs.rig import CLOSING
 
 # Threshold and trust were set on simulated sessions other than those the score is measured on.
 LIMIT = 0.115  # estimated error above which a pair is flagged; above the true limit of 0.10, since noise only adds
-TRUST = (
-    3.0  # the session's own standard deviations by which normals must disagree to overrule the acceleration
-)
+TRUST = 3.0  # standard deviations of the session by which normals must disagree to overrule the acceleration
 SMOOTH = 3  # frames of the moving mean of forces; odd
 ALONE = 0.3  # share of the other finger's normal below which a finger counts as not touching
 REST_SPEED_m_s, REST_ACCELERATION_m_s2 = 0.02, 0.6  # a hand below both is at rest
@@ -37,25 +36,19 @@ PULL_N2 = (
     200.0,
     200.0,
     2000.0,
-)  # prior that two units' shears are alike, and not made of normals: some ten grasps
+)  # prior that two units' shears are alike, not made of normals: some ten grasps
 SPREAD_GRASPS = 4  # grasps the first guess of the spread is worth
 
 
 @dataclass(frozen=True)
 class GraspSignals:
-    """What a rig knows of one grasp so far, T frames.
+    """What a rig knows of one grasp so far, T frames."""
 
-    Attributes:
-        left_N, right_N: (T, 3) estimated forces, canonical frame.
-        velocity_m_s, acceleration_m_s2: (T, 3) of the hand in its own frame.
-        mass_kg: of object and moving holder.
-    """
-
-    left_N: np.ndarray
-    right_N: np.ndarray
-    velocity_m_s: np.ndarray
-    acceleration_m_s2: np.ndarray
-    mass_kg: float
+    left_N: np.ndarray  # (T, 3) estimated forces, canonical frame
+    right_N: np.ndarray  # likewise
+    velocity_m_s: np.ndarray  # (T, 3) of the hand in its own frame
+    acceleration_m_s2: np.ndarray  # likewise
+    mass_kg: float  # of object and moving holder
 
 
 @dataclass(frozen=True)
@@ -64,15 +57,17 @@ class PairQuality:
 
     Attributes:
         error: (T,) estimated ‖F_left − F_right‖ over the mean of both; 2 where one finger doesn't touch.
-        flagged: (T,) bool, not to be trained on.
     """
 
     error: np.ndarray
-    flagged: np.ndarray
+
+    @property
+    def flagged(self) -> np.ndarray:
+        """(T,) bool, not to be trained on."""
+        return self.error > LIMIT
 
 
-@dataclass(frozen=True)
-class _Compared:
+class _Compared(NamedTuple):
     """One grasp's smoothed forces (T, 3), and both normals (T,), comparable."""
 
     left_N: np.ndarray
@@ -102,17 +97,13 @@ class PairJudge:
         mean = (_size(c.left_N[:, :2], c.left_normal) + _size(shear, c.right_normal)) / 2
         weaker, stronger = np.sort([c.left_normal, c.right_normal], axis=0)
         one_alone = (weaker < ALONE * stronger) & (stronger > 0.4)
-        error = np.where(one_alone, 2.0, apart / np.maximum(mean, FLOOR_N))
-        return PairQuality(error, error > LIMIT)
+        return PairQuality(np.where(one_alone, 2.0, apart / np.maximum(mean, FLOOR_N)))
 
     def learn(self, grasp: GraspSignals) -> None:
         """Take a finished grasp into the session's comparison."""
         self._grasps = [*self._grasps, grasp][-GRASPS_KEPT:]
-        left, right = (
-            np.concatenate([_smooth(getattr(g, side)) for g in self._grasps])
-            for side in ("left_N", "right_N")
-        )
-        self._shear = _compare_shear(left, right)
+        left = np.concatenate([_smooth(g.left_N) for g in self._grasps])
+        self._shear = _compare_shear(left, np.concatenate([_smooth(g.right_N) for g in self._grasps]))
         known = [ratio for ratio in map(_rest_ratio, self._grasps) if np.isfinite(ratio)]
         self._log_ratio = float(np.median(known)) if known else 0.0
         self._spread = self._learn_spread()
@@ -127,9 +118,8 @@ class PairJudge:
         prior, pull = np.array([self._log_ratio, 0.0]), np.diag([1.0, 4.0])  # as if from one, four frames
         normal = terms.T @ (weight[:, None] * terms) + pull
         found = np.linalg.solve(normal, terms.T @ (weight * np.log(b / a)) + pull @ prior)
-        found[0] = np.clip(
-            found[0], prior[0] - 0.7, prior[0] + 0.7
-        )  # a factor of 2: more is a finger not touching
+        low, high = prior[0] - 0.7, prior[0] + 0.7  # a factor of 2: more is a finger not touching
+        found[0] = np.clip(found[0], low, high)
         return _Compared(left, right, a, b * np.exp(-terms @ found))
 
     def _learn_spread(self) -> float:
@@ -148,9 +138,8 @@ class PairJudge:
 
 def _rest(grasp: GraspSignals) -> np.ndarray:
     """(T,) the first frames, until the hand moves for two frames in a row."""
-    moving = (np.linalg.norm(grasp.velocity_m_s, axis=1) > REST_SPEED_m_s) | (
-        np.linalg.norm(grasp.acceleration_m_s2, axis=1) > REST_ACCELERATION_m_s2
-    )
+    fast = np.linalg.norm(grasp.velocity_m_s, axis=1) > REST_SPEED_m_s
+    moving = fast | (np.linalg.norm(grasp.acceleration_m_s2, axis=1) > REST_ACCELERATION_m_s2)
     twice = moving & np.append(moving[1:], True)
     begun = int(np.argmax(twice)) if twice.any() else len(moving)
     return np.arange(len(moving)) < max(begun, 3)

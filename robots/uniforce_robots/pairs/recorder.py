@@ -14,11 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uniforce_robots.pairs.coverage import Coverage, contact_place
-from uniforce_robots.pairs.gate import MotionLimits
 from uniforce_robots.pairs.pair_judge import PairJudge, PairQuality
 from uniforce_robots.pairs.rig import PairRig
 from uniforce_robots.pairs.storage import MIN_CHUNK, Pair, PairStore, Session
-from uniforce_robots.pairs.track import FingerReaders, GraspTrack
+from uniforce_robots.pairs.track import FingerReaders, GraspTrack, MotionLimits
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import DatasetError, expected
 
@@ -28,59 +27,34 @@ LIVE_EVERY = 5  # frames between two live scores
 
 @dataclass(frozen=True)
 class RecordingPlan:
-    """What to record.
+    """What to record."""
 
-    Attributes:
-        pairs: per indenter.
-        chunk: pairs saved at once; what a kill may cost.
-        limits: what counts as slow.
-        crowded: largest share of an indenter's pairs in one cell of force; more are left out.
-        longest_grasp: frames after which a grasp is judged although the fingers hold on.
-        give_up: frames per wanted pair after which an indenter is given up: something is wrong then.
-    """
-
-    pairs: int = 1000
-    chunk: int = 50
-    limits: MotionLimits = field(default_factory=MotionLimits)
-    crowded: float = 0.25
-    longest_grasp: int = 300
-    give_up: int = 60
+    pairs: int = 1000  # per indenter
+    chunk: int = 50  # pairs saved at once; what a kill may cost
+    limits: MotionLimits = field(default_factory=MotionLimits)  # what counts as slow
+    crowded: float = 0.25  # largest share of an indenter's pairs in one cell of force; more are left out
+    longest_grasp: int = 300  # frames after which a grasp is judged although the fingers hold on
+    give_up: int = 60  # frames per wanted pair after which an indenter is given up: something is wrong then
 
 
 @dataclass(frozen=True)
 class Status:
-    """What an operator sees.
+    """What an operator sees."""
 
-    Attributes:
-        indenter, indenters: number of the current one, from 1, and of all.
-        name: of the indenter.
-        have, wanted: pairs.
-        error: live score of the newest pair.
-        reason: why the newest frame would not be kept; "" where it would.
-        coverage: of this indenter.
-    """
-
-    indenter: int
-    indenters: int
-    name: str
-    have: int
-    wanted: int
-    error: float
-    reason: str
-    coverage: Coverage
+    indenter: int  # number of the current one, from 1
+    name: str  # of the indenter
+    have: int  # pairs of it
+    error: float  # live score of the newest pair
+    reason: str  # why the newest frame would not be kept; "" where it would
+    coverage: Coverage  # of this indenter
 
 
 @dataclass
 class SessionReport:
-    """What became of the frames.
+    """What became of the frames."""
 
-    Attributes:
-        outcomes: how many frames were kept, or why not.
-        kept: (grasp, frame within the grasp) of every kept pair, in order.
-    """
-
-    outcomes: Counter[str] = field(default_factory=Counter)
-    kept: list[tuple[int, int]] = field(default_factory=list)
+    outcomes: Counter[str] = field(default_factory=Counter)  # how many frames were kept, or why not
+    kept: list[tuple[int, int]] = field(default_factory=list)  # (grasp, frame within it) of every kept pair
 
 
 class PairRecorder:
@@ -148,16 +122,9 @@ class PairRecorder:
 
     def _status(self, track: GraspTrack, pairs: _Pairs) -> Status:
         quality = self._judge.judge(track.signals())
-        return Status(
-            pairs.indenter + 1,
-            len(self._store.indenters),
-            pairs.name,
-            pairs.have,
-            self._plan.pairs,
-            float(quality.error[-1]),
-            self._reasons(track, quality)[-1],
-            self._store.coverage[pairs.indenter],
-        )
+        error, reason = float(quality.error[-1]), self._reasons(track, quality)[-1]
+        coverage = self._store.coverage[pairs.indenter]
+        return Status(pairs.indenter + 1, pairs.name, pairs.have, error, reason, coverage)
 
     def _refuse_endless(self, frames: int, pairs: _Pairs) -> None:
         if frames < self._plan.longest_grasp + self._plan.give_up * self._plan.pairs:

@@ -1,6 +1,6 @@
 """Guided grasps in simulation: two units, an indenter, and the images both fingers would see.
 
-Yields what a rig would deliver. The truth beside it is for whoever judges the score, never for the score. Forces are
+Yields what a rig would deliver. The truth beside it is for judging the score, never for the score. Forces are
 canonical (the left finger's frame), so that in equilibrium both are equal.
 """
 
@@ -73,8 +73,7 @@ class SimulatedRig:
         self.truths: list[GraspTruth] = []
         self._rng = np.random.default_rng([rehearsal.seed, 77])
         self._fingers = {
-            finger: draw_simulator(self._rng, sensor, UNIT_STRENGTH, OPTIONS)
-            for finger, sensor in self.sensors.items()
+            f: draw_simulator(self._rng, sensor, UNIT_STRENGTH, OPTIONS) for f, sensor in self.sensors.items()
         }
         self._true_mass_kg = float(self._rng.uniform(*MASS_kg))
         self.mass_kg = self._true_mass_kg * (1 + MASS_KNOWN * float(self._rng.standard_normal()))
@@ -96,9 +95,8 @@ class SimulatedRig:
         number = len(self.truths)
         self.truths.append(GraspTruth(equilibrium_error(left, right * CANONICAL), grasp.fault))
         moments = zip(grasp.velocity_m_s, grasp.acceleration_m_s2, grasp.grip_N.tolist(), strict=True)
-        return [
-            RigFrame(number, {f: images[f][k] for f in FINGERS}, *moment) for k, moment in enumerate(moments)
-        ]
+        seen = ({f: images[f][k] for f in FINGERS} for k in range(len(grasp.grip_N)))
+        return [RigFrame(number, pair, *moment) for pair, moment in zip(seen, moments, strict=True)]
 
     def _contacts(self, indenter: str, left_N: np.ndarray, right_N: np.ndarray) -> dict[Finger, ContactState]:
         """Return each finger's contact in its own frame; the place stays the same for a grasp."""

@@ -7,10 +7,9 @@ opens.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -54,19 +53,12 @@ class Session:
 
 @dataclass(frozen=True)
 class Pair:
-    """A kept pair.
+    """A kept pair."""
 
-    Attributes:
-        frame: images and motion.
-        force_N: finger → (3,) estimates, canonical frame.
-        place: (2,) estimated, see ``coverage.contact_place``.
-        error: estimated equilibrium error.
-    """
-
-    frame: RigFrame
-    force_N: dict[Finger, np.ndarray]
-    place: np.ndarray
-    error: float
+    frame: RigFrame  # images and motion
+    force_N: dict[Finger, np.ndarray]  # finger → (3,) estimates, canonical frame
+    place: np.ndarray  # (2,) estimated, see ``coverage.contact_place``
+    error: float  # estimated equilibrium error
 
     @property
     def mean_force_N(self) -> np.ndarray:  # noqa: N802  a unit
@@ -75,7 +67,6 @@ class Pair:
 
     def row(self) -> dict[str, Any]:
         """Return the frame with the dataset's keys, all but the chunk's own."""
-        row: dict[str, Any] = {tactile_key(f): self.frame.images[f] for f in FINGERS}
         numbers = {pair_force_key(f): self.force_N[f] for f in FINGERS} | {
             PAIR_PLACE: self.place,
             PAIR_ERROR: [self.error],
@@ -83,7 +74,8 @@ class Pair:
             PAIR_ACCELERATION: self.frame.acceleration_m_s2,
             PAIR_GRIP: [self.frame.grip_N],
         }
-        return row | {key: np.asarray(value, np.float32) for key, value in numbers.items()}
+        row: dict[str, Any] = {key: np.asarray(value, np.float32) for key, value in numbers.items()}
+        return row | {tactile_key(f): self.frame.images[f] for f in FINGERS}
 
 
 def pair_features() -> dict[str, dict]:
@@ -106,7 +98,6 @@ class PairStore:
         left_sensor, right_sensor: registry names.
         indenters: names, in the order of their indices.
         rate_hz: frames per second, a whole number.
-        verify: how a dataset to go on with is checked, see ``check_dataset``.
 
     Attributes:
         counts: saved pairs of each indenter.
@@ -118,19 +109,13 @@ class PairStore:
     """
 
     def __init__(
-        self,
-        root: str | Path,
-        left_sensor: str,
-        right_sensor: str,
-        indenters: tuple[str, ...],
-        rate_hz: int,
-        verify: str = "quick",
+        self, root: str | Path, left_sensor: str, right_sensor: str, indenters: tuple[str, ...], rate_hz: int
     ) -> None:
         self.root, self.indenters = Path(root), indenters
         self.dataset, self.layout = self.root / DATASET, self.root / LAYOUT
         # the layout names left and right by folders, which two sensors of one kind would share
         same = left_sensor == right_sensor
-        self.names = (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
+        self._names = (f"{left_sensor}_l", f"{right_sensor}_r") if same else (left_sensor, right_sensor)
         self._recorder = EpisodeRecorder(
             self.dataset, "local/uniforce_pairs", left_sensor, right_sensor, rate_hz, features=pair_features()
         )
@@ -138,7 +123,7 @@ class PairStore:
         self.coverage = [Coverage() for _ in indenters]
         self.next_session = 0
         if self._recorder.num_episodes:
-            self._go_on(verify)
+            self._go_on(check_dataset(self.dataset))
 
     def add(self, indenter: int, session: Session, pairs: Sequence[Pair]) -> None:
         """Store pairs of one indenter and one session durably.
@@ -156,10 +141,8 @@ class PairStore:
         for pair in pairs:
             self._recorder.add(fixed | pair.row(), f"hold the {self.indenters[indenter]}")
         self._recorder.save(success=True, outcome="success", seed=0)  # a pair dataset has no such columns
-        forces, places = (
-            np.array(part) for part in zip(*((p.mean_force_N, p.place) for p in pairs), strict=True)
-        )
-        self._count(indenter, forces, places)
+        forces = np.array([pair.mean_force_N for pair in pairs])
+        self._count(indenter, forces, np.array([pair.place for pair in pairs]))
         self.next_session = max(self.next_session, session.number + 1)
         images = {f: np.stack([pair.frame.images[f] for pair in pairs]) for f in FINGERS}
         self._write_layout(indenter, session, images)
@@ -171,28 +154,23 @@ class PairStore:
     def __enter__(self) -> PairStore:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def _count(self, indenter: int, force_N: np.ndarray, place: np.ndarray) -> None:
         self.counts[indenter] += len(force_N)
         self.coverage[indenter].add(force_N, place)
 
-    # --- going on ----------------------------------------------------------------------------------------------------
-
-    def _go_on(self, verify: str) -> None:
+    def _go_on(self, source: Source) -> None:
         """Count what is there and bring the layout up to it."""
-        source = check_dataset(self.dataset, verify)
-        forces = tuple(pair_force_key(f) for f in FINGERS)
-        columns = source.columns((PAIR_INDENTER, PAIR_SESSION, PAIR_PLACE, *forces))
+        left, right = (pair_force_key(f) for f in FINGERS)
+        columns = source.columns((PAIR_INDENTER, PAIR_SESSION, PAIR_PLACE, left, right))
         indenter, session = (columns[key].reshape(-1) for key in (PAIR_INDENTER, PAIR_SESSION))
         if indenter.max() >= len(self.indenters):
             came = f"indenter {indenter.max()}"
             do = "Give the same indenters as before."
             raise DatasetError(expected(str(self.root), f"{len(self.indenters)} indenters", came, do))
-        force_N = (columns[forces[0]] + columns[forces[1]]) / 2
+        force_N = (columns[left] + columns[right]) / 2
         for index in np.unique(indenter):
             self._count(int(index), force_N[indenter == index], columns[PAIR_PLACE][indenter == index])
         self.next_session = int(session.max()) + 1
@@ -201,34 +179,32 @@ class PairStore:
 
     def _catch_up(self, source: Source, indenter: int, session: int, rows: np.ndarray) -> None:
         """Write the layout's images that a kill left out; drop those the dataset does not know."""
-        pairs = self.layout / PATTERN / _date(session) / "_".join(self.names) / "marker"
-        stored = [sorted((pairs / name / self.indenters[indenter]).glob("[0-9]*.jpg")) for name in self.names]
+        pairs = self.layout / PATTERN / _date(session) / "_".join(self._names) / "marker"
+        folders = [pairs / name / self.indenters[indenter] for name in self._names]
+        stored = [sorted(folder.glob("[0-9]*.jpg")) for folder in folders]
         have = min(int(rows.sum()), *map(len, stored))
         for image in (image for images in stored for image in images[have:]):
             image.unlink()
         seen = 0
         for episode in (episode for episode in source.episodes if rows[episode.start]):
-            if seen + episode.length > have:
-                self._write_episode(source, episode, indenter, session, max(have - seen, 0))
             seen += episode.length
+            if seen > have:
+                skip = max(have - seen + episode.length, 0)
+                references = {f: _decoded(source, episode, tactile_key(f, True), 1)[0] for f in FINGERS}
+                images = {f: _decoded(source, episode, tactile_key(f))[skip:] for f in FINGERS}
+                self._write_layout(indenter, Session(session, references), images)
 
-    def _write_episode(
-        self, source: Source, episode: Episode, indenter: int, session: int, skip: int
-    ) -> None:
-        def frames(finger: Finger, reference: bool, count: int) -> np.ndarray:
-            span = episode.videos[tactile_key(finger, reference)]
-            return np.stack([image[..., 0] for image in episode_frames(span, count, source.fps)])
+    def _write_layout(self, indenter: int, session: Session, images: Mapping[Finger, np.ndarray]) -> None:
+        left, right = session.references["left"], session.references["right"]
+        name = self.indenters[indenter]
+        pairs = PairRecording(self._names, name, "", left, right, images["left"], images["right"])
+        write_uniforce_pairs(self.layout, pairs, PATTERN, _date(session.number))
 
-        references = {f: frames(f, True, 1)[0] for f in FINGERS}
-        images = {f: frames(f, False, episode.length)[skip:] for f in FINGERS}
-        self._write_layout(indenter, Session(session, references), images)
 
-    def _write_layout(self, indenter: int, session: Session, images: dict[Finger, np.ndarray]) -> None:
-        references = session.references["left"], session.references["right"]
-        recording = PairRecording(
-            self.names, self.indenters[indenter], "", *references, images["left"], images["right"]
-        )
-        write_uniforce_pairs(self.layout, recording, PATTERN, _date(session.number))
+def _decoded(source: Source, episode: Episode, key: str, count: int = 0) -> np.ndarray:
+    """Return (T, 480, 640) marker images of an episode: the first ``count``, or all."""
+    frames = episode_frames(episode.videos[key], count or episode.length, source.fps)
+    return np.stack([image[..., 0] for image in frames])
 
 
 def _date(session: int) -> str:

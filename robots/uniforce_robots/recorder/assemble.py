@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TextIO
@@ -16,39 +16,15 @@ from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.episode import Parts, Store
 from uniforce_robots.recorder.faults import Interrupts
 from uniforce_robots.recorder.live_view import LiveView
-from uniforce_robots.recorder.operators import KeyOperator, Operator, Unattended
+from uniforce_robots.recorder.operators import Operator
 from uniforce_robots.recorder.rig import Rig, RigFacts
 from uniforce_robots.recorder.session import RecordingSession, SessionEnd, SessionSettings
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.store import StoreProcess, StoreSettings
-from uniforce_robots.teleop.keyboard import TerminalKeys
-from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED
 
 # Python's own 5 ms between two threads' turns would be the largest part of a tick's lateness.
 SWITCH_s = 0.0005
-
-
-def make_operator(kind: str, verdict: str, quick_notes: Sequence[str], teleop: Teleoperator) -> Operator:
-    """Return what judges.
-
-    Args:
-        kind: ``keys`` or ``nobody``.
-        verdict: what every episode is called in an unattended session.
-        quick_notes: what digits mean.
-        teleop: where it reads the terminal itself, its other keys are used.
-
-    Raises:
-        ContractError: another kind.
-    """
-    match kind:
-        case "keys":
-            keys = getattr(teleop, "keys", None)
-            return KeyOperator(keys if isinstance(keys, TerminalKeys) else None, quick_notes)
-        case "nobody":
-            return Unattended(verdict)
-        case _:
-            raise ContractError(expected("operator", "keys | nobody", repr(kind), "Name one."))
 
 
 def judged_episodes(root: Path, have: int) -> int:
@@ -57,8 +33,8 @@ def judged_episodes(root: Path, have: int) -> int:
         return 0
     source = read_source(root)
     outcomes = source.columns((OUTCOME,))[OUTCOME]
-    ends = np.array([episode.start for episode in source.episodes])
-    return int((outcomes[ends] != OUTCOME_NAMES.index("aborted")).sum())
+    starts = np.array([episode.start for episode in source.episodes])
+    return int((outcomes[starts] != OUTCOME_NAMES.index("aborted")).sum())
 
 
 def next_seed(root: Path, have: int, first: int) -> int:
@@ -106,7 +82,5 @@ def run_session(
         disk = DiskGuard(store.root, recorder.features, raw_pixels, store.reserve_MB)
         parts = Parts(rig, steering, operator, recorder, disk, LiveView(out, rig.facts.fps), interrupts)
         have = recorder.num_episodes
-        session = RecordingSession(
-            parts, settings, judged_episodes(store.root, have), next_seed(store.root, have, seed)
-        )
-        return session.run()
+        judged, first = judged_episodes(store.root, have), next_seed(store.root, have, seed)
+        return RecordingSession(parts, settings, judged, first).run()

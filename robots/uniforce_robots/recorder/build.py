@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,23 +18,17 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import check_text
 
 OUR_TELEOPERATORS = "uniforce_robots.teleop"
-ROBOTS = {"franka": "uniforce_franka"}
+FRANKA = "uniforce_franka"
 
 
-@dataclass(frozen=True)
-class Devices:
-    """Configs of what records: no robot means the simulated scene."""
-
-    robot: RobotConfig | None
-    teleop: TeleoperatorConfig
-
-
-def read_devices(flags: Sequence[str], robot: str, teleop: str, file: str = "") -> Devices:
-    """Return the configs.
+def read_devices(
+    flags: Sequence[str], franka: bool, teleop: str, file: str = ""
+) -> tuple[RobotConfig | None, TeleoperatorConfig]:
+    """Return the configs of robot and teleoperator; no robot means the simulated scene.
 
     Args:
         flags: ``--robot.KEY=…`` and ``--teleop.KEY=…``; dots lead into nested settings, also into one camera's.
-        robot: ``franka``, or "" for none.
+        franka: whether there is a robot.
         teleop: a name from ``teleoperator_names``.
         file: of LeRobot's form, with ``robot`` and ``teleop``; flags override it.
 
@@ -46,30 +39,24 @@ def read_devices(flags: Sequence[str], robot: str, teleop: str, file: str = "") 
     if teleop not in names:
         known = " | ".join(["expert", *sorted(names)])
         raise ContractError(expected("teleop", known, repr(teleop), "Name one."))
-    settings, options = (
-        _read_file(file),
-        options_of(TeleoperatorConfig.get_choice_class(names[teleop]), "teleop."),
-    )
+    settings = _read_file(file) if file else {}
     settings.setdefault("teleop", {})["type"] = names[teleop]
-    if robot:
-        settings.setdefault("robot", {})["type"] = ROBOTS[robot]
-        options |= options_of(RobotConfig.get_choice_class(ROBOTS[robot]), "robot.")
+    options = options_of(TeleoperatorConfig.get_choice_class(names[teleop]), "teleop.")
+    if franka:
+        settings.setdefault("robot", {})["type"] = FRANKA
+        options |= options_of(RobotConfig.get_choice_class(FRANKA), "robot.")
     _with_flags(settings, flags, options)
-    if not robot:
-        return Devices(None, _decode(TeleoperatorConfig, "teleop", settings))
-    return Devices(_decode(RobotConfig, "robot", settings), _decode(TeleoperatorConfig, "teleop", settings))
+    robot = _decode(RobotConfig, "robot", settings) if franka else None
+    return robot, _decode(TeleoperatorConfig, "teleop", settings)
 
 
 def _read_file(file: str) -> dict[str, Any]:
-    if not file:
-        return {}
     if not Path(file).is_file():
         raise ContractError(expected("rig", "a config file", file, "Give the file of robot and teleop."))
     content = yaml.safe_load(Path(file).read_text())  # JSON is YAML
     if not isinstance(content, dict):
-        raise ContractError(
-            expected(file, "robot: {…} and teleop: {…}", type(content).__name__, "Look at it.")
-        )
+        came = type(content).__name__
+        raise ContractError(expected(file, "robot: {…} and teleop: {…}", came, "Look at it."))
     return content
 
 
@@ -80,8 +67,8 @@ def _with_flags(settings: dict[str, Any], flags: Sequence[str], options: Mapping
     """
     names = [flag.removeprefix("--").partition("=")[0] for flag in flags]
     refuse_unknown([name for name in names if not any(name.startswith(f"{o}.") for o in options)], options)
-    for flag in flags:
-        name, _, text = flag.removeprefix("--").partition("=")
+    for name, flag in zip(names, flags, strict=True):
+        text = flag.partition("=")[2]
         check_text(name, text)
         *path, last = name.split(".")
         inner = settings
@@ -96,10 +83,8 @@ def _decode[ConfigT](config_class: type[ConfigT], part: str, settings: dict[str,
     try:
         decoded: ConfigT = draccus.decode(config_class, settings[part])
     except (draccus.utils.DecodingError, ValueError, TypeError) as error:
-        do = "See docs/franka.md and docs/tactile_devices.md."
-        raise ContractError(
-            expected(f"{part}.…", "settings it has", own_cause(error) or error, do)
-        ) from error
+        came, do = own_cause(error) or error, "See docs/franka.md and docs/tactile_devices.md."
+        raise ContractError(expected(f"{part}.…", "settings it has", came, do)) from error
     return decoded
 
 
@@ -108,17 +93,12 @@ def teleoperator_names() -> dict[str, str]:
     if importlib.util.find_spec(OUR_TELEOPERATORS) is not None:
         importlib.import_module(OUR_TELEOPERATORS)
     known = list(TeleoperatorConfig.get_known_choices())
-    return {name: name for name in known} | {
-        n.removeprefix("uniforce_"): n for n in known if n.startswith("uniforce_")
-    }
+    ours = {name.removeprefix("uniforce_"): name for name in known if name.startswith("uniforce_")}
+    return {name: name for name in known} | ours
 
 
 def make_teleoperator(config: TeleoperatorConfig) -> Teleoperator:
-    """Return the teleoperator, not connected.
-
-    Raises:
-        ContractError: LeRobot can't build it.
-    """
+    """Return the teleoperator, not connected; ContractError where LeRobot can't build it."""
     try:
         return make_teleoperator_from_config(config)
     except (ValueError, ImportError) as error:

@@ -38,30 +38,23 @@ class DiskGuard:
         self._root, self._reserve_MB = root, reserve_MB
         self._guess_B = sum(_frame_bytes(key, f) for key, f in features.items()) + raw_pixels * RAW_B_px
 
-    def estimate_MB(  # noqa: N802  a unit
-        self, frames: int, recorded_frames: int
-    ) -> float:
+    def estimate_MB(self, frames: int, recorded_frames: int) -> float:  # noqa: N802  a unit
         """Return what ``frames`` will take; with some recorded already, their own size is the measure."""
-        per_frame_B = self._guess_B
-        if recorded_frames:
-            per_frame_B = (
-                sum(f.stat().st_size for f in self._root.rglob("*") if f.is_file()) / recorded_frames
-            )
-        return per_frame_B * frames / MB
+        if not recorded_frames:
+            return self._guess_B * frames / MB
+        recorded_B = sum(file.stat().st_size for file in self._root.rglob("*") if file.is_file())
+        return recorded_B / recorded_frames * frames / MB
 
     def before_episode(self, frames: int, recorded_frames: int) -> str:
         """Return the estimate in words; raise DiskFullError where an episode of ``frames`` wouldn't fit."""
         need_MB = self.estimate_MB(frames, recorded_frames)
-        wanted_MB = need_MB * MARGIN + self._reserve_MB
-        free_MB = self._require(wanted_MB, f" (episode {need_MB:.0f} MB × {MARGIN} + reserve)")
+        why = f" (episode {need_MB:.0f} MB × {MARGIN} + reserve)"
+        free_MB = self.check(need_MB * MARGIN, why)
         return f"{need_MB:.0f} MB, {free_MB / 1000:.1f} GB free"
 
-    def check(self) -> None:
-        """Raise DiskFullError once less than the reserve is left; a few microseconds."""
-        self._require(self._reserve_MB, "")
-
-    def _require(self, wanted_MB: float, why: str) -> float:
-        free_MB = free_bytes(self._root) / MB
+    def check(self, beside_MB: float = 0.0, why: str = "") -> float:
+        """Return the free MB; raise DiskFullError once less than the reserve is left. Takes a few microseconds."""
+        free_MB, wanted_MB = free_bytes(self._root) / MB, beside_MB + self._reserve_MB
         if free_MB < wanted_MB:
             wanted = f"{wanted_MB:.0f} MB free{why}"
             raise DiskFullError(expected(str(self._root), wanted, f"{free_MB:.0f} MB", "Free some space."))

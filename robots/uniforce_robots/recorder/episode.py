@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -38,34 +39,30 @@ class Parts:
         if self.interrupts.count:
             raise StopRequestedError("interrupted by Ctrl-C")
 
+    def events(self, phase: Phase) -> Iterator[list[Event]]:
+        """Yield what the operator orders, once a tick; raise StopRequestedError once the program is to end."""
+        beat = Ticker(self.rig.facts.fps)
+        while True:
+            beat.wait()
+            self.refuse_interrupted()
+            yield self.operator.poll(phase)
+
 
 @dataclass(frozen=True)
 class Ending:
-    """How an episode ended.
+    """How an episode ended."""
 
-    Attributes:
-        ticks: how the beat was kept.
-        how: ``judged``, ``open`` (over, still to be judged), ``aborted``, or what the operator asked for.
-        outcome: one of ``keys.OUTCOME_NAMES``; means something where judged.
-        clean: whether it was a success without slip or excess force.
-        cause: where aborted, one of ``keys.ABORT_CAUSES``.
-        message: what happened, in words.
-        held_s: from the beginning of the tick that met a fault until the rig was held; 0 without a fault.
-        notes: what the operator wrote.
-        pauses: how often it was paused.
-        quits: whether the session shall end after it.
-    """
-
-    ticks: TickStats
+    ticks: TickStats  # how the beat was kept
+    # open: over, still to be judged; the last two are what the operator asked for
     how: Literal["judged", "open", "aborted", "discard", "rerecord"] = "open"
-    outcome: str = "aborted"
-    clean: bool = False
-    cause: str = "none"
-    message: str = ""
-    held_s: float = 0.0
-    notes: tuple[str, ...] = ()
-    pauses: int = 0
-    quits: bool = False
+    outcome: str = "aborted"  # one of ``keys.OUTCOME_NAMES``; means something where judged
+    clean: bool = False  # whether it was a success without slip or excess force
+    cause: str = "none"  # where aborted, one of ``keys.ABORT_CAUSES``
+    message: str = ""  # what happened, in words
+    held_s: float = 0.0  # from the beginning of the tick that met a fault until the rig was held; 0: no fault
+    notes: tuple[str, ...] = ()  # what the operator wrote
+    pauses: int = 0  # how often it was paused
+    quits: bool = False  # whether the session shall end after it
 
     @property
     def label(self) -> str:
@@ -75,21 +72,15 @@ class Ending:
         return self.outcome if self.how == "judged" else self.how
 
 
-def ending_of(event: Event) -> dict[str, Any]:
-    """Return the attributes of the ``Ending`` that a person's word makes; empty where it ends nothing."""
-    match event.command:
-        case Command.DISCARD:
-            return {"how": "discard"}
-        case Command.QUIT:
-            return {"how": "discard", "quits": True}
-        case Command.RERECORD:
-            return {"how": "rerecord"}
-        case command if command in VERDICTS:
-            return {"how": "judged", "outcome": VERDICTS[command], "clean": command is Command.SUCCESS}
-    return {}
+ENDINGS: dict[Command, dict[str, Any]] = {  # attributes of the ``Ending`` that an operator's command makes
+    Command.DISCARD: {"how": "discard"},
+    Command.QUIT: {"how": "discard", "quits": True},
+    Command.RERECORD: {"how": "rerecord"},
+    **{c: {"how": "judged", "outcome": o, "clean": c is Command.SUCCESS} for c, o in VERDICTS.items()},
+}
 
 
-class _Over(Exception):  # noqa: N818  not an error: a person's word, from wherever in the tick it comes
+class _Over(Exception):  # noqa: N818  not an error: an operator's command, from wherever in the tick it comes
     def __init__(self, ending: dict[str, Any]) -> None:
         super().__init__(ending["how"])
         self.ending = ending
@@ -122,8 +113,11 @@ class EpisodeLoop:
         except UniForceError as error:
             fault = error
         self._parts.rig.hold()
-        if fault is not None:
-            ending = _fault(fault, time.perf_counter() - self._tick_begun_s)
+        if isinstance(fault, TeleoperatorError) and fault.fault == "ended":  # a replay that came to its end
+            ending = {"message": str(fault)}
+        elif fault is not None:
+            held_s = time.perf_counter() - self._tick_begun_s
+            ending = {"how": "aborted", "cause": cause_of(fault), "message": str(fault), "held_s": held_s}
         return Ending(self._ticker.stats, notes=tuple(self._notes), pauses=self._pauses, **ending)
 
     def _record(self) -> None:
@@ -134,7 +128,12 @@ class EpisodeLoop:
         for _ in range(self._max_frames):
             self._ticker.wait()
             self._tick_begun_s = time.perf_counter()
-            self._listen()
+            parts.refuse_interrupted()
+            for event in parts.operator.poll(Phase.RUNNING):
+                if event.command is Command.GO:
+                    self._pause()
+                else:
+                    self._obey(event)
             parts.disk.check()
             self._tick(begun_s)
             if parts.rig.is_done:
@@ -146,45 +145,28 @@ class EpisodeLoop:
         seen = parts.rig.observe()
         requested = parts.steering.target(seen.axes)
         sent = parts.rig.act(requested)
-        stamps_s = (tick_s, seen.time_s, parts.rig.now_s())
-        row = make_row(seen, requested, sent, stamps_s, begun_s)
+        row = make_row(seen, requested, sent, (tick_s, seen.time_s, parts.rig.now_s()), begun_s)
         parts.recorder.add(row, self._prompt, raw_frames(seen))
         parts.view.show(seen, parts.recorder.num_frames)
-
-    def _listen(self) -> None:
-        self._parts.refuse_interrupted()
-        for event in self._parts.operator.poll(Phase.RUNNING):
-            if event.command is Command.GO:
-                self._pause()
-            else:
-                self._obey(event)
 
     def _obey(self, event: Event) -> None:
         if event.command is Command.NOTE:
             self._notes.append(event.text)
-        if ending := ending_of(event):
-            raise _Over(ending)
+        if event.command in ENDINGS:
+            raise _Over(ENDINGS[event.command])
 
     def _pause(self) -> None:
         """Hold until a person goes on; nothing is stored meanwhile, and the times of the rows show the gap."""
-        parts, beat = self._parts, Ticker(self._parts.rig.facts.fps)
+        parts = self._parts
         self._pauses += 1
         parts.rig.hold()
         parts.view.say("paused; space goes on")
-        paused = True
-        while paused:
-            beat.wait()
+        for events in parts.events(Phase.PAUSED):
             self._tick_begun_s = time.perf_counter()
-            parts.refuse_interrupted()
             parts.rig.axes()  # a fault of the robot ends a pause too
-            for event in parts.operator.poll(Phase.PAUSED):
-                paused = paused and event.command is not Command.GO
+            for event in events:
                 self._obey(event)
+            if Command.GO in [event.command for event in events]:
+                break
         parts.steering.start_from(parts.rig.axes())
         self._ticker.resume()
-
-
-def _fault(error: UniForceError, held_s: float) -> dict[str, Any]:
-    if isinstance(error, TeleoperatorError) and error.fault == "ended":  # a replay that came to its end
-        return {"message": str(error)}
-    return {"how": "aborted", "cause": cause_of(error), "message": str(error), "held_s": held_s}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,51 +21,32 @@ from uniforce_vtla.keys import ACTION, STATE, age_key, time_key, truth_wrench_ke
 GIVE_UP_FACTOR = 4  # attempts per wanted episode before a run without failures kept stops
 
 
-@dataclass(frozen=True)
-class ExpertDemos:
-    """What to record; see ``uniforce record --help`` for each."""
-
-    root: Path
-    repo_id: str
-    episodes: int
-    level: str
-    left_sensor: str
-    right_sensor: str
-    seed: int
-    nudge: float
-    keep_failures: bool
-
-
-def record_expert(demos: ExpertDemos) -> None:
-    """Record what is missing.
+def record_expert(
+    env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: int, nudge: float, keep_failures: bool
+) -> None:
+    """Record what is missing; ``uniforce record --help`` says what each setting is.
 
     Raises:
-        ContractError: an unknown sensor or level, or an expert that fails too often.
+        ContractError: an expert that fails too often.
         DatasetError: see ``EpisodeRecorder``.
     """
-    sensors = demos.left_sensor, demos.right_sensor
-    with closing(WipeEnv(demos.level, *sensors)) as env:
-        fps = int(env.metadata["render_fps"])
-        with EpisodeRecorder(demos.root, demos.repo_id, *sensors, fps) as recorder:
-            _fill(demos, env, recorder)
-
-
-def _fill(demos: ExpertDemos, env: WipeEnv, recorder: EpisodeRecorder) -> None:
-    have = recorder.num_episodes
-    first = next_seed(demos.root, have, demos.seed)
-    seeds = iter(range(first, first + GIVE_UP_FACTOR * max(demos.episodes - have, 0)))
-    with tqdm(total=demos.episodes, initial=have, desc="record", unit="episode") as bar:
-        while recorder.num_episodes < demos.episodes and (seed := next(seeds, None)) is not None:
-            result = record_episode(env, recorder, seed, demos.nudge)
-            if result.clean or demos.keep_failures:
-                recorder.save(success=result.clean, outcome=result.outcome, seed=seed)
-            else:
-                recorder.discard()
-            bar.update(recorder.num_episodes - bar.n)
-            bar.set_postfix_str(f"seed {seed}: {'clean ' if result.clean else ''}{result.outcome}")
-    if recorder.num_episodes < demos.episodes:
-        wanted, do = f"{demos.episodes} successes", "Try an easier level."
-        raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
+    worn, fps = env.sensors, int(env.metadata["render_fps"])
+    with EpisodeRecorder(root, repo_id, worn["left"], worn["right"], fps) as recorder:
+        have = recorder.num_episodes
+        first = next_seed(root, have, seed)
+        seeds = iter(range(first, first + GIVE_UP_FACTOR * max(episodes - have, 0)))
+        with tqdm(total=episodes, initial=have, desc="record", unit="episode") as bar:
+            while recorder.num_episodes < episodes and (seed := next(seeds, -1)) >= 0:
+                result = record_episode(env, recorder, seed, nudge)
+                if result.clean or keep_failures:
+                    recorder.save(success=result.clean, outcome=result.outcome, seed=seed)
+                else:
+                    recorder.discard()
+                bar.update(recorder.num_episodes - bar.n)
+                bar.set_postfix_str(f"seed {seed}: {'clean ' if result.clean else ''}{result.outcome}")
+        if recorder.num_episodes < episodes:
+            wanted, do = f"{episodes} successes", "Try an easier level."
+            raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
 
 
 def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int, nudge: float) -> EpisodeResult:

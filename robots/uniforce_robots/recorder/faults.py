@@ -22,7 +22,6 @@ from uniforce_vtla.errors import (
 from uniforce_vtla.keys import ABORT_CAUSES
 
 log = logging.getLogger(__name__)
-HOW = ((LostSensorError, "lost"), (StaleSensorError, "stale"), (FrozenSensorError, "frozen"))
 
 
 class DeviceError(UniForceError):
@@ -37,23 +36,25 @@ class StopRequestedError(UniForceError):
     """Ctrl-C or SIGTERM: the program is to end."""
 
 
+HOW = {LostSensorError: "lost", StaleSensorError: "stale", FrozenSensorError: "frozen", SensorError: "bad"}
+CAUSES: dict[type[UniForceError], str] = {  # the first that fits
+    TeleoperatorError: "teleop",
+    DiskFullError: "disk_full",
+    DroppedFrameError: "dropped_frame",
+    DatasetError: "storage",
+    StopRequestedError: "interrupt",
+    UniForceError: "other",
+}
+
+
 @contextmanager
 def named(kind: Literal["camera", "touch"], device: str) -> Iterator[None]:
     """Turn a sensor's error into the fault of the device with this name in the robot's config."""
     try:
         yield
     except SensorError as error:
-        how = next((name for error_type, name in HOW if isinstance(error, error_type)), "bad")
+        how = next(name for error_type, name in HOW.items() if isinstance(error, error_type))
         raise DeviceError(f"{how}_{kind}", f"{device}: {error}") from error
-
-
-CAUSES = (  # the first that fits
-    (TeleoperatorError, "teleop"),
-    (DiskFullError, "disk_full"),
-    (DroppedFrameError, "dropped_frame"),
-    (DatasetError, "storage"),
-    (StopRequestedError, "interrupt"),
-)
 
 
 def cause_of(error: UniForceError) -> str:
@@ -61,9 +62,8 @@ def cause_of(error: UniForceError) -> str:
     if isinstance(error, DeviceError):
         return error.cause
     if isinstance(error, RobotError):
-        name = f"robot_{error.fault}"
-        return name if name in ABORT_CAUSES else "robot_other"
-    return next((cause for error_type, cause in CAUSES if isinstance(error, error_type)), "other")
+        return name if (name := f"robot_{error.fault}") in ABORT_CAUSES else "robot_other"
+    return next(cause for error_type, cause in CAUSES.items() if isinstance(error, error_type))
 
 
 class Interrupts:

@@ -29,8 +29,7 @@ class LiveView:
     def __init__(self, out: TextIO | None, fps: int = 30) -> None:
         self._out, self._fps = out, fps
         self._moves = out is not None and out.isatty()  # a line can be written over
-        self._next_s = 0.0
-        self.peak_N = 0.0
+        self._next_s = self.peak_N = 0.0
 
     def begin(self, text: str) -> None:
         """Begin an episode: its peak force is forgotten."""
@@ -39,15 +38,18 @@ class LiveView:
 
     def say(self, text: str) -> None:
         """Write a line that stays."""
-        self._write(f"\r\x1b[K{text}\n" if self._moves else f"{text}\n")
+        if self._out is not None:
+            self._out.write(f"\r\x1b[K{text}\n" if self._moves else f"{text}\n")
+            self._out.flush()
 
     def show(self, seen: Observation, frames: int) -> None:
         """Show an observation, five times a second on a terminal, never elsewhere."""
         self.peak_N = max(self.peak_N, float(np.linalg.norm(seen.force_N)))
         now_s = time.perf_counter()
-        if self._moves and now_s >= self._next_s:
+        if self._out is not None and self._moves and now_s >= self._next_s:
             self._next_s = now_s + LINE_EVERY_s
-            self._write("\r\x1b[K" + self.line(seen, frames))
+            self._out.write("\r\x1b[K" + self.line(seen, frames))
+            self._out.flush()
 
     def line(self, seen: Observation, frames: int) -> str:
         """Return the line: time, force as a bar up to its limit, peak, width, oldest sensor."""
@@ -61,8 +63,3 @@ class LiveView:
             f"peak {self.peak_N:4.1f} of {STOP_N:g}  width {1000 * seen.axes[4]:4.1f} mm"
             f"  oldest {oldest} {age_ms:.0f} ms"
         )
-
-    def _write(self, text: str) -> None:
-        if self._out is not None:
-            self._out.write(text)
-            self._out.flush()

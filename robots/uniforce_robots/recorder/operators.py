@@ -1,4 +1,4 @@
-"""What begins an episode and says how it went: a person at the keys, or a rule."""
+"""What begins an episode and judges it: a person at the keys, or a fixed rule."""
 
 from __future__ import annotations
 
@@ -17,37 +17,24 @@ class Phase(Enum):
     WAITING = "waiting"  # between episodes, nothing is recorded
     RUNNING = "running"
     PAUSED = "paused"
-    JUDGING = "judging"  # the episode is over, how it went is to be said
+    JUDGING = "judging"  # the episode is over and waits for its verdict
 
 
 class Command(Enum):
-    """What can be said."""
+    """What an operator can order, by its key: a letter that LeRobot's and our keyboard teleoperators don't use."""
 
-    GO = "go"  # begin; pause; go on
-    SUCCESS = "success"  # a clean one: no slip, no excess force
-    RESIDUAL = "residual"  # failed: not wiped
-    FAILED_GRASP = "failed_grasp"
-    DISCARD = "discard"  # forget this episode
-    RERECORD = "rerecord"  # forget it and record the same one at once
-    NOTE = "note"
-    RECOVER = "recover"  # clear the robot's fault
-    QUIT = "quit"
+    GO = "space"  # begin; pause; go on
+    SUCCESS = "y"  # a clean one: no slip, no excess force
+    RESIDUAL = "f"  # failed: not wiped
+    FAILED_GRASP = "g"
+    DISCARD = "x"  # forget this episode
+    RERECORD = "r"  # forget it and record the same one at once
+    NOTE = "t"  # its text follows, up to Enter
+    RECOVER = "v"  # clear the robot's fault
+    QUIT = "q"
 
 
-VERDICTS = {c: c.value for c in (Command.SUCCESS, Command.RESIDUAL, Command.FAILED_GRASP)}
-
-# Letters that LeRobot's and our keyboard teleoperators don't steer with.
-KEYS = {
-    "space": Command.GO,
-    "y": Command.SUCCESS,
-    "f": Command.RESIDUAL,
-    "g": Command.FAILED_GRASP,
-    "x": Command.DISCARD,
-    "r": Command.RERECORD,
-    "v": Command.RECOVER,
-    "q": Command.QUIT,
-}
-NOTE_KEY = "t"
+VERDICTS = {c: c.name.lower() for c in (Command.SUCCESS, Command.RESIDUAL, Command.FAILED_GRASP)}
 
 
 @dataclass(frozen=True)
@@ -64,18 +51,18 @@ class Operator:
     is_attended = True
 
     def start(self) -> None:
-        """Begin to listen."""
+        """Begin to read."""
 
     def poll(self, phase: Phase) -> list[Event]:
-        """Return what was said since the last call. Never blocks."""
+        """Return what was ordered since the last call. Never blocks."""
         raise NotImplementedError
 
     def stop(self) -> None:
-        """Stop listening; safe to call twice."""
+        """Stop reading; safe to call twice."""
 
 
 class Unattended(Operator):
-    """Begins at once, and calls every episode that ended in time by one verdict.
+    """Begins at once, and gives every episode that ended in time the same verdict.
 
     Args:
         verdict: the outcome to store; a person can look at the videos later.
@@ -89,12 +76,12 @@ class Unattended(Operator):
     def __init__(self, verdict: str) -> None:
         if verdict not in VERDICTS.values():
             raise ContractError(expected("verdict", " | ".join(VERDICTS.values()), verdict, "Name one."))
-        go = Command.GO
-        self._answers = {Phase.WAITING: go, Phase.PAUSED: go, Phase.JUDGING: Command(verdict)}
+        self._orders = {phase: Command.GO for phase in (Phase.WAITING, Phase.PAUSED)}
+        self._orders[Phase.JUDGING] = Command[verdict.upper()]
 
     def poll(self, phase: Phase) -> list[Event]:
         """Begin where there is waiting, judge where judging is due."""
-        return [Event(self._answers[phase])] if phase in self._answers else []
+        return [Event(self._orders[phase])] if phase in self._orders else []
 
 
 class KeyOperator(Operator):
@@ -107,17 +94,17 @@ class KeyOperator(Operator):
 
     def __init__(self, keys: TerminalKeys | None = None, quick_notes: Sequence[str] = ()) -> None:
         self._is_own, self._keys = keys is None, keys or TerminalKeys({})
-        self._quick = {str(n): note for n, note in enumerate(quick_notes, 1)}
+        self._meanings = {c.value: Event(c) for c in Command if c is not Command.NOTE}
+        self._meanings |= {str(n): Event(Command.NOTE, note) for n, note in enumerate(quick_notes, 1)}
         self._note: str | None = None
 
     def start(self) -> None:
-        """Listen; raises ContractError where there is no terminal."""
-        if not self._is_own:
-            return
-        if not sys.stdin.isatty():
-            do = "Run it in a terminal, or choose operator=nobody."
+        """Read the terminal; raises ContractError where there is none."""
+        if self._is_own and not sys.stdin.isatty():
+            do = "Run it in a terminal, or choose operator=unattended."
             raise ContractError(expected("operator=keys", "a terminal", "another input", do))
-        self._keys.start()
+        if self._is_own:
+            self._keys.start()
 
     def poll(self, phase: Phase) -> list[Event]:
         """Return what the keys since the last call mean."""
@@ -125,20 +112,15 @@ class KeyOperator(Operator):
         return [event for event in events if event is not None]
 
     def stop(self) -> None:
-        """Stop listening."""
+        """Stop reading."""
         if self._is_own:
             self._keys.stop()
 
     def _meaning(self, key: str) -> Event | None:
-        if self._note is not None:
-            return self._spell(self._note, key)
-        if key == NOTE_KEY:
-            self._note = ""
-        if key in self._quick:
-            return Event(Command.NOTE, self._quick[key])
-        return Event(KEYS[key]) if key in KEYS else None
-
-    def _spell(self, note: str, key: str) -> Event | None:
+        note = self._note
+        if note is None:
+            self._note = "" if key == Command.NOTE.value else None
+            return self._meanings.get(key)
         if key == "enter":
             self._note = None
             return Event(Command.NOTE, note) if note else None

@@ -37,8 +37,7 @@ class PlainCamera:
             do = "Use uniforce_scene, opencv, intelrealsense or zmq."
             raise ContractError(expected(name, "a camera with latest_timestamp", type(camera).__name__, do))
         self._name, self._camera = name, camera
-        self._index, self._time_s = -1, float("nan")
-        self._repeats = 0
+        self._index, self._time_s, self._repeats = -1, float("nan"), 0
         self._last: np.ndarray = np.zeros(0)
 
     def picture(self) -> Picture:
@@ -62,19 +61,15 @@ class PlainCamera:
 
     def _newest(self) -> tuple[np.ndarray, float]:
         camera: Any = self._camera
-        for _ in range(TRIES):
-            before = camera.latest_timestamp
-            image = self._read()
-            if before is not None and before == camera.latest_timestamp:
-                return image, float(before)
-        raise StaleSensorError(expected(self._name, "a frame that holds still", "none", "Lower its rate."))
-
-    def _read(self) -> np.ndarray:
         do = "Check cable, power and USB load."
         try:
-            image: np.ndarray = self._camera.read_latest(max_age_ms=MAX_AGE_ms)
+            for _ in range(TRIES):
+                before = camera.latest_timestamp
+                image = camera.read_latest(max_age_ms=MAX_AGE_ms)
+                if before is not None and before == camera.latest_timestamp:
+                    return image, float(before)
         except TimeoutError as error:
             raise StaleSensorError(expected(self._name, "a fresh frame", error, do)) from error
         except (RuntimeError, OSError) as error:  # ended thread; DeviceNotConnectedError is a ConnectionError
             raise LostSensorError(expected(self._name, "a running camera", error, do)) from error
-        return image
+        raise StaleSensorError(expected(self._name, "a frame that holds still", "none", "Lower its rate."))

@@ -26,82 +26,56 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class FingerTouch:
-    """One finger's newest sample.
+class FingerTouch(Picture):
+    """One finger's newest sample; ``image`` is (480, 640) uint8, the marker image as the sensor sees it."""
 
-    Attributes:
-        image: (480, 640) uint8 marker image, as the sensor sees it.
-        reference: the same in free air; one array for the whole episode.
-        index: number of the sample since connecting.
-        time_s: when it was taken.
-        raw: (H, W, 3) uint8 camera frame or (16, 3) counts, upright; None where a rig has no raw signal.
-        window, window_times_s: of taxels only, the newest scans (size, 16, 3), oldest first, the oldest repeated where
-            there were fewer, and when each was taken (size,).
-    """
-
-    image: np.ndarray
-    reference: np.ndarray
-    index: int
-    time_s: float
-    raw: np.ndarray | None = None
+    reference: np.ndarray  # the same in free air; one array for the whole episode
+    raw: np.ndarray | None = (
+        None  # (H, W, 3) uint8 camera frame or (16, 3) counts, upright; None: no raw signal
+    )
+    # of taxels only: the newest scans (size, 16, 3), oldest first, the oldest repeated where there were fewer
     window: np.ndarray | None = None
-    window_times_s: np.ndarray | None = None
+    window_times_s: np.ndarray | None = None  # (size,) when each was taken
 
 
 @dataclass(frozen=True)
 class Observation:
-    """One tick.
+    """One tick."""
 
-    Attributes:
-        time_s: when it was taken.
-        axes: (5,) measured x, y, z, yaw, width as in ``keys.AXES``.
-        cameras: by name.
-        fingers: both.
-        measured: further columns by key, dtype and shape as ``RigFacts.measured`` announces.
-        force_N: (3,) force of the world on the hand since the references were taken, base frame; on a robot an
-            estimate.
-    """
-
-    time_s: float
-    axes: np.ndarray
+    time_s: float  # when it was taken
+    axes: np.ndarray  # (5,) measured x, y, z, yaw, width as in ``keys.AXES``
     cameras: dict[str, Picture]
     fingers: dict[Finger, FingerTouch]
-    measured: dict[str, np.ndarray] = field(default_factory=dict)
+    measured: dict[str, np.ndarray] = field(
+        default_factory=dict
+    )  # further columns, as ``RigFacts.measured`` says
+    # (3,) of the world on the hand since the references were taken, base frame; on a robot an estimate
     force_N: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @property
-    def samples(self) -> dict[str, Picture | FingerTouch]:
+    def samples(self) -> dict[str, Picture]:
         """What was seen, by camera and finger."""
-        return dict(self.cameras) | dict(self.fingers)  # type: ignore[arg-type]
+        return {**self.cameras, **{str(finger): touch for finger, touch in self.fingers.items()}}
 
 
 @dataclass(frozen=True)
 class RigFacts:
-    """What a rig delivers; known before it is connected.
+    """What a rig delivers; known before it is connected."""
 
-    Attributes:
-        name: e.g. ``uniforce_franka`` or ``sim``.
-        fps: ticks per second.
-        sensors: registry name by finger.
-        cameras: (rows, columns, 3) by scene camera.
-        raw_frames: (rows, columns, 3) of raw camera frames by finger, those to be kept; taxels aren't in here.
-        windows: taxel scans kept per tick, by finger.
-        measured: LeRobot feature of each further column, by key.
-        truth: whether ``measured`` holds the true pad wrenches.
-        paced: whether ticks keep to the wall clock; False runs as fast as the scene steps.
-        drives_between: whether ``act`` may be called between episodes; a scene only steps inside one.
-    """
-
-    name: str
-    fps: int
-    sensors: dict[Finger, str]
-    cameras: dict[str, Shape]
-    raw_frames: dict[Finger, Shape] = field(default_factory=dict)
-    windows: dict[Finger, int] = field(default_factory=dict)
-    measured: dict[str, dict[str, Any]] = field(default_factory=dict)
-    truth: bool = False
-    paced: bool = True
-    drives_between: bool = True
+    name: str  # e.g. ``uniforce_franka`` or ``sim``
+    fps: int  # ticks per second
+    sensors: dict[Finger, str]  # registry name by finger
+    cameras: dict[str, Shape]  # (rows, columns, 3) by scene camera
+    raw_frames: dict[Finger, Shape] = field(
+        default_factory=dict
+    )  # of raw camera frames to be kept; no taxels
+    windows: dict[Finger, int] = field(default_factory=dict)  # taxel scans kept per tick, by finger
+    measured: dict[str, dict[str, Any]] = field(
+        default_factory=dict
+    )  # LeRobot feature of each further column
+    paced: bool = True  # whether ticks keep to the wall clock; False runs as fast as the scene steps
+    # whether it is the scene: ``measured`` holds the true pad wrenches, and it steps only inside an episode
+    simulated: bool = False
 
 
 class Rig(Protocol):
@@ -109,16 +83,13 @@ class Rig(Protocol):
 
     Attributes:
         facts: what it delivers.
+        prompt: the instruction a scene comes with; None where a person gives it.
         is_done: whether the task itself has ended; a robot never knows.
     """
 
     facts: RigFacts
+    prompt: str | None = None
     is_done: bool = False
-
-    @property
-    def prompt(self) -> str | None:
-        """The instruction a scene comes with; None where a person gives it."""
-        return None
 
     def now_s(self) -> float:
         """Return the time on the clock of all its stamps."""

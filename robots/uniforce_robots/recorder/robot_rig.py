@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections import deque
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from lerobot.cameras import Camera
 
 from uniforce_datasets.features import vector_column
 from uniforce_robots.franka import UniforceFranka
-from uniforce_robots.franka.arm import ArmState
-from uniforce_robots.franka.hand import HandReading
-from uniforce_robots.recorder.rig import Observation, Rig, RigFacts
-from uniforce_robots.recorder.sensing import Sensing
-from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.errors import RobotError
+from uniforce_robots.recorder.faults import named
+from uniforce_robots.recorder.plain_camera import PlainCamera
+from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture, Rig, RigFacts
+from uniforce_robots.sensors.finger import TactileFinger, UniforceUskin
+from uniforce_robots.sensors.sampled_camera import SampledCamera
+from uniforce_robots.sensors.samples import NS_PER_S
+from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import ContractError, RobotError, SensorError, expected
 from uniforce_vtla.keys import AXES, measured_key, tactile_name
 from uniforce_vtla.sensors import get_sensor
 
-JOINTS = range(1, 8)
 COLUMNS = {
-    "q": [f"q{n}_rad" for n in JOINTS],
-    "dq": [f"dq{n}_rad_s" for n in JOINTS],
+    "q": [f"q{n}_rad" for n in range(1, 8)],
+    "dq": [f"dq{n}_rad_s" for n in range(1, 8)],
     "wrench": [
         "fx_N",
         "fy_N",
@@ -34,26 +38,39 @@ COLUMNS = {
     "hand": ["width_m", "is_grasped"],
     "link": ["success_rate", "arm_age_s", "hand_age_s"],
 }
+GARBAGE_OVER_s = 1.0
+GARBAGE_MOST = (
+    5  # bad pieces in that time: a few are a bad plug; a driver drops each, so nothing else shows them
+)
 
 
 class RobotRig(Rig):
     """A connected robot, read and driven through LeRobot's interface and its own readings.
 
     Args:
-        robot: not connected; its tactile cameras are ``tactile_left`` and ``tactile_right``.
+        robot: not connected; its tactile cameras are ``tactile_left`` and ``tactile_right``, everything else looks at
+            the scene.
         window: taxel scans kept per tick; 17 are one tick at 500 Hz.
         keep_raw: whether raw tactile frames are kept beside the dataset.
 
     Raises:
-        ContractError: a finger without a sensor.
+        ContractError: a finger without a tactile camera, or a camera of unknown age.
     """
 
     def __init__(self, robot: UniforceFranka, window: int = 17, keep_raw: bool = True) -> None:
-        self.robot = robot
-        self._sensing = Sensing(robot.cameras, window, keep_raw)
+        self.robot, self._window, self._keep_raw = robot, window, keep_raw
+        self._fingers: dict[Finger, TactileFinger] = {f: _finger(robot.cameras, f) for f in FINGERS}
+        worn = {tactile_name(finger): device for finger, device in self._fingers.items()}
+        self._scene: dict[str, SampledCamera | PlainCamera] = {
+            name: camera if isinstance(camera, SampledCamera) else PlainCamera(name, camera)
+            for name, camera in robot.cameras.items()
+            if name not in worn
+        }
+        self._sampled = {n: c for n, c in {**self._scene, **worn}.items() if isinstance(c, SampledCamera)}
+        self._watches = {name: GarbageWatch(name) for name in self._sampled}
+        self._references: dict[Finger, np.ndarray] = {}
         self._rest_N: np.ndarray = np.zeros(3)
-        devices = {finger: device.config for finger, device in self._sensing.fingers.items()}
-        worn = {tactile_name(finger) for finger in FINGERS}
+        devices = {finger: device.config for finger, device in self._fingers.items()}
         taxels = {f for f, config in devices.items() if get_sensor(config.sensor).signal == "taxel"}
         self.facts = RigFacts(
             name=robot.name,
@@ -71,7 +88,7 @@ class RobotRig(Rig):
 
     def connect(self) -> None:
         """Connect arm, hand and sensors; references are taken per episode, not now."""
-        for device in self._sensing.fingers.values():
+        for device in self._fingers.values():
             device.config.reference_on_connect = False
         self.robot.connect()
 
@@ -86,21 +103,27 @@ class RobotRig(Rig):
     def begin_episode(self, seed: int) -> None:
         """Take references, gripper open and fingers still; the force of now counts as none."""
         self.robot.require_open_hand()
-        self._sensing.take_references()
+        for finger, device in self._fingers.items():
+            with named("touch", tactile_name(finger)):
+                self._references[finger] = device.take_reference()
+        self.observe()  # every sensor must be well
         self._rest_N = np.array(self.robot.reading[0].wrench_N[:3])
 
     def observe(self) -> Observation:
         """Return the newest of everything, the arm last: it is the fastest."""
-        cameras, fingers = self._sensing.pictures(), self._sensing.touches()
-        axes = self.robot.measured()
-        arm, hand = self.robot.reading
+        cameras = {name: self._picture(name, camera) for name, camera in self._scene.items()}
+        fingers = {finger: self._touch(finger, device) for finger, device in self._fingers.items()}
+        axes, (arm, hand), now_s = self.robot.measured(), self.robot.reading, time.monotonic()
+        columns = {
+            "q": arm.q_rad,
+            "dq": arm.dq_rad_s,
+            "wrench": arm.wrench_N,
+            "hand": [hand.width_m, hand.is_grasped],
+            "link": [arm.success_rate, now_s - arm.time_s, now_s - hand.time_s],
+        }
+        measured = {measured_key(name): np.asarray(column, np.float32) for name, column in columns.items()}
         return Observation(
-            time_s=self.now_s(),
-            axes=axes,
-            cameras=cameras,
-            fingers=fingers,
-            measured=_columns(arm, hand),
-            force_N=arm.wrench_N[:3] - self._rest_N,
+            self.now_s(), axes, cameras, fingers, measured, force_N=arm.wrench_N[:3] - self._rest_N
         )
 
     def act(self, action: np.ndarray) -> np.ndarray:
@@ -118,17 +141,74 @@ class RobotRig(Rig):
         self.robot.recover()
 
     def summary(self) -> dict[str, Any]:
-        """Guards that acted so far, and how the sensors did."""
-        return {"guards": self.robot.guard_counts, "sensors": self._sensing.summary()}
+        """Return how often each guard acted so far, and how the sensors read in the background did."""
+        return {
+            "guards": self.robot.guard_counts,
+            "sensors": {name: _summary(device) for name, device in self._sampled.items()},
+        }
+
+    def _picture(self, name: str, camera: SampledCamera | PlainCamera) -> Picture:
+        with named("camera", name):
+            if isinstance(camera, PlainCamera):
+                return camera.picture()
+            self._watches[name].look(time.monotonic(), camera.counts.bad)
+            sample = camera.latest()
+            return Picture(sample.raw, sample.index, sample.stamp_ns / NS_PER_S)
+
+    def _touch(self, finger: Finger, device: TactileFinger) -> FingerTouch:
+        """Return the marker image of the very sample whose raw signal is beside it."""
+        with named("touch", name := tactile_name(finger)):
+            self._watches[name].look(time.monotonic(), device.counts.bad)
+            sample = device.latest()
+            image = device.marker_image(sample.raw)
+            window = _window(device, self._window) if isinstance(device, UniforceUskin) else ()
+        raw = sample.raw if window or self._keep_raw else None
+        taken_s, reference = sample.stamp_ns / NS_PER_S, self._references[finger]
+        return FingerTouch(image, sample.index, taken_s, reference, raw, *window)
 
 
-def _columns(arm: ArmState, hand: HandReading) -> dict[str, np.ndarray]:
-    now_s = time.monotonic()
-    values = {
-        "q": arm.q_rad,
-        "dq": arm.dq_rad_s,
-        "wrench": arm.wrench_N,
-        "hand": [hand.width_m, hand.is_grasped],
-        "link": [arm.success_rate, now_s - arm.time_s, now_s - hand.time_s],
+class GarbageWatch:
+    """Watches a driver's count of pieces that it could not understand."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._seen: deque[tuple[float, int]] = deque()
+
+    def look(self, now_s: float, bad: int) -> None:
+        """Take the count so far; raise SensorError where more than ``GARBAGE_MOST`` came within a second."""
+        self._seen.append((now_s, bad))
+        while now_s - self._seen[0][0] > GARBAGE_OVER_s:
+            self._seen.popleft()
+        came = bad - self._seen[0][1]
+        if came > GARBAGE_MOST:
+            wanted = f"≤ {GARBAGE_MOST} bad pieces in {GARBAGE_OVER_s:g} s"
+            do = "Check cable, power and what else is on the bus."
+            raise SensorError(expected(self._name, wanted, came, do))
+
+
+def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:
+    name = tactile_name(finger)
+    device = cameras.get(name)
+    if not isinstance(device, TactileFinger) or device.config.finger != finger:
+        came = "none" if device is None else f"{type(device).__name__} for {getattr(device, 'config', None)}"
+        do = f"List it in the robot's cameras, with finger={finger}."
+        raise ContractError(expected(name, "a uniforce_tactile or uniforce_uskin camera", came, do))
+    return device
+
+
+def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
+    window = device.upright_window(size)
+    first_s = window.stamps_ns[size - window.count] / NS_PER_S
+    return window.data, np.where(window.stamps_ns == 0, first_s, window.stamps_ns / NS_PER_S)
+
+
+def _summary(device: SampledCamera) -> dict[str, Any]:
+    counts = device.counts
+    return {
+        "rate_hz": round(device.rate_hz, 2),
+        "samples": counts.samples,
+        "lost": counts.lost,
+        "bad": counts.bad,
+        "reconnects": device.reconnects,
+        "settings": device.settings_read_back,
     }
-    return {measured_key(name): np.asarray(value, dtype=np.float32) for name, value in values.items()}

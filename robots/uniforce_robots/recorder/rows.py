@@ -62,6 +62,11 @@ def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
     return columns | facts.measured
 
 
+def rig_features(facts: RigFacts) -> dict[str, dict[str, Any]]:
+    """Return LeRobot's features dict of what a rig's dataset holds."""
+    return dataset_features(facts.cameras, facts.simulated, further_columns(facts))
+
+
 def make_row(
     seen: Observation, requested: np.ndarray, sent: np.ndarray, stamps_s: tuple[float, ...], begun_s: float
 ) -> dict[str, Any]:
@@ -117,7 +122,7 @@ class RowSlots:
     """
 
     def __init__(self, facts: RigFacts, count: int, context: SpawnContext) -> None:
-        features = dataset_features(facts.cameras, facts.truth, further_columns(facts))
+        features = rig_features(facts)
         form = {key: _form(key, feature) for key, feature in features.items() if key not in RECORDERS_OWN}
         form |= {_raw(finger): ("u1", shape) for finger, shape in facts.raw_frames.items()}
         self._dtype = np.dtype([(key, *kind) for key, kind in form.items()], align=True)
@@ -125,9 +130,9 @@ class RowSlots:
         self._raw_fingers = tuple(facts.raw_frames)
         self._references: dict[str, np.ndarray] = {}  # as the reader gave them last
 
-    @property
-    def _slots(self) -> np.ndarray:
-        return np.frombuffer(self._memory, self._dtype)
+    def _slot(self, slot: int) -> dict[str, np.ndarray]:
+        slots = np.frombuffer(self._memory, self._dtype)
+        return {key: slots[key][slot] for key in self._dtype.names or ()}
 
     def write(self, slot: int, row: Mapping[str, Any], raw: Mapping[Finger, np.ndarray]) -> None:
         """Copy a row, every column but the recorder's own, and raw frames by finger into a slot.
@@ -136,12 +141,12 @@ class RowSlots:
             ContractError: a key missing or too many, another shape or dtype.
         """
         whole = {**row, **{_raw(finger): frame for finger, frame in raw.items()}}
-        odd = sorted(whole.keys() ^ set(self._dtype.names or ()))
+        places = self._slot(slot)
+        odd = sorted(whole.keys() ^ places.keys())
         if odd:
             raise ContractError(expected("frame", "the dataset's columns", f"others: {odd}", "See rows.py."))
-        slots = self._slots
-        for key, value in whole.items():
-            place, value = slots[key][slot], np.asarray(value)
+        for key, place in places.items():
+            value = np.asarray(whole[key])
             if value.shape != place.shape or value.dtype != place.dtype:
                 wanted, came = f"{place.shape} {place.dtype}", f"{value.shape} {value.dtype}"
                 raise ContractError(expected(key, wanted, came, "Convert it before add()."))
@@ -152,9 +157,7 @@ class RowSlots:
 
         A reference that hasn't changed is the same array as before: the recorder prepares it once.
         """
-        slots = self._slots
-        row = {key: slots[key][slot] for key in self._dtype.names or ()}
-        row |= {key: value.copy() for key, value in row.items() if value.ndim == 1}
+        row = {key: value.copy() if value.ndim == 1 else value for key, value in self._slot(slot).items()}
         for key in REFERENCES:
             if key not in self._references or not np.array_equal(self._references[key], row[key]):
                 self._references[key] = row[key].copy()

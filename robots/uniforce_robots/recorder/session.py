@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
-from uniforce_robots.recorder.episode import Ending, EpisodeLoop, Parts, ending_of
+from uniforce_robots.recorder.episode import ENDINGS, Ending, EpisodeLoop, Parts
 from uniforce_robots.recorder.faults import StopRequestedError, cause_of
 from uniforce_robots.recorder.operators import Command, Event, Phase
-from uniforce_robots.recorder.ticker import Ticker
 from uniforce_vtla.errors import (
     ContractError,
     DatasetError,
@@ -28,27 +28,16 @@ FAULT, DISK_FULL, INTERRUPTED = 3, 4, 130  # exit codes
 
 @dataclass(frozen=True)
 class SessionSettings:
-    """What is recorded.
+    """What is recorded."""
 
-    Attributes:
-        episodes: wanted in the dataset, those of earlier sessions included; aborted ones don't count.
-        prompts: instructions, one per episode in turn; empty takes the rig's own.
-        episode_s: time limit.
-        drive_between: whether the teleoperator moves the robot between episodes.
-        unwell_s: how long an unattended session waits for sensors to become well before it gives up.
-        keep_aborted: whether what was recorded until a fault is stored, labelled.
-        late_share: of its ticks that an episode may miss; one that missed more is ``aborted:late``.
-        settings: of the whole command, for the cards.
-    """
-
-    episodes: int = 50
-    prompts: tuple[str, ...] = ()
-    episode_s: float = 60.0
-    drive_between: bool = True
-    unwell_s: float = 10.0
-    keep_aborted: bool = True
-    late_share: float = 0.1
-    settings: dict[str, Any] = field(default_factory=dict)
+    episodes: int = 50  # wanted in the dataset, those of earlier sessions included; aborted ones don't count
+    prompts: tuple[str, ...] = ()  # instructions, one per episode in turn; empty takes the rig's own
+    episode_s: float = 60.0  # time limit
+    drive_between: bool = True  # whether the teleoperator moves the robot between episodes
+    unwell_s: float = 10.0  # how long an unattended session waits for sensors before it gives up
+    keep_aborted: bool = True  # whether what was recorded until a fault is stored, labelled
+    late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is ``aborted:late``
+    settings: dict[str, Any] = field(default_factory=dict)  # of the whole command, for the cards
 
     def __post_init__(self) -> None:
         if not 0 <= self.late_share <= 1:  # NaN is not, either
@@ -57,17 +46,11 @@ class SessionSettings:
 
 @dataclass(frozen=True)
 class SessionEnd:
-    """How a session ended.
+    """How a session ended."""
 
-    Attributes:
-        exit_code: 0 all wanted episodes are there or the operator quit, 3 a fault, 4 the disk is full, 130 interrupted.
-        message: why, in words.
-        endings: of every attempt of this session, in order.
-    """
-
-    exit_code: int
-    message: str
-    endings: tuple[Ending, ...] = ()
+    exit_code: int  # 0 all wanted episodes are there or the operator quit, or one of the constants above
+    message: str  # why, in words
+    endings: tuple[Ending, ...] = ()  # of every attempt of this session, in order
 
 
 class _End(Exception):  # noqa: N818  the way out of nested phases
@@ -89,7 +72,8 @@ class RecordingSession:
     def __init__(self, parts: Parts, settings: SessionSettings, judged: int, seed: int) -> None:
         self._parts, self._settings = parts, settings
         self._judged, self._seed = judged, seed
-        self._fps = parts.rig.facts.fps
+        self._fps, self._is_attended = parts.rig.facts.fps, parts.operator.is_attended
+        self._say = parts.view.say
         self._endings: list[Ending] = []
         self._quits = False
 
@@ -106,8 +90,6 @@ class RecordingSession:
             code, message = end.exit_code, str(end)
         return SessionEnd(code, message, tuple(self._endings))
 
-    # --- one attempt -------------------------------------------------------------------------------------------------
-
     def _attempt(self, at_once: bool) -> bool:
         """Record one; return whether the next one shall begin at once."""
         if not at_once:
@@ -115,7 +97,11 @@ class RecordingSession:
         frames = round(self._settings.episode_s * self._fps)
         if self._quits or not self._prepare(frames):
             return False
-        prompt, begun = self._prompt(), datetime.now(UTC).isoformat(timespec="milliseconds")
+        prompts, own = self._settings.prompts, self._parts.rig.prompt
+        if not prompts and own is None:
+            raise ContractError(expected("prompts", "an instruction", "none", "Give at least one."))
+        prompt = prompts[self._judged % len(prompts)] if prompts else str(own)
+        begun = datetime.now(UTC).isoformat(timespec="milliseconds")
         self._parts.view.begin(f"episode {self._judged + 1}/{self._settings.episodes}: {prompt}")
         ending = self._judge(self._not_late(EpisodeLoop(self._parts, prompt, frames).run()))
         self._endings.append(ending)
@@ -134,42 +120,32 @@ class RecordingSession:
         message = expected("episode", f"at most {allowed:.0%} of its ticks missed", came, do)
         return replace(ending, how="aborted", cause="late", message=message)
 
-    def _prompt(self) -> str:
-        prompts, own = self._settings.prompts, self._parts.rig.prompt
-        if not prompts and own is None:
-            raise ContractError(expected("prompts", "an instruction", "none", "Give at least one."))
-        return prompts[self._judged % len(prompts)] if prompts else str(own)
-
-    # --- waiting and preparing ---------------------------------------------------------------------------------------
-
     def _wait_for_go(self) -> None:
-        operator = self._parts.operator
-        if operator.is_attended:
+        if self._is_attended:
             number = f"{self._judged + 1}/{self._settings.episodes}"
-            self._parts.view.say(f"episode {number} is next: open the gripper; space begins, q ends")
-        beat, driving = Ticker(self._fps), False
-        while not any(self._begins(event) for event in operator.poll(Phase.WAITING)):
-            self._parts.refuse_interrupted()
+            self._say(f"episode {number} is next: open the gripper; space begins, q ends")
+        driving = False
+        for events in self._parts.events(Phase.WAITING):
+            if any(self._begins(event) for event in events):
+                break
             driving = self._drive(driving)
-            beat.wait()
         self._parts.rig.hold()
 
     def _begins(self, event: Event) -> bool:
-        """Do what was said between episodes; return whether the waiting is over."""
+        """Obey a command given between episodes; return whether the waiting is over."""
         self._quits = self._quits or event.command is Command.QUIT
         if event.command is Command.RECOVER:
             try:
                 self._parts.rig.recover()
-                self._parts.view.say("recovered; nothing has moved")
+                self._say("recovered; nothing has moved")
             except RobotError as error:
-                self._parts.view.say(f"not recovered: {error}")
+                self._say(f"not recovered: {error}")
         return event.command in (Command.GO, Command.QUIT)
 
     def _drive(self, driving: bool) -> bool:
-        """Let a person move the robot between episodes; return whether that worked."""
+        """Let a person move the robot between episodes; return whether that worked. A scene only steps inside one."""
         rig, steering = self._parts.rig, self._parts.steering
-        attended = self._parts.operator.is_attended
-        if not (self._settings.drive_between and attended and rig.facts.drives_between):
+        if not (self._settings.drive_between and self._is_attended) or rig.facts.simulated:
             return False
         try:
             axes = rig.axes()
@@ -182,7 +158,11 @@ class RecordingSession:
 
     def _prepare(self, frames: int) -> bool:
         """See to room and references; a refusal is said, and attended it means waiting again."""
-        self._see_to_room(frames)
+        try:
+            room = self._parts.disk.before_episode(frames, self._parts.recorder.total_frames)
+        except DiskFullError as error:
+            raise _End(DISK_FULL, str(error)) from error
+        self._say(f"the episode may take {room}")
         deadline_s, said = time.monotonic() + self._settings.unwell_s, ""
         while True:
             self._parts.refuse_interrupted()
@@ -192,21 +172,12 @@ class RecordingSession:
             except UniForceError as error:
                 if str(error) != said:
                     said = str(error)
-                    self._parts.view.say(f"can't begin: {error}")
-                if self._parts.operator.is_attended:
+                    self._say(f"can't begin: {error}")
+                if self._is_attended:
                     return False
                 if isinstance(error, RobotError) or time.monotonic() > deadline_s:
                     raise _End(FAULT, f"can't begin ({cause_of(error)}): {error}") from error
             time.sleep(RETRY_s)
-
-    def _see_to_room(self, frames: int) -> None:
-        try:
-            room = self._parts.disk.before_episode(frames, self._parts.recorder.total_frames)
-        except DiskFullError as error:
-            raise _End(DISK_FULL, str(error)) from error
-        self._parts.view.say(f"the episode may take {room}")
-
-    # --- judging -----------------------------------------------------------------------------------------------------
 
     def _judge(self, ending: Ending) -> Ending:
         """Return the ending with an outcome: the rig's where it knows better than a person, else the operator's."""
@@ -215,42 +186,35 @@ class RecordingSession:
         verdict = self._parts.rig.verdict()
         if verdict is not None:
             return replace(ending, how="judged", outcome=verdict.outcome, clean=verdict.clean)
-        return ending if ending.how == "judged" else self._ask(ending)
-
-    def _ask(self, ending: Ending) -> Ending:
-        """Wait for a word; Ctrl-C is one too."""
-        parts, beat = self._parts, Ticker(self._fps)
-        if parts.operator.is_attended:
-            parts.view.say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
-        while not parts.interrupts.count:
-            for event in parts.operator.poll(Phase.JUDGING):
+        if ending.how == "judged":
+            return ending
+        if self._is_attended:
+            self._say("over: y success, f not wiped, g failed grasp, x discard, r re-record")
+        try:
+            for event in itertools.chain.from_iterable(self._parts.events(Phase.JUDGING)):
                 if event.command is Command.NOTE:
                     ending = replace(ending, notes=(*ending.notes, event.text))
-                elif change := ending_of(event):
-                    return replace(ending, **change)
-            beat.wait()
-        return replace(ending, how="aborted", cause="interrupt", message="interrupted")
-
-    # --- storing -----------------------------------------------------------------------------------------------------
+                elif event.command in ENDINGS:
+                    return replace(ending, **ENDINGS[event.command])
+        except StopRequestedError as error:
+            ending = replace(ending, how="aborted", cause="interrupt", message=str(error))
+        return ending
 
     def _store(self, ending: Ending, card: dict[str, Any]) -> None:
-        recorder, view = self._parts.recorder, self._parts.view
+        recorder, frames = self._parts.recorder, self._parts.recorder.num_frames
         keeps = ending.how == "judged" or (ending.how == "aborted" and self._settings.keep_aborted)
-        if not keeps or recorder.num_frames < MIN_FRAMES:
+        if not keeps or frames < MIN_FRAMES:
             recorder.discard()
-            view.say(f"not stored: {ending.label}")
+            self._say(f"not stored: {ending.label}")
             return
-        seconds, whole_card = recorder.num_frames / self._fps, card | self._card(ending)
         try:
-            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, whole_card)
-        except (
-            DatasetError,
-            ContractError,
-        ) as error:  # ContractError: of a row that the storing process refused
-            view.say(f"not stored: {error}")
+            recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card | self._card(ending))
+        except (DatasetError, ContractError) as error:  # ContractError: a row the storing process refused
+            self._say(f"not stored: {error}")
             raise _End(DISK_FULL if isinstance(error, DiskFullError) else FAULT, str(error)) from error
         self._judged += ending.how == "judged"
-        view.say(f"stored {ending.label}, {seconds:.1f} s; {self._judged}/{self._settings.episodes} episodes")
+        counted = f"{self._judged}/{self._settings.episodes} episodes"
+        self._say(f"stored {ending.label}, {frames / self._fps:.1f} s; {counted}")
 
     def _card(self, ending: Ending) -> dict[str, Any]:
         return {
@@ -276,11 +240,10 @@ class RecordingSession:
             raise StopRequestedError(ending.message)
         if ending.cause == "disk_full":
             raise _End(DISK_FULL, ending.message)
-        attended, said = self._parts.operator.is_attended, f"{ending.label}: {ending.message}"
+        said, of_robot = f"{ending.label}: {ending.message}", ending.cause.startswith("robot_")
         recent = [past.how for past in self._endings[-ABORTS_IN_A_ROW:]]
-        if not attended and recent == ["aborted"] * ABORTS_IN_A_ROW:
+        if not self._is_attended and recent == ["aborted"] * ABORTS_IN_A_ROW:
             raise _End(FAULT, f"{ABORTS_IN_A_ROW} times in a row, {said}")
-        by_hand = ending.cause.startswith("robot_") or ending.cause in ("teleop", "storage", "other")
-        if by_hand and not attended:
+        if not self._is_attended and (of_robot or ending.cause in ("teleop", "storage", "other")):
             raise _End(FAULT, said)
-        self._parts.view.say(said + (" (v clears it)" if ending.cause.startswith("robot_") else ""))
+        self._say(said + (" (v clears it)" if of_robot else ""))

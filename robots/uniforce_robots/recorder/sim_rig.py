@@ -24,21 +24,16 @@ class SimRig(Rig):
 
     def __init__(self, env: WipeEnv, paced: bool = True) -> None:
         self.env = env
-        self.facts = RigFacts(
-            name="sim",
-            fps=int(env.metadata["render_fps"]),
-            sensors={finger: env.sensors[finger] for finger in FINGERS},
-            cameras=dict.fromkeys(CAMERAS, (CAMERA_PX, CAMERA_PX, 3)),
-            truth=True,
-            paced=paced,
-            drives_between=False,
-        )
+        cameras = dict.fromkeys(CAMERAS, (CAMERA_PX, CAMERA_PX, 3))
+        sensors = {finger: env.sensors[finger] for finger in FINGERS}
+        fps = int(env.metadata["render_fps"])
+        self.facts = RigFacts("sim", fps, sensors, cameras, paced=paced, simulated=True)
         self._step = 0
         self._seen: dict[str, Any] = {}
         self._references: dict[Finger, np.ndarray] = {}
 
     @property
-    def prompt(self) -> str | None:
+    def prompt(self) -> str | None:  # type: ignore[override]
         """The scene's own words."""
         return self.env.task
 
@@ -73,7 +68,7 @@ class SimRig(Rig):
             time_s=now_s,
             axes=self._seen["agent_pos"],
             cameras={name: Picture(pixels[name], step, now_s) for name in CAMERAS},
-            fingers={f: FingerTouch(images[f], self._references[f], step, now_s) for f in FINGERS},
+            fingers={f: FingerTouch(images[f], step, now_s, self._references[f]) for f in FINGERS},
             measured={truth_wrench_key(f): w.astype(np.float32) for f, w in self.env.true_wrench().items()},
             force_N=np.array([0.0, 0.0, self.env.sim.press_N]),
         )

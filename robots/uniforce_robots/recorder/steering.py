@@ -12,7 +12,7 @@ from uniforce_vtla.keys import AXES
 
 
 class Steering:
-    """Drive by a teleoperator.
+    """Drive by a teleoperator; TeleoperatorError where it fails.
 
     Beyond LeRobot's interface it uses what is there: ``start_from(axes)`` at each start, ``send_feedback(axes)`` where
     ``feedback_features`` lists the five axes.
@@ -37,43 +37,43 @@ class Steering:
 
     def connect(self) -> None:
         """Open the device."""
-        self._call(self._teleop.connect)
+        self._call("connect")
 
     def close(self) -> None:
         """Let go of it."""
         if self._teleop.is_connected:
-            self._call(self._teleop.disconnect)
+            self._call("disconnect")
 
     def start_from(self, axes: np.ndarray) -> None:
         """Begin with the target on (5,) measured axes; raises TeleoperatorError where it can't start from here."""
         if hasattr(self._teleop, "start_from"):
-            self._call(self._teleop.start_from, _named(axes))
+            self._call("start_from", _named(axes))
 
     def target(self, axes: np.ndarray) -> np.ndarray:
         """Return (5,) absolute targets for the (5,) measured axes.
 
         Raises:
-            TeleoperatorError: the device failed, or what it says can't be followed. ``fault`` is ``ended`` where a
-                recording is over.
+            TeleoperatorError: the device failed, or its target isn't finite. ``fault`` is ``ended`` where a recording
+                is over.
         """
         if self._wants_feedback:
-            self._call(self._teleop.send_feedback, _named(axes))
-        action = self._call(self._teleop.get_action)
+            self._call("send_feedback", _named(axes))
+        action = self._call("get_action")
         target = np.array([float(action.get(axis, np.nan)) for axis in AXES])
         if not np.isfinite(target).all():
             do = "The teleoperator is broken; the robot holds."
             raise TeleoperatorError(expected(self.name, f"finite {AXES}", action, do), "garbage")
         return target
 
-    def _call(self, function: Any, *arguments: Any) -> Any:
+    def _call(self, method: str, *arguments: Any) -> Any:
         """Call the device; what LeRobot's own raise becomes one kind of error."""
         try:
-            return function(*arguments)
+            return getattr(self._teleop, method)(*arguments)
         except UniForceError:
             raise
         except (RuntimeError, OSError, ValueError) as error:
-            do = "Check the device."
-            raise TeleoperatorError(expected(self.name, "an answer", error, do), "connection") from error
+            came = expected(self.name, "an answer", error, "Check the device.")
+            raise TeleoperatorError(came, "connection") from error
 
 
 def _named(axes: np.ndarray) -> dict[str, float]:

@@ -12,9 +12,7 @@ import logging
 import multiprocessing
 import os
 import signal
-import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -22,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_datasets.features import dataset_features
 from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.staging import claim
 from uniforce_robots.recorder.rig import RigFacts
-from uniforce_robots.recorder.rows import RECORDERS_OWN, RowSlots, further_columns
+from uniforce_robots.recorder.rows import RECORDERS_OWN, RowSlots, further_columns, rig_features
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import DatasetError, DroppedFrameError, UniForceError, expected
 
@@ -62,7 +60,7 @@ def open_recorder(facts: RigFacts, settings: StoreSettings) -> EpisodeRecorder:
         facts.sensors["right"],
         facts.fps,
         cameras=facts.cameras,
-        truth=facts.truth,
+        truth=facts.simulated,
         realtime=facts.paced,
         queue_frames=QUEUE_FRAMES,
         further=further_columns(facts),
@@ -71,10 +69,15 @@ def open_recorder(facts: RigFacts, settings: StoreSettings) -> EpisodeRecorder:
     )
 
 
+class StoreGoneError(DatasetError):
+    """The storing process has ended, or doesn't answer; what was saved is whole."""
+
+
 class StoreProcess:
     """``EpisodeRecorder`` elsewhere. An error of ``add`` shows at a later call, at the latest at ``save``.
 
     The child starts in the background; the first question waits until it is ready, and raises what kept it from it.
+    A folder that can't be written to is a DatasetError at once.
 
     Attributes:
         features: LeRobot's features dict of what is recorded.
@@ -84,19 +87,23 @@ class StoreProcess:
 
     def __init__(self, facts: RigFacts, settings: StoreSettings) -> None:
         context = multiprocessing.get_context("spawn")  # never fork: threads of cameras and clients
-        self.features = dataset_features(facts.cameras, facts.truth, further_columns(facts))
+        claim(settings.root)  # a folder that can't be one is refused at once, not after the child's imports
+        self.features = rig_features(facts)
         self.num_frames = 0
-        self._paced = facts.paced
+        self._slot_s = 0.0 if facts.paced else SLOT_s
         self._slots = RowSlots(facts, SLOTS, context)
         self._unanswered = 1  # the first answer comes by itself, when the child is ready
         self._rows = 0  # sent so far; answers come in order, so slots are free in order
         self._stored: tuple[int, int] | None = None  # episodes, frames; None until the child is ready
         self._pipe, other = context.Pipe()
-        self._process = context.Process(
-            target=serve, args=(other, self._slots, facts, settings), name="store", daemon=True
-        )
-        with _ctrl_c_ignored():
+        given = (other, self._slots, facts, settings)
+        self._process = context.Process(target=serve, args=given, name="store", daemon=True)
+        # Ctrl-C goes to the whole group; the child inherits that it is ignored, and ignores it while it still imports.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
             self._process.start()
+        finally:
+            signal.signal(signal.SIGINT, before)
         self.pid = self._process.pid or 0
         other.close()
 
@@ -120,11 +127,8 @@ class StoreProcess:
             DatasetError, ContractError: an earlier row could not be stored.
         """
         self._known()
-        deadline_s = time.monotonic() + (0.0 if self._paced else SLOT_s)
-        while self._has_answer():
-            self._take_answer()
-        while self._unanswered >= SLOTS:
-            if not self._has_answer(deadline_s - time.monotonic()):
+        while self._has_answer() or self._unanswered >= SLOTS:
+            if not self._has_answer(self._slot_s):
                 do = "The episode ends here: free the computer, or record smaller pictures."
                 raise DroppedFrameError(expected("storing", f"≤ {SLOTS} frames behind", "more", do))
             self._take_answer()
@@ -136,19 +140,15 @@ class StoreProcess:
 
     def save(self, *outcome: Any, **more: Any) -> None:
         """Make the episode durable; arguments as for ``EpisodeRecorder.save``. Waits until it is."""
-        self.num_frames = 0
-        self._order("save", outcome, more)
-        self._take_all()
+        self._finish("save", outcome, more)
 
     def discard(self) -> None:
         """Forget the running episode, and the error that broke it."""
-        self.num_frames = 0
-        self._order("discard")
         try:
-            self._take_all()
+            self._finish("discard")
+        except StoreGoneError:
+            raise
         except UniForceError as error:
-            if self._unanswered:  # the child itself is gone or hangs
-                raise
             log.info("discarded after %s", error)
 
     def close(self) -> None:
@@ -175,31 +175,36 @@ class StoreProcess:
             self._take_answer(START_s)
         return self._stored
 
-    def _order(self, *order: Any) -> None:
-        with _connected():
-            self._pipe.send(order)
-        self._unanswered += 1
-
-    def _take_all(self) -> None:
-        """Wait for every answer; raise the first error among them."""
+    def _finish(self, *order: Any) -> None:
+        """Give an order and wait for every answer; raise the first error among them."""
+        self.num_frames = 0
+        self._order(*order)
         first: UniForceError | None = None
         while self._unanswered:
-            before = self._unanswered
             try:
                 self._take_answer(ANSWER_s)
+            except StoreGoneError as error:
+                raise first or error from error
             except UniForceError as error:
                 first = first or error
-                if self._unanswered == before:
-                    break
         if first is not None:
             raise first
+
+    def _order(self, *order: Any) -> None:
+        try:
+            self._pipe.send(order)
+        except OSError as error:
+            raise _gone() from error
+        self._unanswered += 1
 
     def _take_answer(self, timeout_s: float = 0.0) -> None:
         if not self._has_answer(timeout_s):
             do = "The disk hangs? Saved episodes are whole."
-            raise DatasetError(expected("storing", f"an answer within {timeout_s:g} s", "none", do))
-        with _connected():
+            raise StoreGoneError(expected("storing", f"an answer within {timeout_s:g} s", "none", do))
+        try:
             error, stored = self._pipe.recv()
+        except (EOFError, OSError) as ended:
+            raise _gone() from ended
         self._unanswered -= 1
         if error is not None:
             self.num_frames = 0
@@ -207,27 +212,15 @@ class StoreProcess:
         self._stored = stored
 
     def _has_answer(self, timeout_s: float = 0.0) -> bool:
-        with _connected():
-            return self._pipe.poll(max(timeout_s, 0.0))
+        try:
+            return self._pipe.poll(timeout_s)
+        except OSError as error:
+            raise _gone() from error
 
 
-@contextmanager
-def _connected() -> Iterator[None]:
-    try:
-        yield
-    except (EOFError, OSError) as error:
-        do = "See the error above; saved episodes are whole."
-        raise DatasetError(expected("storing process", "one that runs", "one that ended", do)) from error
-
-
-@contextmanager
-def _ctrl_c_ignored() -> Iterator[None]:
-    """Let a child inherit that Ctrl-C is ignored: it goes to the whole group, also while the child still imports."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _gone() -> StoreGoneError:
+    do = "See the error above; saved episodes are whole."
+    return StoreGoneError(expected("storing process", "one that runs", "one that ended", do))
 
 
 # --- the child -------------------------------------------------------------------------------------------------------
@@ -244,20 +237,17 @@ def serve(pipe: Connection, slots: RowSlots, facts: RigFacts, settings: StoreSet
         pipe.send((error, None))
         return
     with recorder:
-        warm_up(recorder, facts)
+        _warm_up(recorder, facts)
         try:
             _obey_all(pipe, slots, recorder)
         except (EOFError, OSError):
             log.warning("the recording loop has gone; the running episode is dropped")
 
 
-def warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
+def _warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
     """Record a few black frames and forget them, so that the first real ones are as fast as the others."""
-    row = {
-        key: np.zeros(feature["shape"], "uint8" if feature["dtype"] == "video" else feature["dtype"])
-        for key, feature in recorder.features.items()
-        if key not in RECORDERS_OWN
-    }
+    kinds = {k: (f["shape"], f["dtype"]) for k, f in recorder.features.items() if k not in RECORDERS_OWN}
+    row = {k: np.zeros(shape, "uint8" if kind == "video" else kind) for k, (shape, kind) in kinds.items()}
     raw = {finger: np.zeros(shape, np.uint8) for finger, shape in facts.raw_frames.items()}
     for _ in range(WARM_UP_FRAMES):
         recorder.add(row, "warm-up", raw)
@@ -266,29 +256,23 @@ def warm_up(recorder: EpisodeRecorder, facts: RigFacts) -> None:
 
 def _obey_all(pipe: Connection, slots: RowSlots, recorder: EpisodeRecorder) -> None:
     """Do each order and answer it; after an error the rest of an episode is ignored, its save too."""
-    kind, details, broken = "ready", list[Any](), False
-    while kind != "close":
+    order: tuple[Any, ...] = ("ready",)
+    broken = False
+    while order[0] != "close":
         error = None
         try:
-            if broken and kind in ("save", "discard"):
-                recorder.discard()
-            elif not broken:
-                _obey(slots, recorder, kind, details)
+            match order:
+                case ("save" | "discard", *_) if broken:
+                    recorder.discard()
+                case ("add", slot, task) if not broken:
+                    row, raw = slots.read(slot)
+                    recorder.add(row, task, raw)
+                case ("save", outcome, more):
+                    recorder.save(*outcome, **more)
+                case ("discard",):
+                    recorder.discard()
         except UniForceError as came:
             error = came
-        broken = (broken or error is not None) and kind == "add"
+        broken = (broken or error is not None) and order[0] == "add"
         pipe.send((error, (recorder.num_episodes, recorder.total_frames)))
-        kind, *details = pipe.recv()
-
-
-def _obey(slots: RowSlots, recorder: EpisodeRecorder, kind: str, details: list[Any]) -> None:
-    match kind:
-        case "add":
-            slot, task = details
-            row, raw = slots.read(slot)
-            recorder.add(row, task, raw)
-        case "save":
-            outcome, more = details
-            recorder.save(*outcome, **more)
-        case "discard":
-            recorder.discard()
+        order = pipe.recv()

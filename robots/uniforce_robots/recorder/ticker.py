@@ -11,21 +11,14 @@ import numpy as np
 
 @dataclass(frozen=True)
 class TickStats:
-    """How a beat was kept.
+    """How a beat was kept."""
 
-    Attributes:
-        ticks: how many there were.
-        mean_hz: over the whole stretch; 0 with fewer than two ticks.
-        jitter_p50_ms, jitter_p99_ms, jitter_max_ms: how late ticks came after their deadlines.
-        missed: deadlines that passed without a tick, because the one before took too long.
-    """
-
-    ticks: int
-    mean_hz: float
-    jitter_p50_ms: float
-    jitter_p99_ms: float
-    jitter_max_ms: float
-    missed: int
+    ticks: int = 0  # how many there were
+    mean_hz: float = 0.0  # over the whole stretch; 0 with fewer than two ticks
+    jitter_p50_ms: float = 0.0  # how late ticks came after their deadlines
+    jitter_p99_ms: float = 0.0  # likewise
+    jitter_max_ms: float = 0.0  # likewise
+    missed: int = 0  # deadlines that passed without a tick, because the one before took too long
 
     @property
     def late_share(self) -> float:
@@ -43,8 +36,7 @@ class Ticker:
     Args:
         rate_hz: beats per second.
         paced: False never waits: for a scene that steps as fast as it can.
-        clock: seconds; tests put their own.
-        sleep: waits seconds.
+        clock, sleep: seconds; tests put their own.
     """
 
     def __init__(
@@ -54,13 +46,11 @@ class Ticker:
         clock: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._period_s, self._paced = 1 / rate_hz, paced
-        self._clock, self._sleep = clock, sleep
+        self._period_s, self._paced, self._clock, self._sleep = 1 / rate_hz, paced, clock, sleep
         self._due_s = clock()
         self._times: list[float] = []
         self._late_s: list[float] = []
-        self._paused_s = 0.0
-        self._missed = 0
+        self._paused_s, self._missed = 0.0, 0
 
     def resume(self) -> None:
         """Go on after a pause that shall not count: the next beat is one period away."""
@@ -87,7 +77,7 @@ class Ticker:
         """How the beat was kept since the start."""
         count = len(self._times)
         if count < 2:
-            return TickStats(count, 0.0, 0.0, 0.0, 0.0, self._missed)
+            return TickStats(count, missed=self._missed)
         span_s = self._times[-1] - self._times[0] - self._paused_s
         p50, p99, most = np.percentile(np.array(self._late_s) * 1000, (50, 99, 100)).tolist()
         return TickStats(count, (count - 1) / span_s if span_s > 0 else 0.0, p50, p99, most, self._missed)

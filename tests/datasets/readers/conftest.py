@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, force_sequences, gap_map
-from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.contact import force_sequences
 
 COLUMNS = ["Fx(N)", "Fy(N)", "Fz(N)", "Tx(Nmm)", "Ty(Nmm)", "Tz(Nmm)"]
 LENGTH = 6
@@ -28,28 +27,10 @@ class MarkerTrial:
     force_N: np.ndarray
 
 
-@dataclass(frozen=True)
-class RawRun:
-    """Raw signals of a run; the first is free air."""
-
-    raw: np.ndarray
-    force_N: np.ndarray
-
-
 @pytest.fixture(scope="session")
 def marker_trials() -> tuple[MarkerTrial, ...]:
     """One trial per sensor and indenter, sphere (seen) and wave (unseen); frame 0 is the reference itself."""
     return tuple(_marker_trial(s, i) for s in ("gelsight", "tactip", "uskin") for i in ("sphere", "wave"))
-
-
-@pytest.fixture(scope="session")
-def gel_run() -> RawRun:
-    return _raw_run("gelsight")
-
-
-@pytest.fixture(scope="session")
-def taxel_run() -> RawRun:
-    return _raw_run("uskin")
 
 
 @pytest.fixture
@@ -76,12 +57,6 @@ def write_genforce_trial(root: Path, trial: MarkerTrial, name: str = "1") -> Non
     table.to_csv(forces / "ft.csv", index=False)
 
 
-def press(length: int = LENGTH) -> np.ndarray:
-    """Return (length, 3) float32: free air, then growing normal force with shear right and up."""
-    share = np.linspace(0, 1, length)[:, None]
-    return (share * (0.9, -0.6, 5.0)).astype(np.float32)
-
-
 def _marker_trial(sensor: str, indenter: str) -> MarkerTrial:
     rng = np.random.default_rng([3, len(sensor), len(indenter)])
     batch = force_sequences(rng, sensor, 1, LENGTH, (indenter,), unit_strength=0.3, units=1)
@@ -89,12 +64,3 @@ def _marker_trial(sensor: str, indenter: str) -> MarkerTrial:
     force_N = batch.force_N[0].copy()
     force_N[0] = 0
     return MarkerTrial(sensor, indenter, batch.reference[0], frames, force_N)
-
-
-def _raw_run(sensor: str) -> RawRun:
-    simulator = TactileSimulator(sensor, options=ContactOptions(), seed=5)
-    force_N = press()
-    gap = np.repeat(gap_map("sphere", (1.0, -0.5), 0.0)[None], LENGTH, axis=0)
-    raw = simulator.raw_frames(ContactState(gap, force_N, np.zeros(LENGTH, np.float32)))
-    raw[0] = simulator.raw_reference()
-    return RawRun(raw, force_N)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uniforce_datasets.readers import ForceAxes, LabelledRecording, PairRecording
-from uniforce_datasets.readers.force_axes import check_compression
+from uniforce_datasets.readers.genforce import check_compression
 from uniforce_vtla.errors import ContractError, DatasetError
 
 IMAGE = np.zeros((48, 64), np.uint8)

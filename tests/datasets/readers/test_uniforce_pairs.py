@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,7 @@ def recorded(tmp_path: Path, marker_trials: Any) -> Path:
     """Six pairs each of two indenters, GelSight-D left and TacTip right."""
     gelsight, tactip = marker_trials[0], marker_trials[2]
     for indenter in ("moon", "sphere"):
-        whole = pairs_of(gelsight, tactip, indenter)
-        named = PairRecording(("gelsight_d", "tactip"), *list(whole.__dict__.values())[1:])
+        named = replace(pairs_of(gelsight, tactip, indenter), sensors=("gelsight_d", "tactip"))
         write_uniforce_pairs(tmp_path / "pairs", named, "Diamond1", "20260131")
     return tmp_path / "pairs"
 
@@ -114,64 +114,43 @@ def side(root: Path, sensor: str = "tactip") -> Path:
     return folder(root) / "marker" / sensor / "sphere"
 
 
-def one_missing(root: Path) -> None:
-    (side(root) / "000003.jpg").unlink()
-
-
-def truncated(root: Path) -> None:
-    path = side(root) / "000003.jpg"
+def cut(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:9_000])
 
 
-def wrong_size(root: Path) -> None:
-    cv2.imwrite(str(side(root) / "000003.jpg"), np.zeros((100, 100), np.uint8))
-
-
-def raw_picture(root: Path) -> None:
-    cv2.imwrite(str(side(root) / "000003.jpg"), np.full((480, 640), 128, np.uint8))
-
-
-def other_sensor(root: Path) -> None:
-    (folder(root) / "marker" / "tactip").rename(folder(root) / "marker" / "digit")
-
-
-def one_side_only(root: Path) -> None:
-    shutil.rmtree(side(root))
+def picture(path: Path, value: int, *shape: int) -> None:
+    cv2.imwrite(str(path), np.full(shape, value, np.uint8))
 
 
 def no_images(root: Path) -> None:
-    for sensor in ("tactip", "gelsight_d"):
-        for path in side(root, sensor).glob("0*.jpg"):
-            path.unlink()
+    for path in folder(root).glob("marker/*/sphere/0*.jpg"):
+        path.unlink()
 
 
-def linked_image(root: Path) -> None:
-    path = side(root) / "000003.jpg"
+def linked(root: Path, path: Path) -> None:
     path.rename(root.parent / "elsewhere.jpg")
     path.symlink_to(root.parent / "elsewhere.jpg")
 
 
-def linked_reference(root: Path) -> None:
-    path = side(root) / "reference.jpg"
-    path.rename(root.parent / "elsewhere.jpg")
-    path.symlink_to(root.parent / "elsewhere.jpg")
+BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
+    "one missing": (lambda r: (side(r) / "000003.jpg").unlink(), "1 on one side only, e.g. 000003"),
+    "truncated": (lambda r: cut(side(r) / "000003.jpg"), "truncated"),
+    "size": (lambda r: picture(side(r) / "000003.jpg", 0, 100, 100), r"\(480, 640\), got \(100, 100\)"),
+    "raw picture": (lambda r: picture(side(r) / "000003.jpg", 128, 480, 640), "black and white"),
+    "other sensor": (
+        lambda r: side(r).parent.rename(folder(r) / "marker" / "digit"),
+        r"two sensors of gelsight_d_tactip.*digit",
+    ),
+    "one side only": (lambda r: shutil.rmtree(side(r)), "the same indenters on both sides"),
+    "no images": (no_images, "got none"),
+    "linked image": (lambda r: linked(r, side(r) / "000003.jpg"), "a path inside"),
+    "linked reference": (lambda r: linked(r, side(r) / "reference.jpg"), "a path inside"),
+}
 
 
-@pytest.mark.parametrize(
-    ("damage", "says"),
-    [
-        (one_missing, "1 on one side only, e.g. 000003"),
-        (truncated, "truncated"),
-        (wrong_size, r"\(480, 640\), got \(100, 100\)"),
-        (raw_picture, "black and white"),
-        (other_sensor, r"two sensors of gelsight_d_tactip.*digit"),
-        (one_side_only, "the same indenters on both sides"),
-        (no_images, "got none"),
-        (linked_image, "a path inside"),
-        (linked_reference, "a path inside"),
-    ],
-)
-def test_broken_pairs_are_refused(recorded: Path, damage: Callable[[Path], None], says: str) -> None:
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_pairs_are_refused(recorded: Path, name: str) -> None:
+    damage, says = BROKEN[name]
     damage(recorded)
     with pytest.raises(DatasetError, match=says):
         list(read_uniforce_pairs(recorded))
@@ -200,15 +179,7 @@ def test_writer_refuses_what_it_could_not_read_back(tmp_path: Path, marker_trial
         pairs = PairRecording(("a", "b"), "cone", "p", small, small, small[None], small[None])
         write_uniforce_pairs(tmp_path, pairs, "p", "d")
     write_uniforce_pairs(tmp_path, pairs_of(gelsight, tactip), "p", "d")
-    moved = PairRecording(
-        ("gelsight", "tactip"),
-        "sphere",
-        "p",
-        gelsight.frames[-1],
-        tactip.reference,
-        gelsight.frames,
-        tactip.frames,
-    )
+    moved = replace(pairs_of(gelsight, tactip), left_reference=gelsight.frames[-1])
     with pytest.raises(DatasetError, match="the reference of this recording"):
         write_uniforce_pairs(tmp_path, moved, "p", "d")
 

@@ -7,17 +7,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from uniforce_robots.pairs.coverage import ENOUGH, Coverage, contact_place
-from uniforce_robots.pairs.gate import MotionLimits, quasi_static
-from uniforce_robots.pairs.touch_field import CHANNELS, GRID
+from uniforce_robots.pairs.finger_force import CHANNELS, GRID
+from uniforce_robots.pairs.track import MotionLimits, quasi_static
 from uniforce_vtla.errors import ContractError
 
 STILL = np.zeros((20, 3))
 HELD = np.full(20, 5.0)
 LIMITS = MotionLimits()
-
-
-def test_a_hand_at_rest_passes() -> None:
-    assert not any(quasi_static(STILL, STILL, HELD, 30.0, LIMITS))
 
 
 @pytest.mark.parametrize(
@@ -35,6 +31,8 @@ def test_it_stays_closed_until_the_rubber_has_settled() -> None:
     speed[5] = 1.0
     reasons = quasi_static(speed, STILL, HELD, 30.0, MotionLimits(settle_s=0.1)).tolist()
     assert reasons[6:9] == ["settling"] * 3 and not reasons[9]
+    with pytest.raises(ContractError, match="motion limits"):
+        MotionLimits(speed_m_s=0.0)
 
 
 @given(arrays(np.float64, (20, 3), elements=st.floats(-1, 1)), st.integers(1, 20))
@@ -42,11 +40,6 @@ def test_it_never_looks_ahead(speed: np.ndarray, count: int) -> None:
     whole = quasi_static(speed, STILL, HELD, 30.0, LIMITS)
     part = quasi_static(speed[:count], STILL[:count], HELD[:count], 30.0, LIMITS)
     assert (whole[:count] == part).all()
-
-
-def test_impossible_limits_are_refused() -> None:
-    with pytest.raises(ContractError):
-        MotionLimits(speed_m_s=0.0)
 
 
 @given(

@@ -12,10 +12,6 @@ from uniforce_robots.pairs.pair_judge import GraspSignals, PairJudge
 LED = slice(22, 43)  # frames in which the hand leads
 
 
-def changed(grasp: GraspSignals, **arrays: np.ndarray) -> GraspSignals:
-    return replace(grasp, **arrays)
-
-
 def test_balance_is_left_alone(calm: GraspSignals) -> None:
     quality = PairJudge().judge(calm)
     assert not quality.flagged.any() and quality.error[LED].max() < 0.01
@@ -24,40 +20,40 @@ def test_balance_is_left_alone(calm: GraspSignals) -> None:
 def test_opposite_shear_is_flagged(calm: GraspSignals) -> None:
     """A freely squeezed object: pads that face it askew shear it against each other."""
     askew = calm.left_N * [-1, -1, 1]
-    assert PairJudge().judge(changed(calm, right_N=askew)).flagged[LED].all()
+    assert PairJudge().judge(replace(calm, right_N=askew)).flagged[LED].all()
 
 
 def test_an_acceleration_along_the_closing_axis_is_mass_times_it(calm: GraspSignals) -> None:
     acceleration = calm.acceleration_m_s2.copy()
     acceleration[30, 0] = 5.0
-    quality = PairJudge().judge(changed(calm, acceleration_m_s2=acceleration))
+    quality = PairJudge().judge(replace(calm, acceleration_m_s2=acceleration))
     assert quality.error[30] == pytest.approx(0.3 * 5.0 / np.linalg.norm(calm.left_N[30]), rel=0.02)
     acceleration[30] = [0.0, 5.0, 5.0]  # along the pads it loads both alike
-    assert not PairJudge().judge(changed(calm, acceleration_m_s2=acceleration)).flagged.any()
+    assert not PairJudge().judge(replace(calm, acceleration_m_s2=acceleration)).flagged.any()
 
 
 def test_a_finger_that_does_not_touch_is_flagged(calm: GraspSignals) -> None:
     left = calm.left_N.copy()
     left[25:] = 0
-    quality = PairJudge().judge(changed(calm, left_N=left))
+    quality = PairJudge().judge(replace(calm, left_N=left))
     assert (quality.error[27:] == 2).all() and not quality.flagged[LED.start : 24].any()
 
 
-def test_a_strong_lean_is_felt_and_a_light_one_is_not(calm: GraspSignals) -> None:
+def test_a_strong_lean_is_flagged_and_a_light_one_is_not(calm: GraspSignals) -> None:
     """The limit of the normals: they overrule the acceleration only far beyond the session's own spread."""
     for lean, flagged in ((0.9, True), (0.1, False)):
         right = calm.right_N.copy()
         right[LED, 2] *= 1 - lean * 0.9
-        assert bool(PairJudge().judge(changed(calm, right_N=right)).flagged[LED][2:-2].all()) is flagged
+        assert bool(PairJudge().judge(replace(calm, right_N=right)).flagged[LED][2:-2].all()) is flagged
 
 
 def test_the_grasp_itself_tells_how_normals_compare(calm: GraspSignals) -> None:
     stiffer = calm.right_N * [1, 1, 1.5]  # one unit reads half as much again, from the first touch on
-    assert not PairJudge().judge(changed(calm, right_N=stiffer)).flagged.any()
+    assert not PairJudge().judge(replace(calm, right_N=stiffer)).flagged.any()
 
 
 def test_the_session_tells_how_shears_compare(calm: GraspSignals) -> None:
-    softer = changed(calm, right_N=calm.right_N * [0.5, 0.5, 1])
+    softer = replace(calm, right_N=calm.right_N * [0.5, 0.5, 1])
     judge = PairJudge()
     assert judge.judge(softer).flagged[LED].any()
     for _ in range(20):
@@ -66,7 +62,7 @@ def test_the_session_tells_how_shears_compare(calm: GraspSignals) -> None:
 
 
 def test_learning_is_not_led_astray_by_a_fifth_of_bad_grasps(calm: GraspSignals) -> None:
-    bad = changed(calm, right_N=calm.left_N * [-1, -1, 1])
+    bad = replace(calm, right_N=calm.left_N * [-1, -1, 1])
     judge = PairJudge()
     for k in range(20):
         judge.learn(bad if k % 5 == 4 else calm)
@@ -75,19 +71,14 @@ def test_learning_is_not_led_astray_by_a_fifth_of_bad_grasps(calm: GraspSignals)
 
 def test_a_grasp_may_be_judged_while_it_grows(calm: GraspSignals) -> None:
     for count in (1, 2, 3, 20):
-        part = GraspSignals(
-            calm.left_N[:count],
-            calm.right_N[:count],
-            calm.velocity_m_s[:count],
-            calm.acceleration_m_s2[:count],
-            0.3,
-        )
+        arrays = (calm.left_N, calm.right_N, calm.velocity_m_s, calm.acceleration_m_s2)
+        part = GraspSignals(*(array[:count] for array in arrays), 0.3)
         quality = PairJudge().judge(part)
         assert len(quality.error) == count and np.isfinite(quality.error).all()
 
 
 def test_nothing_touched_is_no_error_and_no_crash(calm: GraspSignals) -> None:
-    nothing = changed(calm, left_N=np.zeros_like(calm.left_N), right_N=np.zeros_like(calm.right_N))
+    nothing = replace(calm, left_N=np.zeros_like(calm.left_N), right_N=np.zeros_like(calm.right_N))
     judge = PairJudge()
     judge.learn(nothing)
     assert np.isfinite(judge.judge(nothing).error).all()

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from uniforce_robots.pairs.guided_grasp import FAULTS, GraspSettings, draw_grasp
 from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig, equilibrium_error
-from uniforce_robots.pairs.robot_rig import HandMotion, RobotRig
+from uniforce_robots.pairs.rig import HandMotion, RobotRig
+from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError
 
 
@@ -61,42 +63,18 @@ def test_motion_is_read_off_the_poses_in_the_hands_frame(yaw: float) -> None:
         motion(0.0, np.zeros(5))
 
 
-class FakeRobot:
-    """Opens and closes its fingers."""
-
-    def __init__(self, widths: list[float]) -> None:
-        self._widths = iter(widths)
-
-    def measured(self) -> np.ndarray:
-        return np.array([0.5, 0, 0.2, 0, next(self._widths)])
-
-
-class FakeFinger:
-    def reference_image(self) -> np.ndarray:
-        return np.zeros((480, 640, 3), np.uint8)
-
-    def async_read(self, timeout_ms: float = 200.0) -> np.ndarray:
-        return np.zeros((480, 640, 3), np.uint8)
-
-
 def test_a_grasp_ends_once_when_the_fingers_open() -> None:
     widths = [0.06, 0.05, 0.03, 0.02, 0.0205, 0.02, 0.03, 0.045, 0.06, 0.05, 0.02, 0.03]
     ticks = itertools.count()
     steered: list[np.ndarray] = []
-    rig = RobotRig(
-        FakeRobot(widths),
-        {"left": FakeFinger(), "right": FakeFinger()},
-        {"left": "gelsight", "right": "tactip"},
-        30.0,
-        0.2,
-        6.0,
-        steer=steered.append,
-        clock=lambda: next(ticks) / 30,
-    )
+    image = np.zeros((480, 640, 3), np.uint8)
+    poses = iter([np.array([0.5, 0, 0.2, 0, width]) for width in widths])
+    robot = SimpleNamespace(measured=lambda: next(poses))
+    finger = SimpleNamespace(reference_image=lambda: image, async_read=lambda: image)
+    fingers, sensors = dict.fromkeys(FINGERS, finger), {"left": "gelsight", "right": "tactip"}
+    settings = {"steer": steered.append, "clock": lambda: next(ticks) / 30}
+    rig = RobotRig(robot, fingers, sensors, 30.0, 0.2, 6.0, **settings)
     frames = list(itertools.islice(rig.frames("sphere"), len(widths)))
     assert [frame.grasp for frame in frames] == [0] * 6 + [1] * 5 + [2]
     assert frames[0].images["left"].shape == (480, 640) and len(steered) == len(widths)
-    assert {finger: image.shape for finger, image in rig.references().items()} == {
-        "left": (480, 640),
-        "right": (480, 640),
-    }
+    assert {image.shape for image in rig.references().values()} == {(480, 640)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -70,16 +71,12 @@ def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
         store.add(*make_chunk(n=3, seed=7))
     wanted = layout(tmp_path)
     images = sorted((tmp_path / "uniforce_pairs").rglob("[0-9]*.jpg"))
-    for image in images:
-        index = int(image.stem)
-        if (
-            damage == "gone"
-            or (damage == "behind" and index >= 2)
-            or (damage == "half a pair" and image is images[-1])
-        ):
-            image.unlink()
-        if damage == "ahead" and index == 5:
-            image.with_name("000006.jpg").write_bytes(image.read_bytes())
+    last = [image for image in images if image.stem == "000005"]
+    behind = [image for image in images if int(image.stem) >= 2]
+    for image in {"gone": images, "behind": behind, "half a pair": images[-1:], "ahead": []}[damage]:
+        image.unlink()
+    for image in last if damage == "ahead" else []:
+        shutil.copy(image, image.with_name("000006.jpg"))
     opened(tmp_path).close()
     found = layout(tmp_path)
     assert found.keys() == wanted.keys()

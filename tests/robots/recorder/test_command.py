@@ -13,7 +13,7 @@ from uniforce_cli.record import main
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 
-QUICK = ["teleop=recording_test", "level=easy", "operator=nobody", "episode_s=0.2", "real_time=false"]
+QUICK = ["teleop=recording_test", "level=easy", "operator=unattended", "episode_s=0.2", "real_time=false"]
 
 
 @pytest.mark.slow
@@ -34,8 +34,8 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["robot=franka"], "works on a robot"),
         (["robot=franka", "teleop=recording_test"], "instruction"),
         (["teleop=telepathy"], "recording_test"),
-        (["teleop=recording_test", "operator=cat"], "keys | nobody"),
-        (["teleop=recording_test", "operator=nobody", "verdict=great"], "great"),
+        (["teleop=recording_test", "operator=cat"], "keys | unattended"),
+        (["teleop=recording_test", "operator=unattended", "verdict=great"], "great"),
         (["teleop=recording_test", "teleop.speed=1"], "speed"),
         (["resume=/nowhere"], "recorded dataset"),
         (["episodes=0"], "episodes"),
@@ -50,7 +50,7 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "level=easy"], "level"),
         (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "left_sensor=gelsight"], "left_sensor"),
         (["teleop=recording_test", "verdict=success"], "got verdict"),
-        (["teleop=recording_test", "operator=nobody", "drive_between=false"], "got drive_between"),
+        (["teleop=recording_test", "operator=unattended", "drive_between=false"], "got drive_between"),
     ],
 )
 def test_what_cannot_be_is_refused_with_a_reason(
@@ -80,9 +80,8 @@ def test_a_root_that_cannot_be_ends_before_the_first_episode(
     assert main([*words, *own, f"root={root.format(file=file, full=full)}", "episodes=1"]) == 2
     said = capsys.readouterr()
     assert "folder" in said.err and "Traceback" not in said.err
-    assert file.read_text() == "mine" and [p.name for p in full.iterdir() if p.name[0] != "."] == [
-        "letter.txt"
-    ]
+    assert file.read_text() == "mine"
+    assert [path.name for path in full.iterdir() if path.name[0] != "."] == ["letter.txt"]
 
 
 PROGRAM = """
@@ -106,14 +105,14 @@ def test_kill_9_loses_the_running_episode_at_most(tmp_path: Path) -> None:
     command = [sys.executable, str(program), *paths, *words]
     child = subprocess.Popen([*command, "episodes=100"], stdout=subprocess.PIPE, text=True)
     assert child.stdout is not None
-    told = 0
+    stored = 0
     for line in child.stdout:
-        told += line.startswith("stored")
-        if told == 2 and line.startswith("episode "):
+        stored += line.startswith("stored")
+        if stored == 2 and line.startswith("episode "):
             break
     child.kill()
     child.wait()
     have = open_dataset(root).num_episodes
-    assert have >= told == 2
+    assert have >= stored == 2
     assert subprocess.run([*command, "episodes=5"], check=False).returncode == 0
     assert open_dataset(root).num_episodes >= max(have, 5)

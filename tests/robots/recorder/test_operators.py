@@ -1,4 +1,4 @@
-"""Keys become commands and notes; nobody begins at once and says one verdict."""
+"""Keys become commands and notes; an unattended session begins at once with one verdict."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from uniforce_robots.recorder.operators import KEYS, Command, Event, KeyOperator, Phase, Unattended
+from uniforce_robots.recorder.operators import Command, Event, KeyOperator, Phase, Unattended
 from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla.errors import ContractError
 
@@ -18,17 +18,11 @@ def typed(operator: KeyOperator, keys: TerminalKeys, *pressed: str) -> list[Even
     return operator.poll(Phase.RUNNING)
 
 
-def test_every_command_but_notes_has_one_key() -> None:
-    assert sorted(KEYS.values(), key=str) == sorted(set(Command) - {Command.NOTE}, key=str)
-
-
 def test_keys_mean_commands_and_unknown_ones_nothing() -> None:
     keys = TerminalKeys({"w": (0, 1)})
     operator = KeyOperator(keys, ["slow", "slipped"])
-    assert [e.command for e in typed(operator, keys, "space", "w", "up", "y")] == [
-        Command.GO,
-        Command.SUCCESS,
-    ]
+    events = typed(operator, keys, "space", "w", "up", "y")
+    assert [event.command for event in events] == [Command.GO, Command.SUCCESS]
     assert typed(operator, keys, "2", "3") == [Event(Command.NOTE, "slipped")]
     assert operator.is_attended and not typed(operator, keys)
 
@@ -44,15 +38,15 @@ def test_a_note_is_typed_over_several_polls_and_may_hold_command_keys() -> None:
 
 def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
-    with pytest.raises(ContractError, match="operator=nobody"):
+    with pytest.raises(ContractError, match="operator=unattended"):
         KeyOperator().start()
 
 
-def test_nobody() -> None:
-    nobody = Unattended("residual")
-    said = {phase: [e.command for e in nobody.poll(phase)] for phase in Phase}
+def test_unattended() -> None:
+    rule = Unattended("residual")
+    said = {phase: [e.command for e in rule.poll(phase)] for phase in Phase}
     assert said[Phase.WAITING] == [Command.GO] and said[Phase.JUDGING] == [Command.RESIDUAL]
-    assert not said[Phase.RUNNING] and not nobody.is_attended
+    assert not said[Phase.RUNNING] and not rule.is_attended
     with pytest.raises(ContractError, match="verdict"):
         Unattended("great")
 

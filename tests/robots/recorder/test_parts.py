@@ -19,7 +19,7 @@ from uniforce_robots.recorder.faults import DeviceError, StopRequestedError, cau
 from uniforce_robots.recorder.live_view import LiveView
 from uniforce_robots.recorder.plain_camera import FROZEN_AFTER, PlainCamera
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture
-from uniforce_robots.recorder.sensing import GarbageWatch
+from uniforce_robots.recorder.robot_rig import GarbageWatch
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
 from uniforce_vtla.errors import (
@@ -103,8 +103,6 @@ def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
     with pytest.raises(TeleoperatorError, match="finite"):
         steering.target(start)
 
-
-def test_a_teleoperator_of_other_axes_is_refused(tmp_path: Path) -> None:
     class Joints(Sway):
         action_features = property(lambda self: {"joint_1.pos": float})
 
@@ -114,15 +112,15 @@ def test_a_teleoperator_of_other_axes_is_refused(tmp_path: Path) -> None:
 
 def seen(force_N: float) -> Observation:
     picture = Picture(np.zeros((4, 4, 3), np.uint8), 0, 0.95)
-    touch = FingerTouch(np.zeros((480, 640), np.uint8), np.zeros((480, 640), np.uint8), 0, 0.98)
+    touch = FingerTouch(np.zeros((480, 640), np.uint8), 0, 0.98, np.zeros((480, 640), np.uint8))
     axes = np.array([0, 0, 0, 0, 0.04])
     fingers = {"left": touch, "right": touch}
     return Observation(1.0, axes, {"front": picture}, fingers, force_N=np.array([0, 0, force_N]))  # type: ignore[arg-type]
 
 
 def test_the_line_shows_force_against_its_limit() -> None:
-    view = LiveView(io.StringIO())
-    lines = {}
+    out, lines = io.StringIO(), {}
+    view = LiveView(out)
     for force in (3.0, 12.0, 16.0, 1.0):
         view.show(seen(force), 30)
         lines[force] = view.line(seen(force), 30)
@@ -130,14 +128,7 @@ def test_the_line_shows_force_against_its_limit() -> None:
     assert "peak 16.0 of 15" in lines[1.0] and "oldest front 50 ms" in lines[1.0] and "1.0 s" in lines[1.0]
     view.begin("next")
     assert view.peak_N == 0
-
-
-def test_without_a_terminal_only_lines_that_stay_are_written() -> None:
-    out = io.StringIO()
-    view = LiveView(out)
-    view.show(seen(3.0), 30)
-    view.say("stored")
-    assert out.getvalue() == "stored\n"
+    assert out.getvalue() == "next\n", "without a terminal only lines that stay are written"
 
 
 class Lerobots:
@@ -167,17 +158,12 @@ def test_an_ordinary_camera_is_stamped_counted_and_watched() -> None:
             plain.picture()
 
 
-@pytest.mark.parametrize(
-    ("error", "kind"), [(TimeoutError("old"), StaleSensorError), (RuntimeError("thread"), LostSensorError)]
-)
-def test_its_errors_are_ours(error: Exception, kind: type[SensorError]) -> None:
+def test_its_errors_are_ours_and_one_of_unknown_age_is_refused() -> None:
     camera = Lerobots()
-    camera.error = error
-    with pytest.raises(kind, match="front"):
-        PlainCamera("front", camera).picture()  # type: ignore[arg-type]
-
-
-def test_a_camera_of_unknown_age_is_refused() -> None:
+    kinds = {TimeoutError("old"): StaleSensorError, RuntimeError("thread"): LostSensorError}
+    for camera.error, kind in kinds.items():
+        with pytest.raises(kind, match="front"):
+            PlainCamera("front", camera).picture()  # type: ignore[arg-type]
     with pytest.raises(ContractError, match="latest_timestamp"):
         PlainCamera("front", object())  # type: ignore[arg-type]
 
@@ -195,13 +181,11 @@ robot:
 def test_file_and_flags_make_devices(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(RIG)
     flags = ["--robot.cameras.front.fps=15", "--robot.guards.low=[0,0,0,0,0]", "--robot.id=a"]
-    devices = read_devices(flags, "franka", "recording_test", str(tmp_path / "rig.yaml"))
-    robot = devices.robot
-    assert (
-        robot.address == "127.0.0.7" and robot.guards.step_m == 0.03 and robot.guards.low == (0, 0, 0, 0, 0)
-    )  # type: ignore[union-attr]
-    assert robot.cameras["front"].fps == 15 and devices.teleop.type == "recording_test"  # type: ignore[union-attr]
-    assert read_devices([], "", "recording_test").robot is None
+    robot, teleop = read_devices(flags, True, "recording_test", str(tmp_path / "rig.yaml"))
+    assert robot.address == "127.0.0.7" and robot.guards.step_m == 0.03  # type: ignore[union-attr]
+    assert robot.guards.low == (0, 0, 0, 0, 0)  # type: ignore[union-attr]
+    assert robot.cameras["front"].fps == 15 and teleop.type == "recording_test"  # type: ignore[union-attr]
+    assert read_devices([], False, "recording_test")[0] is None
 
 
 @pytest.mark.parametrize(
@@ -213,9 +197,11 @@ def test_file_and_flags_make_devices(tmp_path: Path) -> None:
         ([], "recording_test", "no.yaml", "rig"),
     ],
 )
-def test_what_nobody_knows_is_refused(flags: list[str], teleop: str, file: str, reason: str) -> None:
+def test_unknown_devices_and_settings_are_refused(
+    flags: list[str], teleop: str, file: str, reason: str
+) -> None:
     with pytest.raises(ContractError, match=reason):
-        read_devices(flags, "franka", teleop, file)
+        read_devices(flags, True, teleop, file)
 
 
 def test_every_teleoperator_can_be_named() -> None:
@@ -224,7 +210,7 @@ def test_every_teleoperator_can_be_named() -> None:
     assert "recording_test" in names
     for name, registered in names.items():
         try:
-            assert read_devices([], "", name).teleop.type == registered
+            assert read_devices([], False, name)[1].type == registered
         except ContractError as error:
             assert not registered.startswith("uniforce_") and "required field" in str(error)
 

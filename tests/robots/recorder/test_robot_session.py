@@ -146,21 +146,31 @@ def test_keys_judge_an_episode(fake: FakeRig, tmp_path: Path, command: Command) 
     assert read_source(tmp_path / "data").num_frames == 6
 
 
-BREAKS: dict[str, tuple[Callable[[FakeRig, Sway], None], str]] = {
-    "camera unplugged": (lambda f, t: setattr(f.captures["front"], "fault", "stop"), "camera"),
-    "camera silent": (lambda f, t: setattr(f.captures["front"], "fault", "stall"), "stale_camera"),
-    "camera frozen": (lambda f, t: setattr(f.captures["front"], "fault", "freeze"), "frozen_camera"),
-    "finger silent": (lambda f, t: setattr(f.captures["tactile_left"], "fault", "stall"), "stale_touch"),
-    "finger frozen": (lambda f, t: setattr(f.captures["tactile_right"], "fault", "freeze"), "frozen_touch"),
-    "reflex": (lambda f, t: setattr(f.arm, "mode", "reflex"), "robot_reflex"),
-    "user stop": (lambda f, t: setattr(f.arm, "mode", "user_stopped"), "robot_user_stop"),
-    "teleoperator": (lambda f, t: setattr(t, "error", RuntimeError("unplugged")), "teleop"),
+BREAKS: dict[str, tuple[str, str, str]] = {  # what breaks, how, the cause that is stored
+    "camera unplugged": ("front", "stop", "camera"),
+    "camera silent": ("front", "stall", "stale_camera"),
+    "camera frozen": ("front", "freeze", "frozen_camera"),
+    "finger silent": ("tactile_left", "stall", "stale_touch"),
+    "finger frozen": ("tactile_right", "freeze", "frozen_touch"),
+    "reflex": ("arm", "reflex", "robot_reflex"),
+    "user stop": ("arm", "user_stopped", "robot_user_stop"),
+    "teleoperator": ("teleop", "unplugged", "teleop"),
 }
+
+
+def break_it(fake: FakeRig, teleop: Sway, what: str, how: str) -> None:
+    match what:
+        case "arm":
+            fake.arm.mode = how
+        case "teleop":
+            teleop.error = RuntimeError(how)
+        case _:
+            fake.captures[what].fault = how
 
 
 @pytest.mark.parametrize("name", BREAKS)
 def test_a_fault_ends_the_episode_held_and_labelled(fake: FakeRig, tmp_path: Path, name: str) -> None:
-    breaks, cause = BREAKS[name]
+    what, how, cause = BREAKS[name]
     teleop, begun = sway(tmp_path), []
 
     def say(phase: Phase, asked: int) -> list[Command]:
@@ -168,7 +178,7 @@ def test_a_fault_ends_the_episode_held_and_labelled(fake: FakeRig, tmp_path: Pat
             begun.append(phase)
             return [Command.GO if len(begun) == 1 else Command.QUIT]
         if phase is Phase.RUNNING and asked == 6:
-            breaks(fake, teleop)
+            break_it(fake, teleop, what, how)
         return []
 
     end = go(fake, tmp_path / "data", Script(say), teleop, episode_s=5.0)
@@ -321,7 +331,7 @@ def test_another_sensor_than_configured_is_refused_before_anything_moves(
     assert not fake.arm.targets and not fake.robot.is_connected
 
 
-def test_nobody_gives_up_on_a_fault_that_comes_back(fake: FakeRig, tmp_path: Path) -> None:
+def test_an_unattended_session_gives_up_on_a_fault_that_comes_back(fake: FakeRig, tmp_path: Path) -> None:
     class Flaky(Sway):
         def get_action(self) -> dict[str, float]:
             if self.calls == 4:

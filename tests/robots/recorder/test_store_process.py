@@ -13,12 +13,11 @@ import numpy as np
 import psutil
 import pytest
 
-from uniforce_datasets.features import dataset_features
 from uniforce_datasets.lossless import open_dataset
-from uniforce_datasets.synthetic import dots
+from uniforce_datasets.synthetic import dots, record_synthetic
 from uniforce_robots.recorder.episode import Store
 from uniforce_robots.recorder.rig import RigFacts
-from uniforce_robots.recorder.rows import RECORDERS_OWN, further_columns
+from uniforce_robots.recorder.rows import RECORDERS_OWN, rig_features
 from uniforce_robots.recorder.store import StoreProcess, StoreSettings, open_recorder
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
@@ -27,15 +26,12 @@ from uniforce_vtla.keys import STATE, camera_key, tactile_key
 FACTS = RigFacts(
     "test", 30, {"left": "uskin", "right": "tactip"}, {"front": (48, 64, 3)}, windows={"left": 3}, paced=False
 )
-RAW_FACTS = RigFacts(
-    "test", 30, {"left": "gelsight", "right": "tactip"}, {"front": (48, 64, 3)}, {"right": (48, 64, 3)}
-)
 REFERENCE = dots(0)
 
 
 def row(step: int, facts: RigFacts = FACTS) -> dict[str, np.ndarray]:
     """Any numbers, of the right shapes."""
-    features = dataset_features(facts.cameras, facts.truth, further_columns(facts))
+    features = rig_features(facts)
     plain = {k: f for k, f in features.items() if k not in RECORDERS_OWN and f["dtype"] != "video"}
     numbers = {k: np.full(f["shape"], step + 1, f["dtype"]) for k, f in plain.items()}
     pictures = {camera_key("front"): np.full((48, 64, 3), 10 * step, np.uint8)}
@@ -57,24 +53,10 @@ def record(store: Store, steps: int = 4) -> None:
 
 @pytest.mark.slow
 def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path: Path) -> None:
+    """Whatever comes between: Ctrl-C while it starts and later, rows that are refused at once or in the child."""
+    os.kill(store.pid, signal.SIGINT)
     record(store)
-    record(store)
-    assert store.num_episodes == 2 and store.total_frames == 8 and store.num_frames == 0
-    store.close()
-    inline = open_recorder(FACTS, StoreSettings(tmp_path / "inline", "local/test"))
-    record(inline)
-    record(inline)
-    inline.close()
-    ours, theirs = open_dataset(tmp_path / "data"), open_dataset(tmp_path / "inline")
-    assert len(ours) == len(theirs) == 8 and store.features == inline.features
-    for index in (0, 5):
-        a, b = ours[index], theirs[index]
-        assert a.keys() == b.keys()
-        assert all(np.array_equal(a[k], b[k]) for k in a if k != "task")
-
-
-@pytest.mark.slow
-def test_an_error_comes_back_and_the_next_episode_is_whole(store: StoreProcess, tmp_path: Path) -> None:
+    os.kill(store.pid, signal.SIGINT)
     with pytest.raises(ContractError, match="others"):
         store.add({**row(0), "something": np.zeros(1)}, "wipe")
     store.add(row(0), "wipe")
@@ -85,8 +67,17 @@ def test_an_error_comes_back_and_the_next_episode_is_whole(store: StoreProcess, 
     record(store)
     with pytest.raises(DatasetError, match="2 frames"):
         store.save(True, "success", 3)
+    assert store.num_episodes == 2 and store.total_frames == 8 and store.num_frames == 0
     store.close()
-    assert open_dataset(tmp_path / "data").num_episodes == 1
+    with open_recorder(FACTS, StoreSettings(tmp_path / "inline", "local/test")) as inline:
+        record(inline)
+        record(inline)
+    ours, theirs = open_dataset(tmp_path / "data"), open_dataset(tmp_path / "inline")
+    assert len(ours) == len(theirs) == 8 and store.features == inline.features
+    for index in (0, 5):
+        a, b = ours[index], theirs[index]
+        assert a.keys() == b.keys()
+        assert all(np.array_equal(a[k], b[k]) for k in a if k != "task")
 
 
 @pytest.mark.slow
@@ -104,25 +95,21 @@ def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(
 
 
 @pytest.mark.slow
-def test_what_is_wrong_at_the_start_is_told(tmp_path: Path) -> None:
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "notes.txt").write_text("mine")
-    settings = StoreSettings(tmp_path / "full", "local/test")
-    with closing(StoreProcess(FACTS, settings)) as store, pytest.raises(DatasetError, match="empty folder"):
+def test_what_is_wrong_at_the_start_is_raised(tmp_path: Path, demos_of_other_columns: Path) -> None:
+    settings = StoreSettings(demos_of_other_columns, "local/test")
+    with closing(StoreProcess(FACTS, settings)) as store, pytest.raises(DatasetError, match="features"):
         assert store.num_episodes
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(DatasetError, match="empty folder"):
+        StoreProcess(FACTS, StoreSettings(tmp_path, "local/test"))
+
+
+@pytest.fixture
+def demos_of_other_columns(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record_synthetic(tmp_path_factory.mktemp("other") / "data", 1, 2)
 
 
 def test_one_that_is_not_ready_ends_at_once(tmp_path: Path) -> None:
     begun = time.monotonic()
     StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test")).close()
     assert time.monotonic() - begun < 5.0, "it didn't wait for imports"
-
-
-@pytest.mark.slow
-def test_ctrl_c_while_it_starts_does_not_reach_it(tmp_path: Path) -> None:
-    with closing(StoreProcess(FACTS, StoreSettings(tmp_path / "data", "local/test"))) as store:
-        os.kill(store.pid, signal.SIGINT)
-        record(store)
-        os.kill(store.pid, signal.SIGINT)
-        record(store)
-        assert store.num_episodes == 2

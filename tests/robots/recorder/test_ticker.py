@@ -1,4 +1,4 @@
-"""The beat on a clock that does as told."""
+"""The beat on a clock that the test sets."""
 
 from __future__ import annotations
 
@@ -20,28 +20,23 @@ class Clock:
         self.now_s += seconds
 
 
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
+def ticker(paced: bool = True) -> tuple[Clock, Ticker]:
+    clock = Clock()
+    return clock, Ticker(10.0, paced, clock, clock.sleep)
 
 
-def ticker(clock: Clock, paced: bool = True) -> Ticker:
-    return Ticker(10.0, paced, clock, clock.sleep)
-
-
-def test_deadlines_are_absolute(clock: Clock) -> None:
-    beat = ticker(clock)
+def test_deadlines_are_absolute() -> None:
+    clock, beat = ticker()
     for work_s in (0.03, 0.08, 0.0, 0.05):
         beat.wait()
         clock.now_s += work_s
     assert clock.slept == pytest.approx([0.07, 0.02, 0.1]), "the work before is made up for"
-    assert beat.stats.mean_hz == pytest.approx(10.0) and beat.stats.jitter_max_ms == pytest.approx(
-        0, abs=1e-6
-    )
+    assert beat.stats.mean_hz == pytest.approx(10.0)
+    assert beat.stats.jitter_max_ms == pytest.approx(0, abs=1e-6)
 
 
-def test_what_is_late_and_what_is_missed(clock: Clock) -> None:
-    beat = ticker(clock)
+def test_what_is_late_and_what_is_missed() -> None:
+    clock, beat = ticker()
     assert beat.stats.late_share == beat.stats.mean_hz == 0
     beat.wait()
     clock.now_s += 0.13
@@ -49,16 +44,13 @@ def test_what_is_late_and_what_is_missed(clock: Clock) -> None:
     clock.now_s += 0.29
     assert beat.wait() == pytest.approx(0.22), "due at .2, now .42"
     stats = beat.stats
-    assert (stats.ticks, stats.missed, stats.late_share) == (
-        3,
-        2,
-        0.4,
-    ) and stats.jitter_max_ms == pytest.approx(220)
+    assert (stats.ticks, stats.missed, stats.late_share) == (3, 2, 0.4)
+    assert stats.jitter_max_ms == pytest.approx(220)
     assert beat.wait() == 0 and clock.now_s == pytest.approx(100.5), "back on the grid"
 
 
-def test_a_pause_does_not_count(clock: Clock) -> None:
-    beat = ticker(clock)
+def test_a_pause_does_not_count() -> None:
+    clock, beat = ticker()
     beat.wait()
     beat.wait()
     clock.now_s += 7.0
@@ -67,8 +59,8 @@ def test_a_pause_does_not_count(clock: Clock) -> None:
     assert beat.stats.mean_hz == pytest.approx(10.0) and beat.stats.missed == 0
 
 
-def test_a_scene_does_not_wait(clock: Clock) -> None:
-    beat = ticker(clock, paced=False)
+def test_a_scene_does_not_wait() -> None:
+    clock, beat = ticker(paced=False)
     for _ in range(3):
         beat.wait()
         clock.now_s += 1.0
