@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 from abc import abstractmethod
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,34 +12,16 @@ import cv2
 import numpy as np
 from lerobot.cameras.camera import Camera
 
-from uniforce_robots.sensors.camera_source import CameraSource, CaptureFactory, FrameSource, open_capture
+from uniforce_robots.sensors.camera_source import CameraSource, CaptureFactory, open_capture
 from uniforce_robots.sensors.config_uniforce import (
     CapturedCameraConfig,
     SampledCameraConfig,
     UniforceSceneCameraConfig,
 )
 from uniforce_robots.sensors.mjpeg import StreamSource
-from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
-from uniforce_robots.sensors.samples import Sample, SampleSource, SourceCounts
+from uniforce_robots.sensors.reader import ReaderLimits, Sample, SampleReader, SampleSource, SourceCounts
 
 READ_MS = 1000.0  # ``read`` waits this long for the next sample
-
-
-@dataclass(frozen=True)
-class Touch:
-    """One sample of a finger or a camera.
-
-    Attributes:
-        raw: (H, W, 3) uint8 RGB or (16, 3) uint16 counts, upright.
-        index: of the sample since connecting; a gap shows how many were left out.
-        stamp_ns: when it was taken, host's monotonic clock.
-        age_ms: how old it was when asked for.
-    """
-
-    raw: np.ndarray
-    index: int
-    stamp_ns: int
-    age_ms: float
 
 
 class SampledCamera(Camera):
@@ -56,7 +38,8 @@ class SampledCamera(Camera):
         self._last_index = -1
 
     @abstractmethod
-    def _image(self, sample: Sample) -> np.ndarray: ...
+    def _image(self, upright: np.ndarray) -> np.ndarray:
+        """Return the image of an upright raw sample."""
 
     def _on_connect(self) -> None:
         """Do what has to be done with the first sample there; an error lets the device go."""
@@ -82,7 +65,7 @@ class SampledCamera(Camera):
             return
         self._reader.start()
         self._last_index = -1
-        with contextlib.ExitStack() as undo:
+        with ExitStack() as undo:
             undo.callback(self._reader.stop)  # a half-connected device would keep its port
             self._reader.wait_newer(-1, self.config.connect_ms)
             self._on_connect()
@@ -98,9 +81,9 @@ class SampledCamera(Camera):
 
     def async_read(self, timeout_ms: float = 200.0) -> np.ndarray:
         """Return the image of a sample not delivered before, waiting for it; raises as ``read_latest``."""
-        sample = self._reader.wait_newer(self._last_index, timeout_ms)
+        sample = self.next_touch(self._last_index, timeout_ms)
         self._last_index = sample.index
-        return self._image(sample)
+        return self._image(sample.raw)
 
     def read_latest(self, max_age_ms: float | None = None) -> np.ndarray:
         """Return the newest sample's image at once.
@@ -115,15 +98,16 @@ class SampledCamera(Camera):
             SensorError: no markers in the frame, or taxels all zero.
             ContractError: taxels without a reference.
         """
-        return self._image(self._reader.newest(self._age_limit(max_age_ms)))
+        return self._image(self.latest(max_age_ms).raw)
 
-    def latest(self, max_age_ms: float | None = None) -> Touch:
-        """Return the newest raw sample with its time and age; raises as ``read_latest``."""
-        return self._touch(self._reader.newest(self._age_limit(max_age_ms)))
+    def latest(self, max_age_ms: float | None = None) -> Sample:
+        """Return the newest raw sample, upright, with its time and age; raises as ``read_latest``."""
+        limit_ms = self.config.max_age_ms if max_age_ms is None else max_age_ms
+        return self._upright(self._reader.newest(limit_ms))
 
-    def next_touch(self, after: int, timeout_ms: float = READ_MS) -> Touch:
+    def next_touch(self, after: int, timeout_ms: float = READ_MS) -> Sample:
         """Return the newest raw sample after index ``after``, waiting for it; raises as ``read_latest``."""
-        return self._touch(self._reader.wait_newer(after, timeout_ms))
+        return self._upright(self._reader.wait_newer(after, timeout_ms))
 
     @property
     def rate_hz(self) -> float:
@@ -143,16 +127,10 @@ class SampledCamera(Camera):
     @property
     def settings_read_back(self) -> dict[str, float]:
         """What a camera's driver said its settings were when it was opened, for a dataset; else empty."""
-        return dict(self._source.settings_read_back) if isinstance(self._source, FrameSource) else {}
+        return self._source.settings_read_back
 
-    def _touch(self, sample: Sample) -> Touch:
-        return Touch(self._upright(sample.data), sample.index, sample.stamp_ns, sample.age_ms())
-
-    def _upright(self, raw: np.ndarray) -> np.ndarray:
-        return self._orientation.of_frame(raw)
-
-    def _age_limit(self, max_age_ms: float | None) -> float:
-        return self.config.max_age_ms if max_age_ms is None else max_age_ms
+    def _upright(self, sample: Sample) -> Sample:
+        return replace(sample, raw=self._orientation.upright(sample.raw))
 
 
 class UniforceSceneCamera(SampledCamera):
@@ -160,31 +138,28 @@ class UniforceSceneCamera(SampledCamera):
 
     Args:
         config: what and where.
-        capture_factory: opens the camera; tests script one.
+        factory: opens the camera; tests script one.
     """
 
-    def __init__(
-        self, config: UniforceSceneCameraConfig, capture_factory: CaptureFactory = open_capture
-    ) -> None:
-        super().__init__(config, make_frame_source(config, capture_factory))
+    def __init__(self, config: UniforceSceneCameraConfig, factory: CaptureFactory = open_capture) -> None:
+        super().__init__(config, make_frame_source(config, factory))
         self._size = config.width, config.height
 
-    def _image(self, sample: Sample) -> np.ndarray:
-        return self._upright(sample.data)
+    def _image(self, upright: np.ndarray) -> np.ndarray:
+        return upright
 
-    def _upright(self, raw: np.ndarray) -> np.ndarray:
-        width, height = self._size
-        turned = super()._upright(raw)
-        if width is None or height is None or turned.shape[:2] == (height, width):
+    def _upright(self, sample: Sample) -> Sample:
+        (width, height), turned = self._size, super()._upright(sample)
+        if width is None or height is None or turned.raw.shape[:2] == (height, width):
             return turned
-        return cv2.resize(middle(turned, width / height), (width, height), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(middle(turned.raw, width / height), (width, height), interpolation=cv2.INTER_AREA)
+        return replace(turned, raw=small)
 
 
 def make_frame_source(config: CapturedCameraConfig, factory: CaptureFactory) -> SampleSource:
     """Return the source that ``config.source`` names: a stream or a device."""
-    settings = config.source, config.capture_settings(), config.label, config.clock
     is_stream = config.source.startswith(("http://", "https://"))
-    return StreamSource(*settings) if is_stream else CameraSource(*settings, factory)
+    return StreamSource(config) if is_stream else CameraSource(config, factory)
 
 
 def middle(image: np.ndarray, aspect: float) -> np.ndarray:

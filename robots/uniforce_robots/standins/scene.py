@@ -1,6 +1,6 @@
 """What touches a stand-in's pad: free air, then a ball that presses and leaves, over and over.
 
-Signals come from the project's contact simulator, so that the chain device → canonicaliser → tokenizer can be checked.
+Signals come from the project's contact simulator, so that the chain device → canonicalizer → tokenizer can be checked.
 """
 
 from __future__ import annotations

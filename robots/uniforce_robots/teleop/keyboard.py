@@ -13,6 +13,8 @@ import termios
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from lerobot.teleoperators import TeleoperatorConfig
@@ -20,13 +22,12 @@ from lerobot.utils.keyboard_input import TerminalKeyListener
 
 from uniforce_robots.franka.arm import HAND_GUIDED
 from uniforce_robots.teleop.base import FEEDBACK_AGE_S, UniforceTeleoperator
-from uniforce_robots.teleop.configs import UniforceHandGuideConfig, UniforceKeyboardConfig
 from uniforce_robots.teleop.integrator import TargetLimits
 from uniforce_vtla.errors import TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
 PULSE_S = 0.12  # longer than a keyboard's repeat period (30 to 40 ms), short enough to stop soon
-OTHERS_KEPT = 64  # keys of other meaning that wait for somebody to take them
+OTHERS_KEPT = 64  # keys of other meaning that wait to be taken
 X, Y, Z, YAW, WIDTH = range(5)
 WIDTH_KEYS = {"o": (WIDTH, 1), "p": (WIDTH, -1)}  # n, r, q and the arrows are left to a recorder
 KEYS = {
@@ -87,13 +88,16 @@ class TerminalKeys:
         Raises:
             TeleoperatorError: the terminal has gone.
         """
-        self._check_terminal()
-        rates = np.zeros(len(AXES))
-        now = time.monotonic()
+        poll = select.poll()
+        poll.register(sys.stdin.fileno(), 0)
+        if any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)):
+            do = "Start the program again."
+            raise TeleoperatorError(expected("keyboard", "a terminal", "one that hung up", do), "connection")
+        rates, now_s = np.zeros(len(AXES)), time.monotonic()
         with self._lock:
-            for key, until in self._until_s.items():
+            for key, until_s in self._until_s.items():
                 axis, direction = self._meanings[key]
-                rates[axis] += direction * (now < until)
+                rates[axis] += direction * (now_s < until_s)
         return np.clip(rates, -1, 1)
 
     def forget(self) -> None:
@@ -107,22 +111,33 @@ class TerminalKeys:
             others, self._others = self._others, []
         return others
 
-    def _check_terminal(self) -> None:
-        poll = select.poll()
-        poll.register(sys.stdin.fileno(), 0)
-        if any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)):
-            do = "Start the program again."
-            raise TeleoperatorError(expected("keyboard", "a terminal", "one that hung up", do), "connection")
+
+@TeleoperatorConfig.register_subclass("uniforce_keyboard")
+@dataclass(kw_only=True)
+class UniforceKeyboardConfig(TeleoperatorConfig):
+    """Keys of a terminal."""
+
+    limits: TargetLimits = field(default_factory=TargetLimits)
 
 
-class KeyedTeleoperator(UniforceTeleoperator):
-    """Read ``keys`` while connected; forget them at a start."""
+@TeleoperatorConfig.register_subclass("uniforce_hand_guide")
+@dataclass(kw_only=True)
+class UniforceHandGuideConfig(TeleoperatorConfig):
+    """A person leads the soft arm; the limits hold for the width alone."""
 
-    def __init__(
-        self, config: TeleoperatorConfig, limits: TargetLimits, meanings: Mapping[str, tuple[int, int]]
-    ) -> None:
-        super().__init__(config, limits)
-        self.keys = TerminalKeys(meanings)
+    limits: TargetLimits = field(default_factory=TargetLimits)
+
+
+class UniforceKeyboard(UniforceTeleoperator):
+    """w s a d along base x and y, e c up and down, j l turn, o p open and close; a held key moves on."""
+
+    config_class: type[TeleoperatorConfig] = UniforceKeyboardConfig
+    name = "uniforce_keyboard"
+    meanings: ClassVar[Mapping[str, tuple[int, int]]] = KEYS
+
+    def __init__(self, config: TeleoperatorConfig) -> None:
+        super().__init__(config)
+        self.keys = TerminalKeys(self.meanings)
 
     @property
     def is_connected(self) -> bool:
@@ -142,17 +157,7 @@ class KeyedTeleoperator(UniforceTeleoperator):
         return self.integrator.advance(self.keys.rates(), elapsed_s, self.measured)
 
 
-class UniforceKeyboard(KeyedTeleoperator):
-    """w s a d along base x and y, e c up and down, j l turn, o p open and close; a held key moves on."""
-
-    config_class = UniforceKeyboardConfig
-    name = "uniforce_keyboard"
-
-    def __init__(self, config: UniforceKeyboardConfig) -> None:
-        super().__init__(config, config.limits, KEYS)
-
-
-class UniforceHandGuide(KeyedTeleoperator):
+class UniforceHandGuide(UniforceKeyboard):
     """The paper's way: the measured x, y, z and yaw are the action; keys o (open) and p (close) set the width.
 
     The arm needs ``HAND_GUIDED`` gains: soft but along the closing axis, so that a squeeze does not drag it. Since the
@@ -161,10 +166,8 @@ class UniforceHandGuide(KeyedTeleoperator):
 
     config_class = UniforceHandGuideConfig
     name = "uniforce_hand_guide"
+    meanings = WIDTH_KEYS
     wants_gains = HAND_GUIDED
-
-    def __init__(self, config: UniforceHandGuideConfig) -> None:
-        super().__init__(config, config.limits, WIDTH_KEYS)
 
     def _next(self, elapsed_s: float) -> np.ndarray:
         measured = self.measured

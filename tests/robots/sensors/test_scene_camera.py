@@ -8,7 +8,7 @@ import draccus
 import numpy as np
 import pytest
 from lerobot.cameras.configs import CameraConfig
-from scripted_capture import ScriptedCapture
+from scripted import ScriptedCapture
 
 from uniforce_robots.sensors import UniforceSceneCamera, UniforceSceneCameraConfig
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, WrongSensorError

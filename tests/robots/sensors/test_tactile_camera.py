@@ -95,44 +95,25 @@ def test_raw_frames_if_asked(mjpeg: StandIn):
     ],
 )
 def test_a_dead_camera_is_a_typed_error_and_comes_back(
-    mjpeg: StandIn,
-    camera: UniforceTactileCamera,
-    outcome: Callable,
-    recovers: Callable,
-    fault: str,
-    kind: type,
+    mjpeg: StandIn, camera: UniforceTactileCamera, fails_and_recovers: Callable, fault: str, kind: type
 ):
-    for _ in range(TIMES):
-        mjpeg.inject(fault)
-        error = outcome(lambda: camera.latest(MAX_AGE_MS), kind)
-        assert "tactip on the right finger" in str(error)
-        mjpeg.inject("none")
-        recovers(lambda: camera.latest(1e4))
-        camera.next_touch(camera.latest(1e4).index, 60_000)
+    fails_and_recovers(mjpeg, fault, kind, camera.latest, camera.next_touch, MAX_AGE_MS)
 
 
 @pytest.mark.slow
-def test_late_frames_are_seen_through_the_server_s_own_stamps(
-    mjpeg: StandIn, outcome: Callable, recovers: Callable
-):
+def test_late_frames_are_seen_through_the_server_s_own_stamps(mjpeg: StandIn, fails_and_recovers: Callable):
     with UniforceTactileCamera(config(mjpeg.address, clock="driver")) as camera:
-        for _ in range(TIMES):
-            mjpeg.inject("late")
-            outcome(lambda: camera.latest(MAX_AGE_MS), StaleSensorError)
-            mjpeg.inject("none")
-            recovers(lambda: camera.latest(1e4))
-            camera.next_touch(camera.latest(1e4).index, 60_000)
+        fails_and_recovers(mjpeg, "late", StaleSensorError, camera.latest, camera.next_touch, MAX_AGE_MS)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["garbage", "nolength"])
-def test_a_clumsy_server_costs_no_good_frame(mjpeg: StandIn, camera: UniforceTactileCamera, fault: str):
+def test_garbage_costs_no_good_frame(mjpeg: StandIn, camera: UniforceTactileCamera):
     for _ in range(TIMES):
-        mjpeg.inject(fault)
+        mjpeg.inject("garbage")
         after = camera.next_touch(camera.latest(1e4).index + 1, 60_000)
         assert after.raw.shape == (480, 640, 3)
         mjpeg.inject("none")
-    assert (camera.counts.bad > 0) == (fault == "garbage")
+    assert camera.counts.bad > 0
 
 
 def test_a_reference_in_free_air(mjpeg: StandIn, camera: UniforceTactileCamera):

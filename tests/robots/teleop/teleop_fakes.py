@@ -118,13 +118,6 @@ def make_expert(request: pytest.FixtureRequest, folder: Path, patch: pytest.Monk
     return expert
 
 
-def make_replay(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
-    path = folder / "actions.npz"
-    rows = home_axes() + np.linspace(0, 0.05, 20)[:, None] * np.array([1, 0, 0, 0, 0])
-    np.savez(path, action=rows)
-    return _simple(ours.UniforceReplayConfig(path=str(path), calibration_dir=folder))
-
-
 MAKERS = {
     "uniforce_keyboard": make_keyboard,
     "uniforce_hand_guide": make_hand_guide,
@@ -133,5 +126,4 @@ MAKERS = {
     "uniforce_gamepad": make_gamepad,
     "uniforce_phone": make_phone,
     "uniforce_expert": make_expert,
-    "uniforce_replay": make_replay,
 }

@@ -1,0 +1,163 @@
+"""How a stand-in is reached: by a pseudo-terminal or by sockets.  Neither ever blocks.
+
+Both can be unplugged and put back, and count messages ``sent``, and ``dropped`` whole because a client doesn't read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import tempfile
+import termios
+import tty
+from collections.abc import Callable
+from typing import Any
+
+READ_BYTES = 4096
+TTY_BYTES = 65_536  # what a tty's own buffers hold before data is lost
+
+
+class PseudoTerminal:
+    """A serial port that isn't one, behind a link of fixed name; ``pieces`` cuts what is sent into so many bytes."""
+
+    def __init__(self, name: str) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix=f"uniforce-{name}-")
+        self.address, self.pieces = f"{self._folder.name}/port", READ_BYTES
+        self.sent = self.dropped = 0
+        self.out = bytearray()
+        self._ends: list[int] = []  # ours and the client's; none while unplugged
+        self.plug()
+
+    def plug(self) -> None:
+        """Put it in; does nothing when it is."""
+        if not self._ends:
+            self._ends = list(os.openpty())
+            tty.setraw(self._ends[1], termios.TCSANOW)
+            os.set_blocking(self._ends[0], False)
+            os.symlink(os.ttyname(self._ends[1]), self.address)
+
+    def unplug(self) -> None:
+        """Pull it out; does nothing when it is out."""
+        if self._ends:
+            os.unlink(self.address)
+        while self._ends:
+            os.close(self._ends.pop())
+        self.out.clear()
+
+    def waits_for(self) -> tuple[list[Any], list[Any]]:
+        """Return what to select on, for input and for room."""
+        return self._ends[:1], self._ends[:1] if self.out else []
+
+    def receive(self, ready: list[Any]) -> bytes:
+        """Return what was written to the port."""
+        return os.read(self._ends[0], READ_BYTES) if self._ends and self._ends[0] in ready else b""
+
+    def send(self, message: bytes) -> None:
+        """Keep a message for ``flush``."""
+        if len(self.out) + len(message) > TTY_BYTES:
+            self.dropped += 1
+        else:
+            self.sent += 1
+            self.out += message
+
+    def flush(self) -> None:
+        """Write what is kept, as far as there is room."""
+        with contextlib.suppress(BlockingIOError):
+            while self.out:
+                del self.out[: os.write(self._ends[0], self.out[: self.pieces])]
+
+
+class Sockets:
+    """A listener, all of whose clients are sent the same.
+
+    Args:
+        where: (host, port), 0 for any free port; or a path, for packets: one read is one message, as with hidraw.
+        most: messages that may wait per client.
+        welcome: what a client has sent so far → its first bytes, None where more is to come first.
+    """
+
+    def __init__(
+        self, where: tuple[str, int] | str, most: int, welcome: Callable[[bytes], bytes | None]
+    ) -> None:
+        self.where, self._most, self._welcome = where, most, welcome
+        self.sent = self.dropped = 0
+        self._visitors: dict[socket.socket, bytes] = {}  # not yet welcomed, and what they sent
+        self.clients: dict[socket.socket, list[bytes]] = {}  # and what waits to be sent to them
+        self._listener: socket.socket | None = None
+        self.plug()
+
+    def plug(self) -> None:
+        """Listen; does nothing when it does."""
+        if self._listener is not None:
+            return
+        if isinstance(self.where, str):
+            self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            self._listener.bind(self.where)
+            self._listener.listen(1)
+        else:
+            self._listener = socket.create_server(self.where)  # sets SO_REUSEADDR: the same port again
+            self.where = self._listener.getsockname()
+
+    def unplug(self) -> None:
+        """Close every connection and stop listening; does nothing when it doesn't."""
+        for one in self.waits_for()[0]:
+            self._part_from(one)
+        if isinstance(self.where, str) and self._listener is not None:
+            os.unlink(self.where)
+        self._listener = None
+
+    def waits_for(self) -> tuple[list[Any], list[Any]]:
+        """Return what to select on, for input and for room."""
+        reading = [*([self._listener] if self._listener else []), *self._visitors, *self.clients]
+        return reading, [client for client, out in self.clients.items() if out]
+
+    def receive(self, ready: list[Any]) -> bytes:
+        """Accept, welcome and part from clients; nothing of what they send is for the stand-in."""
+        for one in ready:
+            if self._listener is not None and one is self._listener:
+                one, _ = self._listener.accept()
+                one.setblocking(False)
+                if not isinstance(self.where, str):  # or 40 ms wait for an acknowledgement
+                    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._take(one, b"")
+            elif one in self._visitors or one in self.clients:  # not parted from since it was ready
+                with contextlib.suppress(OSError):
+                    if chunk := one.recv(READ_BYTES):
+                        self._take(one, chunk)
+                        continue
+                self._part_from(one)
+        return b""
+
+    def _take(self, client: socket.socket, chunk: bytes) -> None:
+        if client in self.clients:
+            return
+        self._visitors[client] = (self._visitors.get(client, b"") + chunk)[-2 * READ_BYTES :]
+        if (welcome := self._welcome(self._visitors[client])) is not None:
+            del self._visitors[client]
+            self.clients[client] = [welcome] if welcome else []
+
+    def send(self, message: bytes) -> None:
+        """Keep a message for every client."""
+        for out in self.clients.values():
+            is_full = len(out) >= self._most
+            self.dropped, self.sent = self.dropped + is_full, self.sent + (not is_full)
+            out += [] if is_full else [message]
+
+    def flush(self) -> None:
+        """Send what sockets take without blocking."""
+        for client in self.waits_for()[1]:
+            out = self.clients[client]
+            try:
+                while out:
+                    out[0] = out[0][client.send(out[0]) :]
+                    del out[: not out[0]]
+            except BlockingIOError:
+                continue
+            except OSError:
+                self._part_from(client)
+
+    def _part_from(self, client: socket.socket) -> None:
+        self.clients.pop(client, None)
+        self._visitors.pop(client, None)
+        client.close()
