@@ -38,7 +38,7 @@ from uniforce_robots.standins.mjpeg import encode, part
 from uniforce_robots.standins.slcan import scan_lines
 from uniforce_robots.standins.xela import frame, greeting, message
 from uniforce_robots.teleop.gello import POSITION_BYTES, PRESENT_POSITION
-from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseReports
+from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseSource
 from uniforce_vtla.errors import SensorError, TeleoperatorError
 
 
@@ -112,7 +112,7 @@ def feed_dynamixel(rng: np.random.Generator, data: bytes) -> None:
 
 
 def feed_spacemouse(rng: np.random.Generator, data: bytes) -> None:
-    reader = SpaceMouseReports()
+    reader = SpaceMouseSource()
     for report in chunks(rng, data):
         reader.feed(report)
         assert np.abs(reader.state).max() <= LARGEST_COUNT

@@ -158,6 +158,7 @@ class ReaderLimits:
 
     capacity: int = 1024  # samples: 2 s of taxels at 500 Hz; 8 frames of 1280×720 are 22 MB
     frozen_after: int = 10  # samples of one content in a row; 0 never looks
+    first_ms: float = 0.0  # the first sample must come within; 0 doesn't wait for it
     silent_s: float = 2.0  # without any sample for so long, the device is opened anew
     backoff_s: float = 0.1  # first wait before reopening; doubles
     backoff_max_s: float = 2.0
@@ -194,7 +195,7 @@ class SampleReader:
         """Open the device here, so that a failure is the caller's, then read on in the background.
 
         Raises:
-            SensorError: the device can't be opened.
+            SensorError: the device can't be opened, or its first sample doesn't come.
         """
         if self.is_running:
             return
@@ -204,6 +205,11 @@ class SampleReader:
         self._last_sample_ns = now_ns()
         self._thread = threading.Thread(target=self._run, name=f"reader of {self.name}", daemon=True)
         self._thread.start()
+        with ExitStack() as undo:
+            undo.callback(self.stop)  # a half-connected device would keep its port
+            if self._limits.first_ms:
+                self.wait_newer(-1, self._limits.first_ms)
+            undo.pop_all()
 
     def stop(self) -> None:
         """Stop reading and let go of the device; the samples read so far stay."""

@@ -33,7 +33,8 @@ class SampledCamera(Camera):
         super().__init__(config)
         self.config: Any = config
         self._source = source
-        self._reader = SampleReader(source, ReaderLimits(self.capacity, config.frozen_after))
+        limits = ReaderLimits(self.capacity, config.frozen_after, config.connect_ms)
+        self._reader = SampleReader(source, limits)
         self._orientation = config.orientation
         self._last_index = -1
 
@@ -66,8 +67,7 @@ class SampledCamera(Camera):
         self._reader.start()
         self._last_index = -1
         with ExitStack() as undo:
-            undo.callback(self._reader.stop)  # a half-connected device would keep its port
-            self._reader.wait_newer(-1, self.config.connect_ms)
+            undo.callback(self._reader.stop)
             self._on_connect()
             undo.pop_all()
 

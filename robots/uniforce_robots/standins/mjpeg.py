@@ -59,7 +59,7 @@ class MjpegStandIn(StandInServer):
         self._jpegs = [encode(frame) for frame in frames]
         self._small = encode(cv2.resize(frames[0], (320, 240)))
         self._held: deque[tuple[float, int]] = deque()  # frames "late" holds back: when taken, which
-        self._server = Sockets(("127.0.0.1", config.port), QUEUE, lambda request: WELCOME)
+        self._server = Sockets(("127.0.0.1", config.port), QUEUE, lambda client: WELCOME)
         address = "http://{}:{}/stream".format(*self._server.where)
         super().__init__(self._server, address, config, config.rate_hz)
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from typing import Any
 
 READ_BYTES = 4096
+WELCOME_S = 1.0  # a client that asks for nothing so long is let go
 TTY_BYTES = 65_536  # what a tty's own buffers hold before data is lost
 
 
@@ -74,15 +75,14 @@ class Sockets:
     Args:
         where: (host, port), 0 for any free port; or a path, for packets: one read is one message, as with hidraw.
         most: messages that may wait per client.
-        welcome: what a client has sent so far → its first bytes, None where more is to come first.
+        welcome: a new client → its first bytes.
     """
 
     def __init__(
-        self, where: tuple[str, int] | str, most: int, welcome: Callable[[bytes], bytes | None]
+        self, where: tuple[str, int] | str, most: int, welcome: Callable[[socket.socket], bytes]
     ) -> None:
         self.where, self._most, self._welcome = where, most, welcome
         self.sent = self.dropped = 0
-        self._visitors: dict[socket.socket, bytes] = {}  # not yet welcomed, and what they sent
         self.clients: dict[socket.socket, list[bytes]] = {}  # and what waits to be sent to them
         self._listener: socket.socket | None = None
         self.plug()
@@ -109,33 +109,25 @@ class Sockets:
 
     def waits_for(self) -> tuple[list[Any], list[Any]]:
         """Return what to select on, for input and for room."""
-        reading = [*([self._listener] if self._listener else []), *self._visitors, *self.clients]
-        return reading, [client for client, out in self.clients.items() if out]
+        listening = [self._listener] if self._listener else []
+        return [*listening, *self.clients], [client for client, out in self.clients.items() if out]
 
     def receive(self, ready: list[Any]) -> bytes:
-        """Accept, welcome and part from clients; nothing of what they send is for the stand-in."""
+        """Accept clients and part from them; nothing of what they send is for the stand-in."""
         for one in ready:
-            if self._listener is not None and one is self._listener:
-                one, _ = self._listener.accept()
-                one.setblocking(False)
-                if not isinstance(self.where, str):  # or 40 ms wait for an acknowledgement
-                    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._take(one, b"")
-            elif one in self._visitors or one in self.clients:  # not parted from since it was ready
-                with contextlib.suppress(OSError):
-                    if chunk := one.recv(READ_BYTES):
-                        self._take(one, chunk)
-                        continue
-                self._part_from(one)
+            client = self._listener.accept()[0] if self._listener and one is self._listener else one
+            try:
+                if client is one:
+                    is_there = one not in self.clients or bool(one.recv(READ_BYTES))
+                else:
+                    client.settimeout(WELCOME_S)
+                    is_there, self.clients[client] = True, [self._welcome(client)]
+                    client.setblocking(False)
+            except OSError:
+                is_there = False
+            if not is_there:
+                self._part_from(client)
         return b""
-
-    def _take(self, client: socket.socket, chunk: bytes) -> None:
-        if client in self.clients:
-            return
-        self._visitors[client] = (self._visitors.get(client, b"") + chunk)[-2 * READ_BYTES :]
-        if (welcome := self._welcome(self._visitors[client])) is not None:
-            del self._visitors[client]
-            self.clients[client] = [welcome] if welcome else []
 
     def send(self, message: bytes) -> None:
         """Keep a message for every client."""
@@ -150,7 +142,7 @@ class Sockets:
             out = self.clients[client]
             try:
                 while out:
-                    out[0] = out[0][client.send(out[0]) :]
+                    out[0] = out[0][client.send(out[0]) :] if out[0] else b""
                     del out[: not out[0]]
             except BlockingIOError:
                 continue
@@ -159,5 +151,4 @@ class Sockets:
 
     def _part_from(self, client: socket.socket) -> None:
         self.clients.pop(client, None)
-        self._visitors.pop(client, None)
         client.close()

@@ -45,7 +45,7 @@ class SpaceMouseStandIn(StandInServer):
     def __init__(self, config: SpaceMouseConfig) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="uniforce-spacemouse-")
         path = f"{self._folder.name}/device"
-        super().__init__(Sockets(path, QUEUE, lambda request: b""), path, config, config.rate_hz)
+        super().__init__(Sockets(path, QUEUE, lambda client: b""), path, config, config.rate_hz)
         push = reports(tuple(int(word) for word in config.push.split(",")), 0)
         closing = reports(REST, 1)
         self._due = {"push": push, "burst": push * BURST, "close": closing, "short": [b"\x01\x00"]}

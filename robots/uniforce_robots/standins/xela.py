@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
 import time
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from websockets.http11 import Request
 from websockets.server import ServerProtocol
 
 from uniforce_robots.standins.control import StandInServer
-from uniforce_robots.standins.plugs import Sockets
+from uniforce_robots.standins.plugs import READ_BYTES, Sockets
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.arguments import parse
 
@@ -57,11 +58,10 @@ def greeting(request: bytes) -> bytes:
     return b"".join(protocol.data_to_send())
 
 
-def welcome(request: bytes) -> bytes | None:
-    """Return that answer, and xela_server's first message with it; None until the request is whole."""
+def welcome(client: socket.socket) -> bytes:
+    """Return that answer, and xela_server's first message with it."""
     text = json.dumps({"message": "Welcome", "time": time.time()}).encode()
-    answer = greeting(request)
-    return answer + frame(Opcode.TEXT, text) if answer else None
+    return greeting(client.recv(READ_BYTES)) + frame(Opcode.TEXT, text)
 
 
 def message(number: int, scan: np.ndarray, fault: str) -> str:

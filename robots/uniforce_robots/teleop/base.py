@@ -49,6 +49,7 @@ class UniforceTeleoperator(Teleoperator):
     """
 
     wants_gains: ClassVar[Gains | None] = None
+    device: Any = None  # with ``start``, ``stop`` and ``is_running``
     is_calibrated = True  # there is nothing to calibrate
     action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
@@ -135,13 +136,16 @@ class UniforceTeleoperator(Teleoperator):
         """(5,) the robot's newest measured pose, None when that is too long ago to rely on."""
         return self._measured if self.clock() - self._measured_s <= FEEDBACK_AGE_S else None
 
-    @abstractmethod
-    def _open(self) -> None:
-        """Open the device."""
+    @property
+    def is_connected(self) -> bool:
+        """Whether the device is read."""
+        return self.device is not None and self.device.is_running
 
-    @abstractmethod
+    def _open(self) -> None:
+        self.device.start()
+
     def _close(self) -> None:
-        """Close it; safe to call twice."""
+        self.device.stop()
 
     @abstractmethod
     def _next(self, elapsed_s: float) -> np.ndarray:

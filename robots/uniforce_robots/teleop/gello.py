@@ -33,35 +33,16 @@ COUNTS_PER_TURN = 4096
 READ_TIMEOUT_S = 0.005  # the SDK asks without a pause otherwise, and takes a core while it waits
 FAILED_IN_A_ROW = 5
 REST_S = 0.002  # between two questions, so that a fast bus doesn't take a core: some 200 Hz
-FIRST_READING_MS = 2000.0
 STALE_MS = 150.0  # an older reading is not followed
 JUMP_rad = 0.35  # a joint that turns further between two readings has slipped or lies
+START = (
+    0.05,
+    0.3,
+    0.03,
+)  # m, rad and m of width it may stand from the robot at the start; the target closes the gap
 # A GELLO that lies still repeats itself: that is no fault.
-LIMITS = ReaderLimits(capacity=64, frozen_after=0, silent_s=1.0)
+LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=1.0)
 _BROKEN = (OSError, termios.error, TypeError)  # TypeError: pyserial's descriptor vanished while it read
-
-
-@dataclass(frozen=True)
-class StartWindow:
-    """How far it may stand from the robot at the start; the target then closes the gap at its limits."""
-
-    position_m: float = 0.05
-    yaw_rad: float = 0.3
-    width_m: float = 0.03
-
-    def check(self, measured: np.ndarray, device: np.ndarray, what: str) -> None:
-        """Compare the robot's axes (5,) with the device's (5,).
-
-        Raises:
-            TeleoperatorError: ``far``.
-        """
-        turn = abs(shortest_turn(float(measured[3]), float(device[3])))
-        gaps = (float(np.linalg.norm(device[:3] - measured[:3])), turn, abs(float(device[4] - measured[4])))
-        limits = (self.position_m, self.yaw_rad, self.width_m)
-        if np.greater(gaps, limits).any():
-            wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*limits)
-            came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
-            raise TeleoperatorError(expected(what, wanted, came, "Bring them together, then start."), "far")
 
 
 @TeleoperatorConfig.register_subclass("uniforce_gello")
@@ -71,7 +52,6 @@ class UniforceGelloConfig(TeleoperatorConfig):
 
     Attributes:
         limits: how fast the target follows.
-        start: how far it may stand from the robot.
         port: serial port, e.g. /dev/serial/by-id/usb-FTDI_….
         baud: of the motors.
         ids: seven joints and the gripper's trigger.
@@ -82,7 +62,6 @@ class UniforceGelloConfig(TeleoperatorConfig):
     """
 
     limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.1)))
-    start: StartWindow = field(default_factory=StartWindow)
     port: str = ""
     baud: int = 57_600  # as the motors come; GELLO builds often set 1_000_000
     ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)
@@ -202,27 +181,19 @@ class UniforceGello(UniforceTeleoperator):
             wanted = f"{JOINTS + 1}, {JOINTS}, {JOINTS} ids, signs and offsets"
             do = "Seven joints and the trigger; signs and offsets of the joints."
             raise ContractError(expected("gello", wanted, came, do))
-        self.reader = SampleReader(GelloBus(config.port, config.ids, config.baud), LIMITS)
+        self.device = SampleReader(GelloBus(config.port, config.ids, config.baud), LIMITS)
         self._last: np.ndarray | None = None
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether its motors are asked."""
-        return self.reader.is_running
-
-    def _open(self) -> None:
-        self.reader.start()
-        with contextlib.ExitStack() as undo:
-            undo.callback(self.reader.stop)
-            self.reader.wait_newer(-1, FIRST_READING_MS)
-            undo.pop_all()
-
-    def _close(self) -> None:
-        self.reader.stop()
 
     def _begin(self, measured: np.ndarray) -> None:
         self._last = None
-        self.config.start.check(measured, self._pose(), self.name)
+        gap = self._pose() - measured
+        turn_rad = shortest_turn(float(measured[3]), float(measured[3] + gap[3]))
+        gaps = float(np.linalg.norm(gap[:3])), abs(turn_rad), abs(float(gap[4]))
+        if np.greater(gaps, START).any():
+            wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*START)
+            came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
+            do = "Bring them together, then start."
+            raise TeleoperatorError(expected(self.name, wanted, came, do), "far")
 
     def _next(self, elapsed_s: float) -> np.ndarray:
         return self.integrator.towards(self._pose(), elapsed_s, self.measured)
@@ -242,6 +213,6 @@ class UniforceGello(UniforceTeleoperator):
         return np.array([*tool_axes(q, self.config.flange_to_tool_m), width_m])
 
     def _joints_and_trigger(self) -> tuple[np.ndarray, float]:
-        motors = self.reader.newest(STALE_MS).raw
+        motors = self.device.newest(STALE_MS).raw
         q: np.ndarray = np.array(self.config.signs) * (motors[:JOINTS] - np.array(self.config.offsets_rad))
         return q, float(motors[JOINTS])

@@ -16,6 +16,7 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import AXES
 
 YAW = AXES.index("yaw.pos")
+LONGEST_GAP_S = 0.1  # a longer pause counts as this long, so that it buys no jump
 
 
 @dataclass(frozen=True)
@@ -27,14 +28,12 @@ class TargetLimits:
         low, high: the box; the robot's own by default. A start outside widens it, so that the start is no jump.
         leash: how far each axis may lead the measured pose, so that a target pushed into a table does not run on
             and take seconds to come back. 20 mm is just above the arm's clip of 18 mm, beyond which nothing grows.
-        longest_gap_s: after a longer pause time is counted from here, so that a pause buys no jump.
     """
 
     speed: tuple[float, ...] = (0.10, 0.10, 0.10, 0.6, 0.06)
     low: tuple[float, ...] = GuardLimits.low
     high: tuple[float, ...] = GuardLimits.high
     leash: tuple[float, ...] = (0.02, 0.02, 0.02, 0.2, 0.03)
-    longest_gap_s: float = 0.1
 
     def __post_init__(self) -> None:
         rows = {name: getattr(self, name) for name in ("speed", "low", "high", "leash")}
@@ -93,7 +92,7 @@ class TargetIntegrator:
         return self._move(step, measured)
 
     def _reach(self, elapsed_s: float) -> np.ndarray:
-        return self._speed * min(max(elapsed_s, 0.0), self.limits.longest_gap_s)
+        return self._speed * min(max(elapsed_s, 0.0), LONGEST_GAP_S)
 
     def _move(self, step: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
         moved = np.clip(self._target + step, self._low, self._high)

@@ -10,8 +10,8 @@ import contextlib
 import select
 import sys
 import termios
-import threading
 import time
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -45,13 +45,12 @@ class TerminalKeys:
 
     def __init__(self, meanings: Mapping[str, tuple[int, int]]) -> None:
         self._meanings = dict(meanings)
-        self._until_s: dict[str, float] = {}
-        self._others: list[str] = []
-        self._lock = threading.Lock()
+        self._others: deque[str] = deque(maxlen=OTHERS_KEPT)
+        self.forget()
         self._listener: TerminalKeyListener | None = None
 
     @property
-    def is_listening(self) -> bool:
+    def is_running(self) -> bool:
         """Whether keys are read."""
         return self._listener is not None
 
@@ -76,11 +75,10 @@ class TerminalKeys:
 
     def press(self, key: str) -> None:
         """Take one key; called by the listener's thread."""
-        with self._lock:
-            if key.lower() in self._meanings:
-                self._until_s[key.lower()] = time.monotonic() + PULSE_S
-            else:
-                self._others = [*self._others, key][-OTHERS_KEPT:]
+        if key.lower() in self._meanings:
+            self._until_s[key.lower()] = time.monotonic() + PULSE_S
+        else:
+            self._others.append(key)
 
     def rates(self) -> np.ndarray:
         """(5,) direction of each axis now: −1, 0 or 1.
@@ -94,22 +92,17 @@ class TerminalKeys:
             do = "Start the program again."
             raise TeleoperatorError(expected("keyboard", "a terminal", "one that hung up", do), "connection")
         rates, now_s = np.zeros(len(AXES)), time.monotonic()
-        with self._lock:
-            for key, until_s in self._until_s.items():
-                axis, direction = self._meanings[key]
-                rates[axis] += direction * (now_s < until_s)
+        for key, (axis, direction) in self._meanings.items():
+            rates[axis] += direction * (now_s < self._until_s[key])
         return np.clip(rates, -1, 1)
 
     def forget(self) -> None:
         """Drop pulses that still run, so that an episode starts at rest."""
-        with self._lock:
-            self._until_s.clear()
+        self._until_s = dict.fromkeys(self._meanings, 0.0)
 
     def take_others(self) -> list[str]:
         """Return keys that mean nothing here, e.g. a recorder's own, and forget them."""
-        with self._lock:
-            others, self._others = self._others, []
-        return others
+        return [self._others.popleft() for _ in range(len(self._others))]
 
 
 @TeleoperatorConfig.register_subclass("uniforce_keyboard")
@@ -137,18 +130,7 @@ class UniforceKeyboard(UniforceTeleoperator):
 
     def __init__(self, config: TeleoperatorConfig) -> None:
         super().__init__(config)
-        self.keys = TerminalKeys(self.meanings)
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether keys are read."""
-        return self.keys.is_listening
-
-    def _open(self) -> None:
-        self.keys.start()
-
-    def _close(self) -> None:
-        self.keys.stop()
+        self.keys = self.device = TerminalKeys(self.meanings)
 
     def _begin(self, measured: np.ndarray) -> None:
         self.keys.forget()

@@ -53,7 +53,6 @@ class LerobotsOwn(UniforceTeleoperator):
 
     extra: ClassVar[str]
     do_connect: ClassVar[str]
-    device: Any = None
 
     @abstractmethod
     def make_device(self) -> Teleoperator:

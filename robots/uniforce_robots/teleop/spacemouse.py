@@ -23,7 +23,6 @@ from uniforce_robots.sensors.reader import (
     ReaderLimits,
     SampleReader,
     SampleSource,
-    SourceCounts,
     Stamped,
     now_ns,
 )
@@ -41,7 +40,7 @@ DO_PLUG = "Plug it in; give yourself read permission on /dev/hidraw* by a udev r
 FOREVER_MS = 1e12  # a cap at rest is silent until it is touched
 SILENT_S = 0.25  # a deflected cap so long without a report is a dead one; wireless ones send at some 60 Hz
 # A cap at rest sends nothing, and one held still the same: neither silence nor repetition is a fault of the device.
-LIMITS = ReaderLimits(capacity=64, frozen_after=0, silent_s=float("inf"))
+LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=1000.0, silent_s=float("inf"))
 AXES, BUTTONS = 6, 2  # more buttons exist on some models and mean nothing here
 TURN_ABOUT_Z = 5
 FULL_SCALE = 350.0  # counts at full deflection
@@ -69,28 +68,76 @@ class UniforceSpaceMouseConfig(TeleoperatorConfig):
     operator_yaw_rad: float = 0.0
 
 
-class SpaceMouseReports:
-    """HID reports → a state (8,) float64: x, y, z, turns about x, y, z in counts, left and right button; no I/O.
+def find_spacemice(folder: Path = SYS_HIDRAW) -> list[str]:
+    """Return the /dev/hidrawN of every SpaceMouse the kernel knows."""
+    return [
+        f"/dev/{path.parts[-3]}" for path in sorted(folder.glob("*/device/uevent")) if _is_spacemouse(path)
+    ]
+
+
+def _is_spacemouse(uevent: Path) -> bool:
+    lines = dict(
+        line.split("=", 1) for line in uevent.read_text(errors="replace").splitlines() if "=" in line
+    )
+    _, vendor, product = [*lines.get("HID_ID", "").upper().split(":"), "", "", ""][:3]
+    known = VENDORS.get(vendor, set())
+    return known is None or product in known
+
+
+class SpaceMouseSource(SampleSource):
+    """HID reports → states (8,) float64: x, y, z, turns about x, y, z in counts, left and right button.
 
     Two layouts are in use. Older: report 1 = x, y, z and report 2 = turns about them, int16 little endian. Newer: all
     six in report 1. Report 3 = buttons, one bit each. The device's own axes: x right, y towards the person, z down.
 
+    A thread drains it: reading slower than the device sends would leave a queue in the kernel, and the robot would
+    move on for a second after the cap was let go.
+
+    Args:
+        device: /dev/hidrawN or a local packet socket; empty for the only SpaceMouse there is.
+
     Attributes:
-        counts: reports understood and not.
+        state: (8,) the newest state.
     """
 
-    def __init__(self) -> None:
-        self.counts = SourceCounts()
-        self.forget()
+    def __init__(self, device: str = "") -> None:
+        super().__init__(f"spacemouse ({device or 'any'})")
+        self._device, self.state = device, np.zeros(AXES + BUTTONS)
+        self._fd, self._rest_sent, self._bad_in_a_row = -1, False, 0
 
-    @property
-    def state(self) -> np.ndarray:
-        """(8,) the newest state, a copy."""
-        return self._state.copy()
+    def _connect(self, undo: ExitStack) -> None:
+        """Open the device; raises LostSensorError where there is none, several, or no permission."""
+        found = [self._device] if self._device else find_spacemice()
+        if len(found) != 1:
+            do = DO_PLUG if not found else "Name one: device=/dev/hidrawN."
+            raise LostSensorError(expected(self.name, "one SpaceMouse", found or "none", do))
+        try:
+            self._fd = _open(found[0])
+        except OSError as error:
+            raise LostSensorError(expected(self.name, "a device to read", error, DO_PLUG)) from error
+        undo.callback(os.close, self._fd)
+        self.state[:], self._rest_sent, self._bad_in_a_row = 0, False, 0
 
-    def forget(self) -> None:
-        """Go back to rest, as a device does that is plugged in anew."""
-        self._state = np.zeros(AXES + BUTTONS)
+    def read(self) -> list[Stamped]:
+        """Return the newest state if anything came; at first the state of rest, since a cap at rest is silent."""
+        if not self._rest_sent:
+            self._rest_sent = True
+            return [Stamped(now_ns(), self.state.copy())]
+        if not select.select([self._fd], [], [], READ_TIMEOUT_S)[0]:
+            return []
+        do = "Was it unplugged?"
+        try:
+            report = os.read(self._fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
+        except OSError as error:
+            raise LostSensorError(expected(self.name, "a readable device", error, do)) from error
+        if not report:
+            raise LostSensorError(expected(self.name, "a readable device", "its end", do))
+        understood = self.feed(report)
+        self._bad_in_a_row = 0 if understood else self._bad_in_a_row + 1
+        if self._bad_in_a_row >= BAD_IN_A_ROW:
+            came, do = f"{BAD_IN_A_ROW} unknown ones in a row", "Is this the right hidraw device?"
+            raise ProtocolError(expected(self.name, "reports of a SpaceMouse", came, do))
+        return [Stamped(now_ns(), self.state.copy())] if understood else []
 
     def feed(self, report: bytes) -> bool:
         """Take one report, its id in the first byte; return whether it was understood."""
@@ -109,78 +156,9 @@ class SpaceMouseReports:
             first, values = AXES, tuple((body[0] >> bit) & 1 for bit in range(BUTTONS))
         if max(map(abs, values), default=0) > LARGEST_COUNT:
             return False
-        self._state[first : first + len(values)] = values
+        self.state[first : first + len(values)] = values
         # above 3: battery level, calibration, LEDs: known to exist, not needed
         return bool(values) or (report_id > 3 and bool(body))
-
-
-def find_spacemice(folder: Path = SYS_HIDRAW) -> list[str]:
-    """Return the /dev/hidrawN of every SpaceMouse the kernel knows."""
-    return [
-        f"/dev/{path.parts[-3]}" for path in sorted(folder.glob("*/device/uevent")) if _is_spacemouse(path)
-    ]
-
-
-def _is_spacemouse(uevent: Path) -> bool:
-    lines = dict(
-        line.split("=", 1) for line in uevent.read_text(errors="replace").splitlines() if "=" in line
-    )
-    _, vendor, product = [*lines.get("HID_ID", "").upper().split(":"), "", "", ""][:3]
-    known = VENDORS.get(vendor, set())
-    return known is None or product in known
-
-
-class SpaceMouseSource(SampleSource):
-    """States (8,); see ``SpaceMouseReports``.
-
-    A thread drains it: reading slower than the device sends would leave a queue in the kernel, and the robot would
-    move on for a second after the cap was let go.
-
-    Args:
-        device: /dev/hidrawN or a local packet socket; empty for the only SpaceMouse there is.
-    """
-
-    def __init__(self, device: str = "") -> None:
-        super().__init__(f"spacemouse ({device or 'any'})")
-        self._device, self._reports = device, SpaceMouseReports()
-        self.counts = self._reports.counts
-        self._fd, self._rest_sent, self._bad_in_a_row = -1, False, 0
-
-    def _connect(self, undo: ExitStack) -> None:
-        """Open the device; raises LostSensorError where there is none, several, or no permission."""
-        found = [self._device] if self._device else find_spacemice()
-        if len(found) != 1:
-            do = DO_PLUG if not found else "Name one: device=/dev/hidrawN."
-            raise LostSensorError(expected(self.name, "one SpaceMouse", found or "none", do))
-        try:
-            self._fd = _open(found[0])
-        except OSError as error:
-            raise LostSensorError(expected(self.name, "a device to read", error, DO_PLUG)) from error
-        undo.callback(os.close, self._fd)
-        self._reports.forget()
-        self._rest_sent, self._bad_in_a_row = False, 0
-
-    def read(self) -> list[Stamped]:
-        """Return the newest state if anything came; at first the state of rest, since a cap at rest is silent."""
-        if not self._rest_sent:
-            self._rest_sent = True
-            return [Stamped(now_ns(), self._reports.state)]
-        if not select.select([self._fd], [], [], READ_TIMEOUT_S)[0]:
-            return []
-        do = "Was it unplugged?"
-        try:
-            report = os.read(self._fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
-        except OSError as error:
-            raise LostSensorError(expected(self.name, "a readable device", error, do)) from error
-        if not report:
-            raise LostSensorError(expected(self.name, "a readable device", "its end", do))
-        understood = self._reports.feed(report)
-        self._bad_in_a_row = 0 if understood else self._bad_in_a_row + 1
-        if self._bad_in_a_row >= BAD_IN_A_ROW:
-            came = f"{BAD_IN_A_ROW} unknown ones in a row"
-            do = "Is this the right hidraw device?"
-            raise ProtocolError(expected(self.name, "reports of a SpaceMouse", came, do))
-        return [Stamped(now_ns(), self._reports.state)] if understood else []
 
 
 def _open(path: str) -> int:
@@ -199,19 +177,7 @@ class UniforceSpaceMouse(UniforceTeleoperator):
 
     def __init__(self, config: UniforceSpaceMouseConfig) -> None:
         super().__init__(config)
-        self.reader = SampleReader(SpaceMouseSource(config.device), LIMITS)
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether the device is drained."""
-        return self.reader.is_running
-
-    def _open(self) -> None:
-        self.reader.start()
-        self.reader.wait_newer(-1, 1000.0)  # the state of rest, which the source gives at once
-
-    def _close(self) -> None:
-        self.reader.stop()
+        self.device = SampleReader(SpaceMouseSource(config.device), LIMITS)
 
     def _begin(self, measured: np.ndarray) -> None:
         if np.abs(self._deflection()).max() > 0:
@@ -237,7 +203,7 @@ class UniforceSpaceMouse(UniforceTeleoperator):
 
     def _deflection(self) -> np.ndarray:
         """(8,) six axes in −1 … 1 outside the dead band, and two buttons."""
-        sample = self.reader.newest(FOREVER_MS)
+        sample = self.device.newest(FOREVER_MS)
         share = np.clip(sample.raw[:6] / FULL_SCALE, -1, 1)
         beyond = np.maximum(np.abs(share) - self.config.deadband, 0) / (1 - self.config.deadband)
         silent_s = sample.age_ms / 1e3

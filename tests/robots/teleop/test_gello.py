@@ -84,11 +84,11 @@ def test_faults_are_told(
 def test_what_is_harmless_is_lived_with(leader: Any, gello: StandIn, fault: str) -> None:
     """Answers in small pieces are whole; a motor's alert bit (overheating) does not spoil its position."""
     gello.inject(fault)
-    before = leader.reader.counts.samples
+    before = leader.device.counts.samples
     for _ in range(20):
         leader.get_action()
-        leader.reader.wait_newer(leader.reader.newest(1e3).index, 2000.0)
-    assert leader.reader.counts.samples >= before + 20
+        leader.device.wait_newer(leader.device.newest(1e3).index, 2000.0)
+    assert leader.device.counts.samples >= before + 20
 
 
 def test_a_mute_chain_is_no_connection(gello: StandIn, tmp_path: Path) -> None:
