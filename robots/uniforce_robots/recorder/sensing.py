@@ -13,9 +13,8 @@ from lerobot.cameras import Camera
 from uniforce_robots.recorder.faults import named
 from uniforce_robots.recorder.plain_camera import PlainCamera
 from uniforce_robots.recorder.rig import FingerTouch, Picture
-from uniforce_robots.sensors.finger import TactileFinger, UniforceUskin
+from uniforce_robots.sensors.finger import SampledCamera, TactileFinger, UniforceUskin
 from uniforce_robots.sensors.reader import NS_PER_S
-from uniforce_robots.sensors.sampled_camera import SampledCamera
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.keys import tactile_name
@@ -123,10 +122,8 @@ def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:
 
 
 def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
-    window = device.window(size)
-    first_s = window.stamps_ns[size - window.count] / NS_PER_S
-    times_s = np.where(window.stamps_ns == 0, first_s, window.stamps_ns / NS_PER_S)
-    return window.data, times_s
+    stamps_ns, scans = device.window(size)
+    return scans, stamps_ns / NS_PER_S
 
 
 def _facts(device: SampledCamera) -> dict[str, Any]:

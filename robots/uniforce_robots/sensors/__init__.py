@@ -10,8 +10,7 @@ from uniforce_robots.sensors.config_uniforce import (
     UniforceTactileCameraConfig,
     UniforceUskinConfig,
 )
-from uniforce_robots.sensors.finger import UniforceTactileCamera, UniforceUskin
-from uniforce_robots.sensors.sampled_camera import UniforceSceneCamera
+from uniforce_robots.sensors.finger import UniforceSceneCamera, UniforceTactileCamera, UniforceUskin
 
 __all__ = [
     "UniforceSceneCamera",

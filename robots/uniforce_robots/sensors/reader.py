@@ -1,7 +1,7 @@
 """A thread that keeps one device's newest samples at hand, and never lets a dead sensor look alive.
 
-Asking for the newest sample gives one that is young enough, or an error that names the sensor and the reason.  Its age
-is judged when it is asked for: a driver stuck in the kernel can't hide behind its last sample.
+Asking for the newest sample gives one that is young enough, or an error that names the sensor and the reason; a driver
+stuck in the kernel can't hide behind its last sample.
 
 Stamps are int64 nanoseconds of ``time.perf_counter_ns``: on Linux CLOCK_MONOTONIC, the clock V4L2 stamps its buffers
 with, so that camera, taxels and arm can be laid side by side.
@@ -57,12 +57,8 @@ class SourceCounts:
 class SampleSource(ABC):
     """One device, used by one thread.
 
-    Args:
-        name: how errors call it.
-        max_behind_s: how long reading may lag behind before that is an error.
-
     Attributes:
-        counts: what it has received.
+        name: how errors call it.
         settings_read_back: what a camera's driver said each setting was, for the dataset; empty for other devices.
     """
 
@@ -133,23 +129,6 @@ class Sample:
     index: int
     stamp_ns: int
     age_ms: float
-
-
-@dataclass(frozen=True)
-class Window:
-    """Samples in order of time, the newest last.
-
-    Attributes:
-        first_index: index of the first real sample.
-        count: real samples; they fill the end of the arrays.
-        stamps_ns: (size,) int64; 0 where there was no sample.
-        data: (size, ...); repeats the oldest real sample where there was none, so that nothing is made up.
-    """
-
-    first_index: int
-    count: int
-    stamps_ns: np.ndarray
-    data: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -251,8 +230,10 @@ class SampleReader:
             raise StaleSensorError(expected(self.name, wanted, came, do))
         return Sample(raw.copy(), newest, stamp_ns, age_ms)
 
-    def window(self, size: int, max_age_ms: float) -> Window:
-        """Return the newest ``size`` samples in arrays of exactly that length; see ``Window`` for the padding.
+    def window(self, size: int, max_age_ms: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return stamps (size,) int64 ns and data (size, ...) of the newest samples, the newest last.
+
+        Where fewer are kept the oldest is repeated, so that nothing is made up.
 
         Raises:
             ContractError: a size outside 1 … capacity.
@@ -262,33 +243,22 @@ class SampleReader:
             do = "Ask for fewer."
             raise ContractError(expected("window", f"1 … {self._limits.capacity} samples", size, do))
         self.newest(max_age_ms)
-        window = self._last(size)
-        missing = [(size - window.count, 0)] + [(0, 0)] * (window.data.ndim - 1)
-        stamps_ns, data = np.pad(window.stamps_ns, missing[0]), np.pad(window.data, missing, mode="edge")
-        return replace(window, stamps_ns=stamps_ns, data=data)
+        with self._changed:
+            kept = list(self._kept)[-size:]
+        kept = [kept[0]] * (size - len(kept)) + kept
+        return np.array([stamp_ns for stamp_ns, _ in kept]), np.stack([raw for _, raw in kept])
 
-    def since(self, index: int) -> Window:
-        """Return every sample after ``index`` that is still kept; ``first_index`` shows how many are not."""
-        return self._last(max(self._received - 1 - index, 0))
+    def since(self, index: int) -> list[Stamped]:
+        """Return every sample after ``index`` that is still kept, the newest last."""
+        with self._changed:
+            later = max(self._received - 1 - index, 0)
+            return list(self._kept)[-later:] if later else []
 
     def rate_hz(self, over_s: float = 2.0) -> float:
         """Return the measured rate over the newest ``over_s`` seconds of samples; 0 with fewer than two."""
-        with self._changed:
-            stamps_ns = np.array([sample.stamp_ns for sample in self._kept])
-        if len(stamps_ns) < 2:
-            return 0.0
-        recent = stamps_ns[stamps_ns >= stamps_ns[-1] - over_s * NS_PER_S]
-        span_s = float(recent[-1] - recent[0]) / NS_PER_S
-        return (len(recent) - 1) / span_s if span_s > 0 else 0.0
-
-    def _last(self, size: int) -> Window:
-        """Return the newest ``size`` samples, fewer where fewer are kept."""
-        with self._changed:
-            kept = list(self._kept)[-size:] if size else []
-            first = self._received - len(kept)
-        stamps_ns = np.array([sample.stamp_ns for sample in kept], np.int64)
-        data = np.stack([sample.raw for sample in kept]) if kept else np.empty((0,))
-        return Window(first, len(kept), stamps_ns, data)
+        stamps_ns = np.array([stamp_ns for stamp_ns, _ in self.since(-1)])
+        recent = stamps_ns[stamps_ns >= stamps_ns.max(initial=0) - over_s * NS_PER_S]
+        return (len(recent) - 1) * NS_PER_S / np.ptp(recent) if len(set(recent)) > 1 else 0.0
 
     # -- the thread -------------------------------------------------------------------------------------
 

@@ -12,7 +12,7 @@ from scripted import ScriptedCapture
 
 from uniforce_robots.sensors import UniforceSceneCamera, UniforceSceneCameraConfig
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, WrongSensorError
-from uniforce_robots.sensors.sampled_camera import middle
+from uniforce_robots.sensors.finger import middle
 from uniforce_vtla.errors import ContractError, SensorError
 
 

@@ -72,7 +72,7 @@ def test_a_window_comes_upright():
     scans = taxel_cycle(Scene(press_s=0), 50)
     with UniforceUskin(config(rotation_deg=90, flip=True), ScriptedSource(scans)) as camera:
         upright = {Orientation(90, True).of_counts(scan).tobytes() for scan in scans}
-        assert all(scan.tobytes() in upright for scan in camera.window(4).data)
+        assert all(scan.tobytes() in upright for scan in camera.window(4)[1])
 
 
 def test_configs_that_cannot_be():
