@@ -1,12 +1,11 @@
-"""Stand-ins shared by all device tests, and how much of a core this machine gives us: deadlines scale with it."""
+"""How much of a core this machine gives us: deadlines scale with it."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,7 +17,6 @@ from uniforce_vtla.errors import SensorError
 
 OUTCOME_S = 0.5  # a fault must show within this on a machine that has time for us
 TIMES = 10  # each fault is injected
-RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
 
 
 @pytest.fixture(scope="session")
@@ -93,36 +91,3 @@ def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., N
             wait_newer(newest(1e4).index, 60_000)
 
     return check
-
-
-def _running(name: str, sensor: str, *options: str) -> Any:
-    """Return a session's fixture: a stand-in of its own process, started once."""
-
-    @pytest.fixture(scope="session", name=f"{name}_process")
-    def running() -> Iterator[StandIn]:
-        with StandIn(name, *options) as stand_in:
-            stand_in.sensor = sensor  # how errors call it
-            yield stand_in
-
-    return running
-
-
-def _whole(name: str) -> Any:
-    """Return a test's fixture: that stand-in with nothing broken, before and after."""
-
-    @pytest.fixture(name=name)
-    def whole(request: pytest.FixtureRequest) -> Iterator[StandIn]:
-        stand_in = request.getfixturevalue(f"{name}_process")
-        stand_in.inject("none")
-        yield stand_in
-        stand_in.inject("none")
-
-    return whole
-
-
-slcan_process = _running("slcan", "uskin", f"rate_hz={RATE_HZ}")
-mjpeg_process = _running(
-    "mjpeg", "tactip on the right finger", "sensor=tactip", "rate_hz=30", "rest_s=2", "press_s=1"
-)
-xela_process = _running("xela", "uskin", f"rate_hz={RATE_HZ}")
-slcan, mjpeg, xela = _whole("slcan"), _whole("mjpeg"), _whole("xela")

@@ -28,21 +28,15 @@ MAX_AGE_MS = 300.0
 
 def config(address: str, **options: object) -> UniforceTactileCameraConfig:
     plain = {"sensor": "tactip", "finger": "right", "frozen_after": 4, "reference_samples": 3}
-    size = {
-        "capture_width": 640,
-        "capture_height": 480,
-        "connect_ms": 60_000.0,
-        "reference_on_connect": False,
-    }
+    size = {"capture_width": 640, "capture_height": 480}
+    plain |= {"connect_ms": 60_000.0, "reference_on_connect": False}
     return UniforceTactileCameraConfig(source=address, **(plain | size | options))
 
 
 @pytest.fixture
 def camera(mjpeg: StandIn) -> Iterator[UniforceTactileCamera]:
-    camera = UniforceTactileCamera(config(mjpeg.address))
-    camera.connect()
-    yield camera
-    camera.disconnect()
+    with UniforceTactileCamera(config(mjpeg.address)) as camera:
+        yield camera
 
 
 def test_a_robot_lists_it_like_any_camera(mjpeg: StandIn):
@@ -53,20 +47,13 @@ def test_a_robot_lists_it_like_any_camera(mjpeg: StandIn):
         image = camera.read_latest(60_000)
         assert image.shape == (480, 640, 3) and image.dtype == np.uint8
         assert np.array_equal(image[..., 0], image[..., 2])
-        markers, count = check_marker_image(image[..., 0]), 0
-        count = cv2.connectedComponents(markers)[0] - 1
+        count = cv2.connectedComponents(check_marker_image(image[..., 0]))[0] - 1
         assert 110 <= count <= 135  # a TacTip has 127 pins
     assert not camera.is_connected
 
 
 def test_a_config_file_makes_it_and_is_made_of_it():
-    written = {
-        "type": "uniforce_tactile",
-        "sensor": "tactip",
-        "finger": "right",
-        "source": "/dev/video2",
-        "gain": None,
-    }
+    written = {"type": "uniforce_tactile", "sensor": "tactip", "finger": "right", "source": "0", "gain": None}
     read = draccus.decode(CameraConfig, written)
     assert isinstance(read, UniforceTactileCameraConfig) and (read.finger, read.gain) == ("right", None)
     assert draccus.decode(CameraConfig, draccus.encode(read, CameraConfig)) == read

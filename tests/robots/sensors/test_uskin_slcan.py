@@ -23,7 +23,7 @@ from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_robots.standins.slcan import scan_lines
 from uniforce_vtla.errors import ContractError
 
-RATE_HZ = 100.0  # of the shared stand-in
+RATE_HZ = 100.0  # of tests/robots/conftest.py
 MAX_AGE_MS = 150.0
 TIMES = 10
 
