@@ -35,7 +35,7 @@ class SampledCameraConfig(CameraConfig):
     @property
     def orientation(self) -> Orientation:
         """How it is turned on its mount."""
-        return Orientation(self.rotation_deg)
+        return Orientation(self.rotation_deg, getattr(self, "flip", False))
 
     def _one_of(self, setting: str, *names: str) -> None:
         if (came := getattr(self, setting)) not in names:
@@ -123,17 +123,13 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
 
     @property
     def raw_shape(self) -> tuple[int, int, int]:
-        """(rows, columns, 3) of the camera's own frames, upright.
-
-        Raises:
-            ContractError: the config leaves the size to the camera.
-        """
+        """(rows, columns, 3) of the camera's own frames, upright; ContractError where the size is the camera's."""
         if self.capture_width is None or self.capture_height is None:
             do = "A dataset needs to know the size of raw frames."
             raise ContractError(expected("capture_width, capture_height", "numbers", "null", do))
-        upright = (self.capture_height, self.capture_width)
-        rows, columns = upright[::-1] if self.rotation_deg in SIDEWAYS else upright
-        return rows, columns, 3
+        if self.rotation_deg in SIDEWAYS:
+            return self.capture_width, self.capture_height, 3
+        return self.capture_height, self.capture_width, 3
 
 
 @CameraConfig.register_subclass("uniforce_uskin")
@@ -159,11 +155,6 @@ class UniforceUskinConfig(TactileFingerConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._one_of("link", "slcan", "server")
-
-    @property
-    def orientation(self) -> Orientation:
-        """How it is turned on its finger."""
-        return Orientation(self.rotation_deg, self.flip)
 
 
 @CameraConfig.register_subclass("uniforce_scene")

@@ -66,16 +66,14 @@ class MultipartJpeg:
         """
         self._buffer += chunk
         parts: list[JpegPart] = []
-        while True:
-            if self._length is None:
-                if not self._take_header():
-                    return parts
-            elif len(self._buffer) < self._length:
-                return parts
-            else:
+        while self._length is not None or self._take_header():
+            if self._length is not None:
+                if len(self._buffer) < self._length:
+                    break
                 parts.append(JpegPart(bytes(self._buffer[: self._length]), self._taken_s))
                 del self._buffer[: self._length]
                 self._length = None
+        return parts
 
     def _take_header(self) -> bool:
         """Take a header off the buffer; False when more bytes are needed."""
@@ -148,17 +146,16 @@ class StreamSource(FrameSource):
 
     def _receive(self, timeout_s: float) -> bytes:
         """Return what came; nothing when nothing does in time."""
-        do = "Is the server still running?"
         try:
             self._socket.settimeout(timeout_s)
-            chunk = self._socket.recv(CHUNK_BYTES)
+            if chunk := self._socket.recv(CHUNK_BYTES):
+                return chunk
+            raise ConnectionError("its end")
         except (TimeoutError, BlockingIOError):
             return b""
         except OSError as error:
+            do = "Is the server still running?"
             raise LostSensorError(expected(self.name, "an MJPEG stream", error, do)) from error
-        if not chunk:
-            raise LostSensorError(expected(self.name, "an MJPEG stream", "its end", do))
-        return chunk
 
 
 def decode_bgr(jpeg: bytes) -> np.ndarray | None:

@@ -50,9 +50,7 @@ class XelaMessages:
 
     Its connection classes read in a thread of their own into a queue: a message that waited there would pass for new.
 
-    Args:
-        host, port: named in the handshake.
-        name: how errors call the sensor.
+    ``host`` and ``port`` are named in the handshake, ``name`` in errors.
     """
 
     def __init__(self, host: str, port: int, name: str) -> None:
@@ -60,11 +58,6 @@ class XelaMessages:
         self._parts: list[bytes] = []
         self.protocol = ClientProtocol(parse_uri(f"ws://{host}:{port}/"), max_size=MAX_MESSAGE_BYTES)
         self.protocol.send_request(self.protocol.connect())
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the server has closed the connection properly."""
-        return self.protocol.state in (State.CLOSING, State.CLOSED)
 
     def feed(self, chunk: bytes) -> list[str]:
         """Return the texts that ``chunk`` completes; empty means the end of the stream.
@@ -98,12 +91,9 @@ class ServerUSkin(SampleSource):
     """Whole scans, (16, 3) uint16 raw counts each, from xela_server.
 
     Args:
-        address: ``host`` or ``host:port``.
+        address: ``host`` or ``host:port``; ContractError where it has no such form.
         sensor: which sensor of the server's message.
         name: how errors call it.
-
-    Raises:
-        ContractError: no such form of address.
     """
 
     _socket: socket.socket
@@ -141,13 +131,13 @@ class ServerUSkin(SampleSource):
     def read(self) -> list[Stamped]:
         """Return the scans that came, all of them, stamped when they were read."""
         texts, self._early = self._early, []
-        while not self._messages.is_over:
+        more_waits = True
+        while more_waits and self._messages.protocol.state is State.OPEN:
             came, size = self._receive(0.0 if texts else READ_S)
             texts += came
-            if not self._more_waits(size >= CHUNK_BYTES):
-                break
-        if self._messages.is_over and not texts:  # what came with its close frame is still delivered
-            raise self._gone("a close frame")
+            more_waits = self._more_waits(size >= CHUNK_BYTES)
+        if self._messages.protocol.state is not State.OPEN and not texts:
+            raise self._gone("a close frame")  # what came with it was delivered before
         stamp_ns = now_ns()
         scans = [self._scan(text) for text in texts]
         return [Stamped(stamp_ns, scan) for scan in scans if scan is not None]

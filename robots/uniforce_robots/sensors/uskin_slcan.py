@@ -51,10 +51,7 @@ class SlcanScans:
     begins anew before it is whole is dropped and counted, up to the next beginning: taxels of two scans never mix.
 
     Args:
-        controller: the patch's microcontroller id.
-
-    Raises:
-        ContractError: a controller outside 0 … 15.
+        controller: the patch's microcontroller id; ContractError where it is outside 0 … 15.
 
     Attributes:
         counts: scans delivered, scans broken, lines that made no sense.
@@ -122,12 +119,7 @@ class SlcanUSkin(SampleSource):
         self.counts = self._scans.counts
 
     def _connect(self, undo: contextlib.ExitStack) -> None:
-        """Open the port for ourselves and start the channel.
-
-        Raises:
-            LostSensorError: no such port, or it is in use.
-            ProtocolError: what is there doesn't answer like an SLCAN adapter.
-        """
+        """Open the port for ourselves and start the channel; ProtocolError where no SLCAN adapter answers."""
         self._scans.forget()
         do = "Check cable and permissions (group dialout), and that xela_server or slcand doesn't hold it."
         timeouts = {"timeout": READ_TIMEOUT_S, "write_timeout": ANSWER_S}

@@ -49,17 +49,9 @@ class StandInServer:
     On standard input: ``fault NAME`` breaks it, ``fault none`` mends it, ``stats`` prints its counts.
 
     Args:
-        plug: how clients reach it; the faults ``unplug`` and ``stop`` take it away.
-        address: where that is.
-        config: with ``fault``, what is broken from the start, and ``seed``.
+        plug: how clients reach it, at ``address``; the faults ``unplug`` and ``stop`` take it away.
+        config: with ``fault``, one of ``faults`` that is there from the start, or "none"; and ``seed``.
         rate_hz: of its beats.
-
-    Attributes:
-        faults: names that may be set.
-        fault: what is broken now; "none" when nothing is.
-
-    Raises:
-        ContractError: an unknown initial fault.
     """
 
     faults: ClassVar[tuple[str, ...]]

@@ -19,7 +19,6 @@ BOUNDARY = b"uniforceframe"
 KIND = b"multipart/x-mixed-replace; boundary=" + BOUNDARY
 WELCOME = b"HTTP/1.0 200 OK\r\nContent-Type: " + KIND + b"\r\n\r\n"
 LATE_S = 0.6  # how long "late" holds frames back
-QUEUE = 64  # frames, some 4 MB: a client that doesn't read loses those beyond, as behind a real streamer
 JPEG_QUALITY = 90
 
 
@@ -59,7 +58,7 @@ class MjpegStandIn(StandInServer):
         self._jpegs = [encode(frame) for frame in frames]
         self._small = encode(cv2.resize(frames[0], (320, 240)))
         self._held: deque[tuple[float, int]] = deque()  # frames "late" holds back: when taken, which
-        self._server = Sockets(("127.0.0.1", config.port), QUEUE, lambda client: WELCOME)
+        self._server = Sockets(("127.0.0.1", config.port), lambda client: WELCOME)
         address = "http://{}:{}/stream".format(*self._server.where)
         super().__init__(self._server, address, config, config.rate_hz)
 

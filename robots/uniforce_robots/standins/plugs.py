@@ -16,6 +16,7 @@ from typing import Any
 
 READ_BYTES = 4096
 WELCOME_S = 1.0  # a client that asks for nothing so long is let go
+QUEUE = 200  # messages that wait for a client that doesn't read, as behind a real streamer
 TTY_BYTES = 65_536  # what a tty's own buffers hold before data is lost
 
 
@@ -70,18 +71,13 @@ class PseudoTerminal:
 
 
 class Sockets:
-    """A listener, all of whose clients are sent the same.
+    """A listener, all of whose clients are sent the same; ``welcome``: a new client → its first bytes.
 
-    Args:
-        where: (host, port), 0 for any free port; or a path, for packets: one read is one message, as with hidraw.
-        most: messages that may wait per client.
-        welcome: a new client → its first bytes.
+    ``where`` is (host, port), 0 for any free port; or a path, for packets: one read is one message, as with hidraw.
     """
 
-    def __init__(
-        self, where: tuple[str, int] | str, most: int, welcome: Callable[[socket.socket], bytes]
-    ) -> None:
-        self.where, self._most, self._welcome = where, most, welcome
+    def __init__(self, where: tuple[str, int] | str, welcome: Callable[[socket.socket], bytes]) -> None:
+        self.where, self._welcome = where, welcome
         self.sent = self.dropped = 0
         self.clients: dict[socket.socket, list[bytes]] = {}  # and what waits to be sent to them
         self._listener: socket.socket | None = None
@@ -97,6 +93,8 @@ class Sockets:
             self._listener.listen(1)
         else:
             self._listener = socket.create_server(self.where)  # sets SO_REUSEADDR: the same port again
+            # clients inherit it; without, 40 ms wait for an acknowledgement
+            self._listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self.where = self._listener.getsockname()
 
     def unplug(self) -> None:
@@ -132,7 +130,7 @@ class Sockets:
     def send(self, message: bytes) -> None:
         """Keep a message for every client."""
         for out in self.clients.values():
-            is_full = len(out) >= self._most
+            is_full = len(out) >= QUEUE
             self.dropped, self.sent = self.dropped + is_full, self.sent + (not is_full)
             out += [] if is_full else [message]
 

@@ -7,7 +7,6 @@ import select
 import subprocess
 import sys
 import time
-from types import TracebackType
 
 from uniforce_vtla.errors import SensorError, expected
 
@@ -52,9 +51,7 @@ class StandIn:
     def __enter__(self) -> StandIn:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
 
     def _ask(self, line: str) -> str:

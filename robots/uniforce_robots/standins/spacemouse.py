@@ -13,7 +13,6 @@ from uniforce_vtla.arguments import parse
 
 BURST = 40  # reports at once: what a reader that sleeps would find queued
 REST = (0,) * 6
-QUEUE = 200  # reports that wait for a reader
 
 
 @dataclass
@@ -45,7 +44,7 @@ class SpaceMouseStandIn(StandInServer):
     def __init__(self, config: SpaceMouseConfig) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="uniforce-spacemouse-")
         path = f"{self._folder.name}/device"
-        super().__init__(Sockets(path, QUEUE, lambda client: b""), path, config, config.rate_hz)
+        super().__init__(Sockets(path, lambda client: b""), path, config, config.rate_hz)
         push = reports(tuple(int(word) for word in config.push.split(",")), 0)
         closing = reports(REST, 1)
         self._due = {"push": push, "burst": push * BURST, "close": closing, "short": [b"\x01\x00"]}

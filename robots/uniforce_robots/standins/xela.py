@@ -18,7 +18,6 @@ from uniforce_robots.standins.plugs import READ_BYTES, Sockets
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.arguments import parse
 
-QUEUE = 500  # messages, some 1 MB
 FRAGMENTS = 5
 
 
@@ -87,7 +86,7 @@ class XelaStandIn(StandInServer):
 
     def __init__(self, config: XelaConfig) -> None:
         self._cycle = taxel_cycle(config, config.rate_hz)
-        self._server = Sockets(("127.0.0.1", config.port), QUEUE, welcome)
+        self._server = Sockets(("127.0.0.1", config.port), welcome)
         super().__init__(self._server, "{}:{}".format(*self._server.where), config, config.rate_hz)
         self._number = 0
 

@@ -25,11 +25,7 @@ FEEDBACK_AGE_S = 0.2  # an older measured pose is not where the robot is; its ow
 
 
 def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
-    """Return (5,) float64 of a dict with ``keys.AXES`` or of five numbers.
-
-    Raises:
-        TeleoperatorError: an axis is missing, or a number is not finite.
-    """
+    """Return (5,) float64 of a dict with ``keys.AXES`` or of five numbers; TeleoperatorError where one isn't finite."""
     try:
         values = [axes[axis] for axis in AXES] if isinstance(axes, Mapping) else axes
         array = np.asarray(values, dtype=np.float64)
@@ -46,10 +42,11 @@ class UniforceTeleoperator(Teleoperator):
     Attributes:
         wants_gains: stiffness the robot needs while this one steers; None for the robot's own.
         clock: seconds; tests put their own.
+        device: what is read, with ``start``, ``stop`` and ``is_running``.
     """
 
     wants_gains: ClassVar[Gains | None] = None
-    device: Any = None  # with ``start``, ``stop`` and ``is_running``
+    device: Any = None
     is_calibrated = True  # there is nothing to calibrate
     action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
@@ -66,15 +63,10 @@ class UniforceTeleoperator(Teleoperator):
     def calibrate(self) -> None:
         """Do nothing."""
 
-    def configure(self) -> None:
-        """Do nothing."""
+    configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
-        """Open the device.
-
-        Raises:
-            TeleoperatorError: connected already, not there, or what it needs is not installed.
-        """
+        """Open the device; TeleoperatorError: connected already, not there, or a library it needs is missing."""
         if self.is_connected:
             do = "Disconnect first."
             raise TeleoperatorError(expected(self.name, "to be unconnected", "a second connect", do))

@@ -18,13 +18,9 @@ if TYPE_CHECKING:
 @TeleoperatorConfig.register_subclass("uniforce_expert")
 @dataclass(kw_only=True)
 class UniforceExpertConfig(TeleoperatorConfig):
-    """The scripted expert of the simulated scene; of no use to a real robot.
+    """The scripted expert of the simulated scene; of no use to a real robot."""
 
-    Attributes:
-        fingers: which pads it reads: both, left, right or none.
-    """
-
-    fingers: Literal["both", "left", "right", "none"] = "both"
+    fingers: Literal["both", "left", "right", "none"] = "both"  # which pads it reads
 
 
 class UniforceExpert(UniforceTeleoperator):

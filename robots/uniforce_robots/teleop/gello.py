@@ -22,7 +22,7 @@ from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource, Stamped, now_ns
 from uniforce_robots.standins.fci.kinematics import HAND_TO_FLANGE, JOINTS, posture
 from uniforce_robots.teleop.base import UniforceTeleoperator
-from uniforce_robots.teleop.integrator import TargetLimits
+from uniforce_robots.teleop.integrator import SteeringConfig, TargetLimits
 from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
 
 if TYPE_CHECKING:
@@ -35,11 +35,8 @@ FAILED_IN_A_ROW = 5
 REST_S = 0.002  # between two questions, so that a fast bus doesn't take a core: some 200 Hz
 STALE_MS = 150.0  # an older reading is not followed
 JUMP_rad = 0.35  # a joint that turns further between two readings has slipped or lies
-START = (
-    0.05,
-    0.3,
-    0.03,
-)  # m, rad and m of width it may stand from the robot at the start; the target closes the gap
+# m, rad and m of width it may stand from the robot at the start; the target then closes the gap
+START = 0.05, 0.3, 0.03
 # A GELLO that lies still repeats itself: that is no fault.
 LIMITS = ReaderLimits(capacity=64, frozen_after=0, first_ms=2000.0, silent_s=1.0)
 _BROKEN = (OSError, termios.error, TypeError)  # TypeError: pyserial's descriptor vanished while it read
@@ -47,29 +44,18 @@ _BROKEN = (OSError, termios.error, TypeError)  # TypeError: pyserial's descripto
 
 @TeleoperatorConfig.register_subclass("uniforce_gello")
 @dataclass(kw_only=True)
-class UniforceGelloConfig(TeleoperatorConfig):
-    """A GELLO: a small arm of Dynamixel motors with the Franka's proportions.
-
-    Attributes:
-        limits: how fast the target follows.
-        port: serial port, e.g. /dev/serial/by-id/usb-FTDI_….
-        baud: of the motors.
-        ids: seven joints and the gripper's trigger.
-        signs, offsets_rad: joint = sign × (motor − offset); ``gello.offsets`` finds the offsets of a held posture.
-        trigger_rad: motor angle of the trigger when open and when pulled.
-        width_m: of the fingers when open and when pulled.
-        flange_to_tool_m: the point between the finger tips; the Franka Hand's own by default.
-    """
+class UniforceGelloConfig(SteeringConfig):
+    """A GELLO: a small arm of Dynamixel motors with the Franka's proportions."""
 
     limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.1)))
-    port: str = ""
+    port: str = ""  # serial port, e.g. /dev/serial/by-id/usb-FTDI_…
     baud: int = 57_600  # as the motors come; GELLO builds often set 1_000_000
-    ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)
-    signs: tuple[int, ...] = (1, 1, 1, 1, 1, 1, 1)
-    offsets_rad: tuple[float, ...] = (0.0,) * 7
-    trigger_rad: tuple[float, float] = (0.0, 0.7)
-    width_m: tuple[float, float] = (0.08, 0.0)
-    flange_to_tool_m: float = float(HAND_TO_FLANGE[2, 3])
+    ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)  # of the motors: seven joints and the gripper's trigger
+    signs: tuple[int, ...] = (1, 1, 1, 1, 1, 1, 1)  # joint = sign × (motor − offset)
+    offsets_rad: tuple[float, ...] = (0.0,) * 7  # ``gello.offsets`` finds them from a held posture
+    trigger_rad: tuple[float, float] = (0.0, 0.7)  # motor angle of the trigger when open and when pulled
+    width_m: tuple[float, float] = (0.08, 0.0)  # of the fingers when open and when pulled
+    flange_to_tool_m: float = float(HAND_TO_FLANGE[2, 3])  # the point between the finger tips
 
 
 def tool_axes(q_rad: np.ndarray, flange_to_tool_m: float) -> np.ndarray:
@@ -103,12 +89,7 @@ class GelloBus(SampleSource):
         self._failed_in_a_row = 0
 
     def _connect(self, undo: contextlib.ExitStack) -> None:
-        """Open the port for ourselves.
-
-        Raises:
-            LostSensorError: no such port, or it is in use.
-            TeleoperatorError: ``dynamixel-sdk`` is not installed.
-        """
+        """Open the port for ourselves; TeleoperatorError where ``dynamixel-sdk`` is not installed."""
         try:
             from dynamixel_sdk import GroupSyncRead, PacketHandler, PortHandler
         except ImportError as error:

@@ -6,9 +6,10 @@ target on the measured pose; from then on it moves by at most speed × time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from lerobot.teleoperators import TeleoperatorConfig
 
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import shortest_turn
@@ -16,6 +17,7 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import AXES
 
 YAW = AXES.index("yaw.pos")
+TINY_m = 1e-12  # a step below is none
 LONGEST_GAP_S = 0.1  # a longer pause counts as this long, so that it buys no jump
 
 
@@ -36,14 +38,20 @@ class TargetLimits:
     leash: tuple[float, ...] = (0.02, 0.02, 0.02, 0.2, 0.03)
 
     def __post_init__(self) -> None:
-        rows = {name: getattr(self, name) for name in ("speed", "low", "high", "leash")}
-        for name, row in rows.items():
+        for name, row in vars(self).items():
             if len(row) != len(AXES) or not np.isfinite(row).all():
                 do = "Give one finite number per axis."
                 raise ContractError(expected(f"limits.{name}", f"{len(AXES)} numbers", row, do))
         if np.any(np.greater_equal(self.low, self.high)) or min(*self.speed, *self.leash) < 0:
             wanted = "low < high, speed and leash ≥ 0"
-            raise ContractError(expected("target limits", wanted, rows, "Mend them."))
+            raise ContractError(expected("target limits", wanted, vars(self), "Mend them."))
+
+
+@dataclass(kw_only=True)
+class SteeringConfig(TeleoperatorConfig):
+    """What every device that moves a target has."""
+
+    limits: TargetLimits = field(default_factory=TargetLimits)  # how far and fast the target may move
 
 
 class TargetIntegrator:
@@ -86,8 +94,7 @@ class TargetIntegrator:
         centre = (self._low[YAW] + self._high[YAW]) / 2
         inside = centre + shortest_turn(centre, float(goal[YAW]))
         step[YAW] = np.clip(inside, self._low[YAW], self._high[YAW]) - self._target[YAW]
-        moving = np.abs(step[:3]) > 0
-        step[:3] *= min(1.0, *(reach[:3][moving] / np.abs(step[:3][moving])), 1.0)
+        step[:3] *= min(1.0, np.min(reach[:3] / np.maximum(np.abs(step[:3]), TINY_m)))
         step[3:] = np.clip(step[3:], -reach[3:], reach[3:])
         return self._move(step, measured)
 

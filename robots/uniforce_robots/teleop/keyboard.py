@@ -13,7 +13,7 @@ import termios
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -22,7 +22,7 @@ from lerobot.utils.keyboard_input import TerminalKeyListener
 
 from uniforce_robots.franka.arm import HAND_GUIDED
 from uniforce_robots.teleop.base import FEEDBACK_AGE_S, UniforceTeleoperator
-from uniforce_robots.teleop.integrator import TargetLimits
+from uniforce_robots.teleop.integrator import SteeringConfig
 from uniforce_vtla.errors import TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
@@ -37,11 +37,7 @@ KEYS = {
 
 
 class TerminalKeys:
-    """Turn keys into speeds of axes.
-
-    Args:
-        meanings: key → (axis index, direction −1 or 1).
-    """
+    """Turn keys into speeds of axes; ``meanings``: key → (axis index, direction −1 or 1)."""
 
     def __init__(self, meanings: Mapping[str, tuple[int, int]]) -> None:
         self._meanings = dict(meanings)
@@ -55,11 +51,7 @@ class TerminalKeys:
         return self._listener is not None
 
     def start(self) -> None:
-        """Read keys from this terminal until ``stop``.
-
-        Raises:
-            TeleoperatorError: standard input is no terminal.
-        """
+        """Read keys from this terminal until ``stop``; TeleoperatorError where standard input is none."""
         if not sys.stdin.isatty():
             do = "Run it in a terminal, not behind a pipe or in a notebook."
             raise TeleoperatorError(expected("keyboard", "a terminal", "another input", do), "connection")
@@ -81,11 +73,7 @@ class TerminalKeys:
             self._others.append(key)
 
     def rates(self) -> np.ndarray:
-        """(5,) direction of each axis now: −1, 0 or 1.
-
-        Raises:
-            TeleoperatorError: the terminal has gone.
-        """
+        """(5,) direction of each axis now: −1, 0 or 1; TeleoperatorError where the terminal has gone."""
         poll = select.poll()
         poll.register(sys.stdin.fileno(), 0)
         if any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)):
@@ -107,18 +95,14 @@ class TerminalKeys:
 
 @TeleoperatorConfig.register_subclass("uniforce_keyboard")
 @dataclass(kw_only=True)
-class UniforceKeyboardConfig(TeleoperatorConfig):
+class UniforceKeyboardConfig(SteeringConfig):
     """Keys of a terminal."""
-
-    limits: TargetLimits = field(default_factory=TargetLimits)
 
 
 @TeleoperatorConfig.register_subclass("uniforce_hand_guide")
 @dataclass(kw_only=True)
-class UniforceHandGuideConfig(TeleoperatorConfig):
+class UniforceHandGuideConfig(SteeringConfig):
     """A person leads the soft arm; the limits hold for the width alone."""
-
-    limits: TargetLimits = field(default_factory=TargetLimits)
 
 
 class UniforceKeyboard(UniforceTeleoperator):

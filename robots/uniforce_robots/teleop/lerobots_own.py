@@ -17,7 +17,7 @@ from lerobot.teleoperators.phone.config_phone import PhoneConfig, PhoneOS
 from lerobot.teleoperators.phone.phone_processor import MapPhoneActionToRobotAction
 
 from uniforce_robots.teleop.base import UniforceTeleoperator
-from uniforce_robots.teleop.integrator import TargetLimits
+from uniforce_robots.teleop.integrator import SteeringConfig, TargetLimits
 from uniforce_vtla.errors import TeleoperatorError, expected
 
 GRIPPER_STAYS = 1.0  # LeRobot's: 0 closes, 1 stays, 2 opens
@@ -26,26 +26,18 @@ PHONE_MOVES = ("target_x", "target_y", "target_z", "target_wz")
 
 @TeleoperatorConfig.register_subclass("uniforce_gamepad")
 @dataclass(kw_only=True)
-class UniforceGamepadConfig(TeleoperatorConfig):
+class UniforceGamepadConfig(SteeringConfig):
     """LeRobot's own gamepad; three axes and the fingers, no turn; the limits are speeds at full deflection."""
-
-    limits: TargetLimits = field(default_factory=TargetLimits)
 
 
 @TeleoperatorConfig.register_subclass("uniforce_phone")
 @dataclass(kw_only=True)
-class UniforcePhoneConfig(TeleoperatorConfig):
-    """LeRobot's own phone: its pose moves the target while its button is held.
-
-    Attributes:
-        limits: how fast the target follows.
-        phone_os: ios (HEBI Mobile I/O) or android (WebXR page).
-        silent_s: without a pose, or with the very same one, for so long it is lost.
-    """
+class UniforcePhoneConfig(SteeringConfig):
+    """LeRobot's own phone: its pose moves the target while its button is held."""
 
     limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.06)))
-    phone_os: Literal["ios", "android"] = "ios"
-    silent_s: float = 0.5
+    phone_os: Literal["ios", "android"] = "ios"  # HEBI Mobile I/O, or a WebXR page
+    silent_s: float = 0.5  # without a pose, or with the very same one, for so long it is lost
 
 
 class LerobotsOwn(UniforceTeleoperator):

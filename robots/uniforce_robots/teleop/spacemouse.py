@@ -7,12 +7,13 @@ Not pyspacemouse or hidapi: they open nothing but a real HID node, so none of th
 from __future__ import annotations
 
 import os
+import re
 import select
 import socket
 import stat
 import struct
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from uniforce_robots.sensors.reader import (
     now_ns,
 )
 from uniforce_robots.teleop.base import UniforceTeleoperator
-from uniforce_robots.teleop.integrator import TargetLimits
+from uniforce_robots.teleop.integrator import SteeringConfig
 from uniforce_vtla.errors import TeleoperatorError, expected
 
 SYS_HIDRAW = Path("/sys/class/hidraw")
@@ -50,38 +51,29 @@ _THREE, _SIX = struct.Struct("<3h"), struct.Struct("<6h")
 
 @TeleoperatorConfig.register_subclass("uniforce_spacemouse")
 @dataclass(kw_only=True)
-class UniforceSpaceMouseConfig(TeleoperatorConfig):
-    """A 3Dconnexion SpaceMouse.
+class UniforceSpaceMouseConfig(SteeringConfig):
+    """A 3Dconnexion SpaceMouse; the limits hold at full deflection."""
 
-    Attributes:
-        limits: speeds at full deflection.
-        device: e.g. /dev/hidraw3, or the path of a local packet socket; empty looks for the only one plugged in.
-        deadband: share of full deflection that is rest; a cap never comes back to zero exactly.
-        signs: of right, forward, up and counter-clockwise in the device's own counts.
-        operator_yaw_rad: which way "forward" is in the base frame; 0: the operator looks along +x.
-    """
-
-    limits: TargetLimits = field(default_factory=TargetLimits)
-    device: str = ""
-    deadband: float = 0.08
-    signs: tuple[int, int, int, int] = (1, -1, -1, -1)
-    operator_yaw_rad: float = 0.0
+    device: str = ""  # e.g. /dev/hidraw3, or a local packet socket; empty looks for the only one plugged in
+    deadband: float = 0.08  # share of full deflection that is rest; a cap never comes back to zero exactly
+    signs: tuple[int, int, int, int] = (
+        1,
+        -1,
+        -1,
+        -1,
+    )  # of right, forward, up, counter-clockwise in its counts
+    operator_yaw_rad: float = 0.0  # which way "forward" is in the base frame; 0: the operator looks along +x
 
 
 def find_spacemice(folder: Path = SYS_HIDRAW) -> list[str]:
     """Return the /dev/hidrawN of every SpaceMouse the kernel knows."""
-    return [
-        f"/dev/{path.parts[-3]}" for path in sorted(folder.glob("*/device/uevent")) if _is_spacemouse(path)
-    ]
-
-
-def _is_spacemouse(uevent: Path) -> bool:
-    lines = dict(
-        line.split("=", 1) for line in uevent.read_text(errors="replace").splitlines() if "=" in line
-    )
-    _, vendor, product = [*lines.get("HID_ID", "").upper().split(":"), "", "", ""][:3]
-    known = VENDORS.get(vendor, set())
-    return known is None or product in known
+    found = []
+    for uevent in sorted(folder.glob("*/device/uevent")):
+        ids = re.search(r"^HID_ID=\w+:(\w+):(\w+)$", uevent.read_text(errors="replace").upper(), re.MULTILINE)
+        known = VENDORS.get(ids[1], set()) if ids else set()
+        if ids and (known is None or ids[2] in known):
+            found.append(f"/dev/{uevent.parts[-3]}")
+    return found
 
 
 class SpaceMouseSource(SampleSource):
@@ -125,13 +117,13 @@ class SpaceMouseSource(SampleSource):
             return [Stamped(now_ns(), self.state.copy())]
         if not select.select([self._fd], [], [], READ_TIMEOUT_S)[0]:
             return []
-        do = "Was it unplugged?"
         try:
             report = os.read(self._fd, REPORT_BYTES)  # hidraw and packet sockets: one read is one report
+            if not report:
+                raise OSError("its end")
         except OSError as error:
+            do = "Was it unplugged?"
             raise LostSensorError(expected(self.name, "a readable device", error, do)) from error
-        if not report:
-            raise LostSensorError(expected(self.name, "a readable device", "its end", do))
         understood = self.feed(report)
         self._bad_in_a_row = 0 if understood else self._bad_in_a_row + 1
         if self._bad_in_a_row >= BAD_IN_A_ROW:
@@ -188,12 +180,7 @@ class UniforceSpaceMouse(UniforceTeleoperator):
         return self.integrator.advance(self.rates(), elapsed_s, self.measured)
 
     def rates(self) -> np.ndarray:
-        """(5,) wanted speed of each axis, −1 … 1.
-
-        Raises:
-            TeleoperatorError: a deflected cap has gone silent.
-            SensorError: the device is lost.
-        """
+        """(5,) wanted speed of each axis, −1 … 1; SensorError where the device is lost."""
         state = self._deflection()
         right, forward, up = self.config.signs[:3] * state[:3]
         c, s = np.cos(self.config.operator_yaw_rad), np.sin(self.config.operator_yaw_rad)
