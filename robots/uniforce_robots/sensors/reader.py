@@ -179,7 +179,7 @@ class SampleReader:
         if self.is_running:
             return
         self._stop.clear()
-        self._fault, self._repeats = None, 0
+        self._fault, self._repeats, before = None, 0, self._received - 1
         self._source.open()
         self._last_sample_ns = now_ns()
         self._thread = threading.Thread(target=self._run, name=f"reader of {self.name}", daemon=True)
@@ -187,7 +187,7 @@ class SampleReader:
         with ExitStack() as undo:
             undo.callback(self.stop)  # a half-connected device would keep its port
             if self._limits.first_ms:
-                self.wait_newer(-1, self._limits.first_ms)
+                self.wait_newer(before, self._limits.first_ms)
             undo.pop_all()
 
     def stop(self) -> None:

@@ -67,7 +67,7 @@ class StandInServer:
         self._quit = False
 
     def run(self) -> int:
-        """Serve until told to quit; return the exit code."""
+        """Serve until asked to quit; return the exit code."""
         listens = stat.S_ISFIFO(os.fstat(0).st_mode) or os.isatty(0)  # not to /dev/null, which ends at once
         self.on_fault()
         _say(f"ready {self.address}")

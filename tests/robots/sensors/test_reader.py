@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -138,6 +139,14 @@ def test_opening_a_missing_device_fails_at_once():
     with pytest.raises(LostSensorError, match="not connected"):
         reader.newest(100)
     assert not reader.since(-1)
+
+
+def test_a_start_waits_for_a_sample_of_its_own():
+    reader = SampleReader(ScriptedSource(), replace(LIMITS, first_ms=5000.0))
+    reader.keep([Stamped(now_ns() - 10**10, np.arange(1))])  # of an earlier connection
+    reader.start()
+    assert reader.newest(5000.0).index > 0
+    reader.stop()
 
 
 def test_stopping_closes_the_device_and_nothing_is_delivered_after(pair):

@@ -23,7 +23,7 @@ from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
 
 TIMES = 10
-MAX_AGE_MS = 300.0
+MAX_AGE_MS = 150.0
 
 
 def config(address: str, **options: object) -> UniforceTactileCameraConfig:

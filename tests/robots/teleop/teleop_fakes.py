@@ -54,7 +54,7 @@ class FakePad:
 
 
 class FakePhone(FakePad):
-    """What LeRobot's Phone looks like; held still unless told."""
+    """What LeRobot's Phone looks like; held still unless asked."""
 
     def __init__(self) -> None:
         super().__init__()

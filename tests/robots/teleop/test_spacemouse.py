@@ -81,7 +81,7 @@ def test_a_queue_is_drained_before_it_is_followed(
 @pytest.mark.parametrize(
     ("fault", "kind"), [("unplug", "connection"), ("garbage", "garbage"), ("short", "garbage")]
 )
-def test_faults_are_told_and_stay_until_the_next_start(
+def test_faults_stay_until_the_next_start(
     mouse: Any,
     spacemouse: StandIn,
     fault_of: Callable[..., str],
