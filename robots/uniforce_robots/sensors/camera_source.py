@@ -29,11 +29,7 @@ CaptureFactory = Callable[[str], cv2.VideoCapture]
 
 
 def open_capture(source: str) -> cv2.VideoCapture:
-    """Return a capture of a device number or a device path (best ``/dev/v4l/by-path/…``).
-
-    Raises:
-        LostSensorError: nothing there.
-    """
+    """Return a capture of a device number or path (best ``/dev/v4l/by-path/…``); LostSensorError: nothing there."""
     path = Path(f"/dev/video{source}" if source.isdigit() else source)
     if not path.exists():
         do = "List cameras with `ls /dev/v4l/by-path`."

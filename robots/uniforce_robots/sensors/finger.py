@@ -235,12 +235,7 @@ class TactileFinger(SampledCamera):
 
 
 class UniforceTactileCamera(TactileFinger):
-    """GelSight and TacTip: a gel or dome behind a USB camera; see ``TactileFinger``.
-
-    Args:
-        config: what and where.
-        factory: opens the camera; tests script one.
-    """
+    """GelSight and TacTip: a gel or dome behind a USB camera, which ``factory`` opens (tests script one)."""
 
     def __init__(self, config: UniforceTactileCameraConfig, factory: CaptureFactory = open_capture) -> None:
         super().__init__(config, make_frame_source(config, factory))
@@ -263,11 +258,7 @@ class UniforceTactileCamera(TactileFinger):
 class UniforceUskin(TactileFinger):
     """A uSkin patch, its counts drawn as the marker image; see ``TactileFinger``.
 
-    ``latest().raw`` is (16, 3) uint16 counts, before any baseline.
-
-    Args:
-        config: what and where.
-        source: of such scans; None takes the one that ``config.link`` names.
+    ``latest().raw`` is (16, 3) uint16 counts before any baseline, from ``source`` or what ``config.link`` names.
     """
 
     capacity = 1024  # 2 s at 500 scans/s
@@ -290,12 +281,7 @@ def _as_rgb(image: np.ndarray) -> np.ndarray:
 
 
 class UniforceSceneCamera(SampledCamera):
-    """A camera that looks at the scene; delivers (height, width, 3) uint8 RGB.
-
-    Args:
-        config: what and where.
-        factory: opens the camera; tests script one.
-    """
+    """A camera that looks at the scene; delivers (height, width, 3) uint8 RGB; ``factory`` opens it."""
 
     def __init__(self, config: UniforceSceneCameraConfig, factory: CaptureFactory = open_capture) -> None:
         super().__init__(config, make_frame_source(config, factory))

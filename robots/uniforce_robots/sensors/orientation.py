@@ -20,18 +20,10 @@ FULL_SCALE = 65_535
 
 @dataclass(frozen=True)
 class Orientation:
-    """Mirror first (left and right change places), then turn.
+    """Mirror first (left and right change places), then turn; ContractError: another rotation than ``TURNS``."""
 
-    Attributes:
-        rotation_deg: counter-clockwise as the marker image shows it.
-        flip: mirrored; for taxels whose columns run the other way, never for a camera.
-
-    Raises:
-        ContractError: a rotation other than 0, 90, 180 or 270.
-    """
-
-    rotation_deg: int = 0
-    flip: bool = False
+    rotation_deg: int = 0  # counter-clockwise as the marker image shows it
+    flip: bool = False  # mirrored; for taxels whose columns run the other way, never for a camera
 
     def __post_init__(self) -> None:
         if self.rotation_deg not in TURNS:

@@ -116,19 +116,12 @@ class SampleSource(ABC):
 
 @dataclass(frozen=True)
 class Sample:
-    """One sample.
-
-    Attributes:
-        raw: a copy: (H, W, 3) uint8 RGB of a camera, (16, 3) uint16 counts of a uSkin.
-        index: since the reader was made; a gap shows how many were left out.
-        stamp_ns: when it was taken, host's monotonic clock.
-        age_ms: how old it was when asked for.
-    """
+    """One sample: ``raw`` is a copy, (H, W, 3) uint8 RGB of a camera or (16, 3) uint16 counts of a uSkin."""
 
     raw: np.ndarray
-    index: int
-    stamp_ns: int
-    age_ms: float
+    index: int  # since the reader was made; a gap shows how many were left out
+    stamp_ns: int  # when it was taken, host's monotonic clock
+    age_ms: float  # how old it was when asked for
 
 
 @dataclass(frozen=True)
@@ -144,11 +137,7 @@ class ReaderLimits:
 
 
 class SampleReader:
-    """Reads ``source`` in the background from ``start`` to ``stop``.
-
-    Attributes:
-        reconnects: how often the device was lost and found again.
-    """
+    """Reads ``source`` in the background from ``start`` to ``stop``; ``reconnects`` counts its returns from losses."""
 
     def __init__(self, source: SampleSource, limits: ReaderLimits | None = None) -> None:
         self._source, self._limits = source, limits or ReaderLimits()
@@ -171,11 +160,7 @@ class SampleReader:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
-        """Open the device here, so that a failure is the caller's, then read on in the background.
-
-        Raises:
-            SensorError: the device can't be opened, or its first sample doesn't come.
-        """
+        """Open the device here, so that a failure (SensorError) is the caller's, then read on in the background."""
         if self.is_running:
             return
         self._stop.clear()
@@ -297,11 +282,7 @@ class SampleReader:
             return
 
     def keep(self, samples: list[Stamped]) -> None:
-        """Keep samples, whose arrays are the reader's from now on, and wake whatever waits.
-
-        Raises:
-            WrongSensorError: another shape or dtype than before.
-        """
+        """Keep samples, whose arrays are now the reader's; WrongSensorError: another shape or dtype than before."""
         for sample in samples:
             crc = zlib.crc32(np.ascontiguousarray(sample.raw))
             self._repeats, self._last_crc = (self._repeats + 1 if crc == self._last_crc else 0), crc

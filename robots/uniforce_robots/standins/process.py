@@ -17,11 +17,7 @@ ANSWER_S = 10.0
 class StandIn:
     """A running stand-in, e.g. ``StandIn("slcan", "rate_hz=500")``; ends with its ``with`` block or its owner.
 
-    Attributes:
-        address: where it is: a port's path, or a URL.
-
-    Raises:
-        SensorError: it didn't become ready.
+    Its ``address`` is a port's path, or a URL.  SensorError: it didn't become ready.
     """
 
     def __init__(self, name: str, *options: str) -> None:

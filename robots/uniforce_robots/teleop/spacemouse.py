@@ -85,11 +85,7 @@ class SpaceMouseSource(SampleSource):
     A thread drains it: reading slower than the device sends would leave a queue in the kernel, and the robot would
     move on for a second after the cap was let go.
 
-    Args:
-        device: /dev/hidrawN or a local packet socket; empty for the only SpaceMouse there is.
-
-    Attributes:
-        state: (8,) the newest state.
+    ``device`` is /dev/hidrawN or a local packet socket, empty for the only SpaceMouse there is; ``state`` the newest.
     """
 
     def __init__(self, device: str = "") -> None:
