@@ -44,7 +44,7 @@ def _ages_ms(reader: SampleReader, seconds: float) -> list[float]:
     rng, end_s, ages = np.random.default_rng(0), time.monotonic() + seconds, []
     while time.monotonic() < end_s:
         time.sleep(rng.uniform(0.002, 0.012))  # at no fixed phase to the scans
-        ages.append(reader.newest(ANY_AGE_MS).age_ms())
+        ages.append(reader.newest(ANY_AGE_MS).age_ms)
     return ages
 
 

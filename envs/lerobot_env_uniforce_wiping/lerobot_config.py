@@ -22,12 +22,9 @@ def _features() -> dict[str, PolicyFeature]:
     visual, pad = FeatureType.VISUAL, (*MARKER_IMAGE_SHAPE, 3)
     cameras = {camera_key(c): PolicyFeature(visual, (CAMERA_PX, CAMERA_PX, 3)) for c in CAMERAS}
     tactile = {key: PolicyFeature(visual, pad) for key in TACTILE_KEYS}
-    return {
-        ACTION: PolicyFeature(FeatureType.ACTION, (len(AXES),)),
-        STATE: PolicyFeature(FeatureType.STATE, (len(AXES),)),
-        **cameras,
-        **tactile,
-    }
+    axes = (len(AXES),)
+    own = {ACTION: PolicyFeature(FeatureType.ACTION, axes), STATE: PolicyFeature(FeatureType.STATE, axes)}
+    return own | cameras | tactile
 
 
 @EnvConfig.register_subclass("uniforce_wiping")
@@ -66,10 +63,5 @@ class UniforceWipingConfig(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of ``WipeEnv``."""
-        return {
-            "level": self.level,
-            "left_sensor": self.left_sensor,
-            "right_sensor": self.right_sensor,
-            "expose_wrench": self.expose_wrench,
-            "max_steps": self.episode_length,
-        }
+        settings = ("level", "left_sensor", "right_sensor", "expose_wrench")
+        return {name: getattr(self, name) for name in settings} | {"max_steps": self.episode_length}

@@ -22,10 +22,8 @@ WIDTH_RANGE_m = (0.0, 0.08)
 YAW_RANGE_rad = (-0.5, 0.5)
 FLAT_N_mm, DOME_N_mm = 8.0, 2.4  # pad stiffness: rated depth at 12 N
 GEL_D, GEL_ZETA = 0.5, 0.7  # solimp d and damping ratio: converged in the time step, no chatter
-IK_DAMPING, IK_STEP_rad = (
-    0.05**2 * 1e-2,
-    0.3,
-)  # of the arm's pose at reset; largest joint change per iteration
+IK_DAMPING = 0.05**2 * 1e-2  # of the arm's pose at reset
+IK_STEP_rad = 0.3  # largest joint change per iteration
 HOME_q = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])  # joint angles, rad
 # World components of a force on a pad, in its canonical image frame: x = +y, y = −z, and z into the pad.
 INTO_PAD_x = {"left": -1.0, "right": 1.0}

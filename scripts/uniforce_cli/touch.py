@@ -49,7 +49,7 @@ class TouchConfig:
     """
 
     sensor: Sensor = "uskin"  # gelsight | tactip | uskin
-    source: Text = ""  # camera: device or http://…; uskin: serial port, ws://host:port or csv; or standin
+    source: Text = ""  # camera: device or http://…; uskin: serial port or ws://host:port; or standin
     # who wears it: left | right; forces are in that finger's own frame
     finger: Literal["left", "right"] = "left"
     # window needs a display and an OpenCV with windows
@@ -73,7 +73,7 @@ def make_finger(config: TouchConfig, source: str) -> TactileFinger:
     """Return the device that ``config`` names, not connected."""
     if get_sensor(config.sensor).signal == "camera":
         return UniforceTactileCamera(_camera_config(config, source))
-    link = "server" if source.startswith("ws://") else "replay" if source.endswith(".csv") else "slcan"
+    link = "server" if source.startswith("ws://") else "slcan"
     return UniforceUskin(
         UniforceUskinConfig(
             link=link,
@@ -82,7 +82,6 @@ def make_finger(config: TouchConfig, source: str) -> TactileFinger:
             rotation_deg=config.rotation_deg,
             flip=config.flip,
             controller=config.controller,
-            replay_loop=True,
             reference_on_connect=False,
         )
     )

@@ -13,9 +13,8 @@ from mutations import chunks
 from websockets.frames import Opcode
 
 from uniforce_robots.sensors.mjpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg, decode_bgr
-from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, XelaMessages
-from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans, uspa44_ids
-from uniforce_robots.sensors.xela_message import read_message
+from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, XelaMessages, read_message
+from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans
 from uniforce_robots.standins import spacemouse
 from uniforce_robots.standins.fci.protocol import (
     ARM_HEADER,
@@ -38,8 +37,8 @@ from uniforce_robots.standins.gello import status
 from uniforce_robots.standins.mjpeg import encode, part
 from uniforce_robots.standins.slcan import scan_lines
 from uniforce_robots.standins.xela import frame, greeting, message
-from uniforce_robots.teleop.gello_bus import POSITION_BYTES, PRESENT_POSITION
-from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseReports
+from uniforce_robots.teleop.gello import POSITION_BYTES, PRESENT_POSITION
+from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseSource
 from uniforce_vtla.errors import SensorError, TeleoperatorError
 
 
@@ -54,7 +53,7 @@ class ByteTarget:
 
 
 def feed_slcan(rng: np.random.Generator, data: bytes) -> None:
-    reader = SlcanScans(uspa44_ids())
+    reader = SlcanScans()
     for chunk in chunks(rng, data):
         for scan in reader.feed(chunk):
             assert scan.shape == (16, 3) and scan.dtype == np.uint16
@@ -72,8 +71,8 @@ def feed_websocket(rng: np.random.Generator, data: bytes) -> None:
 
 
 def feed_json(rng: np.random.Generator, data: bytes) -> None:
-    scan = read_message(data.decode(errors="replace"), "1", "fuzz")
-    assert scan is None or scan.counts.shape == (16, 3)
+    _, counts = read_message(data.decode(errors="replace"), "1", "fuzz")
+    assert counts is None or counts.shape == (16, 3)
 
 
 def feed_mjpeg(rng: np.random.Generator, data: bytes) -> None:
@@ -113,7 +112,7 @@ def feed_dynamixel(rng: np.random.Generator, data: bytes) -> None:
 
 
 def feed_spacemouse(rng: np.random.Generator, data: bytes) -> None:
-    reader = SpaceMouseReports()
+    reader = SpaceMouseSource()
     for report in chunks(rng, data):
         reader.feed(report)
         assert np.abs(reader.state).max() <= LARGEST_COUNT
@@ -195,9 +194,7 @@ BYTE_TARGETS = {
         + frame(Opcode.CONT, JSON[300:]),
     ),
     "json": ByteTarget(feed_json, JSON),
-    "mjpeg": ByteTarget(
-        feed_mjpeg, HTTP + part(JPEG, 1.5) + part(JPEG, 2.5, with_length=False) + part(JPEG, 3.5)
-    ),
+    "mjpeg": ByteTarget(feed_mjpeg, HTTP + part(JPEG, 1.5) + part(JPEG, 2.5) + part(JPEG, 3.5)),
     "dynamixel": ByteTarget(
         feed_dynamixel,
         b"".join(status(i, bytes([i, 255, 255, 253]), 0) for i in range(1, 9)),

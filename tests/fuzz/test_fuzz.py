@@ -132,7 +132,7 @@ def test_the_campaign_sees_what_it_looks_for(crime: str, says: str) -> None:
 
 
 def test_deep_and_endless_json_is_refused() -> None:
-    from uniforce_robots.sensors.xela_message import read_message
+    from uniforce_robots.sensors.uskin_server import read_message
 
     for text in (
         "[" * 500_000,

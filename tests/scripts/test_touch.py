@@ -1,4 +1,4 @@
-"""``uniforce touch``: the live view, its outputs, and the two checks, against stand-ins and recordings."""
+"""``uniforce touch``: the live view, its outputs, and the two checks, against stand-ins."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
-import pandas as pd
 import pytest
 
 from uniforce_cli.touch import main
@@ -24,7 +23,6 @@ from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import QUARTERS, Scene, frame_cycle, taxel_cycle
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers import Canonicalizer
-from uniforce_vtla.sensors.uskin_csv import COLUMNS
 
 
 def view(taxels: bool = True) -> TouchView:
@@ -120,31 +118,29 @@ def test_settings_that_cannot_be(options: list[str], capsys: pytest.CaptureFixtu
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Iterator[str]:
-    """A press in the top-left quarter after a second of free air, 100 scans per second."""
-    path = tmp_path / "trial.csv"
-    scans = taxel_cycle(Scene(where="top-left"), 100)
-    pd.DataFrame(scans.reshape(len(scans), -1), columns=COLUMNS).to_csv(path, index=False)
-    yield str(path)
+def patch() -> Iterator[str]:
+    """The port of a patch that is pressed in its top-left quarter after a second of free air, 100 scans per second."""
+    with StandIn("slcan", "rate_hz=100", "where=top-left") as stand_in:
+        yield stand_in.address
 
 
-def test_rate_check(recording: str, capsys: pytest.CaptureFixture[str]):
-    assert main(["sensor=uskin", f"source={recording}", "check=rate", "seconds=1"]) == 0
+def test_rate_check(patch: str, capsys: pytest.CaptureFixture[str]):
+    assert main(["sensor=uskin", f"source={patch}", "check=rate", "seconds=1"]) == 0
     out = capsys.readouterr().out
     assert re.search(r"rate \d+\.\d Hz over \d+ samples, lost 0, bad 0", out) and "idle loop" in out
 
 
 @pytest.mark.parametrize(("rotation", "code"), [(0, 0), (90, 1)])
-def test_orientation_check(recording: str, rotation: int, code: int, capsys: pytest.CaptureFixture[str]):
+def test_orientation_check(patch: str, rotation: int, code: int, capsys: pytest.CaptureFixture[str]):
     options = ["check=orientation", "quarters=top-left", "seconds=60", f"rotation_deg={rotation}"]
-    assert main(["sensor=uskin", f"source={recording}", *options]) == code
+    assert main(["sensor=uskin", f"source={patch}", *options]) == code
     out = capsys.readouterr().out
     assert ("as told" if code == 0 else "NOT as told") in out and "taxel" in out
 
 
-def test_orientation_check_refuses_unknown_quarters(recording: str, capsys: pytest.CaptureFixture[str]):
+def test_orientation_check_refuses_unknown_quarters(patch: str, capsys: pytest.CaptureFixture[str]):
     options = ["check=orientation", "quarters=middle"]
-    assert main(["sensor=uskin", f"source={recording}", *options]) == 2
+    assert main(["sensor=uskin", f"source={patch}", *options]) == 2
     assert "top-left" in capsys.readouterr().err
 
 
@@ -204,7 +200,7 @@ def test_advice_asks_for_what_it_needs():
 def test_a_finger_without_a_stand_in_name_is_made_from_its_source():
     from uniforce_cli.touch import TouchConfig, make_finger
 
-    links = {"ws://10.0.0.5:5000": "server", "trial.csv": "replay", "/dev/ttyUSB0": "slcan"}
+    links = {"ws://10.0.0.5:5000": "server", "/dev/ttyUSB0": "slcan"}
     for source, link in links.items():
         finger = make_finger(TouchConfig(sensor="uskin"), source)
         assert isinstance(finger, UniforceUskin) and isinstance(finger.config, UniforceUskinConfig)

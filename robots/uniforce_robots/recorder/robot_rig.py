@@ -16,9 +16,8 @@ from uniforce_robots.franka import UniforceFranka
 from uniforce_robots.recorder.faults import named
 from uniforce_robots.recorder.plain_camera import PlainCamera
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture, Rig, RigFacts
-from uniforce_robots.sensors.finger import TactileFinger, UniforceUskin
-from uniforce_robots.sensors.sampled_camera import SampledCamera
-from uniforce_robots.sensors.samples import NS_PER_S
+from uniforce_robots.sensors.finger import SampledCamera, TactileFinger, UniforceUskin
+from uniforce_robots.sensors.reader import NS_PER_S
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, RobotError, SensorError, expected
 from uniforce_vtla.keys import AXES, measured_key, tactile_name
@@ -197,9 +196,8 @@ def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:
 
 
 def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
-    window = device.upright_window(size)
-    first_s = window.stamps_ns[size - window.count] / NS_PER_S
-    return window.data, np.where(window.stamps_ns == 0, first_s, window.stamps_ns / NS_PER_S)
+    stamps_ns, scans = device.window(size)
+    return scans, stamps_ns / NS_PER_S
 
 
 def _summary(device: SampledCamera) -> dict[str, Any]:

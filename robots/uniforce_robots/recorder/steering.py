@@ -27,7 +27,7 @@ class Steering:
     def __init__(self, teleop: Teleoperator) -> None:
         missing = [axis for axis in AXES if axis not in teleop.action_features]
         if missing:
-            do = "Take one of ours (teleop=keyboard, spacemouse, gello, hand_guide, replay), or wrap it."
+            do = "Take one of ours (teleop=keyboard, spacemouse, gello, hand_guide), or wrap it."
             raise ContractError(
                 expected(f"teleop {teleop.name}", f"actions {AXES}", f"{missing} missing", do)
             )

@@ -2,7 +2,7 @@
 
 Importing this package registers ``uniforce_tactile``, ``uniforce_uskin`` and ``uniforce_scene``.
 
-device → ``SampleReader`` (thread, ring of stamped samples) → ``TactileFinger`` (reference, marker image) → robot.
+device → ``SampleReader`` (thread, newest stamped samples) → ``TactileFinger`` (reference, marker image) → robot.
 """
 
 from uniforce_robots.sensors.config_uniforce import (
@@ -10,8 +10,7 @@ from uniforce_robots.sensors.config_uniforce import (
     UniforceTactileCameraConfig,
     UniforceUskinConfig,
 )
-from uniforce_robots.sensors.finger import UniforceTactileCamera, UniforceUskin
-from uniforce_robots.sensors.sampled_camera import UniforceSceneCamera
+from uniforce_robots.sensors.finger import UniforceSceneCamera, UniforceTactileCamera, UniforceUskin
 
 __all__ = [
     "UniforceSceneCamera",

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 from lerobot.cameras.configs import CameraConfig
 
-from uniforce_robots.sensors.camera_source import CaptureSettings
 from uniforce_robots.sensors.orientation import Orientation
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.sensors import get_sensor
 
-CLOCKS = ("host", "driver")
-LINKS = ("slcan", "server", "replay")
 SIDEWAYS = (90, 270)  # rotations that make rows of columns
 
 
@@ -32,13 +29,17 @@ class SampledCameraConfig(CameraConfig):
         if not self.max_age_ms > 0:
             raise ContractError(expected("max_age_ms", "above 0", self.max_age_ms, "Give milliseconds."))
         if not self.source:
-            do = "Set source=/dev/v4l/by-path/… or http://…; for a uSkin its port, host:port or csv."
+            do = "Set source=/dev/v4l/by-path/… or http://…; for a uSkin its port or host:port."
             raise ContractError(expected("source", "a device", "nothing", do))
 
     @property
     def orientation(self) -> Orientation:
         """How it is turned on its mount."""
-        return Orientation(self.rotation_deg)
+        return Orientation(self.rotation_deg, getattr(self, "flip", False))
+
+    def _one_of(self, setting: str, *names: str) -> None:
+        if (came := getattr(self, setting)) not in names:
+            raise ContractError(expected(setting, " | ".join(names), came, "Choose one."))
 
 
 @dataclass(kw_only=True)
@@ -58,25 +59,17 @@ class CapturedCameraConfig(SampledCameraConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.clock not in CLOCKS:
-            raise ContractError(expected("clock", " | ".join(CLOCKS), self.clock, "Choose one."))
+        self._one_of("clock", "host", "driver")
 
     @property
     def label(self) -> str:
         """How errors call it."""
         return "scene camera"
 
-    def capture_settings(self) -> CaptureSettings:
-        """What is asked of the camera."""
-        return CaptureSettings(
-            self.fourcc,
-            self.capture_width,
-            self.capture_height,
-            self.fps,
-            self.exposure_100us,
-            self.white_balance_K,
-            self.gain,
-        )
+    @property
+    def capture_size(self) -> tuple[int | None, int | None]:
+        """(width, height) asked of the camera; its frames are turned after that."""
+        return self.capture_width, self.capture_height
 
 
 @dataclass(kw_only=True)
@@ -86,7 +79,7 @@ class TactileFingerConfig(SampledCameraConfig):
     ``width`` and ``height`` become those of the delivered image, as LeRobot expects of a camera.
     """
 
-    finger: str = "left"  # who wears it: left | right; names it in errors, nothing is mirrored here
+    finger: str = "left"  # left | right: which one it is mounted on; nothing is mirrored here
     check_identity: bool = True  # refuse another sensor than the configured one when connecting
     reference_on_connect: bool = True  # take the free-air reference when connecting; needs open fingers
     reference_samples: int = 10  # samples it is the median of; touched while they come = refused
@@ -124,24 +117,19 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
         super().__post_init__()
         if self.spec.signal != "camera":
             raise ContractError(expected("sensor", "a camera sensor", self.sensor, "Use uniforce_uskin."))
-        if self.delivers not in ("markers", "raw"):
-            raise ContractError(expected("delivers", "markers | raw", self.delivers, "Choose one."))
+        self._one_of("delivers", "markers", "raw")
         if self.delivers == "raw":
             self.height, self.width, _ = self.raw_shape
 
     @property
     def raw_shape(self) -> tuple[int, int, int]:
-        """(rows, columns, 3) of the camera's own frames, upright.
-
-        Raises:
-            ContractError: the config leaves the size to the camera.
-        """
+        """(rows, columns, 3) of the camera's own frames, upright; ContractError where the size is the camera's."""
         if self.capture_width is None or self.capture_height is None:
             do = "A dataset needs to know the size of raw frames."
             raise ContractError(expected("capture_width, capture_height", "numbers", "null", do))
-        upright = (self.capture_height, self.capture_width)
-        rows, columns = upright[::-1] if self.rotation_deg in SIDEWAYS else upright
-        return rows, columns, 3
+        if self.rotation_deg in SIDEWAYS:
+            return self.capture_width, self.capture_height, 3
+        return self.capture_height, self.capture_width, 3
 
 
 @CameraConfig.register_subclass("uniforce_uskin")
@@ -149,35 +137,24 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
 class UniforceUskinConfig(TactileFingerConfig):
     """A 4×4 uSkin patch; delivers the marker image its counts are drawn as.
 
-    ``source`` is a serial port, host:port or a csv file, as ``link`` says.
+    ``source`` is a serial port or host:port, as ``link`` says.
 
     Example: ``{"type": "uniforce_uskin", "finger": "left", "link": "slcan", "source": "/dev/serial/by-id/…"}``
     """
 
     sensor: str = "uskin"
-    link: str = "slcan"  # slcan: USB-CAN adapter | server: xela_server's WebSocket | replay: a recorded csv
+    link: str = "slcan"  # slcan: USB-CAN adapter | server: xela_server's WebSocket
     controller: int = 0  # microcontroller id in the low bits of the CAN ids
-    can_ids: list[int] = field(default_factory=list)  # 16 ids, taxel by taxel; empty = a 4×4 patch's own
     server_sensor: str = "1"  # which sensor of the server's message
-    replay_rate_hz: float = 100.0  # a csv holds no times; real 4×4 patches gave 95 to 133 scans per second
-    replay_loop: bool = False  # begin anew at the end instead of reporting it
     flip: bool = False  # columns run the other way
-    resting_level: str = (
-        ""  # .npy of (16, 3) counts known to be free air: shows a steady touch at the reference
-    )
+    resting_level: str = ""  # .npy of (16, 3) free-air counts: shows a steady touch at the reference
     max_age_ms: float = 100.0
     reference_samples: int = 50
     frozen_after: int = 25  # scans, 0.3 s at the slowest rate seen; live taxels move by a few counts at rest
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.link not in LINKS:
-            raise ContractError(expected("link", " | ".join(LINKS), self.link, "Choose one."))
-
-    @property
-    def orientation(self) -> Orientation:
-        """How it is turned on its finger."""
-        return Orientation(self.rotation_deg, self.flip)
+        self._one_of("link", "slcan", "server")
 
 
 @CameraConfig.register_subclass("uniforce_scene")
@@ -194,9 +171,9 @@ class UniforceSceneCameraConfig(CapturedCameraConfig):
     width: int | None = 640
     height: int | None = 480
 
-    def capture_settings(self) -> CaptureSettings:
-        """What is asked of the camera, by default what is delivered; its frames are turned after that."""
+    @property
+    def capture_size(self) -> tuple[int | None, int | None]:
+        """(width, height) asked of the camera, by default what is delivered; its frames are turned after that."""
         sideways = self.rotation_deg in SIDEWAYS
         width, height = (self.height, self.width) if sideways else (self.width, self.height)
-        plain = super().capture_settings()
-        return replace(plain, width=plain.width or width, height=plain.height or height)
+        return self.capture_width or width, self.capture_height or height

@@ -27,20 +27,18 @@ def refuse_lossy_recording(label: str, only_markers: bool) -> None:
         DatasetError: saying which flags store the images exactly.
     """
     settings = _recorders_settings()
-    if settings is None or not settings.video or (only_markers and _is_exact(settings)):
+    if settings is None or not settings.video:
         return
     encoder = settings.rgb_encoder
+    exact = encoder.vcodec == "h264" and encoder.crf == 0 and not encoder.extra_options
+    if (
+        only_markers and exact and not settings.streaming_encoding
+    ):  # a late streaming encoder leaves frames out
+        return
     came = f"{encoder.vcodec} crf {encoder.crf}, streaming_encoding={settings.streaming_encoding}"
     flags = f"{LOSSLESS}, or --dataset.video=false" if only_markers else "--dataset.video=false"
     do = f"Record with uniforce record, or add {flags}."
     raise DatasetError(expected(f"recording of {label}", "lossless video", came, do))
-
-
-def _is_exact(settings: DatasetRecordConfig) -> bool:
-    """Return whether marker images survive; a streaming encoder that is late leaves frames out without an error."""
-    encoder = settings.rgb_encoder
-    exact = encoder.vcodec == "h264" and encoder.crf == 0 and not encoder.extra_options
-    return exact and not settings.streaming_encoding
 
 
 def _recorders_settings() -> DatasetRecordConfig | None:

@@ -20,24 +20,19 @@ FULL_SCALE = 65_535
 
 @dataclass(frozen=True)
 class Orientation:
-    """Mirror first (left and right change places), then turn.
+    """Mirror first (left and right change places), then turn; ContractError: another rotation than ``TURNS``."""
 
-    Attributes:
-        rotation_deg: counter-clockwise as the marker image shows it.
-        flip: mirrored; for taxels whose columns run the other way, never for a camera.
-
-    Raises:
-        ContractError: a rotation other than 0, 90, 180 or 270.
-    """
-
-    rotation_deg: int = 0
-    flip: bool = False
+    rotation_deg: int = 0  # counter-clockwise as the marker image shows it
+    flip: bool = False  # mirrored; for taxels whose columns run the other way, never for a camera
 
     def __post_init__(self) -> None:
         if self.rotation_deg not in TURNS:
-            raise ContractError(
-                expected("rotation_deg", TURNS, self.rotation_deg, "Turn by quarters, counter-clockwise.")
-            )
+            do = "Turn by quarters, counter-clockwise."
+            raise ContractError(expected("rotation_deg", TURNS, self.rotation_deg, do))
+
+    def upright(self, raw: np.ndarray) -> np.ndarray:
+        """Return (16, 3) uint16 counts, or a camera frame (H, W, 3), as if mounted straight."""
+        return self.of_counts(raw) if raw.ndim == 2 else self.of_frame(raw)
 
     def of_counts(self, counts: np.ndarray) -> np.ndarray:
         """Return (16, 3) uint16 counts with taxels moved to their place and shear turned along.
@@ -45,18 +40,15 @@ class Orientation:
         Counts are unsigned around mid-scale, so turning shear round mirrors it there; differences to a reference that
         was turned likewise come out exactly turned.
         """
-        grid: np.ndarray = counts.reshape(
-            SIDE, SIDE, 3
-        )  # rows from the bottom, columns from the left; x right, y up
-        for _ in range(self.flip):
+        # rows from the bottom, columns from the left; x right, y up
+        grid: np.ndarray = counts.reshape(SIDE, SIDE, 3).copy()
+        if self.flip:
             grid = grid[:, ::-1].copy()
             grid[..., 0] = FULL_SCALE - grid[..., 0]
         for _ in range(self.rotation_deg // 90):
-            grid = np.rot90(
-                grid, -1
-            ).copy()  # rows run upwards here: rot90's clockwise is the image's other way
+            grid = np.rot90(grid, -1).copy()  # rows run upwards: rot90's clockwise is the image's other way
             grid[..., 0], grid[..., 1] = FULL_SCALE - grid[..., 1], grid[..., 0].copy()
-        return np.ascontiguousarray(grid.reshape(TAXEL_SHAPE))
+        return grid.reshape(TAXEL_SHAPE)
 
     def of_frame(self, frame: np.ndarray) -> np.ndarray:
         """Return a camera frame (H, W, 3) turned."""

@@ -1,7 +1,10 @@
 """A thread that keeps one device's newest samples at hand, and never lets a dead sensor look alive.
 
-Whoever asks for the newest sample gets one that is young enough, or an error that names the sensor and the reason.  The
-age is judged by the asker: a driver stuck in the kernel can't hide behind its last sample.
+Asking for the newest sample gives one that is young enough, or an error that names the sensor and the reason; a driver
+stuck in the kernel can't hide behind its last sample.
+
+Stamps are int64 nanoseconds of ``time.perf_counter_ns``: on Linux CLOCK_MONOTONIC, the clock V4L2 stamps its buffers
+with, so that camera, taxels and arm can be laid side by side.
 """
 
 from __future__ import annotations
@@ -10,70 +13,146 @@ import logging
 import threading
 import time
 import zlib
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections import deque
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
-from uniforce_robots.sensors.samples import (
-    NS_PER_S,
-    Sample,
-    SampleRing,
-    SampleSource,
-    SourceCounts,
-    Stamped,
-    Window,
-    now_ns,
+from uniforce_robots.sensors.faults import (
+    FrozenSensorError,
+    LostSensorError,
+    StaleSensorError,
+    WrongSensorError,
 )
-from uniforce_vtla.errors import SensorError, expected
+from uniforce_vtla.errors import ContractError, SensorError, expected
 
 log = logging.getLogger(__name__)
 
+NS_PER_MS = 1e6
+NS_PER_S = 1e9
 MAX_BEHIND_S = 1.0
 JOIN_S = 3.0  # a driver may sit in a blocking read that long; see the capture's read time-outs
+now_ns = time.perf_counter_ns  # the clock of every stamp
+
+
+class Stamped(NamedTuple):
+    """A sample as a source delivers it: when it was taken, and an array of its own."""
+
+    stamp_ns: int
+    raw: np.ndarray
+
+
+@dataclass
+class SourceCounts:
+    """What a source has received since it was made; reconnecting doesn't reset it."""
+
+    samples: int = 0  # whole samples delivered
+    lost: int = 0  # begun and never whole, or left out for a newer one
+    bad: int = 0  # pieces that could not be understood: lines, frames, images
+
+
+class SampleSource(ABC):
+    """One device, used by one thread.
+
+    Attributes:
+        name: how errors call it.
+        settings_read_back: what a camera's driver said each setting was, for the dataset; empty for other devices.
+    """
+
+    def __init__(self, name: str, max_behind_s: float = MAX_BEHIND_S) -> None:
+        self.name, self.counts = name, SourceCounts()
+        self.settings_read_back: dict[str, float] = {}
+        self._closing = ExitStack()
+        self._max_behind_s, self._behind_since_s = max_behind_s, float("inf")
+
+    def open(self) -> None:
+        """Connect anew; raise SensorError where that fails, within seconds, with nothing left open."""
+        self.close()
+        with ExitStack() as undo:
+            self._connect(undo)
+            self._closing = undo.pop_all()
+
+    def close(self) -> None:
+        """Let go of the device; never raises, may be called twice."""
+        self._closing.close()
+
+    @abstractmethod
+    def _connect(self, undo: ExitStack) -> None:
+        """Connect, and leave with ``undo`` what closes it again."""
+
+    @abstractmethod
+    def read(self) -> list[Stamped]:
+        """Return what came to an open device since the last call, oldest first, maybe nothing.
+
+        Blocks for a tenth of a second or so at most.
+
+        Raises:
+            LostSensorError: it is gone.
+            ProtocolError: what came can't be understood, or has no usable time.
+            WrongSensorError: frames of another size, no such sensor, not 16 taxels.
+            SimulatedSensorError: a server says that its bus is simulated.
+            StaleSensorError: data come faster than they are read, so that their stamps would be wrong.
+        """
+
+    def _more_waits(self, is_full: bool) -> bool:
+        """Return ``is_full``: whether a read was full, so that there is more to read before anything is stamped.
+
+        Data that waited in the kernel must not pass for new: while reads are full the newest sample grows old, as it
+        should.  A reader that never catches up is an error.
+        """
+        now_s = time.monotonic()
+        self._behind_since_s = min(self._behind_since_s, now_s) if is_full else float("inf")
+        behind_s = now_s - self._behind_since_s
+        if behind_s > self._max_behind_s:
+            self._behind_since_s = float("inf")
+            do = "Free the CPU of this machine; what waited is thrown away by opening anew."
+            came = f"a queue for {behind_s:.2f} s"
+            raise StaleSensorError(expected(self.name, "a reader that keeps up", came, do))
+        return is_full
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One sample: ``raw`` is a copy, (H, W, 3) uint8 RGB of a camera or (16, 3) uint16 counts of a uSkin."""
+
+    raw: np.ndarray
+    index: int  # since the reader was made; a gap shows how many were left out
+    stamp_ns: int  # when it was taken, host's monotonic clock
+    age_ms: float  # how old it was when asked for
 
 
 @dataclass(frozen=True)
 class ReaderLimits:
     """How much is kept and what counts as dead."""
 
-    capacity: int = 1024  # samples in the ring
+    capacity: int = 1024  # samples: 2 s of taxels at 500 Hz; 8 frames of 1280×720 are 22 MB
     frozen_after: int = 10  # samples of one content in a row; 0 never looks
+    first_ms: float = 0.0  # the first sample must come within; 0 doesn't wait for it
     silent_s: float = 2.0  # without any sample for so long, the device is opened anew
     backoff_s: float = 0.1  # first wait before reopening; doubles
     backoff_max_s: float = 2.0
 
 
 class SampleReader:
-    """Reads ``source`` in the background from ``start`` to ``stop``.
-
-    Attributes:
-        reconnects: how often the device was lost and found again.
-    """
+    """Reads ``source`` in the background from ``start`` to ``stop``; ``reconnects`` counts its returns from losses."""
 
     def __init__(self, source: SampleSource, limits: ReaderLimits | None = None) -> None:
-        self._source = source
-        self._limits = limits or ReaderLimits()
-        self._ring = SampleRing(self._limits.capacity)
+        self._source, self._limits = source, limits or ReaderLimits()
+        self._kept: deque[Stamped] = deque(maxlen=self._limits.capacity)
+        self._changed = threading.Condition()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._fault: SensorError | None = None
-        self._last_sample_ns = 0
-        self._last_crc = 0
-        self._repeats = 0
-        self.reconnects = 0
-
-    # -- for whoever wants samples ----------------------------------------------------------------------
-
-    @property
-    def name(self) -> str:
-        """Name of the device, as it appears in errors."""
-        return self._source.name
+        self._received = self._last_sample_ns = self._last_crc = self._repeats = 0
+        self.name, self.reconnects = source.name, 0
 
     @property
     def counts(self) -> SourceCounts:
         """Samples delivered, lost and bad so far."""
-        return self._source.counts
+        return replace(self._source.counts)
 
     @property
     def is_running(self) -> bool:
@@ -81,19 +160,20 @@ class SampleReader:
         return self._thread is not None and self._thread.is_alive()
 
     def start(self) -> None:
-        """Open the device here, so that a failure is the caller's, then read on in the background.
-
-        Raises:
-            SensorError: the device can't be opened.
-        """
+        """Open the device here, so that a failure (SensorError) is the caller's, then read on in the background."""
         if self.is_running:
             return
         self._stop.clear()
-        self._fault, self._repeats = None, 0
+        self._fault, self._repeats, before = None, 0, self._received - 1
         self._source.open()
         self._last_sample_ns = now_ns()
         self._thread = threading.Thread(target=self._run, name=f"reader of {self.name}", daemon=True)
         self._thread.start()
+        with ExitStack() as undo:
+            undo.callback(self.stop)  # a half-connected device would keep its port
+            if self._limits.first_ms:
+                self.wait_newer(before, self._limits.first_ms)
+            undo.pop_all()
 
     def stop(self) -> None:
         """Stop reading and let go of the device; the samples read so far stay."""
@@ -113,31 +193,57 @@ class SampleReader:
             FrozenSensorError: the content hasn't changed for ``frozen_after`` samples.
             StaleSensorError: no sample yet, or older than ``max_age_ms``.
         """
-        self._check_alive()
-        return self._checked(self._ring.newest(), max_age_ms)
+        return self.wait_newer(-1, max_age_ms, wait_ms=0.0)
 
-    def wait_newer(self, index: int, timeout_ms: float) -> Sample:
-        """Return the newest sample after ``index``, waiting for it.
+    def wait_newer(self, index: int, max_age_ms: float, wait_ms: float | None = None) -> Sample:
+        """Return the newest sample after ``index``, waiting for it as long as it may be old.
 
         Raises:
-            SensorError: as ``newest``, where no sample comes within ``timeout_ms``.
+            SensorError: as ``newest``, where no sample comes in time.
         """
-        sample = self._ring.wait_newer(index, timeout_ms / 1e3)
+        with self._changed:
+            wait_s = (max_age_ms if wait_ms is None else wait_ms) / 1e3
+            in_time = self._changed.wait_for(lambda: self._received - 1 > index, wait_s)
+            (stamp_ns, raw), newest = self._kept[-1] if in_time else (0, np.empty(0)), self._received - 1
         self._check_alive()
-        return self._checked(sample, timeout_ms)
+        do = "Stop pressing; check cable, USB load and the sensor's rate."
+        if not in_time:
+            raise StaleSensorError(expected(self.name, f"a sample within {max_age_ms:g} ms", "none", do))
+        age_ms = (now_ns() - stamp_ns) / NS_PER_MS
+        if age_ms > max_age_ms:
+            wanted, came = f"a sample younger than {max_age_ms:g} ms", f"{age_ms:.0f} ms"
+            raise StaleSensorError(expected(self.name, wanted, came, do))
+        return Sample(raw.copy(), newest, stamp_ns, age_ms)
 
-    def window(self, size: int, max_age_ms: float) -> Window:
-        """Return the newest ``size`` samples; raises as ``newest`` does."""
+    def window(self, size: int, max_age_ms: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return stamps (size,) int64 ns and data (size, ...) of the newest samples, the newest last.
+
+        Where fewer are kept the oldest is repeated, so that nothing is made up.
+
+        Raises:
+            ContractError: a size outside 1 … capacity.
+            SensorError: as ``newest``.
+        """
+        if not 1 <= size <= self._limits.capacity:
+            do = "Ask for fewer."
+            raise ContractError(expected("window", f"1 … {self._limits.capacity} samples", size, do))
         self.newest(max_age_ms)
-        return self._ring.window(size)
+        with self._changed:
+            kept = list(self._kept)[-size:]
+        kept = [kept[0]] * (size - len(kept)) + kept
+        return np.array([stamp_ns for stamp_ns, _ in kept]), np.stack([raw for _, raw in kept])
 
-    def since(self, index: int) -> Window:
-        """Return every kept sample after ``index``."""
-        return self._ring.since(index)
+    def since(self, index: int) -> list[Stamped]:
+        """Return every sample after ``index`` that is still kept, the newest last."""
+        with self._changed:
+            later = max(self._received - 1 - index, 0)
+            return list(self._kept)[-later:] if later else []
 
     def rate_hz(self, over_s: float = 2.0) -> float:
-        """Return the measured rate; 0 before the second sample."""
-        return self._ring.rate_hz(over_s)
+        """Return the measured rate over the newest ``over_s`` seconds of samples; 0 with fewer than two."""
+        stamps_ns = np.array([stamp_ns for stamp_ns, _ in self.since(-1)])
+        recent = stamps_ns[stamps_ns >= stamps_ns.max(initial=0) - over_s * NS_PER_S]
+        return (len(recent) - 1) * NS_PER_S / np.ptp(recent) if len(set(recent)) > 1 else 0.0
 
     # -- the thread -------------------------------------------------------------------------------------
 
@@ -150,8 +256,11 @@ class SampleReader:
 
     def _read_or_reopen(self) -> None:
         try:
-            self._take(self._source.read())
-            self._check_silence()
+            self.keep(self._source.read())
+            silent_s = (now_ns() - self._last_sample_ns) / NS_PER_S
+            if silent_s > self._limits.silent_s:
+                do = "Opening it anew; check power, cable and bus."
+                raise StaleSensorError(expected(self.name, "samples", f"none for {silent_s:.1f} s", do))
         except SensorError as error:
             if self._fault is None:  # once per loss, not once per attempt
                 log.warning("%s: %s", self.name, error)
@@ -172,26 +281,23 @@ class SampleReader:
             self._last_sample_ns, self._repeats = now_ns(), 0
             return
 
-    def _take(self, samples: list[Stamped]) -> None:
+    def keep(self, samples: list[Stamped]) -> None:
+        """Keep samples, whose arrays are now the reader's; WrongSensorError: another shape or dtype than before."""
         for sample in samples:
-            self._count_repeats(sample.data)
-            self._ring.push(sample)
+            crc = zlib.crc32(np.ascontiguousarray(sample.raw))
+            self._repeats, self._last_crc = (self._repeats + 1 if crc == self._last_crc else 0), crc
+            form = sample.raw.dtype, sample.raw.shape
+            with self._changed:
+                before = self._kept[-1].raw if self._kept else sample.raw
+                if form != (before.dtype, before.shape):
+                    do = "Keep one setting per connection."
+                    raise WrongSensorError(expected("sample", (before.dtype, before.shape), form, do))
+                self._kept.append(sample)
+                self._received += 1
+                self._changed.notify_all()
         if samples:
             self._last_sample_ns = now_ns()
             self._fault = None  # an open port proves nothing: the fault ends with the first sample
-
-    def _count_repeats(self, data: np.ndarray) -> None:
-        crc = zlib.crc32(np.ascontiguousarray(data))
-        same = crc == self._last_crc
-        self._repeats, self._last_crc = (self._repeats + 1 if same else 0), crc
-
-    def _check_silence(self) -> None:
-        silent_s = (now_ns() - self._last_sample_ns) / NS_PER_S
-        if silent_s > self._limits.silent_s:
-            do = "Opening it anew; check power, cable and bus."
-            raise StaleSensorError(expected(self.name, "samples", f"none for {silent_s:.1f} s", do))
-
-    # -- judging ----------------------------------------------------------------------------------------
 
     def _check_alive(self) -> None:
         if not self.is_running:
@@ -204,50 +310,3 @@ class SampleReader:
         if self._limits.frozen_after and self._repeats >= self._limits.frozen_after:
             came = f"the same content {self._repeats + 1} times in a row"
             raise FrozenSensorError(expected(self.name, "changing samples", came, "Replug the sensor."))
-
-    def _checked(self, sample: Sample | None, max_age_ms: float) -> Sample:
-        do = "Stop pressing; check cable, USB load and the sensor's rate."
-        if sample is None:
-            raise StaleSensorError(expected(self.name, f"a sample within {max_age_ms:g} ms", "none", do))
-        age_ms = sample.age_ms()
-        if age_ms > max_age_ms:
-            wanted, came = f"a sample younger than {max_age_ms:g} ms", f"{age_ms:.0f} ms"
-            raise StaleSensorError(expected(self.name, wanted, came, do))
-        return sample
-
-
-class Backlog:
-    """Decides whether to read on: data that waited in the kernel must not pass for new.
-
-    Whoever reads full buffers goes on reading until one isn't full, and only then stamps and delivers: meanwhile the
-    newest sample grows old, as it should.  A reader that never catches up is an error.
-
-    Args:
-        name: how errors call the sensor.
-        full_bytes: a read of so many bytes means that more is waiting.
-        max_behind_s: how long that may go on.
-    """
-
-    def __init__(self, name: str, full_bytes: int, max_behind_s: float = MAX_BEHIND_S) -> None:
-        self._name, self._full, self._max_s = name, full_bytes, max_behind_s
-        self._since_s: float | None = None
-
-    def more_waits(self, size: int) -> bool:
-        """Return whether a read of ``size`` bytes was full, so that there is more to read at once.
-
-        Raises:
-            StaleSensorError: full reads only, for longer than allowed.
-        """
-        now_s = time.monotonic()
-        if size < self._full:
-            self._since_s = None
-            return False
-        if self._since_s is None:
-            self._since_s = now_s
-        behind_s = now_s - self._since_s
-        if behind_s > self._max_s:
-            self._since_s = None
-            do = "Free the CPU of this machine; what waited is thrown away by opening anew."
-            came = f"a queue for {behind_s:.2f} s"
-            raise StaleSensorError(expected(self._name, "a reader that keeps up", came, do))
-        return True

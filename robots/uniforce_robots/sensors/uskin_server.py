@@ -2,23 +2,35 @@
 
 It binds its LAN address only (1.7.6) and is delivered with a simulated bus, whose data looks alive; it is refused where
 the server says so, but not every version does: look into xServ.ini.  Never run against the real server.
+
+First comes ``{"message": "Welcome", …}``, then messages of ``type`` "routine" with one object per sensor number, whose
+``data`` holds X, Y, Z of each taxel row by row: 48 hex words as one text, or as a list.  ``calibrated`` is there or
+null and not used: newtons are read from latents.  Source: XELA uSPa manual, 2023, and clients published by users.
 """
 
 from __future__ import annotations
 
-import contextlib
+import json
+import re
 import socket
 import time
+from contextlib import ExitStack, suppress
+from typing import Any
 
+import numpy as np
 from websockets.client import ClientProtocol
 from websockets.frames import DATA_OPCODES, Frame
 from websockets.protocol import State
 from websockets.uri import parse_uri
 
-from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
-from uniforce_robots.sensors.reader import Backlog
-from uniforce_robots.sensors.samples import SourceCounts, Stamped, now_ns
-from uniforce_robots.sensors.xela_message import read_message
+from uniforce_robots.sensors.faults import (
+    LostSensorError,
+    ProtocolError,
+    SimulatedSensorError,
+    WrongSensorError,
+)
+from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
+from uniforce_vtla.contracts import TAXEL_SHAPE
 from uniforce_vtla.errors import ContractError, expected
 
 READ_S = 0.05
@@ -26,6 +38,11 @@ CONNECT_S = 2.0
 PORT = 5000  # xela_server's default
 CHUNK_BYTES = 1 << 16
 MAX_MESSAGE_BYTES = 1 << 20  # a server message of 16 taxels has about 2 KB
+WORDS = TAXEL_SHAPE[0] * TAXEL_SHAPE[1]
+FULL_SCALE = 65_535
+IS_IT = "Is this xela_server's port?"
+_HEX = re.compile(r"\s*[0-9A-Fa-f]{1,4}\s*")
+_BUS_FIELDS = ("bustype", "bus_type", "bus")
 
 
 class XelaMessages:
@@ -33,9 +50,7 @@ class XelaMessages:
 
     Its connection classes read in a thread of their own into a queue: a message that waited there would pass for new.
 
-    Args:
-        host, port: named in the handshake.
-        name: how errors call the sensor.
+    ``host`` and ``port`` are named in the handshake, ``name`` in errors.
     """
 
     def __init__(self, host: str, port: int, name: str) -> None:
@@ -43,11 +58,6 @@ class XelaMessages:
         self._parts: list[bytes] = []
         self.protocol = ClientProtocol(parse_uri(f"ws://{host}:{port}/"), max_size=MAX_MESSAGE_BYTES)
         self.protocol.send_request(self.protocol.connect())
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the server has closed the connection properly."""
-        return self.protocol.state in (State.CLOSING, State.CLOSED)
 
     def feed(self, chunk: bytes) -> list[str]:
         """Return the texts that ``chunk`` completes; empty means the end of the stream.
@@ -58,8 +68,9 @@ class XelaMessages:
         self.protocol.receive_data(chunk) if chunk else self.protocol.receive_eof()
         error = self.protocol.handshake_exc or self.protocol.parser_exc
         if error is not None and not isinstance(error, EOFError):
-            do = "Is this xela_server's port?"
-            raise ProtocolError(expected(self._name, "a WebSocket server (RFC 6455)", error, do)) from error
+            raise ProtocolError(
+                expected(self._name, "a WebSocket server (RFC 6455)", error, IS_IT)
+            ) from error
         frames = [event for event in self.protocol.events_received() if isinstance(event, Frame)]
         texts = [self._assembled(frame) for frame in frames if frame.opcode in DATA_OPCODES]
         return [text for text in texts if text is not None]
@@ -73,110 +84,69 @@ class XelaMessages:
         try:
             return whole.decode()
         except UnicodeDecodeError as error:
-            raise ProtocolError(expected(self._name, "UTF-8 text", error, "Is this xela_server?")) from error
+            raise ProtocolError(expected(self._name, "UTF-8 text", error, IS_IT)) from error
 
 
-class ServerUSkin:
+class ServerUSkin(SampleSource):
     """Whole scans, (16, 3) uint16 raw counts each, from xela_server.
 
     Args:
-        address: ``host`` or ``host:port``.
+        address: ``host`` or ``host:port``; ContractError where it has no such form.
         sensor: which sensor of the server's message.
         name: how errors call it.
-
-    Raises:
-        ContractError: no such form of address.
     """
 
+    _socket: socket.socket
+    _messages: XelaMessages
+
     def __init__(self, address: str, sensor: str = "1", name: str = "uskin") -> None:
-        self.name = f"{name} (xela_server {address})"
-        self._address = _split(address)
-        self._sensor = sensor
-        self._socket: socket.socket | None = None
-        self._messages = XelaMessages(*self._address, self.name)
-        self._backlog = Backlog(self.name, CHUNK_BYTES)
+        super().__init__(f"{name} (xela_server {address})")
+        self._address, self._sensor = _split(address), sensor
         self._early: list[str] = []  # texts that came with the handshake
         self._number: int | None = None
-        self._scans = self._lost = self._bad = 0
 
-    @property
-    def counts(self) -> SourceCounts:
-        """Scans delivered, gaps in the server's numbering, messages that made no sense."""
-        return SourceCounts(self._scans, self._lost, self._bad)
-
-    def open(self) -> None:
+    def _connect(self, undo: ExitStack) -> None:
         """Connect; raises LostSensorError or ProtocolError."""
-        self.close()
-        self._number = None
+        self._early, self._number = [], None
         self._messages = XelaMessages(*self._address, self.name)
         try:
-            self._socket = socket.create_connection(self._address, CONNECT_S)
+            self._socket = undo.enter_context(socket.create_connection(self._address, CONNECT_S))
         except OSError as error:
             do = "Is the server running, and at this address (not only on its LAN address)?"
             raise LostSensorError(expected(self.name, "a server", error, do)) from error
-        try:
-            self._early = self._shake_hands(self._socket)
-        except (LostSensorError, ProtocolError):
-            self.close()
-            raise
-
-    def read(self) -> list[Stamped]:
-        """Return the scans that came.
-
-        Raises:
-            LostSensorError: the server went away.
-            ProtocolError: broken frames.
-            StaleSensorError: messages come faster than they are read.
-            WrongSensorError: no such sensor, or not 16 taxels.
-            SimulatedSensorError: the server says that its bus is simulated.
-        """
-        if self._socket is None:
-            raise LostSensorError(expected(self.name, "a connection", "none", "Call open()."))
-        texts = self._texts(self._socket)
-        stamp_ns = now_ns()
-        scans = [self._scan(text, stamp_ns) for text in texts]
-        return [scan for scan in scans if scan is not None]
-
-    def close(self) -> None:
-        """Leave the server."""
-        connection, self._socket = self._socket, None
-        if connection is None:
-            return
-        if self._messages.protocol.state is State.OPEN:
-            self._messages.protocol.send_close(1000)
-        with contextlib.suppress(LostSensorError):  # the other side went first
-            self._send(connection)
-        connection.close()
-
-    # -- bytes ------------------------------------------------------------------------------------------
-
-    def _shake_hands(self, connection: socket.socket) -> list[str]:
-        self._send(connection)
-        early, deadline_s = [], time.monotonic() + CONNECT_S
+        undo.callback(self._leave)
+        self._send()
+        deadline_s = time.monotonic() + CONNECT_S
         while self._messages.protocol.state is State.CONNECTING:
             if time.monotonic() > deadline_s:
-                do = "Is this xela_server's port?"
-                raise ProtocolError(expected(self.name, "a WebSocket handshake", "none in time", do))
-            early += self._receive(connection, CONNECT_S)[0]
-        return early
+                raise ProtocolError(expected(self.name, "a WebSocket handshake", "none in time", IS_IT))
+            self._early += self._receive(CONNECT_S)[0]
 
-    def _texts(self, connection: socket.socket) -> list[str]:
-        """Return what came, all of it: what waits in the kernel must not look new when it is read later."""
+    def _leave(self) -> None:
+        if self._messages.protocol.state is State.OPEN:
+            self._messages.protocol.send_close(1000)
+        with suppress(LostSensorError):  # the other side went first
+            self._send()
+
+    def read(self) -> list[Stamped]:
+        """Return the scans that came, all of them, stamped when they were read."""
         texts, self._early = self._early, []
-        while not self._messages.is_over:
-            came, size = self._receive(connection, 0.0 if texts else READ_S)
+        more_waits = True
+        while more_waits and self._messages.protocol.state is State.OPEN:
+            came, size = self._receive(0.0 if texts else READ_S)
             texts += came
-            if not self._backlog.more_waits(size):
-                break
-        if self._messages.is_over and not texts:  # what came with its close frame is still delivered
-            raise self._gone("a close frame")
-        return texts
+            more_waits = self._more_waits(size >= CHUNK_BYTES)
+        if self._messages.protocol.state is not State.OPEN and not texts:
+            raise self._gone("a close frame")  # what came with it was delivered before
+        stamp_ns = now_ns()
+        scans = [self._scan(text) for text in texts]
+        return [Stamped(stamp_ns, scan) for scan in scans if scan is not None]
 
-    def _receive(self, connection: socket.socket, timeout_s: float) -> tuple[list[str], int]:
+    def _receive(self, timeout_s: float) -> tuple[list[str], int]:
         """Return the texts of what came in time, and how many bytes that were; pings are answered."""
         try:
-            connection.settimeout(max(timeout_s, 1e-3))
-            chunk = connection.recv(CHUNK_BYTES)
+            self._socket.settimeout(max(timeout_s, 1e-3))
+            chunk = self._socket.recv(CHUNK_BYTES)
         except TimeoutError:
             return [], 0
         except OSError as error:
@@ -184,13 +154,13 @@ class ServerUSkin:
         texts = self._messages.feed(chunk)
         if not chunk:
             raise self._gone("the end of the connection")
-        self._send(connection)
+        self._send()
         return texts, len(chunk)
 
-    def _send(self, connection: socket.socket) -> None:
+    def _send(self) -> None:
         try:
-            connection.settimeout(CONNECT_S)
-            connection.sendall(b"".join(self._messages.protocol.data_to_send()))
+            self._socket.settimeout(CONNECT_S)
+            self._socket.sendall(b"".join(self._messages.protocol.data_to_send()))
         except OSError as error:
             raise self._gone(error) from error
 
@@ -198,21 +168,75 @@ class ServerUSkin:
         do = "Is the server still running? Connecting again."
         return LostSensorError(expected(self.name, "an open connection", came, do))
 
-    # -- scans ------------------------------------------------------------------------------------------
-
-    def _scan(self, text: str, stamp_ns: int) -> Stamped | None:
+    def _scan(self, text: str) -> np.ndarray | None:
         try:
-            scan = read_message(text, self._sensor, self.name)
+            number, scan = read_message(text, self._sensor, self.name)
         except ProtocolError:
-            self._bad += 1  # one garbled message; if none makes sense, the reader finds the sensor stale
+            self.counts.bad += (
+                1  # one garbled message; if none makes sense, the reader finds the sensor stale
+            )
             return None
-        if scan is None or (scan.number is not None and scan.number == self._number):
+        if scan is None or (number is not None and number == self._number):
             return None  # a greeting, or the same scan again
-        if scan.number is not None and self._number is not None:
-            self._lost += max(scan.number - self._number - 1, 0)
-        self._number = scan.number
-        self._scans += 1
-        return Stamped(stamp_ns, scan.counts)
+        if number is not None and self._number is not None:
+            self.counts.lost += max(number - self._number - 1, 0)
+        self._number = number
+        self.counts.samples += 1
+        return scan
+
+
+def read_message(text: str, sensor: str, name: str) -> tuple[int | None, np.ndarray | None]:
+    """Return a message's running number (None if it has none) and the (16, 3) uint16 counts of ``sensor``.
+
+    A greeting, or anything else without data, gives (None, None).  ``name`` is how errors call the sensor.
+
+    Raises:
+        ProtocolError: no JSON object, or words that are no counts.
+        WrongSensorError: no such sensor, or not 16 taxels.
+        SimulatedSensorError: the server says that its bus is simulated.
+    """
+    try:
+        message = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ProtocolError(expected(name, "JSON", error, IS_IT)) from error
+    if not isinstance(message, dict):
+        raise ProtocolError(expected(name, "a JSON object", type(message).__name__, IS_IT))
+    _refuse_simulation(message, name)
+    if message.get("type") != "routine":
+        return None, None
+    entry = message.get(sensor)
+    if not isinstance(entry, dict):
+        there = sorted(key for key, value in message.items() if key.isdigit() and isinstance(value, dict))
+        raise WrongSensorError(expected(name, f"sensor {sensor}", there, "Set server_sensor to one of them."))
+    number = message.get("message")
+    return number if type(number) is int else None, _counts(entry.get("data"), f"{name}, data")
+
+
+def _refuse_simulation(message: dict[str, Any], name: str) -> None:
+    """Raise if a bus field, at the top or one level down, says "sim": invented data looks alive."""
+    nested = [value for value in message.values() if isinstance(value, dict)]
+    buses = [part.get(field) for part in (message, *nested) for field in _BUS_FIELDS]
+    if any(isinstance(bus, str) and bus.strip().lower() == "sim" for bus in buses):
+        do = "Set bustype in xServ.ini to the real adapter and restart xela_server."
+        raise SimulatedSensorError(expected(f"{name}, bustype", "a real bus", "sim", do))
+
+
+def _counts(data: object, what: str) -> np.ndarray:
+    words = data.split(",") if isinstance(data, str) else data
+    if not isinstance(words, list):
+        raise ProtocolError(expected(what, "48 words", type(data).__name__, "Is the sensor running?"))
+    if len(words) != WORDS:
+        raise WrongSensorError(expected(what, f"{WORDS} words", len(words), "Is it a 4×4 patch?"))
+    return np.array([_word(word, what) for word in words], np.uint16).reshape(TAXEL_SHAPE)
+
+
+def _word(word: object, what: str) -> int:
+    if isinstance(word, str) and _HEX.fullmatch(word):
+        return int(word, 16)
+    if type(word) is int and 0 <= word <= FULL_SCALE:
+        return word
+    wanted = f"hex words or 0 … {FULL_SCALE}"
+    raise ProtocolError(expected(what, wanted, repr(word)[:40], "Is this the raw stream?"))
 
 
 def _split(address: str) -> tuple[str, int]:

@@ -1,4 +1,4 @@
-"""What every stand-in shares: it keeps a rate, and obeys lines on its standard input."""
+"""What every stand-in shares: it keeps a rate, breaks on command, and obeys lines on its standard input."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import select
 import stat
 import sys
 import time
-from abc import ABC, abstractmethod
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
+import numpy as np
+
+from uniforce_robots.standins.plugs import READ_BYTES, PseudoTerminal, Sockets
 from uniforce_vtla.errors import ContractError, expected
 
-READ_BYTES = 4096
 MAX_BEHIND_S = 0.25  # after a longer gap (a stopped process, a stall) the past is left out
 
 
@@ -26,12 +27,10 @@ class Pace:
     def due(self) -> int:
         """Return the beats due now, and count them as done."""
         behind_s = time.monotonic() - self._next_s
-        if behind_s < 0:
-            return 0
         if behind_s > MAX_BEHIND_S:
             self.restart()
             return 1
-        beats = 1 + int(behind_s / self._period_s)
+        beats = 1 + int(behind_s / self._period_s) if behind_s >= 0 else 0
         self._next_s += beats * self._period_s
         return beats
 
@@ -44,100 +43,86 @@ class Pace:
         self._next_s = time.monotonic() + self._period_s
 
 
-class Plug(Protocol):
-    """How a device is reached: a port, a listener."""
-
-    def plug(self) -> None:
-        """Be there; does nothing when it is."""
-
-    def unplug(self) -> None:
-        """Be gone, as a cable pulled out or a server stopped."""
-
-
-class StandInServer(ABC):
-    """Serves until ``quit``; the end of a piped input means quit, so no orphan stays.
+class StandInServer:
+    """Prints ``ready ADDRESS`` and serves until ``quit``; the end of a piped input means quit, so no orphan stays.
 
     On standard input: ``fault NAME`` breaks it, ``fault none`` mends it, ``stats`` prints its counts.
 
     Args:
-        plug: what the faults ``unplug`` and ``stop`` take away.
-        address: where it is; printed once it is ready.
-        fault: what is broken from the start.
-
-    Attributes:
-        faults: names that may be set.
-        fault: what is broken now; "none" when nothing is.
-
-    Raises:
-        ContractError: an unknown initial fault.
+        plug: how clients reach it, at ``address``; the faults ``unplug`` and ``stop`` take it away.
+        config: with ``fault``, one of ``faults`` that is there from the start, or "none"; and ``seed``.
+        rate_hz: of its beats.
     """
 
     faults: ClassVar[tuple[str, ...]]
 
-    def __init__(self, plug: Plug, address: str, fault: str) -> None:
-        if fault not in ("none", *self.faults):
+    def __init__(self, plug: PseudoTerminal | Sockets, address: str, config: Any, rate_hz: float) -> None:
+        if config.fault not in ("none", *self.faults):
             known = " | ".join(("none", *self.faults))
-            raise ContractError(expected("fault", known, fault, "Name one of them."))
-        self.fault = fault
-        self._plug, self._address = plug, address
+            raise ContractError(expected("fault", known, config.fault, "Name one of them."))
+        self.plug, self.address, self.config, self.fault = plug, address, config, config.fault
+        self.pace, self.rng = Pace(rate_hz), np.random.default_rng(config.seed)
+        self._step = -1
         self._pending = b""
         self._quit = False
 
     def run(self) -> int:
-        """Serve until told to quit; return the exit code."""
+        """Serve until asked to quit; return the exit code."""
         listens = stat.S_ISFIFO(os.fstat(0).st_mode) or os.isatty(0)  # not to /dev/null, which ends at once
-        _say(f"ready {self._address}")
+        self.on_fault()
+        _say(f"ready {self.address}")
         try:
             while not self._quit:
-                reading, writing, wait_s = self.waits_for()
-                ready, writable, _ = select.select([*reading, *([0] if listens else [])], writing, [], wait_s)
+                reading, writing = self.plug.waits_for()
+                reading = [*reading, *([0] if listens else [])]
+                ready, _, _ = select.select(reading, writing, [], self.pace.wait_s())
                 if 0 in ready:
                     self._obey()
-                self.serve([one for one in ready if one != 0], writable)
+                if received := self.plug.receive(ready):
+                    self.answer(received)
+                for _ in range(self.pace.due()):
+                    self.beat()
+                self.plug.flush()
         except KeyboardInterrupt:
             return 0
         finally:
-            self._plug.unplug()
+            self.plug.unplug()
         return 0
 
-    @abstractmethod
-    def waits_for(self) -> tuple[list[Any], list[Any], float]:
-        """Return what to wait for: input on these, room on these, and for how long, s."""
+    def beat(self) -> None:
+        """Send what is due; some devices only answer."""
+        return
 
-    @abstractmethod
-    def serve(self, ready: list[Any], writable: list[Any]) -> None:
-        """Take what came, send what is due."""
+    def answer(self, received: bytes) -> None:
+        """Answer what a client sent; most devices are only read."""
+        return
 
-    @abstractmethod
-    def stats(self) -> str:
-        """Return the counts, ``name=number`` each."""
+    def next_step(self) -> int:
+        """Return the place in a cycle of signals to show now; the fault ``freeze`` stays at it."""
+        self._step += self.fault != "freeze"
+        return self._step
 
     def on_fault(self) -> None:
         """Do what a new fault needs at once."""
-        if self.fault in ("unplug", "stop"):
-            self._plug.unplug()
-        else:
-            self._plug.plug()
+        (self.plug.unplug if self.fault in ("unplug", "stop") else self.plug.plug)()
 
     def _obey(self) -> None:
         chunk = os.read(0, READ_BYTES)
         self._quit = self._quit or not chunk
         *lines, self._pending = (self._pending + chunk).split(b"\n")
         for line in lines:
-            self._do(line.decode(errors="replace").split())
-
-    def _do(self, words: list[str]) -> None:
-        match words:
-            case ["fault", name] if name in ("none", *self.faults):
-                self.fault = name
-                self.on_fault()
-                _say(f"fault {name}")
-            case ["stats"]:
-                _say(f"stats {self.stats()}")
-            case ["quit"]:
-                self._quit = True
-            case _:
-                _say(f"unknown {' '.join(words)}; known: fault none | {' | '.join(self.faults)}, stats, quit")
+            match line.decode(errors="replace").split():
+                case ["fault", name] if name in ("none", *self.faults):
+                    self.fault = name
+                    self.on_fault()
+                    _say(f"fault {name}")
+                case ["stats"]:
+                    _say(f"stats sent={self.plug.sent} dropped={self.plug.dropped}")
+                case ["quit"]:
+                    self._quit = True
+                case words:
+                    known = " | ".join(self.faults)
+                    _say(f"unknown {' '.join(words)}; known: fault none | {known}, stats, quit")
 
 
 def _say(line: str) -> None:

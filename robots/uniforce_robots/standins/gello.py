@@ -1,25 +1,17 @@
-r"""A GELLO: eight Dynamixel motors that speak protocol 2.0 on a pseudo-terminal.
-
-Example: python -m uniforce_robots.standins.gello swing_rad=0.1
-
-Prints ``ready PATH``; open PATH as the serial port.  On standard input: ``fault NAME``, ``stats``, ``quit``.
-"""
+"""A GELLO: eight Dynamixel motors that speak protocol 2.0 on a pseudo-terminal; see ``--help``."""
 
 from __future__ import annotations
 
-import contextlib
-import os
 import struct
 import sys
 import time
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from uniforce_robots.fr3 import HOME_q_rad
 from uniforce_robots.standins.control import StandInServer
-from uniforce_robots.standins.pseudo_terminal import PseudoTerminal
+from uniforce_robots.standins.plugs import READ_BYTES, PseudoTerminal
 from uniforce_vtla.arguments import parse
 
 HEADER = b"\xff\xff\xfd\x00"
@@ -27,6 +19,7 @@ COUNTS_PER_TURN = 4096
 GARBAGE_BYTES = 40
 MISSING = 4  # the motor that the fault "missing" silences
 JUMP_rad = 1.5
+IDLE_hz = 10.0  # nothing is sent unasked
 
 
 @dataclass
@@ -68,78 +61,53 @@ class GelloStandIn(StandInServer):
     faults = ("crc", "missing", "garbage", "split", "mute", "jump", "alert", "unplug")
 
     def __init__(self, config: GelloConfig) -> None:
-        self._config = config
         self._port = PseudoTerminal("gello")
-        super().__init__(self._port, str(self._port.path), config.fault)
-        self._rng = np.random.default_rng(config.seed)
+        super().__init__(self._port, self._port.address, config, IDLE_hz)
         self._in = b""
-        self._asked = self._refused = 0
-        self._start_s = time.monotonic()
 
-    def waits_for(self) -> tuple[list[Any], list[Any], float]:
-        """Return the port; nothing is sent unasked."""
-        return self._port.ends(), [], 0.1
+    def on_fault(self) -> None:
+        """Cut answers into pieces for ``split``."""
+        super().on_fault()
+        self._port.pieces = 3 if self.fault == "split" else READ_BYTES
 
-    def serve(self, ready: list[Any], writable: list[Any]) -> None:
-        """Answer the questions that came."""
-        if self._port.master in ready:
-            with contextlib.suppress(OSError):  # no reader has opened the port at the moment
-                self._in = (self._in + os.read(self._port.master, 4096))[-4096:]
-            self._answer_all()
-
-    def stats(self) -> str:
-        """Return questions answered and refused."""
-        return f"asked={self._asked} refused={self._refused}"
-
-    def counts(self) -> np.ndarray:
-        """(8,) positions now, as the motors count them."""
-        phase = 2 * np.pi * (time.monotonic() - self._start_s) / self._config.period_s
-        joints = HOME_q_rad + self._config.swing_rad * np.sin(phase)
-        joints = joints + (JUMP_rad if self.fault == "jump" else 0.0)
-        angles = np.array([*joints, self._config.trigger_rad])
-        return np.round(angles * COUNTS_PER_TURN / (2 * np.pi)).astype(int)
-
-    def _answer_all(self) -> None:
+    def answer(self, received: bytes) -> None:
+        """Answer the whole questions that came; one with a wrong checksum gets none."""
+        self._in = (self._in + received)[-READ_BYTES:]
         while (start := self._in.find(HEADER)) >= 0:
             self._in = self._in[start:]
             size = 7 + int.from_bytes(self._in[5:7], "little")
             if len(self._in) < max(size, 7):
                 return
             whole, self._in = self._in[:size], self._in[size:]
-            self._answer(whole)
+            data = b""
+            if checksum(whole[:-2]) == int.from_bytes(whole[-2:], "little") and self.fault != "mute":
+                data = self._answer(whole[7], whole[4], whole[8:-2])
+            if data:
+                self.plug.send(self.rng.bytes(GARBAGE_BYTES) if self.fault == "garbage" else data)
 
-    def _answer(self, whole: bytes) -> None:
-        if checksum(whole[:-2]) != int.from_bytes(whole[-2:], "little"):
-            self._refused += 1
-            return
-        self._asked += 1
-        instruction, parameters = whole[7], whole[8:-2]
-        positions = self.counts()
+    def _answer(self, instruction: int, motor: int, parameters: bytes) -> bytes:
         if instruction == 0x01:  # ping: model number and firmware
-            self._send(status(whole[4], struct.pack("<HB", 1200, 45)))
-        elif instruction == 0x02:
-            self._send(self._position(whole[4], positions))
-        elif instruction == 0x82:
-            self._send(b"".join(self._position(motor, positions) for motor in parameters[4:]))
+            return status(motor, struct.pack("<HB", 1200, 45))
+        asked = {0x02: bytes([motor]), 0x82: parameters[4:]}.get(instruction, b"")
+        counts = self._counts()
+        return b"".join(self._position(motor, counts) for motor in asked)
 
-    def _position(self, motor: int, positions: np.ndarray) -> bytes:
-        if not 1 <= motor <= len(positions) or (self.fault == "missing" and motor == MISSING):
+    def _counts(self) -> np.ndarray:
+        """(8,) positions now, as the motors count them."""
+        phase = 2 * np.pi * time.monotonic() / self.config.period_s
+        joints = HOME_q_rad + self.config.swing_rad * np.sin(phase)
+        angles = np.array([*(joints + JUMP_rad * (self.fault == "jump")), self.config.trigger_rad])
+        return np.round(angles * COUNTS_PER_TURN / (2 * np.pi)).astype(int)
+
+    def _position(self, motor: int, counts: np.ndarray) -> bytes:
+        if not 1 <= motor <= len(counts) or (self.fault == "missing" and motor == MISSING):
             return b""
-        error = 0x80 if self.fault == "alert" else 0
-        answer = status(motor, struct.pack("<i", int(positions[motor - 1])), error)
+        answer = status(
+            motor, struct.pack("<i", int(counts[motor - 1])), 0x80 if self.fault == "alert" else 0
+        )
         if self.fault == "crc" and motor == MISSING:
             return answer[:-1] + bytes([answer[-1] ^ 0x55])
         return answer
-
-    def _send(self, data: bytes) -> None:
-        if self.fault == "mute":
-            return
-        if self.fault == "garbage":
-            data = self._rng.bytes(GARBAGE_BYTES)
-        size = 3 if self.fault == "split" else max(len(data), 1)
-        with contextlib.suppress(BlockingIOError):
-            for start in range(0, len(data), size):
-                os.write(self._port.master, data[start : start + size])
 
 
 if __name__ == "__main__":

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import queue
+import select
 import subprocess
 import sys
-import threading
-from types import TracebackType
-from typing import IO
+import time
 
 from uniforce_vtla.errors import SensorError, expected
 
@@ -19,79 +17,55 @@ ANSWER_S = 10.0
 class StandIn:
     """A running stand-in, e.g. ``StandIn("slcan", "rate_hz=500")``; ends with its ``with`` block or its owner.
 
-    Attributes:
-        address: where it is: a port's path, or a URL.
-
-    Raises:
-        SensorError: it didn't become ready.
+    Its ``address`` is a port's path, or a URL.  SensorError: it didn't become ready.
     """
 
     def __init__(self, name: str, *options: str) -> None:
-        self.name = name
+        self.name, self._pending = name, b""
         command = [sys.executable, "-m", f"uniforce_robots.standins.{name}", *options]
-        paths = os.pathsep.join(path for path in sys.path if path)  # what we can import, it can
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            bufsize=1,
-            env=os.environ | {"PYTHONPATH": paths},
-        )
-        self._lines: queue.Queue[str] = queue.Queue()
-        assert self._process.stdout is not None
-        threading.Thread(target=_pump, args=(self._process.stdout, self._lines), daemon=True).start()
+        # what we can import, it can
+        env = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0, env=env)
         self.address = self._answer("ready", READY_S)
 
     def inject(self, fault: str) -> None:
         """Break it in the named way, or mend it with "none"; returns once it is so."""
-        self._send(f"fault {fault}")
-        self._answer("fault", ANSWER_S)
+        self._ask(f"fault {fault}")
 
     def stats(self) -> dict[str, int]:
         """Return the stand-in's own counts."""
-        self._send("stats")
-        words = self._answer("stats", ANSWER_S).split()
+        words = self._ask("stats").split()
         return {name: int(value) for name, value in (word.split("=") for word in words)}
 
     def stop(self) -> None:
         """End it."""
         if self._process.poll() is None:
             self._process.terminate()
-        self._process.wait(ANSWER_S)
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                stream.close()
+        self._process.communicate(timeout=ANSWER_S)
 
     def __enter__(self) -> StandIn:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
 
-    def _send(self, line: str) -> None:
+    def _ask(self, line: str) -> str:
         assert self._process.stdin is not None
-        self._process.stdin.write(line + "\n")
-        self._process.stdin.flush()
+        self._process.stdin.write(f"{line}\n".encode())
+        return self._answer(line.split()[0], ANSWER_S)
 
     def _answer(self, word: str, timeout_s: float) -> str:
-        try:
-            line = self._lines.get(timeout=timeout_s)
-        except queue.Empty:
-            line = ""
-        if not line.startswith(f"{word} "):
+        assert self._process.stdout is not None
+        deadline_s, chunk = time.monotonic() + timeout_s, b"?"
+        while b"\n" not in self._pending and chunk:
+            wait_s = max(deadline_s - time.monotonic(), 0.0)
+            is_there = select.select([self._process.stdout], [], [], wait_s)[0]
+            chunk = self._process.stdout.read(4096) if is_there else b""
+            self._pending += chunk
+        line, _, self._pending = self._pending.partition(b"\n")
+        if not line.startswith(f"{word} ".encode()):
             self._process.kill()
             do = "Run it by hand to see why."
-            raise SensorError(expected(f"stand-in {self.name}", f"'{word} …'", repr(line), do))
-        return line.removeprefix(f"{word} ").strip()
-
-
-def _pump(stream: IO[str], lines: queue.Queue[str]) -> None:
-    try:
-        for line in stream:
-            lines.put(line)
-    except ValueError:
-        pass  # closed under us: the process was stopped
-    lines.put("")
+            raise SensorError(expected(f"stand-in {self.name}", f"'{word} …'", repr(line.decode()), do))
+        return line.decode().removeprefix(f"{word} ").strip()

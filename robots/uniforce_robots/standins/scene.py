@@ -1,6 +1,6 @@
 """What touches a stand-in's pad: free air, then a ball that presses and leaves, over and over.
 
-Signals come from the project's contact simulator, so that the chain device → canonicaliser → tokenizer can be checked.
+Signals come from the project's contact simulator, so that the chain device → canonicalizer → tokenizer can be checked.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import interp1d
 
 from uniforce_vtla.contact.indenters import gap_maps
 from uniforce_vtla.contact.simulator import TactileSimulator, free_air
@@ -31,31 +32,26 @@ class Scene:
     hold: bool = False  # pressed from the start and for ever
     seed: int = 0  # of unit and noise
 
-    def load_share(self, steps: int) -> np.ndarray:
-        """Return (steps,) in 0 … 1: how much of the peak is there at each step of the cycle."""
+    def load_share(self, rate_hz: float) -> np.ndarray:
+        """Return (N,) in 0 … 1: how much of the peak is there at each step of the cycle."""
+        period_s = self.rest_s + self.press_s
+        steps = max(2, round(period_s * rate_hz))
         if self.hold:
             return np.ones(steps)
-        t = np.linspace(0, self.rest_s + self.press_s, steps, endpoint=False)
+        t = np.linspace(0, period_s, steps, endpoint=False)
         phase = np.clip((t - self.rest_s) / max(self.press_s, 1e-9), 0, 1)
         return np.sin(np.pi * phase) ** 2 * (self.press_s > 0)
-
-    @property
-    def period_s(self) -> float:
-        """Length of the cycle."""
-        return self.rest_s + self.press_s
 
 
 def taxel_cycle(scene: Scene, rate_hz: float) -> np.ndarray:
     """Return (N, 16, 3) uint16 raw counts of one cycle at ``rate_hz``, noise included."""
     simulator = TactileSimulator("uskin", seed=scene.seed)
     simulator.raw_frames(free_air(1))
-    share = scene.load_share(max(2, round(scene.period_s * rate_hz)))
+    share = scene.load_share(rate_hz)
     keys = np.linspace(0, 1, KEY_STATES)
     counts = simulator.raw_frames(_contacts(simulator, scene, keys)).astype(np.float64)  # (K, 16, 3)
     counts[0] = simulator.raw_reference()
-    low = np.minimum((share * (KEY_STATES - 1)).astype(int), KEY_STATES - 2)
-    part = (share * (KEY_STATES - 1) - low)[:, None, None]
-    smooth = counts[low] * (1 - part) + counts[low + 1] * part
+    smooth = interp1d(keys, counts, axis=0)(share)
     noise = np.random.default_rng(scene.seed).normal(0, TAXEL_NOISE_COUNTS, smooth.shape)
     return np.clip(np.rint(smooth + noise), 0, 65_535).astype(np.uint16)
 
@@ -69,25 +65,19 @@ def frame_cycle(sensor: str, scene: Scene, rate_hz: float) -> np.ndarray:
     simulator = TactileSimulator(sensor, seed=scene.seed)
     if simulator.spec.signal != "camera":
         raise ContractError(expected("sensor", "a camera sensor", sensor, "Use the slcan or xela stand-in."))
-    share = scene.load_share(max(2, round(scene.period_s * rate_hz)))
-    return simulator.raw_frames(_contacts(simulator, scene, share))
+    return simulator.raw_frames(_contacts(simulator, scene, scene.load_share(rate_hz)))
 
 
 def _contacts(simulator: TactileSimulator, scene: Scene, share: np.ndarray) -> ContactState:
     """Return one contact per entry of ``share`` (B,): free air where it is 0."""
-    centre_mm = _centre_mm(simulator, scene.where)
+    if scene.where not in ("centre", *QUARTERS):
+        known = " | ".join(("centre", *QUARTERS))
+        raise ContractError(expected("where", known, scene.where, "Name a place on the pad."))
+    row, _, column = scene.where.partition("-")
+    place = np.array([{"left": -1, "right": 1}.get(column, 0), {"top": -1, "bottom": 1}.get(row, 0)])
+    centre_mm = place * np.asarray(simulator.spec.pad_size_mm) / 4
     B = len(share)
     gap = gap_maps(["sphere"] * B, np.tile(centre_mm, (B, 1)), np.zeros(B), np.ones(B))
     gap[share <= 0] = np.inf
     force = np.outer(share, (*scene.shear_N, scene.peak_N)).astype(np.float32)
     return ContactState(gap.astype(np.float32), force, np.zeros(B, np.float32))
-
-
-def _centre_mm(simulator: TactileSimulator, where: str) -> np.ndarray:
-    if where != "centre" and where not in QUARTERS:
-        known = " | ".join(("centre", *QUARTERS))
-        raise ContractError(expected("where", known, where, "Name a place on the pad."))
-    reach = np.asarray(simulator.spec.pad_size_mm) / 4
-    x = {"left": -1, "right": 1}.get(where.partition("-")[2], 0)
-    y = {"top": -1, "bottom": 1}.get(where.partition("-")[0], 0)
-    return np.array([x, y]) * reach

@@ -1,31 +1,23 @@
-"""xela_server with one uSkin patch: JSON over a WebSocket (RFC 6455, server side) on loopback.
-
-Example: python -m uniforce_robots.standins.xela rate_hz=100
-
-Prints ``ready HOST:PORT``.  On standard input: ``fault NAME``, ``stats``, ``quit``.
-"""
+"""xela_server with one uSkin patch: JSON over a WebSocket (RFC 6455, server side) on loopback; see ``--help``."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 import socket
 import sys
 import time
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from websockets.frames import Frame, Opcode
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
 
-from uniforce_robots.standins.control import Pace, StandInServer
-from uniforce_robots.standins.loopback import LoopbackServer
+from uniforce_robots.standins.control import StandInServer
+from uniforce_robots.standins.plugs import READ_BYTES, Sockets
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.arguments import parse
 
-OUT_BYTES = 1 << 20
 FRAGMENTS = 5
 
 
@@ -65,23 +57,23 @@ def greeting(request: bytes) -> bytes:
     return b"".join(protocol.data_to_send())
 
 
+def welcome(client: socket.socket) -> bytes:
+    """Return that answer, and xela_server's first message with it."""
+    text = json.dumps({"message": "Welcome", "time": time.time()}).encode()
+    return greeting(client.recv(READ_BYTES)) + frame(Opcode.TEXT, text)
+
+
 def message(number: int, scan: np.ndarray, fault: str) -> str:
     """Return the server's text for one (16, 3) uint16 scan, with the named peculiarity."""
-    words: list = [f"{count:04X}" for count in scan.ravel().tolist()]
-    data: object = ",".join(words[:30] if fault == "short" else words)
-    if fault == "list":
-        data = words
-    elif fault == "integers":
-        data = scan.ravel().tolist()
-    now = time.time()
+    words = [f"{count:04X}" for count in scan.ravel().tolist()]
+    forms = {"short": ",".join(words[:30]), "list": words, "integers": scan.ravel().tolist()}
+    now, data = time.time(), forms.get(fault, ",".join(words))
     sensor = {"time": now, "sensor": "1", "model": "XR1944", "taxels": 16, "data": data, "temp": [301.0] * 16}
-    if fault == "null":
-        sensor["calibrated"] = None
     body: dict[str, object] = {"message": number, "time": now, "sensors": 1, "type": "routine"}
-    body["2" if fault == "absent" else "1"] = sensor
-    if fault == "sim":
-        body["bustype"] = "sim"
-    return json.dumps(body | {"version": "1.7.6", "sendtime": now})
+    body["2" if fault == "absent" else "1"] = sensor | ({"calibrated": None} if fault == "null" else {})
+    return json.dumps(
+        body | ({"bustype": "sim"} if fault == "sim" else {}) | {"version": "1.7.6", "sendtime": now}
+    )
 
 
 class XelaStandIn(StandInServer):
@@ -93,67 +85,33 @@ class XelaStandIn(StandInServer):
     )
 
     def __init__(self, config: XelaConfig) -> None:
-        self._server = LoopbackServer(config.port, OUT_BYTES)
-        super().__init__(self._server, "{}:{}".format(*self._server.address), config.fault)
         self._cycle = taxel_cycle(config, config.rate_hz)
-        self._pace = Pace(config.rate_hz)
-        self._rng = np.random.default_rng(config.seed)
-        self._step = self._number = 0
-
-    def waits_for(self) -> tuple[list[Any], list[Any], float]:
-        """Return the server's sockets and the time to the next message."""
-        return self._server.reading(), self._server.writing(), self._pace.wait_s()
-
-    def serve(self, ready: list[Any], writable: list[Any]) -> None:
-        """Greet visitors, send the messages that are due."""
-        self._server.receive(ready)
-        for visitor, request in list(self._server.visitors.items()):
-            if b"\r\n\r\n" in request:
-                self._shake_hands(visitor, request)
-        for _ in range(self._pace.due()):
-            self._broadcast()
-        self._server.flush(writable)
-
-    def stats(self) -> str:
-        """Return messages sent and dropped, and clients."""
-        return self._server.stats()
+        self._server = Sockets(("127.0.0.1", config.port), welcome)
+        super().__init__(self._server, "{}:{}".format(*self._server.where), config, config.rate_hz)
+        self._number = 0
 
     def on_fault(self) -> None:
         """Close the connections properly for ``close``."""
         if self.fault == "close":
-            self._close_properly()
+            self.plug.send(frame(Opcode.CLOSE, (1001).to_bytes(2)))
+            self.plug.flush()
+            self.plug.unplug()
         super().on_fault()
 
-    def _broadcast(self) -> None:
+    def beat(self) -> None:
+        """Send a message; the cycle begins, in free air, with the first client."""
         if self.fault in ("welcome", "stall", "stop") or not self._server.clients:
-            return  # the cycle begins, in free air, with the first who listens
-        scan = self._cycle[self._step % len(self._cycle)]
-        self._step += self.fault != "freeze"
-        self._number += 1
-        self._server.broadcast(self._frames(message(self._number, scan, self.fault).encode()))
-
-    def _frames(self, text: bytes) -> bytes:
-        if self.fault == "garbage" and self._number % 2:
-            return frame(Opcode.TEXT, b'{"message": ' + self._rng.bytes(8).hex().encode())
-        if self.fault == "badframe":
-            return b"\xff\xff" + self._rng.bytes(20)
-        if self.fault == "ping":
-            return frame(Opcode.PING, b"are you there") + frame(Opcode.TEXT, text)
-        return fragmented(text, FRAGMENTS if self.fault == "fragments" else 1)
-
-    def _shake_hands(self, client: socket.socket, request: bytes) -> None:
-        answer = greeting(request)
-        if not answer:
-            self._server.part_from(client)
             return
-        welcome = json.dumps({"message": "Welcome", "time": time.time()}).encode()
-        self._server.admit(client, answer + frame(Opcode.TEXT, welcome))
-
-    def _close_properly(self) -> None:
-        for client, out in list(self._server.clients.items()):
-            with contextlib.suppress(OSError):
-                client.send(bytes(out) + frame(Opcode.CLOSE, (1001).to_bytes(2)))
-            self._server.part_from(client)
+        self._number += 1
+        scan = self._cycle[self.next_step() % len(self._cycle)]
+        text = message(self._number, scan, self.fault).encode()
+        if self.fault == "badframe":
+            self.plug.send(b"\xff\xff" + self.rng.bytes(20))
+        elif self.fault == "garbage" and self._number % 2:
+            self.plug.send(frame(Opcode.TEXT, b'{"message": ' + self.rng.bytes(8).hex().encode()))
+        else:
+            ping = frame(Opcode.PING, b"are you there") if self.fault == "ping" else b""
+            self.plug.send(ping + fragmented(text, FRAGMENTS if self.fault == "fragments" else 1))
 
 
 if __name__ == "__main__":

@@ -4,22 +4,21 @@ No device or library is touched before ``connect``.  None of them has ever run o
 """
 
 from uniforce_robots.teleop.base import UniforceTeleoperator
-from uniforce_robots.teleop.configs import (
-    UniforceExpertConfig,
-    UniforceGamepadConfig,
-    UniforceGelloConfig,
+from uniforce_robots.teleop.expert import UniforceExpert, UniforceExpertConfig
+from uniforce_robots.teleop.gello import UniforceGello, UniforceGelloConfig
+from uniforce_robots.teleop.keyboard import (
+    UniforceHandGuide,
     UniforceHandGuideConfig,
+    UniforceKeyboard,
     UniforceKeyboardConfig,
-    UniforcePhoneConfig,
-    UniforceReplayConfig,
-    UniforceSpaceMouseConfig,
 )
-from uniforce_robots.teleop.expert import UniforceExpert
-from uniforce_robots.teleop.gello import UniforceGello
-from uniforce_robots.teleop.keyboard import UniforceHandGuide, UniforceKeyboard
-from uniforce_robots.teleop.lerobots_own import UniforceGamepad, UniforcePhone
-from uniforce_robots.teleop.replay import UniforceReplay
-from uniforce_robots.teleop.spacemouse import UniforceSpaceMouse
+from uniforce_robots.teleop.lerobots_own import (
+    UniforceGamepad,
+    UniforceGamepadConfig,
+    UniforcePhone,
+    UniforcePhoneConfig,
+)
+from uniforce_robots.teleop.spacemouse import UniforceSpaceMouse, UniforceSpaceMouseConfig
 
 __all__ = [
     "UniforceExpert",
@@ -34,8 +33,6 @@ __all__ = [
     "UniforceKeyboardConfig",
     "UniforcePhone",
     "UniforcePhoneConfig",
-    "UniforceReplay",
-    "UniforceReplayConfig",
     "UniforceSpaceMouse",
     "UniforceSpaceMouseConfig",
     "UniforceTeleoperator",

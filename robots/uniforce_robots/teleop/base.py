@@ -17,7 +17,7 @@ from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.sensors.faults import ProtocolError, StaleSensorError
-from uniforce_robots.teleop.integrator import TargetIntegrator, TargetLimits
+from uniforce_robots.teleop.integrator import TargetIntegrator
 from uniforce_vtla.errors import SensorError, TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
@@ -25,11 +25,7 @@ FEEDBACK_AGE_S = 0.2  # an older measured pose is not where the robot is; its ow
 
 
 def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
-    """Return (5,) float64 of a dict with ``keys.AXES`` or of five numbers.
-
-    Raises:
-        TeleoperatorError: an axis is missing, or a number is not finite.
-    """
+    """Return (5,) float64 of a dict with ``keys.AXES`` or of five numbers; TeleoperatorError where one isn't finite."""
     try:
         values = [axes[axis] for axis in AXES] if isinstance(axes, Mapping) else axes
         array = np.asarray(values, dtype=np.float64)
@@ -46,49 +42,31 @@ class UniforceTeleoperator(Teleoperator):
     Attributes:
         wants_gains: stiffness the robot needs while this one steers; None for the robot's own.
         clock: seconds; tests put their own.
+        device: what is read, with ``start``, ``stop`` and ``is_running``.
     """
 
     wants_gains: ClassVar[Gains | None] = None
+    device: Any = None
+    is_calibrated = True  # there is nothing to calibrate
+    action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
-    def __init__(self, config: TeleoperatorConfig, limits: TargetLimits | None = None) -> None:
+    def __init__(self, config: TeleoperatorConfig) -> None:
         super().__init__(config)
         self.config: Any = config
         self.clock: Callable[[], float] = time.monotonic
-        self.integrator = TargetIntegrator(limits)
+        self.integrator = TargetIntegrator(getattr(config, "limits", None))
         self._measured: np.ndarray | None = None
         self._measured_s = self._last_s = 0.0
         self._is_started = False
         self._fault: TeleoperatorError | None = None
 
-    # --- LeRobot's contract ------------------------------------------------------------------------------------------
-
-    @property
-    def action_features(self) -> dict[str, type]:
-        """Five target axes."""
-        return dict.fromkeys(AXES, float)
-
-    @property
-    def feedback_features(self) -> dict[str, type]:
-        """Five measured axes."""
-        return dict.fromkeys(AXES, float)
-
-    @property
-    def is_calibrated(self) -> bool:
-        """True: there is nothing to calibrate."""
-        return True
-
     def calibrate(self) -> None:
         """Do nothing."""
 
-    def configure(self) -> None:
-        """Do nothing."""
+    configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
-        """Open the device.
-
-        Raises:
-            TeleoperatorError: connected already, not there, or what it needs is not installed.
-        """
+        """Open the device; TeleoperatorError: connected already, not there, or a library it needs is missing."""
         if self.is_connected:
             do = "Disconnect first."
             raise TeleoperatorError(expected(self.name, "to be unconnected", "a second connect", do))
@@ -113,15 +91,15 @@ class UniforceTeleoperator(Teleoperator):
         axes = checked_axes(measured, "measured pose")
         self._fault, self._is_started = None, False
         self.integrator.start_from(axes)
-        self._remember(axes)
-        self._last_s = self.clock()
+        self._measured, self._measured_s = axes, self.clock()
+        self._last_s = self._measured_s
         with _translated():
             self._begin(axes)
         self._is_started = True
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
         """Take the measured axes of this tick: for the leash, and for hand guiding the action itself."""
-        self._remember(checked_axes(feedback, "feedback"))
+        self._measured, self._measured_s = checked_axes(feedback, "feedback"), self.clock()
 
     def get_action(self) -> dict[str, float]:
         """Return the five absolute target axes.
@@ -136,19 +114,30 @@ class UniforceTeleoperator(Teleoperator):
             do = "Call start_from(measured) first; uniforce record does. LeRobot's own commands don't."
             raise TeleoperatorError(expected(self.name, "a started episode", "none", do), "not_started")
         now = self.clock()
-        elapsed, self._last_s = now - self._last_s, now
-        axes = self._guarded(elapsed)
+        elapsed_s, self._last_s = now - self._last_s, now
+        try:
+            with _translated():
+                axes = checked_axes(self._next(elapsed_s), f"{self.name}'s target")
+        except TeleoperatorError as error:
+            self._fault = error
+            raise
         return dict(zip(AXES, axes.tolist(), strict=True))
 
-    # --- what each device does ---------------------------------------------------------------------------------------
+    @property
+    def measured(self) -> np.ndarray | None:
+        """(5,) the robot's newest measured pose, None when that is too long ago to rely on."""
+        return self._measured if self.clock() - self._measured_s <= FEEDBACK_AGE_S else None
 
-    @abstractmethod
+    @property
+    def is_connected(self) -> bool:
+        """Whether the device is read."""
+        return self.device is not None and self.device.is_running
+
     def _open(self) -> None:
-        """Open the device."""
+        self.device.start()
 
-    @abstractmethod
     def _close(self) -> None:
-        """Close it; safe to call twice."""
+        self.device.stop()
 
     @abstractmethod
     def _next(self, elapsed_s: float) -> np.ndarray:
@@ -156,25 +145,6 @@ class UniforceTeleoperator(Teleoperator):
 
     def _begin(self, measured: np.ndarray) -> None:
         """Latch what an episode starts from; raise where it must not start."""
-
-    # --- inside ------------------------------------------------------------------------------------------------------
-
-    @property
-    def measured(self) -> np.ndarray | None:
-        """(5,) the robot's newest measured pose, None when that is too long ago to rely on."""
-        fresh = self.clock() - self._measured_s <= FEEDBACK_AGE_S
-        return self._measured if fresh else None
-
-    def _remember(self, axes: np.ndarray) -> None:
-        self._measured, self._measured_s = axes, self.clock()
-
-    def _guarded(self, elapsed_s: float) -> np.ndarray:
-        try:
-            with _translated():
-                return checked_axes(self._next(elapsed_s), f"{self.name}'s target")
-        except TeleoperatorError as error:
-            self._fault = error
-            raise
 
     def _check_connected(self) -> None:
         if not self.is_connected:

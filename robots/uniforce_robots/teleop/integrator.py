@@ -6,16 +6,19 @@ target on the measured pose; from then on it moves by at most speed × time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from lerobot.teleoperators import TeleoperatorConfig
 
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import shortest_turn
-from uniforce_vtla.errors import ContractError, TeleoperatorError, expected
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import AXES
 
 YAW = AXES.index("yaw.pos")
+TINY_m = 1e-12  # a step below is none
+LONGEST_GAP_S = 0.1  # a longer pause counts as this long, so that it buys no jump
 
 
 @dataclass(frozen=True)
@@ -27,48 +30,28 @@ class TargetLimits:
         low, high: the box; the robot's own by default. A start outside widens it, so that the start is no jump.
         leash: how far each axis may lead the measured pose, so that a target pushed into a table does not run on
             and take seconds to come back. 20 mm is just above the arm's clip of 18 mm, beyond which nothing grows.
-        longest_gap_s: after a longer pause time is counted from here, so that a pause buys no jump.
     """
 
     speed: tuple[float, ...] = (0.10, 0.10, 0.10, 0.6, 0.06)
     low: tuple[float, ...] = GuardLimits.low
     high: tuple[float, ...] = GuardLimits.high
     leash: tuple[float, ...] = (0.02, 0.02, 0.02, 0.2, 0.03)
-    longest_gap_s: float = 0.1
 
     def __post_init__(self) -> None:
-        rows = (self.speed, self.low, self.high, self.leash)
-        for name, row in zip(("speed", "low", "high", "leash"), rows, strict=True):
+        for name, row in vars(self).items():
             if len(row) != len(AXES) or not np.isfinite(row).all():
                 do = "Give one finite number per axis."
                 raise ContractError(expected(f"limits.{name}", f"{len(AXES)} numbers", row, do))
         if np.any(np.greater_equal(self.low, self.high)) or min(*self.speed, *self.leash) < 0:
-            raise ContractError(
-                expected("target limits", "low < high, speed and leash ≥ 0", rows, "Mend them.")
-            )
+            wanted = "low < high, speed and leash ≥ 0"
+            raise ContractError(expected("target limits", wanted, vars(self), "Mend them."))
 
 
-@dataclass(frozen=True)
-class StartWindow:
-    """How far a device may stand from the robot at the start; the target then closes the gap at its limits."""
+@dataclass(kw_only=True)
+class SteeringConfig(TeleoperatorConfig):
+    """What every device that moves a target has."""
 
-    position_m: float = 0.05
-    yaw_rad: float = 0.3
-    width_m: float = 0.03
-
-    def check(self, measured: np.ndarray, device: np.ndarray, what: str) -> None:
-        """Compare the robot's axes (5,) with the device's (5,).
-
-        Raises:
-            TeleoperatorError: ``far``.
-        """
-        turn = abs(shortest_turn(float(measured[3]), float(device[3])))
-        gaps = (float(np.linalg.norm(device[:3] - measured[:3])), turn, abs(float(device[4] - measured[4])))
-        limits = (self.position_m, self.yaw_rad, self.width_m)
-        if any(gap > limit for gap, limit in zip(gaps, limits, strict=True)):
-            wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*limits)
-            came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
-            raise TeleoperatorError(expected(what, wanted, came, "Bring them together, then start."), "far")
+    limits: TargetLimits = field(default_factory=TargetLimits)  # how far and fast the target may move
 
 
 class TargetIntegrator:
@@ -77,9 +60,7 @@ class TargetIntegrator:
     def __init__(self, limits: TargetLimits | None = None) -> None:
         self.limits = limits or TargetLimits()
         self._speed, self._leash = np.array(self.limits.speed), np.array(self.limits.leash)
-        self._low: np.ndarray = np.array(self.limits.low)
-        self._high: np.ndarray = np.array(self.limits.high)
-        self._target: np.ndarray = np.zeros(len(AXES))
+        self.start_from(np.zeros(len(AXES)))
 
     @property
     def target(self) -> np.ndarray:
@@ -89,8 +70,8 @@ class TargetIntegrator:
     def start_from(self, measured: np.ndarray) -> None:
         """Put the target on the measured pose (5,), wherever that is."""
         self._target = np.array(measured, dtype=np.float64)
-        self._low = np.minimum(self.limits.low, self._target)
-        self._high = np.maximum(self.limits.high, self._target)
+        self._low: np.ndarray = np.minimum(self.limits.low, self._target)
+        self._high: np.ndarray = np.maximum(self.limits.high, self._target)
 
     def advance(self, rates: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None) -> np.ndarray:
         """Move the target by ``rates`` and return it.
@@ -100,29 +81,25 @@ class TargetIntegrator:
             elapsed_s: since the last call.
             measured: (5,) where the robot is; None where that isn't known, then there is no leash.
         """
-        step = np.clip(rates, -1, 1) * self._speed * self._seconds(elapsed_s)
-        return self._move(step, measured)
+        return self._move(np.clip(rates, -1, 1) * self._reach(elapsed_s), measured)
 
     def towards(self, goal: np.ndarray, elapsed_s: float, measured: np.ndarray | None = None) -> np.ndarray:
         """Move the target towards an absolute goal (5,), turning the shorter way, no faster than the limits.
 
         The three positions keep their direction, so that a fast hand draws the same line, only later.
         """
-        reach = self._speed * self._seconds(elapsed_s)
+        reach = self._reach(elapsed_s)
         step = np.asarray(goal, dtype=np.float64) - self._target
-        step[YAW] = self._turn_to(float(goal[YAW]))
-        step[:3] *= min(1.0, _room(step[:3], reach[:3]))
+        # half a turn has two ways, and one leads out of the box
+        centre = (self._low[YAW] + self._high[YAW]) / 2
+        inside = centre + shortest_turn(centre, float(goal[YAW]))
+        step[YAW] = np.clip(inside, self._low[YAW], self._high[YAW]) - self._target[YAW]
+        step[:3] *= min(1.0, np.min(reach[:3] / np.maximum(np.abs(step[:3]), TINY_m)))
         step[3:] = np.clip(step[3:], -reach[3:], reach[3:])
         return self._move(step, measured)
 
-    def _turn_to(self, goal_rad: float) -> float:
-        """Return the turn from the target that stays in the box: half a turn has two ways, and one leads out of it."""
-        centre = (self._low[YAW] + self._high[YAW]) / 2
-        inside = centre + shortest_turn(centre, goal_rad)
-        return float(np.clip(inside, self._low[YAW], self._high[YAW]) - self._target[YAW])
-
-    def _seconds(self, elapsed_s: float) -> float:
-        return min(max(elapsed_s, 0.0), self.limits.longest_gap_s)
+    def _reach(self, elapsed_s: float) -> np.ndarray:
+        return self._speed * min(max(elapsed_s, 0.0), LONGEST_GAP_S)
 
     def _move(self, step: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
         moved = np.clip(self._target + step, self._low, self._high)
@@ -132,12 +109,6 @@ class TargetIntegrator:
             moved = np.where(runs_off, self._target, moved)
         self._target = moved
         return self.target
-
-
-def _room(step: np.ndarray, reach: np.ndarray) -> float:
-    """Return the share of a step that every axis' reach allows."""
-    moving = np.abs(step) > 0
-    return float(np.min(reach[moving] / np.abs(step[moving]))) if moving.any() else 1.0
 
 
 def _lead(target: np.ndarray, measured: np.ndarray) -> np.ndarray:

@@ -10,9 +10,11 @@ import contextlib
 import select
 import sys
 import termios
-import threading
 import time
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from lerobot.teleoperators import TeleoperatorConfig
@@ -20,13 +22,12 @@ from lerobot.utils.keyboard_input import TerminalKeyListener
 
 from uniforce_robots.franka.arm import HAND_GUIDED
 from uniforce_robots.teleop.base import FEEDBACK_AGE_S, UniforceTeleoperator
-from uniforce_robots.teleop.configs import UniforceHandGuideConfig, UniforceKeyboardConfig
-from uniforce_robots.teleop.integrator import TargetLimits
+from uniforce_robots.teleop.integrator import SteeringConfig
 from uniforce_vtla.errors import TeleoperatorError, expected
 from uniforce_vtla.keys import AXES
 
 PULSE_S = 0.12  # longer than a keyboard's repeat period (30 to 40 ms), short enough to stop soon
-OTHERS_KEPT = 64  # keys of other meaning that wait for somebody to take them
+OTHERS_KEPT = 64  # keys of other meaning that wait to be taken
 X, Y, Z, YAW, WIDTH = range(5)
 WIDTH_KEYS = {"o": (WIDTH, 1), "p": (WIDTH, -1)}  # n, r, q and the arrows are left to a recorder
 KEYS = {
@@ -36,30 +37,21 @@ KEYS = {
 
 
 class TerminalKeys:
-    """Turn keys into speeds of axes.
-
-    Args:
-        meanings: key → (axis index, direction −1 or 1).
-    """
+    """Turn keys into speeds of axes; ``meanings``: key → (axis index, direction −1 or 1)."""
 
     def __init__(self, meanings: Mapping[str, tuple[int, int]]) -> None:
         self._meanings = dict(meanings)
-        self._until_s: dict[str, float] = {}
-        self._others: list[str] = []
-        self._lock = threading.Lock()
+        self._others: deque[str] = deque(maxlen=OTHERS_KEPT)
+        self.forget()
         self._listener: TerminalKeyListener | None = None
 
     @property
-    def is_listening(self) -> bool:
+    def is_running(self) -> bool:
         """Whether keys are read."""
         return self._listener is not None
 
     def start(self) -> None:
-        """Read keys from this terminal until ``stop``.
-
-        Raises:
-            TeleoperatorError: standard input is no terminal.
-        """
+        """Read keys from this terminal until ``stop``; TeleoperatorError where standard input is none."""
         if not sys.stdin.isatty():
             do = "Run it in a terminal, not behind a pipe or in a notebook."
             raise TeleoperatorError(expected("keyboard", "a terminal", "another input", do), "connection")
@@ -75,65 +67,54 @@ class TerminalKeys:
 
     def press(self, key: str) -> None:
         """Take one key; called by the listener's thread."""
-        with self._lock:
-            if key.lower() in self._meanings:
-                self._until_s[key.lower()] = time.monotonic() + PULSE_S
-            else:
-                self._others = [*self._others, key][-OTHERS_KEPT:]
+        if key.lower() in self._meanings:
+            self._until_s[key.lower()] = time.monotonic() + PULSE_S
+        else:
+            self._others.append(key)
 
     def rates(self) -> np.ndarray:
-        """(5,) direction of each axis now: −1, 0 or 1.
-
-        Raises:
-            TeleoperatorError: the terminal has gone.
-        """
-        self._check_terminal()
-        rates = np.zeros(len(AXES))
-        now = time.monotonic()
-        with self._lock:
-            for key, until in self._until_s.items():
-                axis, direction = self._meanings[key]
-                rates[axis] += direction * (now < until)
-        return np.clip(rates, -1, 1)
-
-    def forget(self) -> None:
-        """Drop pulses that still run, so that an episode starts at rest."""
-        with self._lock:
-            self._until_s.clear()
-
-    def take_others(self) -> list[str]:
-        """Return keys that mean nothing here, e.g. a recorder's own, and forget them."""
-        with self._lock:
-            others, self._others = self._others, []
-        return others
-
-    def _check_terminal(self) -> None:
+        """(5,) direction of each axis now: −1, 0 or 1; TeleoperatorError where the terminal has gone."""
         poll = select.poll()
         poll.register(sys.stdin.fileno(), 0)
         if any(event & (select.POLLHUP | select.POLLERR | select.POLLNVAL) for _, event in poll.poll(0)):
             do = "Start the program again."
             raise TeleoperatorError(expected("keyboard", "a terminal", "one that hung up", do), "connection")
+        rates, now_s = np.zeros(len(AXES)), time.monotonic()
+        for key, (axis, direction) in self._meanings.items():
+            rates[axis] += direction * (now_s < self._until_s[key])
+        return np.clip(rates, -1, 1)
+
+    def forget(self) -> None:
+        """Drop pulses that still run, so that an episode starts at rest."""
+        self._until_s = dict.fromkeys(self._meanings, 0.0)
+
+    def take_others(self) -> list[str]:
+        """Return keys that mean nothing here, e.g. a recorder's own, and forget them."""
+        return [self._others.popleft() for _ in range(len(self._others))]
 
 
-class KeyedTeleoperator(UniforceTeleoperator):
-    """Read ``keys`` while connected; forget them at a start."""
+@TeleoperatorConfig.register_subclass("uniforce_keyboard")
+@dataclass(kw_only=True)
+class UniforceKeyboardConfig(SteeringConfig):
+    """Keys of a terminal."""
 
-    def __init__(
-        self, config: TeleoperatorConfig, limits: TargetLimits, meanings: Mapping[str, tuple[int, int]]
-    ) -> None:
-        super().__init__(config, limits)
-        self.keys = TerminalKeys(meanings)
 
-    @property
-    def is_connected(self) -> bool:
-        """Whether keys are read."""
-        return self.keys.is_listening
+@TeleoperatorConfig.register_subclass("uniforce_hand_guide")
+@dataclass(kw_only=True)
+class UniforceHandGuideConfig(SteeringConfig):
+    """A person leads the soft arm; the limits hold for the width alone."""
 
-    def _open(self) -> None:
-        self.keys.start()
 
-    def _close(self) -> None:
-        self.keys.stop()
+class UniforceKeyboard(UniforceTeleoperator):
+    """w s a d along base x and y, e c up and down, j l turn, o p open and close; a held key moves on."""
+
+    config_class: type[TeleoperatorConfig] = UniforceKeyboardConfig
+    name = "uniforce_keyboard"
+    meanings: ClassVar[Mapping[str, tuple[int, int]]] = KEYS
+
+    def __init__(self, config: TeleoperatorConfig) -> None:
+        super().__init__(config)
+        self.keys = self.device = TerminalKeys(self.meanings)
 
     def _begin(self, measured: np.ndarray) -> None:
         self.keys.forget()
@@ -142,17 +123,7 @@ class KeyedTeleoperator(UniforceTeleoperator):
         return self.integrator.advance(self.keys.rates(), elapsed_s, self.measured)
 
 
-class UniforceKeyboard(KeyedTeleoperator):
-    """w s a d along base x and y, e c up and down, j l turn, o p open and close; a held key moves on."""
-
-    config_class = UniforceKeyboardConfig
-    name = "uniforce_keyboard"
-
-    def __init__(self, config: UniforceKeyboardConfig) -> None:
-        super().__init__(config, config.limits, KEYS)
-
-
-class UniforceHandGuide(KeyedTeleoperator):
+class UniforceHandGuide(UniforceKeyboard):
     """The paper's way: the measured x, y, z and yaw are the action; keys o (open) and p (close) set the width.
 
     The arm needs ``HAND_GUIDED`` gains: soft but along the closing axis, so that a squeeze does not drag it. Since the
@@ -161,10 +132,8 @@ class UniforceHandGuide(KeyedTeleoperator):
 
     config_class = UniforceHandGuideConfig
     name = "uniforce_hand_guide"
+    meanings = WIDTH_KEYS
     wants_gains = HAND_GUIDED
-
-    def __init__(self, config: UniforceHandGuideConfig) -> None:
-        super().__init__(config, config.limits, WIDTH_KEYS)
 
     def _next(self, elapsed_s: float) -> np.ndarray:
         measured = self.measured

@@ -7,20 +7,37 @@ reads it looks like one at rest: the robot stays where it is, and no error is ra
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from lerobot.teleoperators import Teleoperator
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 from lerobot.teleoperators.gamepad import GamepadTeleop, GamepadTeleopConfig
 from lerobot.teleoperators.phone.config_phone import PhoneConfig, PhoneOS
 from lerobot.teleoperators.phone.phone_processor import MapPhoneActionToRobotAction
 
 from uniforce_robots.teleop.base import UniforceTeleoperator
-from uniforce_robots.teleop.configs import UniforceGamepadConfig, UniforcePhoneConfig
+from uniforce_robots.teleop.integrator import SteeringConfig, TargetLimits
 from uniforce_vtla.errors import TeleoperatorError, expected
 
 GRIPPER_STAYS = 1.0  # LeRobot's: 0 closes, 1 stays, 2 opens
 PHONE_MOVES = ("target_x", "target_y", "target_z", "target_wz")
+
+
+@TeleoperatorConfig.register_subclass("uniforce_gamepad")
+@dataclass(kw_only=True)
+class UniforceGamepadConfig(SteeringConfig):
+    """LeRobot's own gamepad; three axes and the fingers, no turn; the limits are speeds at full deflection."""
+
+
+@TeleoperatorConfig.register_subclass("uniforce_phone")
+@dataclass(kw_only=True)
+class UniforcePhoneConfig(SteeringConfig):
+    """LeRobot's own phone: its pose moves the target while its button is held."""
+
+    limits: TargetLimits = field(default_factory=lambda: TargetLimits(speed=(0.2, 0.2, 0.2, 1.2, 0.06)))
+    phone_os: Literal["ios", "android"] = "ios"  # HEBI Mobile I/O, or a WebXR page
+    silent_s: float = 0.5  # without a pose, or with the very same one, for so long it is lost
 
 
 class LerobotsOwn(UniforceTeleoperator):
@@ -28,7 +45,6 @@ class LerobotsOwn(UniforceTeleoperator):
 
     extra: ClassVar[str]
     do_connect: ClassVar[str]
-    device: Teleoperator | None = None
 
     @abstractmethod
     def make_device(self) -> Teleoperator:
@@ -61,31 +77,24 @@ class UniforceGamepad(LerobotsOwn):
     """Left stick x and y, right stick z, LeRobot's gripper buttons; the yaw stays where the episode began."""
 
     config_class = UniforceGamepadConfig
-    name = "uniforce_gamepad"
-    extra = "gamepad"
+    name, extra = "uniforce_gamepad", "gamepad"
     do_connect = "Plug it in and press a button."
-
-    def __init__(self, config: UniforceGamepadConfig) -> None:
-        super().__init__(config, config.limits)
 
     def make_device(self) -> Teleoperator:
         """Return LeRobot's gamepad."""
-        return GamepadTeleop(
-            GamepadTeleopConfig(id=self.config.id, calibration_dir=self.config.calibration_dir)
-        )
+        folder = self.config.calibration_dir
+        return GamepadTeleop(GamepadTeleopConfig(id=self.config.id, calibration_dir=folder))
 
     def _open(self) -> None:
         super()._open()
-        assert self.device is not None
         if not self.device.gamepad.running:
             self._close()
             raise TeleoperatorError(expected(self.name, "a gamepad", "none", self.do_connect), "connection")
 
     def _next(self, elapsed_s: float) -> np.ndarray:
-        assert self.device is not None  # get_action has looked
         action = self.device.get_action()
-        x, y, z = (float(action[f"delta_{axis}"]) for axis in "xyz")
-        rates = np.array([x, y, z, 0.0, float(action["gripper"]) - GRIPPER_STAYS])
+        moves = [float(action[f"delta_{axis}"]) for axis in "xyz"]
+        rates = np.array([*moves, 0.0, float(action["gripper"]) - GRIPPER_STAYS])
         return self.integrator.advance(rates, elapsed_s, self.measured)
 
 
@@ -97,12 +106,11 @@ class UniforcePhone(LerobotsOwn):
     """
 
     config_class = UniforcePhoneConfig
-    name = "uniforce_phone"
-    extra = "phone"
+    name, extra = "uniforce_phone", "phone"
     do_connect = "Open the app, in the same network."
 
     def __init__(self, config: UniforcePhoneConfig) -> None:
-        super().__init__(config, config.limits)
+        super().__init__(config)
         self._map = MapPhoneActionToRobotAction(PhoneOS(config.phone_os))
         self._latched: tuple[np.ndarray, np.ndarray] | None = None  # target (5,) and phone (4,) at the press
         self._seen: np.ndarray | None = None
@@ -110,9 +118,8 @@ class UniforcePhone(LerobotsOwn):
 
     def make_device(self) -> Teleoperator:
         """Return LeRobot's phone, which waits in ``connect`` for the person to show how it is held."""
-        from lerobot.teleoperators.phone.teleop_phone import (
-            Phone,  # not at the top: it may warn of what is missing
-        )
+        # not at the top: it may warn of what is missing
+        from lerobot.teleoperators.phone.teleop_phone import Phone
 
         inner = PhoneConfig(id=self.config.id, calibration_dir=self.config.calibration_dir)
         inner.phone_os = PhoneOS(self.config.phone_os)
@@ -122,22 +129,17 @@ class UniforcePhone(LerobotsOwn):
         self._latched, self._seen, self._seen_s = None, None, self.clock()
 
     def _next(self, elapsed_s: float) -> np.ndarray:
-        action = self._mapped()
-        goal = self.integrator.target
+        action, goal = self._mapped(), self.integrator.target
         if action is not None and action["enabled"]:
-            goal = self._goal(np.array([action[name] for name in PHONE_MOVES], dtype=np.float64))
+            phone = np.array([action[name] for name in PHONE_MOVES], dtype=np.float64)
+            self._latched = self._latched or (goal, phone)
+            target, start = self._latched
+            goal = np.array([*(target[:4] + phone - start), goal[4]])
         else:
             self._latched = None
         speed = 0.0 if action is None else float(action["gripper_vel"])
-        width = self.integrator.limits.speed[4] * np.clip(speed, -1, 1) * min(elapsed_s, 0.1)
-        goal[4] = self.integrator.target[4] + width
+        goal[4] += self.integrator.limits.speed[4] * np.clip(speed, -1, 1) * min(elapsed_s, 0.1)
         return self.integrator.towards(goal, elapsed_s, self.measured)
-
-    def _goal(self, phone: np.ndarray) -> np.ndarray:
-        if self._latched is None:
-            self._latched = (self.integrator.target, phone)
-        target, start = self._latched
-        return np.array([*(target[:4] + phone - start), target[4]])
 
     def _mapped(self) -> dict[str, Any] | None:
         """Return the mapped action, None while the phone has no pose.
@@ -145,24 +147,15 @@ class UniforcePhone(LerobotsOwn):
         Raises:
             TeleoperatorError: it has been without a pose, or frozen with its button held, for too long.
         """
-        assert self.device is not None  # get_action has looked
         try:
             raw = self.device.get_action()
-        except (
-            RuntimeError,
-            OSError,
-            TypeError,
-        ) as error:  # TypeError: HEBI answers None once the phone is gone
+        except (RuntimeError, OSError, TypeError) as error:  # HEBI answers None once the phone is gone
             came = expected(self.name, "a pose", error, "Reconnect it.")
             raise TeleoperatorError(came, "connection") from error
         action = self._map.action(dict(raw)) if raw else None
         seen = None if action is None else np.array([*raw["phone.pos"], *raw["phone.rot"].as_quat()])
-        self._check_alive(action, seen)
-        return action
-
-    def _check_alive(self, action: dict[str, Any] | None, seen: np.ndarray | None) -> None:
-        is_same = seen is None or (self._seen is not None and np.array_equal(seen, self._seen))
         may_rest = action is not None and not action["enabled"]
+        is_same = seen is None or (self._seen is not None and np.array_equal(seen, self._seen))
         if may_rest or not is_same:  # a held phone is never still to the last bit
             self._seen, self._seen_s = seen, self.clock()
         silent_s = self.clock() - self._seen_s
@@ -170,3 +163,4 @@ class UniforcePhone(LerobotsOwn):
             came = f"none, or the very same one, for {silent_s:.1f} s"
             do = "Check its network and that the camera sees the room."
             raise TeleoperatorError(expected(self.name, "a changing pose", came, do), "stale")
+        return action

@@ -1,24 +1,22 @@
-"""Stand-ins shared by all device tests, and how much of a core this machine gives us: deadlines scale with it."""
+"""How much of a core this machine gives us: deadlines scale with it."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-sys.path.insert(
-    0, str(Path(__file__).parent)
-)  # scripted_capture: importlib mode gives test folders no package
+# scripted: importlib mode gives test folders no package
+sys.path.insert(0, str(Path(__file__).parent))
 
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import SensorError
 
 OUTCOME_S = 0.5  # a fault must show within this on a machine that has time for us
-RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
+TIMES = 10  # each fault is injected
 
 
 @pytest.fixture(scope="session")
@@ -69,31 +67,27 @@ def recovers(cpu_share: float) -> Callable[[Callable[[], object]], None]:
     return wait
 
 
-def _running(name: str, *options: str) -> Any:
-    """Return a session's fixture: a stand-in of its own process, started once."""
+@pytest.fixture
+def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., None]:
+    """Return a function that breaks a stand-in ten times, and sees each time the named error, then a new sample.
 
-    @pytest.fixture(scope="session", name=f"{name}_process")
-    def running() -> Iterator[StandIn]:
-        with StandIn(name, *options) as stand_in:
-            yield stand_in
+    ``newest`` gives a sample younger than so many ms, ``wait_newer`` one after an index within so many ms.
+    """
 
-    return running
+    def check(
+        stand_in: StandIn,
+        fault: str,
+        kind: type[SensorError],
+        newest: Callable,
+        wait_newer: Callable,
+        age_ms: float,
+    ) -> None:
+        for _ in range(TIMES):
+            stand_in.inject(fault)
+            error = outcome(lambda: newest(age_ms), kind)
+            assert stand_in.sensor in str(error)
+            stand_in.inject("none")
+            recovers(lambda: newest(1e4))
+            wait_newer(newest(1e4).index, 60_000)
 
-
-def _whole(name: str) -> Any:
-    """Return a test's fixture: that stand-in with nothing broken, before and after."""
-
-    @pytest.fixture(name=name)
-    def whole(request: pytest.FixtureRequest) -> Iterator[StandIn]:
-        stand_in = request.getfixturevalue(f"{name}_process")
-        stand_in.inject("none")
-        yield stand_in
-        stand_in.inject("none")
-
-    return whole
-
-
-slcan_process = _running("slcan", f"rate_hz={RATE_HZ}")
-mjpeg_process = _running("mjpeg", "sensor=tactip", "rate_hz=15", "rest_s=2", "press_s=1")
-xela_process = _running("xela", f"rate_hz={RATE_HZ}")
-slcan, mjpeg, xela = _whole("slcan"), _whole("mjpeg"), _whole("xela")
+    return check

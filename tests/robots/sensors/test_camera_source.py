@@ -7,14 +7,15 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
-from scripted_capture import ScriptedCapture
+from scripted import ScriptedCapture
 
-from uniforce_robots.sensors.camera_source import FAILED_READS, CameraSource, CaptureSettings, open_capture
+from uniforce_robots.sensors import UniforceTactileCameraConfig
+from uniforce_robots.sensors.camera_source import FAILED_READS, CameraSource, open_capture
 from uniforce_robots.sensors.faults import LostSensorError, ProtocolError, WrongSensorError
 from uniforce_robots.sensors.mjpeg import StreamSource
-from uniforce_robots.sensors.samples import now_ns
+from uniforce_robots.sensors.reader import now_ns
 
-SETTINGS = CaptureSettings(width=64, height=48, fps=30)
+SIZE = {"capture_width": 64, "capture_height": 48}
 
 
 @pytest.fixture
@@ -24,8 +25,9 @@ def capture() -> ScriptedCapture:
 
 @pytest.fixture
 def make(capture: ScriptedCapture) -> Callable[..., CameraSource]:
-    def build(settings: CaptureSettings = SETTINGS, **options: object) -> CameraSource:
-        return CameraSource("/dev/video9", settings, "tactip", factory=lambda source: capture, **options)
+    def build(**options: object) -> CameraSource:
+        config = UniforceTactileCameraConfig(source="/dev/video9", **(SIZE | options))
+        return CameraSource(config, lambda source: capture)
 
     return build
 
@@ -63,7 +65,7 @@ def test_a_refused_setting_is_an_error_that_names_it(
 
 
 def test_null_leaves_a_control_alone(capture: ScriptedCapture, make: Callable):
-    make(CaptureSettings(None, 64, 48, 30, None, None, None)).open()
+    make(fourcc=None, exposure_100us=None, white_balance_K=None, gain=None).open()
     asked = {prop for prop, _ in capture.asked}
     assert not asked & {
         cv2.CAP_PROP_EXPOSURE,
@@ -126,4 +128,4 @@ def test_an_absent_device_is_named():
 @pytest.mark.parametrize("address", ["http://", "https://127.0.0.1/x", "http://127.0.0.1:port/"])
 def test_addresses_that_cannot_be(address: str):
     with pytest.raises(LostSensorError, match="http://host:port"):
-        StreamSource(address, SETTINGS, "cam").open()
+        StreamSource(UniforceTactileCameraConfig(source=address)).open()

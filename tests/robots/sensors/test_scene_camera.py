@@ -8,25 +8,17 @@ import draccus
 import numpy as np
 import pytest
 from lerobot.cameras.configs import CameraConfig
-from scripted_capture import ScriptedCapture
+from scripted import ScriptedCapture
 
 from uniforce_robots.sensors import UniforceSceneCamera, UniforceSceneCameraConfig
-from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, WrongSensorError
-from uniforce_robots.sensors.sampled_camera import middle
+from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError
+from uniforce_robots.sensors.finger import middle
 from uniforce_vtla.errors import ContractError, SensorError
 
 
 def camera(capture: ScriptedCapture, **options: object) -> UniforceSceneCamera:
     plain = {"source": "0", "width": 64, "height": 48, "max_age_ms": 30_000.0}
     return UniforceSceneCamera(UniforceSceneCameraConfig(**(plain | options)), lambda source: capture)  # type: ignore[arg-type]
-
-
-def test_a_frame_comes_with_its_number_and_time() -> None:
-    with camera(ScriptedCapture()) as device:
-        first = device.latest()
-        second = device.next_touch(first.index, 10_000)
-        assert second.index > first.index and second.stamp_ns > first.stamp_ns
-        assert device.read_latest().shape == (48, 64, 3) and first.age_ms >= 0
 
 
 def test_the_middle_is_cut_out_and_made_smaller() -> None:
@@ -47,11 +39,6 @@ def test_a_camera_that_is_not_well(what: str, kind: type[SensorError], outcome: 
     with camera(capture) as device:
         setattr(capture, what, False)
         outcome(lambda: device.read_latest(), kind)
-
-
-def test_another_size_is_another_camera() -> None:
-    with pytest.raises(WrongSensorError):
-        camera(ScriptedCapture(24, 32), connect_ms=1000.0).connect()
 
 
 def test_its_config_goes_through_a_file_and_needs_a_source() -> None:

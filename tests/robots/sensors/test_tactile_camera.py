@@ -23,26 +23,20 @@ from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
 
 TIMES = 10
-MAX_AGE_MS = 300.0
+MAX_AGE_MS = 150.0
 
 
 def config(address: str, **options: object) -> UniforceTactileCameraConfig:
     plain = {"sensor": "tactip", "finger": "right", "frozen_after": 4, "reference_samples": 3}
-    size = {
-        "capture_width": 640,
-        "capture_height": 480,
-        "connect_ms": 60_000.0,
-        "reference_on_connect": False,
-    }
+    size = {"capture_width": 640, "capture_height": 480}
+    plain |= {"connect_ms": 60_000.0, "reference_on_connect": False}
     return UniforceTactileCameraConfig(source=address, **(plain | size | options))
 
 
 @pytest.fixture
 def camera(mjpeg: StandIn) -> Iterator[UniforceTactileCamera]:
-    camera = UniforceTactileCamera(config(mjpeg.address))
-    camera.connect()
-    yield camera
-    camera.disconnect()
+    with UniforceTactileCamera(config(mjpeg.address)) as camera:
+        yield camera
 
 
 def test_a_robot_lists_it_like_any_camera(mjpeg: StandIn):
@@ -53,20 +47,13 @@ def test_a_robot_lists_it_like_any_camera(mjpeg: StandIn):
         image = camera.read_latest(60_000)
         assert image.shape == (480, 640, 3) and image.dtype == np.uint8
         assert np.array_equal(image[..., 0], image[..., 2])
-        markers, count = check_marker_image(image[..., 0]), 0
-        count = cv2.connectedComponents(markers)[0] - 1
+        count = cv2.connectedComponents(check_marker_image(image[..., 0]))[0] - 1
         assert 110 <= count <= 135  # a TacTip has 127 pins
     assert not camera.is_connected
 
 
 def test_a_config_file_makes_it_and_is_made_of_it():
-    written = {
-        "type": "uniforce_tactile",
-        "sensor": "tactip",
-        "finger": "right",
-        "source": "/dev/video2",
-        "gain": None,
-    }
+    written = {"type": "uniforce_tactile", "sensor": "tactip", "finger": "right", "source": "0", "gain": None}
     read = draccus.decode(CameraConfig, written)
     assert isinstance(read, UniforceTactileCameraConfig) and (read.finger, read.gain) == ("right", None)
     assert draccus.decode(CameraConfig, draccus.encode(read, CameraConfig)) == read
@@ -95,44 +82,25 @@ def test_raw_frames_if_asked(mjpeg: StandIn):
     ],
 )
 def test_a_dead_camera_is_a_typed_error_and_comes_back(
-    mjpeg: StandIn,
-    camera: UniforceTactileCamera,
-    outcome: Callable,
-    recovers: Callable,
-    fault: str,
-    kind: type,
+    mjpeg: StandIn, camera: UniforceTactileCamera, fails_and_recovers: Callable, fault: str, kind: type
 ):
-    for _ in range(TIMES):
-        mjpeg.inject(fault)
-        error = outcome(lambda: camera.latest(MAX_AGE_MS), kind)
-        assert "tactip on the right finger" in str(error)
-        mjpeg.inject("none")
-        recovers(lambda: camera.latest(1e4))
-        camera.next_touch(camera.latest(1e4).index, 60_000)
+    fails_and_recovers(mjpeg, fault, kind, camera.latest, camera.next_touch, MAX_AGE_MS)
 
 
 @pytest.mark.slow
-def test_late_frames_are_seen_through_the_server_s_own_stamps(
-    mjpeg: StandIn, outcome: Callable, recovers: Callable
-):
+def test_late_frames_are_seen_through_the_server_s_own_stamps(mjpeg: StandIn, fails_and_recovers: Callable):
     with UniforceTactileCamera(config(mjpeg.address, clock="driver")) as camera:
-        for _ in range(TIMES):
-            mjpeg.inject("late")
-            outcome(lambda: camera.latest(MAX_AGE_MS), StaleSensorError)
-            mjpeg.inject("none")
-            recovers(lambda: camera.latest(1e4))
-            camera.next_touch(camera.latest(1e4).index, 60_000)
+        fails_and_recovers(mjpeg, "late", StaleSensorError, camera.latest, camera.next_touch, MAX_AGE_MS)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["garbage", "nolength"])
-def test_a_clumsy_server_costs_no_good_frame(mjpeg: StandIn, camera: UniforceTactileCamera, fault: str):
+def test_garbage_costs_no_good_frame(mjpeg: StandIn, camera: UniforceTactileCamera):
     for _ in range(TIMES):
-        mjpeg.inject(fault)
+        mjpeg.inject("garbage")
         after = camera.next_touch(camera.latest(1e4).index + 1, 60_000)
         assert after.raw.shape == (480, 640, 3)
         mjpeg.inject("none")
-    assert (camera.counts.bad > 0) == (fault == "garbage")
+    assert camera.counts.bad > 0
 
 
 def test_a_reference_in_free_air(mjpeg: StandIn, camera: UniforceTactileCamera):

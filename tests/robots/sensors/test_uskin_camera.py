@@ -1,50 +1,35 @@
-"""The uSkin as a LeRobot camera: marker image, reference, replay, orientation; and the whole chain to a latent."""
+"""The uSkin as a LeRobot camera: marker image, reference, orientation; and the whole chain to a latent."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from lerobot.cameras.utils import make_cameras_from_configs
 from properties import examples
+from scripted import ScriptedSource
 
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
-from uniforce_robots.sensors.faults import LostSensorError
 from uniforce_robots.sensors.orientation import Orientation
-from uniforce_robots.sensors.uskin_replay import ReplayUSkin
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
-from uniforce_vtla.sensors.uskin_csv import COLUMNS
 from uniforce_vtla.tokenizer.api import Tokenizer
 
 FREE = taxel_cycle(Scene(press_s=0), 50)[0]
 
 
-def write_csv(path: Path, scans: np.ndarray) -> str:
-    pd.DataFrame(scans.reshape(len(scans), -1), columns=COLUMNS).to_csv(path, index=False)
-    return str(path)
-
-
-def config(link: str, source: str, **options: object) -> UniforceUskinConfig:
-    plain = {"reference_samples": 5, "connect_ms": 30_000.0, "max_age_ms": 10_000.0}
-    return UniforceUskinConfig(link=link, source=source, **(plain | options))
-
-
-@pytest.fixture
-def recording(tmp_path: Path) -> str:
-    """One second of free air, then a press, at 50 scans per second."""
-    return write_csv(tmp_path / "trial.csv", taxel_cycle(Scene(), 50))
+def config(**options: object) -> UniforceUskinConfig:
+    plain = {"source": "x", "reference_samples": 5, "connect_ms": 30_000.0, "max_age_ms": 10_000.0}
+    return UniforceUskinConfig(**(plain | options))
 
 
 def test_a_robot_lists_it_like_any_camera(slcan: StandIn):
-    cfg = config("slcan", slcan.address, reference_on_connect=False)
+    cfg = config(source=slcan.address, reference_on_connect=False)
     camera = make_cameras_from_configs({"tactile_left": cfg})["tactile_left"]
     assert isinstance(camera, UniforceUskin) and (camera.height, camera.width) == (480, 640)
     with camera:
@@ -53,10 +38,11 @@ def test_a_robot_lists_it_like_any_camera(slcan: StandIn):
         assert camera.latest().raw.shape == (16, 3)
 
 
-def test_device_to_latent(recording: str):
-    """What comes out of the chain is what the canonicaliser and tokenizer make of the same counts."""
+def test_device_to_latent():
+    """What comes out of the chain is what the canonicalizer and tokenizer make of the same counts."""
     tokenizer = Tokenizer.random()
-    with UniforceUskin(config("replay", recording, replay_rate_hz=200, replay_loop=True)) as camera:
+    trial = ScriptedSource(taxel_cycle(Scene(), 50))  # a second of free air, then a press
+    with UniforceUskin(config(), trial) as camera:
         reference, touch = camera.reference_image()[..., 0], camera.next_touch(60, 30_000)
         image = camera.marker_image(touch.raw)
         expected = Canonicalizer("uskin").pair(camera.reference_raw, touch.raw, "left")
@@ -65,10 +51,9 @@ def test_device_to_latent(recording: str):
     assert z.shape == (1, tokenizer.num_patches, tokenizer.config.latent) and bool(z.isfinite().all())
 
 
-def test_a_reference_is_refused_in_contact(tmp_path: Path):
+def test_a_reference_is_refused_in_contact():
     rising = np.linspace(0, 3000, 200)[:, None, None] * np.array([0, 0, 1]) + FREE
-    source = write_csv(tmp_path / "rising.csv", rising.astype(np.uint16))
-    camera = UniforceUskin(config("replay", source))
+    camera = UniforceUskin(config(), ScriptedSource(rising.astype(np.uint16)))
     with pytest.raises(SensorError, match="in contact"):
         camera.connect()
     assert not camera.is_connected
@@ -76,31 +61,18 @@ def test_a_reference_is_refused_in_contact(tmp_path: Path):
 
 def test_a_steady_touch_is_refused_against_a_resting_level(tmp_path: Path):
     pressed = np.tile(FREE + np.array([0, 0, 900]), (50, 1, 1)) + np.arange(50)[:, None, None] % 3
-    source = write_csv(tmp_path / "steady.csv", pressed)
     np.save(tmp_path / "rest.npy", FREE)
-    resting = {"resting_level": str(tmp_path / "rest.npy")}
-    with pytest.raises(SensorError, match="resting level"):
-        UniforceUskin(config("replay", source, **resting)).connect()
-    with pytest.raises(ContractError, match=r"\.npy"):
-        UniforceUskin(config("replay", source, resting_level="absent.npy")).connect()
+    for name, kind, says in (("rest", SensorError, "resting level"), ("absent", ContractError, r"\.npy")):
+        resting = config(resting_level=str(tmp_path / f"{name}.npy"))
+        with pytest.raises(kind, match=says):
+            UniforceUskin(resting, ScriptedSource(pressed.astype(np.uint16))).connect()
 
 
-def test_the_end_of_a_recording_is_a_lost_sensor_and_stays_one(recording: str, outcome: Callable):
-    camera = UniforceUskin(config("replay", recording, replay_rate_hz=2000, reference_on_connect=False))
-    camera.connect()
-    assert "end of the recording" in str(outcome(camera.latest, LostSensorError))
-    assert camera.since(-1).count == 150
-    camera.disconnect()
-
-
-def test_recordings_that_cannot_be_played(tmp_path: Path):
-    tared = write_csv(tmp_path / "tared.csv", FREE[None].astype(int) - 40_000)
-    with pytest.raises(SensorError, match="65535"):
-        ReplayUSkin(tared, 100).open()
-    with pytest.raises(SensorError, match="no file"):
-        ReplayUSkin(str(tmp_path / "absent.csv"), 100).open()
-    with pytest.raises(ContractError, match="rate"):
-        ReplayUSkin(tared, 0)
+def test_a_window_comes_upright():
+    scans = taxel_cycle(Scene(press_s=0), 50)
+    with UniforceUskin(config(rotation_deg=90, flip=True), ScriptedSource(scans)) as camera:
+        upright = {Orientation(90, True).of_counts(scan).tobytes() for scan in scans}
+        assert all(scan.tobytes() in upright for scan in camera.window(4)[1])
 
 
 def test_configs_that_cannot_be():
@@ -108,7 +80,7 @@ def test_configs_that_cannot_be():
         with pytest.raises(ContractError, match=says):
             UniforceUskinConfig(**({"link": "slcan", "source": "x"} | options))
     with pytest.raises(ContractError, match="rotation_deg"):
-        UniforceUskin(config("slcan", "x", rotation_deg=45))
+        UniforceUskin(config(rotation_deg=45))
 
 
 COUNTS = st.integers(0, 2**32 - 1).map(

@@ -21,36 +21,7 @@ sys.path.insert(
 # LeRobot's base class makes a calibration folder below its cache as soon as a teleoperator is made
 os.environ.setdefault("HF_LEROBOT_CALIBRATION", tempfile.mkdtemp(prefix="uniforce-calibration-"))
 
-from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import TeleoperatorError
-
-
-@pytest.fixture(scope="session")
-def gello_process() -> Iterator[StandIn]:
-    with StandIn("gello", "swing_rad=0.02") as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def gello(gello_process: StandIn) -> Iterator[StandIn]:
-    """Return the GELLO stand-in, whole."""
-    gello_process.inject("none")
-    yield gello_process
-    gello_process.inject("none")
-
-
-@pytest.fixture(scope="session")
-def spacemouse_process() -> Iterator[StandIn]:
-    with StandIn("spacemouse") as stand_in:
-        yield stand_in
-
-
-@pytest.fixture
-def spacemouse(spacemouse_process: StandIn) -> Iterator[StandIn]:
-    """Return the SpaceMouse stand-in, at rest."""
-    spacemouse_process.inject("none")
-    yield spacemouse_process
-    spacemouse_process.inject("none")
 
 
 @pytest.fixture
@@ -113,16 +84,6 @@ def until() -> Callable[..., Any]:
     return wait
 
 
-@pytest.fixture
-def fault_of(until: Callable[..., Any]) -> Callable[[Callable[[], Any]], str]:
-    """Return a function that asks until a TeleoperatorError comes, and says its fault."""
-
-    def wait(ask: Callable[[], Any]) -> str:
-        return until(lambda: fault_or_none(ask), bool)
-
-    return wait
-
-
 def fault_or_none(ask: Callable[[], Any]) -> str:
     """Return the fault asking meets, "" where it meets none."""
     try:
@@ -130,6 +91,12 @@ def fault_or_none(ask: Callable[[], Any]) -> str:
     except TeleoperatorError as error:
         return error.fault
     return ""
+
+
+@pytest.fixture
+def fault_of(until: Callable[..., Any]) -> Callable[[Callable[[], Any]], str]:
+    """Return a function that asks until a TeleoperatorError comes, and says its fault."""
+    return lambda ask: until(lambda: fault_or_none(ask), bool)
 
 
 @pytest.fixture

@@ -54,7 +54,7 @@ class FakePad:
 
 
 class FakePhone(FakePad):
-    """What LeRobot's Phone looks like; held still unless told."""
+    """What LeRobot's Phone looks like; held still unless asked."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -72,66 +72,36 @@ class FakePhone(FakePad):
         }
 
 
-def _simple(config: Any) -> Any:
-    return make_teleoperator_from_config(config)
+class Maker:
+    """Makes a teleoperator from its config; ``standin`` fills the named setting, ``fake`` stands in for LeRobot's."""
 
+    def __init__(self, config: Any, setting: str = "", standin: str = "", fake: Any = None) -> None:
+        self.config, self.setting, self.standin, self.fake = config, setting, standin, fake
 
-def make_keyboard(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
-    request.getfixturevalue("terminal")
-    return _simple(ours.UniforceKeyboardConfig(calibration_dir=folder))
-
-
-def make_hand_guide(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
-    request.getfixturevalue("terminal")
-    return _simple(ours.UniforceHandGuideConfig(calibration_dir=folder))
-
-
-def make_spacemouse(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
-    device = request.getfixturevalue("spacemouse").address
-    return _simple(ours.UniforceSpaceMouseConfig(device=device, calibration_dir=folder))
-
-
-def make_gello(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
-    port = request.getfixturevalue("gello").address
-    return _simple(ours.UniforceGelloConfig(port=port, calibration_dir=folder))
-
-
-def make_gamepad(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
-    pad = _simple(ours.UniforceGamepadConfig(calibration_dir=folder))
-    patch.setattr(pad, "make_device", FakePad)
-    return pad
-
-
-def make_phone(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
-    phone = _simple(ours.UniforcePhoneConfig(calibration_dir=folder))
-    patch.setattr(phone, "make_device", FakePhone)
-    return phone
+    def __call__(self, request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
+        where = {self.setting: request.getfixturevalue(self.standin).address} if self.standin else {}
+        made = make_teleoperator_from_config(self.config(calibration_dir=folder, **where))
+        if self.fake:
+            patch.setattr(made, "make_device", self.fake)
+        return made
 
 
 def make_expert(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
     from lerobot_env_uniforce_wiping import WipeEnv
 
-    expert = _simple(ours.UniforceExpertConfig(calibration_dir=folder))
+    expert = ours.UniforceExpert(ours.UniforceExpertConfig(calibration_dir=folder))
     env = WipeEnv("easy")
     env.start(0)
     expert.attach(env)
     return expert
 
 
-def make_replay(request: pytest.FixtureRequest, folder: Path, patch: pytest.MonkeyPatch) -> Any:
-    path = folder / "actions.npz"
-    rows = home_axes() + np.linspace(0, 0.05, 20)[:, None] * np.array([1, 0, 0, 0, 0])
-    np.savez(path, action=rows)
-    return _simple(ours.UniforceReplayConfig(path=str(path), calibration_dir=folder))
-
-
 MAKERS = {
-    "uniforce_keyboard": make_keyboard,
-    "uniforce_hand_guide": make_hand_guide,
-    "uniforce_spacemouse": make_spacemouse,
-    "uniforce_gello": make_gello,
-    "uniforce_gamepad": make_gamepad,
-    "uniforce_phone": make_phone,
+    "uniforce_keyboard": Maker(ours.UniforceKeyboardConfig),
+    "uniforce_hand_guide": Maker(ours.UniforceHandGuideConfig),
+    "uniforce_spacemouse": Maker(ours.UniforceSpaceMouseConfig, "device", "spacemouse"),
+    "uniforce_gello": Maker(ours.UniforceGelloConfig, "port", "gello"),
+    "uniforce_gamepad": Maker(ours.UniforceGamepadConfig, fake=FakePad),
+    "uniforce_phone": Maker(ours.UniforcePhoneConfig, fake=FakePhone),
     "uniforce_expert": make_expert,
-    "uniforce_replay": make_replay,
 }

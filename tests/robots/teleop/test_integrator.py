@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from properties import examples
 
-from uniforce_robots.teleop.integrator import TargetIntegrator, TargetLimits
+from uniforce_robots.teleop.integrator import LONGEST_GAP_S, TargetIntegrator, TargetLimits
 from uniforce_vtla.errors import ContractError
 
 LIMITS = TargetLimits()
-SPEED, GAP = np.array(LIMITS.speed), LIMITS.longest_gap_s
+SPEED, GAP = np.array(LIMITS.speed), LONGEST_GAP_S
 poses = arrays(np.float64, 5, elements=st.floats(-3, 3))
 moves = arrays(np.float64, 5, elements=st.floats(-1e3, 1e3))
 times = st.floats(-1, 1e4)

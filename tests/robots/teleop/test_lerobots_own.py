@@ -91,7 +91,7 @@ def test_the_slider_moves_the_fingers(phone: Any, measured: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("how", ["no pose", "frozen"])
-def test_a_lost_or_frozen_phone_is_told(phone: Any, how: str) -> None:
+def test_a_lost_or_frozen_phone_is_stale(phone: Any, how: str) -> None:
     phone.inner.device.enabled = True
     run(phone, 3)
     phone.inner.device.has_pose = how == "frozen"
@@ -101,7 +101,7 @@ def test_a_lost_or_frozen_phone_is_told(phone: Any, how: str) -> None:
     assert error.value.fault == "stale"
 
 
-def test_a_phone_that_fails_inside_its_library_is_told(phone: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_phone_that_fails_inside_its_library_is_lost(phone: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def gone() -> dict:
         raise TypeError("'NoneType' object is not subscriptable")
 

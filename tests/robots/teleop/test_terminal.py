@@ -63,7 +63,7 @@ def test_a_press_before_the_start_moves_nothing(keyboard: Any, measured: np.ndar
     assert not keyboard.keys.rates().any()
 
 
-def test_a_terminal_that_hangs_up_is_told(
+def test_a_terminal_that_hangs_up_is_a_fault(
     keyboard: Any, terminal: Type, fault_of: Callable[..., str]
 ) -> None:
     terminal(b"")
@@ -89,27 +89,27 @@ def guide(connected: Callable[[str], Any], measured: np.ndarray) -> Any:
     return device
 
 
-def told(device: Any, axes: np.ndarray) -> np.ndarray:
+def action_at(device: Any, axes: np.ndarray) -> np.ndarray:
     device.send_feedback(dict(zip(AXES, axes.tolist(), strict=True)))
     return np.array(list(device.get_action().values()))
 
 
 def test_the_measured_pose_is_the_action(guide: Any, measured: np.ndarray) -> None:
     led = measured + np.array([0.03, -0.02, 0.01, 0.2, 0.0])
-    assert np.array_equal(told(guide, led)[:4], led[:4])
+    assert np.array_equal(action_at(guide, led)[:4], led[:4])
 
 
 def test_the_width_is_commanded_by_keys(guide: Any, measured: np.ndarray) -> None:
     assert (
-        told(guide, measured - np.array([0, 0, 0, 0, 0.01]))[4] == measured[4]
+        action_at(guide, measured - np.array([0, 0, 0, 0, 0.01]))[4] == measured[4]
     )  # the fingers' own motion is no command
     guide.keys.press("p")
     time.sleep(0.02)
-    assert told(guide, measured)[4] < measured[4]
+    assert action_at(guide, measured)[4] < measured[4]
 
 
 def test_an_old_pose_is_not_followed(guide: Any, measured: np.ndarray) -> None:
-    told(guide, measured)
+    action_at(guide, measured)
     later = time.monotonic() + 2 * FEEDBACK_AGE_S
     guide.clock = lambda: later
     with pytest.raises(TeleoperatorError) as error:
@@ -125,5 +125,5 @@ def test_a_soft_arm_led_by_hand_goes_where_it_is_led(guide: Any) -> None:
     for step in range(60):
         push_N = 4.0 if step < 30 else 0.0
         position += (push_N + stiffness * (target - position)) / damping * period
-        target = told(guide, np.array([position, 0, 0.2, 0, 0.08]))[0]
+        target = action_at(guide, np.array([position, 0, 0.2, 0, 0.08]))[0]
     assert position > 0.50 and abs(target - position) < 1e-9

@@ -1,0 +1,45 @@
+"""Stand-ins that tests of sensors and teleoperators share: a process each, started once, whole for every test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from uniforce_robots.standins.process import StandIn
+
+RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
+# name → how errors call the sensor, and options
+STANDINS = {
+    "slcan": ("uskin", f"rate_hz={RATE_HZ}"),
+    "xela": ("uskin", f"rate_hz={RATE_HZ}"),
+    "mjpeg": ("tactip on the right finger", "sensor=tactip", "rate_hz=30", "rest_s=2", "press_s=1"),
+    "gello": ("gello", "swing_rad=0.02"),
+    "spacemouse": ("spacemouse",),
+}
+
+
+def _process(name: str) -> object:
+    @pytest.fixture(scope="session", name=f"{name}_process")
+    def running() -> Iterator[StandIn]:
+        sensor, *options = STANDINS[name]
+        with StandIn(name, *options) as stand_in:
+            stand_in.sensor = sensor
+            yield stand_in
+
+    return running
+
+
+def _whole(name: str) -> object:
+    @pytest.fixture(name=name)
+    def whole(request: pytest.FixtureRequest) -> Iterator[StandIn]:
+        stand_in = request.getfixturevalue(f"{name}_process")
+        stand_in.inject("none")
+        yield stand_in
+        stand_in.inject("none")
+
+    return whole
+
+
+globals().update({f"{name}_process": _process(name) for name in STANDINS})
+globals().update({name: _whole(name) for name in STANDINS})

@@ -1,0 +1,78 @@
+"""Devices that do as their test says: a camera in place of ``cv2.VideoCapture``, and a source of any samples."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from contextlib import ExitStack
+from itertools import cycle
+
+import numpy as np
+
+from uniforce_robots.sensors.faults import LostSensorError
+from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
+
+
+class ScriptedCapture:
+    """Remembers every ``set`` in order; counts up in its pixels while it ``changes``, fails unless it ``works``."""
+
+    def __init__(self, rows: int = 48, columns: int = 64) -> None:
+        self.asked: list[tuple[int, float]] = []
+        self.values: dict[int, float] = {}
+        self.refuses: set[int] = set()
+        self.opens = self.works = self.changes = True
+        self.count = self.released = 0
+        self.frame = np.zeros((rows, columns, 3), np.uint8)
+        self.frame[:, :4] = 255  # a mark at the left edge
+
+    def isOpened(self) -> bool:  # noqa: N802
+        return self.opens
+
+    def set(self, prop: int, value: float) -> bool:
+        self.asked.append((prop, value))
+        if prop not in self.refuses:
+            self.values[prop] = value
+        return prop not in self.refuses
+
+    def get(self, prop: int) -> float:
+        return self.values.get(prop, 0.0)
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        time.sleep(0.002)
+        self.count += self.changes
+        self.frame[:, 4:, 0] = self.count % 250  # blue in OpenCV's order
+        return (True, self.frame.copy()) if self.works else (False, None)
+
+    def release(self) -> None:
+        self.released += 1
+
+
+class ScriptedSource(SampleSource):
+    """Gives ``samples`` over and over, one every 3 ms, in the ``mode`` that a test sets while it runs."""
+
+    def __init__(self, samples: Iterable[np.ndarray] = tuple(np.arange(1000).reshape(-1, 1))) -> None:
+        super().__init__("scripted")
+        self._samples = cycle(samples)
+        self._last = next(self._samples)
+        self.mode, self.opened, self.closed = "live", 0, 0
+
+    def _connect(self, undo: ExitStack) -> None:
+        if self.mode == "gone":
+            raise LostSensorError("scripted: expected it, got nothing. Plug it in.")
+        self.opened += 1
+        undo.callback(self._count_closing)
+
+    def _count_closing(self) -> None:
+        self.closed += 1
+
+    def read(self) -> list[Stamped]:
+        if self.mode == "gone":
+            raise LostSensorError("scripted: expected data, got an unplugged cable. Plug it in.")
+        if self.mode == "bug":
+            raise ZeroDivisionError
+        time.sleep(0.003)
+        if self.mode == "silent":
+            return []
+        self._last = self._last if self.mode == "frozen" else next(self._samples)
+        self.counts.samples += 1
+        return [Stamped(now_ns(), self._last)]
