@@ -172,16 +172,6 @@ def test_units_differ_and_stay_near_the_drawing(sensor: str) -> None:
     assert UnitVariation.draw(rng, sensor, 0.0).view_scale == 1.0
 
 
-@pytest.mark.parametrize(
-    ("sensor", "term"),
-    [("tactip", "pin_lever"), ("gelsight", "perspective"), ("uskin", "cross_talk")],
-)
-def test_optional_terms_switch(sensor: str, term: str) -> None:
-    without = TactileSimulator(sensor, options=replace(QUIET, **{term: False}))
-    press = contact((1, 1, 9), center=(2, 1))
-    assert np.abs(without.markers_px(press)[0] - quiet(sensor).markers_px(press)[0]).max() > 1
-
-
 def test_marker_loss_drops_markers_from_the_image() -> None:
     lossy = TactileSimulator("tactip", options=replace(QUIET, marker_loss=True, loss_probability=0.3))
     centre, _ = lossy.markers_px(free_air(1))

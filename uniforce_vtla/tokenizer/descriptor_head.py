@@ -67,9 +67,8 @@ class DescriptorHead:
         try:
             config = HeadConfig(**facts["head"])
         except (TypeError, ContractError) as error:
-            raise CheckpointError(
-                expected(f"head in {place}", "a head's sizes", error, "Make it again.")
-            ) from error
+            do = "Make it again."
+            raise CheckpointError(expected(f"head in {place}", "a head's sizes", error, do)) from error
         return cls(load_model(place, lambda: ForceRegressor(config)), sensor)
 
     def save(self, folder: str | Path) -> Path:
@@ -90,9 +89,8 @@ class DescriptorHead:
         """
         if descriptors.ndim != 2 or descriptors.shape[1] != len(DESCRIPTOR_NAMES):
             do = "Take them from plain_touch.descriptors."
-            raise ContractError(
-                expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", descriptors.shape, do)
-            )
+            came = descriptors.shape
+            raise ContractError(expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", came, do))
         if not np.isfinite(descriptors).all():
             do = "Check the sensor's images."
             raise ContractError(expected("descriptors", "finite numbers", "NaN or inf", do))
