@@ -158,10 +158,10 @@ NO_FLATS = PairSettings(unit_strength=0.0, flat_share=0.0)
 @given(st.floats(0.0, 0.3), st.floats(0.2, 2.0))
 def test_creep_lags_and_settles(share: float, tau: float) -> None:
     force = np.concatenate([np.zeros((5, 3)), np.ones((200, 3))]).astype(np.float32)
-    felt = lagging_force(force, Creep(share, tau), rate_hz=10.0)
-    assert np.all(felt <= 1 + 1e-6) and np.all(np.diff(felt, axis=0) >= -1e-6)
-    assert np.allclose(felt[5], 1 - share * np.exp(-1 / (tau * 10)), atol=1e-5)
-    assert np.allclose(felt[-1], 1, atol=1e-3)
+    lagging = lagging_force(force, Creep(share, tau), rate_hz=10.0)
+    assert np.all(lagging <= 1 + 1e-6) and np.all(np.diff(lagging, axis=0) >= -1e-6)
+    assert np.allclose(lagging[5], 1 - share * np.exp(-1 / (tau * 10)), atol=1e-5)
+    assert np.allclose(lagging[-1], 1, atol=1e-3)
 
 
 def test_no_late_share_is_no_creep() -> None:

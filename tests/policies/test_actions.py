@@ -279,8 +279,8 @@ def test_where_the_command_came_from_decides_when_all_else_is_equal(make_policy,
             policy.issued.record(batch[MEASURED_STATE] - sign * step * way)
         chunks[sign] = policy.predict_action_chunk(batch)
         commands = torch.stack([batch[MEASURED_STATE] - sign * 3 * way, batch[MEASURED_STATE]], dim=1)
-        told = policy.predict_action_chunk({**batch, "action": commands})
-        assert torch.allclose(told, chunks[sign], atol=1e-6)
+        given_move = policy.predict_action_chunk({**batch, "action": commands})
+        assert torch.allclose(given_move, chunks[sign], atol=1e-6)
     assert (chunks[1] - chunks[-1]).abs().max() > 1e-4
     policy.reset()
     still = policy.predict_action_chunk(batch)  # nothing issued yet: nothing moved
@@ -299,9 +299,9 @@ def test_training_reads_the_move_in_front_of_the_chunk_and_blurs_it(make_policy,
     policy.train()
     loss, _ = policy({**batch, "action": actions, "action_is_pad": is_pad})
     loss.backward()
-    told = (actions[:, 1] - actions[:, 0]) / UNITS.unit
+    given_move = (actions[:, 1] - actions[:, 0]) / UNITS.unit
     assert seen[0].shape == (2, 1, 10) and torch.equal(seen[0][:, 0, :5], batch["observation.state"])
-    assert 0.02 < (seen[0][:, 0, 5:] - told).abs().mean() < 0.3
+    assert 0.02 < (seen[0][:, 0, 5:] - given_move).abs().mean() < 0.3
 
 
 def test_of_the_previous_action_only_the_axes_asked_for_are_given(make_policy, make_batch):
@@ -410,7 +410,7 @@ def test_a_rate_must_be_one() -> None:
 
 
 class Slow:
-    """An environment's clock so fast that nobody is in time, or so slow that everybody is."""
+    """An environment's clock so fast that no call is in time, or so slow that every call is."""
 
     def __init__(self, hz: float) -> None:
         self.metadata = {"render_fps": hz}

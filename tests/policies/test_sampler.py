@@ -97,7 +97,7 @@ def test_touch_is_refreshed_without_the_cameras(gate, make_policy, make_batch):
     assert torch.allclose(policy.refresh_action_chunk(batch), first, atol=1e-5)
     harder = {key: 3 * value if "wrench" in key else value for key, value in batch.items()}
     joint = policy.model.paligemma_with_expert
-    joint.embed_image = joint.embed_language_tokens = None  # nobody may run cameras or text
+    joint.embed_image = joint.embed_language_tokens = None  # cameras and text may not run
     again = policy.refresh_action_chunk(harder)
     del joint.embed_image, joint.embed_language_tokens
     assert (again - first).abs().max() > 1e-5

@@ -51,9 +51,9 @@ def test_masked_touch_equals_no_touch(site, make_policy, make_batch):
     off = [*masks[:3], *(torch.zeros_like(m) for m in masks[3:])]  # two cameras, state, then slots
     masked = policy.model.sample_actions(images, off, tokens, text_mask, noise=start)
     without = policy.model.sample_actions(images[:3], masks[:3], tokens, text_mask, noise=start)
-    felt = policy.model.sample_actions(images, masks, tokens, text_mask, noise=start)
+    touched = policy.model.sample_actions(images, masks, tokens, text_mask, noise=start)
     assert torch.allclose(masked, without, atol=1e-6)
-    assert (felt - without).abs().max() > 1e-3
+    assert (touched - without).abs().max() > 1e-3
 
 
 @SITES
@@ -207,12 +207,12 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
 def test_touch_noise_is_for_training_alone(make_policy):
     torch.manual_seed(0)
     tokens = make_policy(augment__touch_noise=0.5).model.force_tokens
-    felt = torch.randn(3, 16, 6) * tokens.input_scale
-    quiet = tokens.eval()(felt, 0)
-    assert torch.equal(quiet, tokens(felt, 0))
-    assert not torch.equal(quiet, tokens.train()(felt, 0))
+    touched = torch.randn(3, 16, 6) * tokens.input_scale
+    quiet = tokens.eval()(touched, 0)
+    assert torch.equal(quiet, tokens(touched, 0))
+    assert not torch.equal(quiet, tokens.train()(touched, 0))
     tokens.noise = 0.0
-    assert torch.equal(quiet, tokens(felt, 0))
+    assert torch.equal(quiet, tokens(touched, 0))
 
 
 def test_state_noise_is_for_training_alone_and_for_the_axes_it_names(make_policy):
@@ -281,12 +281,12 @@ def test_controls_act_on_touch_and_mirror_the_right_finger(make_policy, make_bat
 def test_a_masked_policy_acts_without_touch(make_policy, make_batch):
     policy = make_policy(sampler__noise_scale=0.0)
     batch = make_batch(policy)
-    felt = policy.predict_action_chunk(batch)
+    touched = policy.predict_action_chunk(batch)
     policy.touch.masked = True
     other = {**batch, tactile_key("right"): batch[tactile_key("left")]}
     muted = policy.predict_action_chunk(batch)
     torch.testing.assert_close(muted, policy.predict_action_chunk(other))
-    assert not torch.equal(muted, felt)
+    assert not torch.equal(muted, touched)
 
 
 AT_START = 1e-5  # stated in docs/design.md: what shut touch may move an action, in network units of order 1

@@ -59,18 +59,18 @@ def wipe(seed: int, frames: int = 60) -> tuple[np.ndarray, np.ndarray]:
     return (np.concatenate([force, force], axis=1) * NATURAL_UNITS).astype(np.float32), force
 
 
-def test_a_saved_gauge_reads_the_same(tmp_path) -> None:
+def test_a_saved_head_reads_the_same(tmp_path) -> None:
     head = DescriptorHead.fit("tactip", [wipe(seed) for seed in range(8)], stretch=20, steps=150)
-    felt, force = wipe(100)
-    said = head.read(felt)
-    assert np.abs(said - force).mean() < 0.5 * np.abs(force).mean()
+    seen, force = wipe(100)
+    read = head.read(seen)
+    assert np.abs(read - force).mean() < 0.5 * np.abs(force).mean()
     head.save(tmp_path)
-    np.testing.assert_array_equal(DescriptorHead.from_pretrained("tactip", tmp_path).read(felt), said)
+    np.testing.assert_array_equal(DescriptorHead.from_pretrained("tactip", tmp_path).read(seen), read)
     with pytest.raises(CheckpointError):
         DescriptorHead.from_pretrained("uskin", tmp_path)
 
 
-def test_a_gauge_of_another_descriptor_is_refused(tmp_path) -> None:
+def test_a_head_of_another_descriptor_is_refused(tmp_path) -> None:
     folder = DescriptorHead.fit("tactip", [wipe(0)], stretch=20, steps=1).save(tmp_path)
     drop_hashes(folder)
     facts = json.loads((folder / "config.json").read_text())
@@ -80,7 +80,7 @@ def test_a_gauge_of_another_descriptor_is_refused(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("sensor", list_sensors())
-def test_every_sensor_has_a_shipped_gauge_that_refuses_nonsense(sensor: str) -> None:
+def test_every_sensor_has_a_shipped_head_that_refuses_nonsense(sensor: str) -> None:
     head = DescriptorHead.from_pretrained(sensor)
     assert head.read(np.zeros((5, 6))).shape == (5, 3)
     with pytest.raises(ContractError, match="plain_touch"):

@@ -51,7 +51,7 @@ def build_foundation(
 
 
 def contact_stiffness(foundation: Foundation, area_mm2: np.ndarray) -> np.ndarray:
-    """Return (B,) N/mm³ for objects of these footprints: smaller ones feel a stiffer bed."""
+    """Return (B,) N/mm³ for objects of these footprints: smaller ones meet a stiffer bed."""
     ratio = foundation.flat_footprint_mm2 / np.maximum(area_mm2, 0.5 * CELL_AREA_MM2)
     return (foundation.stiffness * ratio**foundation.footprint_exponent).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Random contacts: objects on the pad and loads within friction, balanced over what a policy must feel."""
+"""Random contacts: objects on the pad and loads within friction, balanced over what a policy must tell apart."""
 
 from __future__ import annotations
 

@@ -175,7 +175,7 @@ class TactileSimulator:
         return [place_discs(counts, _SCALES) for counts in self._counts(contact, noise)]
 
     def _images(self, contact: ContactState, noise: bool) -> np.ndarray:
-        """Return (B, 480, 640): taxels drawn by the canonicaliser's rule, camera markers by our own."""
+        """Return (B, 480, 640): taxels drawn by the canonicalizer's rule, camera markers by our own."""
         if isinstance(self._respond, TaxelResponse):
             return np.stack([draw_discs(discs) for discs in self._discs(contact, noise)])
         centre_px, size_px = self._markers(contact, noise)

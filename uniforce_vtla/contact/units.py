@@ -14,7 +14,7 @@ class UnitVariation:
     """What differs from unit to unit.
 
     What a reference image shows (layout, view) may vary freely; what it can't show (stiffness, gain) stays
-    narrow, else an unseen unit's force scale can't be told from its picture.
+    narrow, else an unseen unit's force scale can't be read from its picture.
     """
 
     offset_mm: tuple[float, float] = (0.0, 0.0)  # shift of the marker pattern, x right, y down
@@ -69,5 +69,5 @@ class Look:
     shift_mm: float = 1.0  # the pattern's place, ViTac 2024 draws ±1 mm
     turn_rad: float = 0.10  # ViTac 2024
     zoom: float = 0.06  # another lens distance
-    marker_size: tuple[float, float] = (0.85, 1.30)  # our own canonicaliser draws 12 to 32 % larger areas
+    marker_size: tuple[float, float] = (0.85, 1.30)  # our own canonicalizer draws 12 to 32 % larger areas
     tilt: float = 0.05  # magnification at the rim of a camera about 3° off

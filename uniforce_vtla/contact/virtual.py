@@ -1,6 +1,6 @@
 """Sensors that exist only here: any layout, marker and view with any material.
 
-The three real sensors are the registry's; a *virtual* one shows what the tokenizer does on a sensor nobody has
+The three real sensors are the registry's; a *virtual* one shows what the tokenizer does on a sensor that was never
 pretrained on.  GelSight-D (diamonds on a staggered lattice) is the one the paper tests with.
 """
 
@@ -19,7 +19,7 @@ class VirtualSensor:
 
     spec: SensorSpec  # layout, marker, view, pad
     material: PadMaterial | TaxelMaterial  # stiffness, gains, lens
-    like: str  # registry name of the real sensor whose canonicaliser and raw look it shares
+    like: str  # registry name of the real sensor whose canonicalizer and raw look it shares
 
     @property
     def name(self) -> str:

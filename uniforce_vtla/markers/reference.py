@@ -2,7 +2,7 @@
 
 What can be known: a touch that moves or changes shows within the frames; a tared taxel pressed at the reference reads
 negative once released; taxels far from a stored resting level are loaded. What can't: a steady touch on a gel seen by
-a camera, or on taxels whose resting level nobody stored. It looks like free air, and no check here claims otherwise.
+a camera, or on taxels whose resting level is not stored. It looks like free air, and no check here claims otherwise.
 """
 
 from __future__ import annotations

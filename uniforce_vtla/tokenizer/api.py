@@ -23,11 +23,14 @@ from uniforce_vtla.tokenizer.weights import (
     save_checkpoint,
 )
 
+STORED_KEY = (
+    "canonicaliser"  # of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
+)
 CACHED_REFERENCES = 8  # two slots, a few swaps; each costs about 0.5 MB
 
 
-def canonicaliser_facts() -> dict[str, Any]:
-    """Return what of the canonicaliser a checkpoint depends on; part of its hash."""
+def canonicalizer_facts() -> dict[str, Any]:
+    """Return what of the canonicalizer a checkpoint depends on; part of its hash."""
     return {"taxel_scales": TaxelScales().as_dict()}
 
 
@@ -37,14 +40,14 @@ class Tokenizer:
     Attributes:
         model: the network, in eval mode.
         config: its sizes.
-        canonicaliser: facts of the canonicaliser it was trained behind.
-        hash: sha256 over weights, config and canonicaliser facts; checkpoints that use z must store it.
+        canonicalizer: facts of the canonicalizer it was trained behind.
+        hash: sha256 over weights, config and canonicalizer facts; checkpoints that use z must store it.
     """
 
-    def __init__(self, model: ForceAutoencoder, canonicaliser: dict[str, Any] | None = None) -> None:
+    def __init__(self, model: ForceAutoencoder, canonicalizer: dict[str, Any] | None = None) -> None:
         self.model = model.eval().requires_grad_(False)
         self.config: TokenizerConfig = model.config
-        self.canonicaliser = canonicaliser_facts() if canonicaliser is None else canonicaliser
+        self.canonicalizer = canonicalizer_facts() if canonicalizer is None else canonicalizer
         self.hash = content_hash(model, self.facts())
         self._references: ReferenceMemory[ReferenceCache] = ReferenceMemory(CACHED_REFERENCES)
 
@@ -58,13 +61,13 @@ class Tokenizer:
         """Load a checkpoint folder, or one shipped with the package: ``"small"`` (None) or ``"nano"``.
 
         Raises:
-            CheckpointError: missing, truncated, of another shape, or made behind another canonicaliser.
+            CheckpointError: missing, truncated, of another shape, or made behind another canonicalizer.
         """
         folder = checkpoint_folder(path, "tokenizer")
         facts = read_config(folder)
         sizes = _sizes(facts, folder)
         model = load_model(folder, lambda: build_model(sizes, seed=0))
-        return cls(model, _same_canonicaliser(facts, folder))
+        return cls(model, _same_canonicalizer(facts, folder))
 
     def save(self, path: str | Path) -> Path:
         """Write weights and facts to a folder that ``from_pretrained`` reads."""
@@ -72,7 +75,7 @@ class Tokenizer:
 
     def facts(self) -> dict[str, Any]:
         """Return everything but the weights that decides what z means."""
-        return {"model": self.config.facts(), "canonicaliser": self.canonicaliser}
+        return {"model": self.config.facts(), STORED_KEY: self.canonicalizer}
 
     @property
     def num_patches(self) -> int:
@@ -166,9 +169,9 @@ def _sizes(facts: dict[str, Any], folder: Path) -> TokenizerConfig:
         raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
 
 
-def _same_canonicaliser(facts: dict[str, Any], folder: Path) -> dict[str, Any]:
-    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+def _same_canonicalizer(facts: dict[str, Any], folder: Path) -> dict[str, Any]:
+    stored, running = facts.get(STORED_KEY), canonicalizer_facts()
     if stored != running:
         do = "Use its version, or pretrain again."
-        raise CheckpointError(expected(f"canonicaliser of {folder}", stored, running, do))
+        raise CheckpointError(expected(f"canonicalizer of {folder}", stored, running, do))
     return running

@@ -16,7 +16,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, e
 from uniforce_vtla.keys import SLOTS, latent_key, tactile_key
 from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
-from uniforce_vtla.tokenizer.api import canonicaliser_facts
+from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
 from uniforce_vtla.tokenizer.entry import prepare_tensor
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.weights import SIZES, content_hash
@@ -85,7 +85,7 @@ def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEnc
     That is the packaged tokenizer of its hash, or one that is rebuilt, ``empty``, and filled from the checkpoint.
 
     Raises:
-        CheckpointError: it was made behind another canonicaliser.
+        CheckpointError: it was made behind another canonicalizer.
     """
     facts = config.touch.tokenizer
     if facts is not None and is_packaged(config):
@@ -95,10 +95,10 @@ def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEnc
         tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
         config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
         return TactileEncoder(tokenizer.model, config.latent_grid)
-    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+    stored, running = facts.get(STORED_KEY), canonicalizer_facts()
     if stored != running:
         do = "Use the version it was trained with, or train again."
-        raise CheckpointError(expected("canonicaliser of the checkpoint", stored, running, do))
+        raise CheckpointError(expected("canonicalizer of the checkpoint", stored, running, do))
     with no_weights() if empty else nullcontext():
         return TactileEncoder(build_model(TokenizerConfig(**facts["model"]), seed=0), config.latent_grid)
 
