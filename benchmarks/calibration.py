@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor
 from uniforce_vtla.options import FolderPath, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.calibration import calibration_facts
 from uniforce_vtla.tokenizer.head_training import train_head
 
 RESULT = "heldout_hidden.json"
@@ -70,7 +69,7 @@ def _measure_one(
     return {
         "before": score(truth, predict(head, target)),
         "after": score(truth, predict(head, adapted)),
-        "calibration": calibration_facts(calibration, config.fit),
+        "calibration": calibration.facts() | {"config": asdict(config.fit)},
     }
 
 

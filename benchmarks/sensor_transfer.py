@@ -10,18 +10,18 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from benchmarks.transfer_fit import GraspLatents, SensorTransferFit, fit_transfer, two_fingers
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Sensors
 from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contact.pairs import PairSettings
 from uniforce_vtla.contact.sampling import ForceRange
-from uniforce_vtla.contact.two_fingers import two_fingers
 from uniforce_vtla.options import TokenizerFolder
 from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.latent import pool_latent
 from uniforce_vtla.tokenizer.pair_cache import shrink
-from uniforce_vtla.tokenizer.pooling import pool_latent
-from uniforce_vtla.tokenizer.sensor_transfer import FOLDER, GraspLatents, SensorTransferFit, fit_transfer
+from uniforce_vtla.tokenizer.sensor_transfer import FOLDER
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 

@@ -42,12 +42,9 @@ VARIANTS: dict[str, tuple[str, ...]] = {
         "run.loss.equilibrium_weight=400",
     ),
     "by patch alone": ("run.loss.equilibrium=patch",),
-    "pooled alone": ("run.loss.equilibrium=pooled",),
     "no weight on changed pixels": ("run.loss.changed_pixel_weight=0",),
     "decoder paints": ("run.model.warp=false",),
     "no motion channels": ("run.model.motion_scales=0",),
-    "KL warm-up": ("run.loss.kl_warmup_steps=400",),
-    "free bits": ("run.loss.free_bits=0.5",),
     "KL × 30": ("run.loss.kl_weight=0.3",),
     "material variables": ("run.model.material=4",),
     "procedural family": FAMILY,
@@ -68,7 +65,7 @@ ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
 class OptionsCommand:
     """Train the nano recipe once per option and read force from it; a killed run continues with what is missing.
 
-    Example: python -m benchmarks.tokenizer_options steps=800 only="free bits,KL warm-up"
+    Example: python -m benchmarks.tokenizer_options steps=800 only="latent of three,latent of twelve"
     """
 
     steps: Count = 800  # of each training; the shipped nano takes more

@@ -9,9 +9,8 @@ import torch
 
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 
-sys.path.insert(
-    0, str(Path(__file__).parent)
-)  # fair_clock, properties: importlib mode gives test folders no package
+# fair_clock, properties: importlib mode gives test folders no package
+sys.path.insert(0, str(Path(__file__).parent))
 import properties  # noqa: F401  (registers the profiles)
 from fair_clock import FairClock
 

@@ -66,10 +66,10 @@ class Witnesses:
             file.write(bytes(8 * len(cores)))
         with open(file.name, "r+b") as shared:
             self._lost = mmap.mmap(shared.fileno(), 0)
-        told = (str(NAP_S), str(LATE_S))
+        limits = (str(NAP_S), str(LATE_S))
         self.processes = [
             subprocess.Popen(
-                [sys.executable, "-I", "-S", "-c", WITNESS, file.name, str(place), str(core), *told]
+                [sys.executable, "-I", "-S", "-c", WITNESS, file.name, str(place), str(core), *limits]
             )
             for place, core in enumerate(cores)
         ]

@@ -89,8 +89,8 @@ def lerobot_evaluated(
     monkeypatch.setattr(sys, "argv", ["lerobot-eval", *flags])
     register_third_party_plugins()
     lerobot_eval.main()
-    (told,) = json.loads((out / "eval_info.json").read_text())["per_task"]
-    return [bool(success) for success in told["metrics"]["successes"]]
+    (info,) = json.loads((out / "eval_info.json").read_text())["per_task"]
+    return [bool(success) for success in info["metrics"]["successes"]]
 
 
 def test_lerobot_eval_runs_the_same_checkpoint(
@@ -100,7 +100,7 @@ def test_lerobot_eval_runs_the_same_checkpoint(
 
 
 def test_lerobot_eval_agrees_with_our_score(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The shipped policy wipes the board of the first scene, whoever asks."""
+    """The shipped policy wipes the board of the first scene in both commands."""
     config = ScoreConfig(level="paper", rollouts=1, workers=1, videos=0, out=str(tmp_path / "score"))
     (row,) = score(config).rows
     policy = shipped_checkpoint()

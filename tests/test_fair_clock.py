@@ -30,7 +30,7 @@ def test_it(fresh):
 CONFTEST = """
 from fair_clock import FairClock
 
-class Told:
+class Scripted:
     def __init__(self, lost): self.lost, self.waits = iter(lost), 0
     def lost_s(self): return next(self.lost)
     def wait_for_calm(self): self.waits += 1
@@ -38,7 +38,7 @@ class Told:
 
 def pytest_configure(config):
     config.addinivalue_line("markers", "realtime: x")
-    config.pluginmanager.register(FairClock(Told({lost})))
+    config.pluginmanager.register(FairClock(Scripted({lost})))
 """
 
 

@@ -28,9 +28,8 @@ PACKAGES = {  # folder, and the packages it may import
     COMMAND: (ROOT / "scripts" / COMMAND, {LIBRARY, ENVS, DATASETS, POLICIES, ROBOTS}),
     BENCHMARKS: (ROOT / BENCHMARKS, {LIBRARY, ENVS, DATASETS, POLICIES, ROBOTS, COMMAND}),
 }
-REGISTERS = (
-    ROOT / "policies" / POLICIES / "__init__.py"
-)  # LeRobot imports it to find all the distribution brings
+# LeRobot imports it to find all the distribution brings
+REGISTERS = ROOT / "policies" / POLICIES / "__init__.py"
 
 
 def modules_of(file: Path) -> Iterator[str]:

@@ -10,9 +10,10 @@ import io
 import math
 import sys
 import tokenize
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
+from operator import attrgetter, getitem
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -108,7 +109,7 @@ def parse[ConfigT](
         raise SystemExit(0)
     config, given = read(config_class, words, presets)
     for option in sorted(options_of(config_class).values(), key=lambda o: o.name not in given):
-        check(option, _get(config, option.name))  # what was given comes first
+        check(option, attrgetter(option.name)(config))  # what was given comes first
     return config
 
 
@@ -222,10 +223,9 @@ def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> Con
         options, name = options_of(config_class), ".".join(error.key_path)
         option = next((o for o in options.values() if name == o.name or name.startswith(f"{o.name}.")), None)
         if option is None:
-            raise ContractError(
-                expected(name or "settings", "known ones", error.message, "Correct it.")
-            ) from error
-        raise _wrong(option, _in(nested, option.name.split("."))) from error
+            do = "Correct it."
+            raise ContractError(expected(name or "settings", "known ones", error.message, do)) from error
+        raise _wrong(option, reduce(getitem, option.name.split("."), nested)) from error
 
 
 def own_cause(error: BaseException) -> UniForceError | None:
@@ -234,16 +234,6 @@ def own_cause(error: BaseException) -> UniForceError | None:
     while cause is not None and not isinstance(cause, UniForceError):
         cause = cause.__cause__
     return cause
-
-
-def _in(nested: Mapping[str, Any], path: Sequence[str]) -> Any:
-    return _in(nested[path[0]], path[1:]) if path else nested
-
-
-def _get(config: Any, name: str) -> Any:
-    for part in name.split("."):
-        config = getattr(config, part)
-    return config
 
 
 def check(option: Option, value: Any) -> None:
@@ -280,7 +270,7 @@ def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
     """Return the entries named in ``only`` (comma between them); all of them when empty.
 
     Raises:
-        ContractError: a name nobody knows.
+        ContractError: an unknown name.
     """
     names = names_in(only) or list(known)
     unknown = sorted(set(names) - set(known))
@@ -295,14 +285,13 @@ def numbers(name: str, text: str, count: int) -> np.ndarray:
     Raises:
         ContractError: anything but so many numbers.
     """
-    parts = [part for part in text.split(",") if part.strip()]
+    parts = split(text)
     try:
-        values = np.array([float(part) for part in parts])
+        if len(parts) != count:
+            raise ValueError(text)
+        return np.array([float(part) for part in parts])
     except ValueError as error:
         raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them.")) from error
-    if len(values) != count:
-        raise ContractError(expected(name, f"{count} numbers", repr(text), "Commas between them."))
-    return values
 
 
 def _preset(name: str, presets: Path) -> dict[str, Any]:

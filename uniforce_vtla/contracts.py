@@ -32,9 +32,8 @@ def check_count(name: str, value: object, most: int, least: int = 1) -> int:
     Sizes come from files too: without a limit a damaged one asks for terabytes, or for layers without end.
     """
     if type(value) is not int or not least <= value <= most:
-        raise ContractError(
-            expected(name, f"a whole number from {least} to {most}", repr(value)[:80], "Change it.")
-        )
+        do = "Change it."
+        raise ContractError(expected(name, f"a whole number from {least} to {most}", repr(value)[:80], do))
     return value
 
 
@@ -50,11 +49,8 @@ def check_marker_image(image: np.ndarray, name: str = "marker image") -> np.ndar
     if image.size == 0:
         raise ContractError(expected(name, "a non-empty image", image.shape, "Check the sensor's frame."))
     if np.any((image != 0) & (image != 255)):
-        raise ContractError(
-            expected(
-                name, "only 0 and 255", "values between", "Lossy video or resizing? Store it with crf 0."
-            )
-        )
+        do = "Lossy video or resizing? Store it with crf 0."
+        raise ContractError(expected(name, "only 0 and 255", "values between", do))
     return image
 
 
@@ -63,29 +59,21 @@ class MarkerPair:
     """A finger's free-air reference and its current marker image, as the sensor sees them.
 
     Never flipped: the one mirror happens at the tokenizer's entry, keyed by ``finger``.
-
-    Attributes:
-        reference: (480, 640) uint8 in {0, 255}, taken in free air.
-        current: (480, 640) uint8 in {0, 255}.
-        finger: which finger wears the sensor.
-        sensor: registry name of the sensor; provenance only.
-        reference_from: "own", or where a borrowed reference came from.
     """
 
-    reference: np.ndarray
-    current: np.ndarray
-    finger: Finger
-    sensor: str
-    reference_from: str = "own"
+    reference: np.ndarray  # (480, 640) uint8 in {0, 255}, taken in free air
+    current: np.ndarray  # (480, 640) uint8 in {0, 255}
+    finger: Finger  # which finger wears the sensor
+    sensor: str  # registry name of the sensor; provenance only
+    reference_from: str = "own"  # "own", or where a borrowed reference came from
 
     def __post_init__(self) -> None:
         check_finger(self.finger)
         check_marker_image(self.reference, "reference")
         check_marker_image(self.current, "current")
         if self.reference.shape != self.current.shape:
-            raise ContractError(
-                expected("pair", self.reference.shape, self.current.shape, "Use one camera setting for both.")
-            )
+            do = "Use one camera setting for both."
+            raise ContractError(expected("pair", self.reference.shape, self.current.shape, do))
 
 
 @dataclass(frozen=True)
@@ -93,36 +81,24 @@ class ContactState:
     """Contacts on one kind of pad, batched; everything in that finger's own image frame.
 
     Image frame: x = columns to the right, y = rows down, z = into the pad (compression > 0).
-
-    Attributes:
-        gap_mm: (B, G, G) float32, the undeformed distance from the pad's tangent plane to the object at
-            each cell of the pad grid; 0 at the point that touches first, ``inf`` where there is no object.
-        force_N: (B, 3) float32, force of the object on the pad: fx, fy shear, fz ≥ 0 compression.
-        torsion_Nmm: (B,) float32, moment of the object on the pad about the inward normal z.
     """
 
+    # (B, G, G) float32, the undeformed distance from the pad's tangent plane to the object at each cell of the pad
+    # grid; 0 at the point that touches first, ``inf`` where there is no object
     gap_mm: np.ndarray
-    force_N: np.ndarray
-    torsion_Nmm: np.ndarray
+    force_N: np.ndarray  # (B, 3) float32, force of the object on the pad: fx, fy shear, fz ≥ 0 compression
+    torsion_Nmm: np.ndarray  # (B,) float32, moment of the object on the pad about the inward normal z
 
     def __post_init__(self) -> None:
         B = len(self.gap_mm)
         if self.gap_mm.ndim != 3 or self.gap_mm.shape[1] != self.gap_mm.shape[2]:
             raise ContractError(expected("gap_mm", "(B, G, G)", self.gap_mm.shape, "Use contact.indenters."))
         if self.force_N.shape != (B, 3) or self.torsion_Nmm.shape != (B,):
-            raise ContractError(
-                expected(
-                    "force_N, torsion_Nmm",
-                    f"({B}, 3) and ({B},)",
-                    f"{self.force_N.shape} and {self.torsion_Nmm.shape}",
-                    "One row per contact.",
-                )
-            )
+            came, do = f"{self.force_N.shape} and {self.torsion_Nmm.shape}", "One row per contact."
+            raise ContractError(expected("force_N, torsion_Nmm", f"({B}, 3) and ({B},)", came, do))
         if not (np.isfinite(self.force_N).all() and np.isfinite(self.torsion_Nmm).all()):
-            raise ContractError(
-                expected("contact force", "finite numbers", "NaN or inf", "Check the simulation.")
-            )
+            do = "Check the simulation."
+            raise ContractError(expected("contact force", "finite numbers", "NaN or inf", do))
         if np.any(self.force_N[:, 2] < 0):
-            raise ContractError(
-                expected("fz", "≥ 0 N (compression)", self.force_N[:, 2].min(), "Flip its sign.")
-            )
+            do = "Flip its sign."
+            raise ContractError(expected("fz", "≥ 0 N (compression)", self.force_N[:, 2].min(), do))

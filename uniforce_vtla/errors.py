@@ -37,7 +37,15 @@ class RolloutError(UniForceError):
     """A rollout had to stop: lost touch, non-finite action, broken episode."""
 
 
-class RobotError(UniForceError):
+class FaultError(UniForceError):
+    """An error of a device. ``fault`` names in a word what happened: programs branch on it, people read the message."""
+
+    def __init__(self, message: str, fault: str = "other") -> None:
+        super().__init__(message)
+        self.fault = fault
+
+
+class RobotError(FaultError):
     """The robot can't be moved: no answer, wrong version, reflex, user stop, a refused action.
 
     Attributes:
@@ -45,31 +53,21 @@ class RobotError(UniForceError):
             ``guiding``, ``communication``, ``discontinuity``, ``limit``. What it says can't be: ``bad_state``,
             ``jump``, ``speed``, ``force``, ``frozen``, ``stale``. Ours: ``action``, ``guard``, ``sensor``, ``ended``,
             ``backend``. The hand's: ``hand_connection``, ``hand_stale``, ``hand_deadline``, ``hand_state``,
-            ``grasp_lost``. And ``other``. Programs branch on it, people read the message.
+            ``grasp_lost``. And ``other``.
     """
 
-    def __init__(self, message: str, fault: str = "other") -> None:
-        super().__init__(message)
-        self.fault = fault
 
-
-class TeleoperatorError(UniForceError):
+class TeleoperatorError(FaultError):
     """What a person steers with can't be followed: unplugged, silent, garbage, too far from the robot, at its end.
 
     Attributes:
         fault: one word for what happened: ``connection``, ``stale``, ``garbage``, ``far``, ``not_started``,
-            ``not_connected``, ``missing`` (a library), ``simulation_only``, ``ended`` or ``other``. Programs branch on
-            it, people read the message.
+            ``not_connected``, ``missing`` (a library), ``simulation_only``, ``ended`` or ``other``.
     """
 
-    def __init__(self, message: str, fault: str = "other") -> None:
-        super().__init__(message)
-        self.fault = fault
 
-
-LOGIN = re.compile(
-    r"(?<=://)[^\s\"]*@"
-)  # user:password@ of an address; a password may hold a slash or a quote
+# user:password@ of an address; a password may hold a slash or a quote
+LOGIN = re.compile(r"(?<=://)[^\s\"]*@")
 SECRET = re.compile(r"(?i)([?&][\w-]*(?:auth|key|pass|pwd|secret|sig|token)[\w-]*=)[^&\s'\"]+")
 
 

@@ -19,9 +19,8 @@ def read_object(path: Path, failure: type[UniForceError]) -> dict[str, Any]:
     """
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise failure(
-                expected(str(path), f"at most {MAX_BYTES} bytes", "more", "Is this the right file?")
-            )
+            do = "Is this the right file?"
+            raise failure(expected(str(path), f"at most {MAX_BYTES} bytes", "more", do))
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError, OSError) as error:
         do = "It is cut or damaged: restore it from a copy."

@@ -83,20 +83,13 @@ class Plain:
 
 @dataclass(frozen=True)
 class Existing:
-    """A file or folder that must be there; ``many``: several, commas between.
+    """A file or folder that must be there; ``many``: several, commas between."""
 
-    Attributes:
-        marker: file that the folder must hold; empty = the path is a file itself, ``.`` = any folder.
-        what: what it is called in an error.
-        words: names that stand for something else than a path.
-        hub: whether a hub id (``name/model``) will do.
-    """
-
-    what: str
-    marker: str = ""
-    words: tuple[str, ...] = ()
+    what: str  # what it is called in an error
+    marker: str = ""  # file that the folder must hold; empty = the path is a file itself, ``.`` = any folder
+    words: tuple[str, ...] = ()  # names that stand for something else than a path
     many: bool = False
-    hub: bool = False
+    hub: bool = False  # whether a hub id (``name/model``) will do
 
     def __str__(self) -> str:
         return " | ".join([*self.words, self.what]) + (" (comma between them)" if self.many else "")
@@ -108,13 +101,11 @@ class Existing:
                 raise ContractError(expected(name, str(self), shortened(word), "Check the path."))
 
     def _found(self, name: str, word: str) -> bool:
+        path = Path(word)
         with named_path(name, str(self)):
-            if self.hub and not Path(word).exists():
+            if self.hub and not path.exists():
                 return re.fullmatch(r"[\w-][\w.-]*/[\w-][\w.-]*", word) is not None
-            return (Path(word) / self.marker).is_dir() if self.marker == "." else self._has_file(Path(word))
-
-    def _has_file(self, path: Path) -> bool:
-        return (path / self.marker if self.marker else path).is_file()
+            return (path / self.marker).is_dir() if self.marker == "." else (path / self.marker).is_file()
 
 
 @dataclass(frozen=True)
@@ -145,9 +136,8 @@ def named_path(name: str, wanted: str) -> Iterator[None]:
     except (OSError, ValueError) as error:  # ValueError: a zero byte in a path
         reason = shortened(getattr(error, "strerror", None) or str(error))
         path = shortened(str(getattr(error, "filename", None) or ""))
-        raise ContractError(
-            expected(name, wanted, f"{reason} ({path})", "Name one that can be used.")
-        ) from error
+        do = "Name one that can be used."
+        raise ContractError(expected(name, wanted, f"{reason} ({path})", do)) from error
 
 
 def try_to_write(folder: Path) -> None:
@@ -184,9 +174,8 @@ def check_text(name: str, value: str) -> None:
         came = f"{len(value):,} characters"
         raise ContractError(expected(name, f"at most {LONGEST:,} characters", came, "Shorten it."))
     if not all(letter.isprintable() for letter in value):
-        raise ContractError(
-            expected(name, "printable text", shortened(repr(value)), "Leave out control characters.")
-        )
+        do = "Leave out control characters."
+        raise ContractError(expected(name, "printable text", shortened(repr(value)), do))
 
 
 Count = Annotated[int, Range(1, 10_000_000)]

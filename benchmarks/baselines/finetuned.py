@@ -15,8 +15,8 @@ from benchmarks.probes.zero_shot import POOL, Cells, Table, encode_set, sized_he
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.latent import pool_latent
 from uniforce_vtla.tokenizer.model import Encoder
-from uniforce_vtla.tokenizer.pooling import pool_latent
 
 
 @dataclass(frozen=True)

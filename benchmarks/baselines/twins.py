@@ -21,11 +21,11 @@ from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import POOL, Cells, Table, learnt_row
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.attention import FeedForward, SpatialAttention, grid_code
+from uniforce_vtla.tokenizer.latent import pool_latent
 from uniforce_vtla.tokenizer.losses import gradient_pyramid
 from uniforce_vtla.tokenizer.model import MotionEmbed, PatchEmbed, TokenizerConfig
 from uniforce_vtla.tokenizer.motion import pyramid
 from uniforce_vtla.tokenizer.pair_cache import PairSource
-from uniforce_vtla.tokenizer.pooling import pool_latent
 
 Kind = Literal["mae", "vqvae"]
 

@@ -10,9 +10,9 @@ import torch
 
 from uniforce_robots.pairs.finger_force import ASSETS, FingerForce, TouchField
 from uniforce_vtla.contact.indenters import PRETRAIN
-from uniforce_vtla.contact.options import ContactOptions
+from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
-from uniforce_vtla.contact.views import draw_simulator, images_of
+from uniforce_vtla.contact.simulator import draw_simulator, images_of
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.tokenizer.weights import save_checkpoint
 

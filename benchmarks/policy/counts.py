@@ -10,7 +10,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils.flop_counter import FlopCounterMode
 
-from lerobot_policy_pi05_uniforce.sampler.onednn import AVAILABLE
+from lerobot_policy_pi05_uniforce.sampler.layers import AVAILABLE
 
 VIEWS = {  # operations that move no data
     "alias",

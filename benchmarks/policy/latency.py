@@ -27,8 +27,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     TouchSettings,
 )
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.sampler.layers import embed_cameras
-from lerobot_policy_pi05_uniforce.sampler.onednn import linear
+from lerobot_policy_pi05_uniforce.sampler.layers import embed_cameras, linear
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_dead
 from uniforce_vtla.keys import ACTION, AXES, STATE
 

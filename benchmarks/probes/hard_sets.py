@@ -15,17 +15,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from benchmarks.probes.disturbances import Creep, Light, lagging_force
 from benchmarks.probes.labelled_set import LabelledSet
-from uniforce_vtla.contact.hysteresis import Creep, felt_force
-from uniforce_vtla.contact.illumination import Light
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
-from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
+from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_objects
 from uniforce_vtla.contact.sequences import press_shear_release
-from uniforce_vtla.contact.simulator import TactileSimulator
+from uniforce_vtla.contact.simulator import TactileSimulator, draw_simulator
 from uniforce_vtla.contact.units import Look
-from uniforce_vtla.contact.views import draw_simulator
 from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
@@ -160,7 +158,7 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     for index, (gap, force) in enumerate(zip(objects.gap_mm, loads, strict=True)):
         if index % settings.sequences_per_unit == 0:
             unit = _Unit(settings, sensor, rng)
-        felt = felt_force(force, unit.creep, settings.rate_hz)
+        felt = lagging_force(force, unit.creep, settings.rate_hz)
         contact = ContactState(np.repeat(gap[None], len(felt), axis=0), felt, np.zeros(len(felt), np.float32))
         before, after = unit.images(contact)
         digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes())

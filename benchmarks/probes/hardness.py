@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.probes.disturbances import Creep, lagging_force
 from benchmarks.probes.hard_sets import HETERO_HARD, HardSettings
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import (
@@ -23,7 +24,6 @@ from benchmarks.probes.zero_shot import (
     score,
     transfer_name,
 )
-from uniforce_vtla.contact.hysteresis import Creep, felt_force
 from uniforce_vtla.contact.sequences import press_shear_release
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -109,7 +109,7 @@ def oracle(recipe: HardSettings, draws: int = 20) -> dict[str, list[float]]:
             gain = 1 + rng.uniform(-0.1, 0.1) * recipe.unit_strength  # as UnitVariation.draw
             for load in loads[start : start + recipe.sequences_per_unit]:
                 truth.append(load)
-                seen.append(gain * felt_force(load, creep, recipe.rate_hz))
+                seen.append(gain * lagging_force(load, creep, recipe.rate_hz))
     said, force = np.stack(seen), np.stack(truth)
     scale = (said * force).sum(axis=(0, 1)) / (said**2).sum(axis=(0, 1))
     return score(force, scale * said)

@@ -17,7 +17,7 @@ from uniforce_vtla.markers.reference import capture_taxel_reference
 from uniforce_vtla.sensors.uskin_csv import read_uskin_csv
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS, describe
-from uniforce_vtla.tokenizer.pooling import pool_latent
+from uniforce_vtla.tokenizer.latent import pool_latent
 
 LOGS: dict[Finger, str] = {"left": "xela_sensor1.csv", "right": "xela_sensor2.csv"}
 CHUNK = 64  # frames encoded at once

@@ -12,14 +12,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from lerobot.processor import PolicyActionProcessorStep, ProcessorStepRegistry
 from torch import Tensor, nn
 
 from uniforce_vtla.errors import ContractError, RolloutError, expected
-from uniforce_vtla.keys import ACTION
+
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ActionSettings
 
 LARGEST_LEAP = 10.0  # of ``delta_scale`` in one control step: 40 mm in x, 0.5 rad; demos stay below 2
 
@@ -72,14 +74,6 @@ def to_targets(deltas: Tensor, base: Tensor, units: NetworkUnits) -> Tensor:
     return base[:, None] + units.to_si(deltas)
 
 
-def check_range(bounds: Sequence[Sequence[float]], axes: int) -> None:
-    """Raise ContractError unless ``bounds`` are a lowest and a highest target of so many axes, or []."""
-    fit = [len(bound) for bound in bounds] == [axes, axes]
-    if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
-        do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
-        raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
-
-
 def previous_move(commands: Tensor) -> Tensor:
     """Return (B, A) how far the command moved before a sample, SI: from the first of its (B, T, A) to the second."""
     return commands[:, 1] - commands[:, 0]
@@ -124,12 +118,17 @@ class IssuedTarget:
         return self.base(measured) - self._targets[0]
 
 
-def check_axes(state_size: int, action_size: int, scale: list[float], knee: list[float]) -> None:
-    """Raise ContractError unless state, action, ``delta_scale`` and any ``delta_knee`` describe the same axes."""
+def check_axes(state_size: int, action_size: int, settings: ActionSettings) -> None:
+    """Raise ContractError unless state, action and what ``settings`` give per axis describe the same axes."""
+    scale, knee, bounds = settings.delta_scale, settings.delta_knee, settings.target_range
+    fit = [len(bound) for bound in bounds] == [len(scale)] * 2
+    if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
+        do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
+        raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
     if knee and (len(knee) != len(scale) or min(knee) < 0):
         do = "Give one per axis, 0 where moves stay linear, or [] for none."
         raise ContractError(expected("delta_knee", f"{len(scale)} numbers from 0 on", knee, do))
-    if not state_size == action_size == len(scale):
+    if settings.form == "target_delta" and not state_size == action_size == len(scale):
         came = f"{state_size}, {action_size} and {len(scale)}"
         do = "Or use action.form=absolute."
         raise ContractError(expected("state, action and delta_scale", "equal lengths", came, do))
@@ -156,20 +155,11 @@ class CheckActionStep(PolicyActionProcessorStep):
     after it and clamp; this one stops.
     """
 
-    low: list[float] = field(
-        default_factory=list
-    )  # per axis, as the robot takes it; []: only finite is asked
+    # per axis, as the robot takes it; []: only finite is asked
+    low: list[float] = field(default_factory=list)
     high: list[float] = field(default_factory=list)
     margin: float = 0.5  # of the span
     least_room: float = 0.05  # m or rad on each side of an axis that the demos hardly moved
-
-    @classmethod
-    def of(cls, stats: dict[str, dict[str, Any]] | None) -> CheckActionStep:
-        """Return the step for these training statistics."""
-        action = (stats or {}).get(ACTION, {})
-        if "min" not in action or "max" not in action:
-            return cls()
-        return cls(*(torch.as_tensor(action[bound]).flatten().tolist() for bound in ("min", "max")))
 
     def get_config(self) -> dict[str, Any]:
         """Return what is saved with the policy."""
@@ -184,11 +174,8 @@ class CheckActionStep(PolicyActionProcessorStep):
         if not bool(action.isfinite().all()):
             do = "Hold the robot; the policy or its input is broken."
             raise RolloutError(expected("action", "finite numbers", "NaN or inf", do))
-        if self.low:
-            self._in_range(action)
-        return action
-
-    def _in_range(self, action: Tensor) -> None:
+        if not self.low:
+            return action
         low, high = (torch.tensor(bound, dtype=action.dtype) for bound in (self.low, self.high))
         room = (self.margin * (high - low)).clamp_min(self.least_room)
         outside = ((action.cpu() < low - room) | (action.cpu() > high + room)).flatten(0, -2).any(dim=0)
@@ -198,6 +185,7 @@ class CheckActionStep(PolicyActionProcessorStep):
             wanted = f"within {float((low - room)[axis]):.3f} … {float((high + room)[axis]):.3f}"
             do = "Hold the robot; nothing like it was ever demonstrated."
             raise RolloutError(expected(f"action, axis {axis}", wanted, came, do))
+        return action
 
     def transform_features(self, features: Any) -> Any:
         """Leave the feature description alone."""

@@ -11,10 +11,10 @@ from lerobot.configs import NormalizationMode, PreTrainedConfig
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
 from lerobot_policy_pi05_uniforce.recipes import GRID, recipe_settings, resolve_size
-from uniforce_vtla.contracts import Finger, check_finger
+from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
-from uniforce_vtla.tokenizer.agreed_directions import MOST
+from uniforce_vtla.tokenizer.latent import MOST_DIRECTIONS
 
 # take the recipe's value, else the size's (recipes.py); never left after __post_init__
 _BY_RECIPE: Any = None
@@ -44,16 +44,16 @@ class TouchSettings:
     site: str = "prefix"
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
     start_at_base: bool = _BY_RECIPE
-    # read latents along so many directions on which all sensors agree (agreed_directions.py); 0 = the whole map
+    # read latents along so many directions on which all sensors agree (tokenizer/sensor_transfer.py); 0 = the whole map
     directions: int = _BY_RECIPE
     # "error": hold and stop; "mask": go on without that slot, logged; simulation only
     on_sensor_loss: str = "error"
-    # weight of an auxiliary loss: the latents when the next chunk begins (touch/next_force.py); views only
+    # weight of an auxiliary loss: the latents when the next chunk begins (training.NextForce); views only
     next_force_weight: float = 0.0
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
-    # its sizes, canonicaliser and content hash; filled when the policy is made
+    # its sizes, canonicalizer and content hash; filled when the policy is made
     tokenizer: dict[str, Any] | None = None
 
 
@@ -193,9 +193,12 @@ class PI05UniforceConfig(PI05Config):
         )
         share, deltas = augment.sensor_transfer, self.state_token and action.form == "target_delta"
         _require(0 <= share <= latents, "augment.sensor_transfer", "a share of latents", f"{share}, {came}")
-        most = MOST if latents else 0
+        most = MOST_DIRECTIONS if latents else 0
         _require(
-            0 <= touch.directions <= most, "touch.directions", f"0 to {MOST} of latents", touch.directions
+            0 <= touch.directions <= most,
+            "touch.directions",
+            f"0 to {MOST_DIRECTIONS} of latents",
+            touch.directions,
         )
         _require(augment.camera_variation >= 0, "augment.camera_variation", "≥ 0", augment.camera_variation)
         steps, axes = action.previous_steps, action.previous_axes
@@ -219,11 +222,14 @@ class PI05UniforceConfig(PI05Config):
 
     def finger_by_slot(self) -> dict[str, Finger]:
         """Which finger fills each slot now, after ``swap``."""
-        fingers = {slot: check_finger(finger) for slot, finger in self.touch.slots.items()}
+        fingers: dict[str, Any] = dict(self.touch.slots)
         for entry in filter(None, self.swap.replace(" ", "").split(",")):
-            slot, _, finger = entry.partition(":")
-            _require(slot in fingers, "swap", f"one of {list(fingers)}, as in touch0:left", entry)
-            fingers[slot] = check_finger(finger)
+            slot, _, fingers[slot] = entry.partition(":")
+            _require(
+                slot in self.touch.slots, "swap", f"one of {list(self.touch.slots)}, as in touch0:left", entry
+            )
+        for slot, finger in fingers.items():
+            _require(finger in FINGERS, f"finger of {slot}", " | ".join(FINGERS), finger)
         return fingers
 
     @property

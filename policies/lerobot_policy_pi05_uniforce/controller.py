@@ -26,7 +26,7 @@ from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import PI05UniforcePoli
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import TACTILE_NAMES, tactile_name, wrench_key
+from uniforce_vtla.keys import TACTILE_NAMES, wrench_key
 
 CONTROL_HZ = 30.0  # where an environment doesn't say its own rate
 SHIPPED = Path(__file__).parent / "assets" / "wiping_vt"
@@ -176,6 +176,5 @@ class PolicyController:
                 wanted[wrench_key(slot).removeprefix("observation.")] = observation[f"wrench_{finger}"]
         images = self.config.touch.input not in ("wrench", "none")
         fingers = self.config.finger_by_slot().values() if images else ()
-        read = {tactile_name(finger, reference) for finger in fingers for reference in (False, True)}
-        pixels = {k: v for k, v in observation["pixels"].items() if k in read or k not in TACTILE_NAMES}
-        return wanted | {"pixels": pixels}
+        unread = [name for name in TACTILE_NAMES if name.split("_")[1] not in fingers]  # tactile_FINGER[_ref]
+        return wanted | {"pixels": {k: v for k, v in observation["pixels"].items() if k not in unread}}

@@ -16,9 +16,12 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import action, checkpoint, training, weights
+from lerobot_policy_pi05_uniforce.augment import vary
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
+from lerobot_policy_pi05_uniforce.touch.controls import ControlInput
 from lerobot_policy_pi05_uniforce.touch.encode import ENCODER, TouchInput, check_hash, is_packaged
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
@@ -61,12 +64,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if config.gradient_checkpointing:
             self.model.gradient_checkpointing_enable()
         units = config.action.delta_scale, config.action.delta_knee
-        if config.action.form == "target_delta":
-            action.check_axes(state_size(config), self._action_size, *units)
+        action.check_axes(state_size(config), self._action_size, config.action)
         self.issued = action.IssuedTarget(config.action.previous_steps)
         self.register_buffer("delta_scale", torch.tensor(units[0]), persistent=False)
         self.network_units = action.NetworkUnits(*units)
-        action.check_range(config.action.target_range, len(units[0]))
         bounds = config.action.target_range or [[-math.inf], [math.inf]]
         self.register_buffer("target_range", torch.tensor(bounds), persistent=False)
         if not empty:
@@ -76,8 +77,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
     def _make_touch_input(self) -> TouchInput:
         config = self.config
         if config.touch.input not in ("latent", "none"):
-            from lerobot_policy_pi05_uniforce.touch.controls import ControlInput
-
             return ControlInput(config)
         rows = (config.tokens_per_slot, config.latent_size) if self.model.tactile_encoder else (0, 0)
         return TouchInput(config, self.model.tactile_encoder, rows)
@@ -93,7 +92,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
             tokens.transferred = transferred_touch(config)
         if not stats:
             return
-        stats.update(floor_quantiles(stats) or {})
+        stats.update(floor_quantiles(stats))
         config.action.target_range = training.read_target_range(stats)
         found = training.read_touch_scale(stats, config, self.touch.shape)
         if found is not None and tokens is not None:
@@ -120,16 +119,14 @@ class PI05UniforcePolicy(stock.PI05Policy):
         source, at = pretrained_name_or_path, (revision, local_files_only)
         verify = "full" if config is None else config.verify
         weights.check_files(source, verify, *at)
-        if (
-            config is not None and config.use_peft and config.pretrained_path
-        ):  # adapters have a folder of their own
+        # adapters have a folder of their own
+        if config is not None and config.use_peft and config.pretrained_path:
             weights.check_files(config.pretrained_path, verify, config.pretrained_revision, local_files_only)
         where = weights.find(source, weights.CONFIG, *at)
         saved = read_object(where, CheckpointError)
         checkpoint.check_settings(saved, str(where))
-        with suppress(
-            CheckpointError
-        ):  # of a hub repository: fetched before LeRobot does, and so checked first
+        # of a hub repository: fetched before LeRobot does, and so checked first
+        with suppress(CheckpointError):
             _ = [weights.find(source, name, *at) for name in checkpoint.PROCESSORS]
         checkpoint.check_processors(where.parent)
         with checkpoint.misfits_named(str(where)):
@@ -148,8 +145,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
         LeRobot saves the processors later; who calls it calls ``write_hashes`` last.
         """
-        from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
-
         drop_hashes(save_directory)
         state = self.state_dict() if state_dict is None else state_dict
         if is_packaged(self.config):
@@ -159,8 +154,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
 
     def generate_model_card(self, *args: Any, cfg: Any = None, **kwargs: Any) -> ModelCard:
         """Return our card where LeRobot's trainer would push its own; arguments as LeRobot's, ``cfg`` is read."""
-        from lerobot_policy_pi05_uniforce.model_card import model_card
-
         return model_card(self.config, None if cfg is None else cfg.to_dict())
 
     def reset(self) -> None:
@@ -173,8 +166,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
         cameras = self._shrunk(batch)  # marker images are none: see config.image_features
         images, masks = super()._preprocess_images(cameras)
         if self.training and self.config.augment.camera_variation:
-            from lerobot_policy_pi05_uniforce.augment import vary
-
             images = [vary(image, self.config.augment.camera_variation) for image in images]
         if self.model.state_token is not None:
             state = batch[STATE].to(images[0].device, torch.float32)
@@ -306,9 +297,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if self.config.action.form == "absolute":
             return chunk
         targets = action.to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
-        return targets.clamp(
-            *self.target_range.to(targets)
-        )  # changes could add up to places no demo has shown
+        # changes could add up to places no demo has shown
+        return targets.clamp(*self.target_range.to(targets))
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""

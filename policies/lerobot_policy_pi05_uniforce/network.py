@@ -12,11 +12,11 @@ from torch import Tensor, nn
 from lerobot_policy_pi05_uniforce.backbone import make_backbone
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
-from lerobot_policy_pi05_uniforce.sampler.onednn import use_onednn
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
+from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
 from lerobot_policy_pi05_uniforce.touch.encode import build_encoder
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens, GatedColumns, SuffixTouch, TouchGate
-from lerobot_policy_pi05_uniforce.training import freeze_unread
+from lerobot_policy_pi05_uniforce.training import NextForce, freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import STATE
@@ -74,10 +74,12 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         gated = config.touch.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
         self.state_token: Any = StateToken(config, vlm_width) if config.state_token else None
-        self.next_force = self._make_next_force(config)
+        self.next_force: NextForce | None = None
+        if config.touch.next_force_weight:
+            self.paligemma_with_expert.keep_suffix = True
+            size = config.tokens_per_slot * config.latent_size
+            self.next_force = NextForce(self.action_in_proj.out_features, config.slots, size)
         freeze_unread(self)
-        if config.size == "tiny":
-            use_onednn(self)
         self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
         self.fast = None if config.sampler.kind == "stock" else FastSampler(self)
         if config.compile_model:  # as LeRobot's own constructor
@@ -100,8 +102,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if not config.slots:
             return None
         if config.touch.input != "latent":
-            from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
-
             return control_tokens(config, width)
         tokens = ForceTokens(config, (config.tokens_per_slot, config.latent_size), width)
         if config.touch.directions and not empty:  # a checkpoint brings its own
@@ -109,15 +109,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
 
             take_directions(tokens, config)
         return tokens
-
-    def _make_next_force(self, config: PI05UniforceConfig) -> nn.Module | None:
-        if not config.touch.next_force_weight:
-            return None
-        from lerobot_policy_pi05_uniforce.touch.next_force import NextForce
-
-        self.paligemma_with_expert.keep_suffix = True
-        size = config.tokens_per_slot * config.latent_size
-        return NextForce(self.action_in_proj.out_features, config.slots, size)
 
     def sample_actions(
         self,
@@ -129,9 +120,12 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         num_steps: int | None = None,
         **kwargs: Any,
     ) -> Tensor:
-        """Return (B, chunk, max_action_dim); LeRobot's own way, or the fast one with the same result."""
+        """Return (B, chunk, max_action_dim) by LeRobot's own loop, or the fast one with the same result.
+
+        RTC (``config.rtc_config``) differentiates through the flow: LeRobot's loop samples.
+        """
         inputs = Inputs(images, img_masks, tokens, masks)
-        if self.fast is None or self.adapted:
+        if self.fast is None or self.adapted or self.rtc_processor is not None:
             try:
                 return super().sample_actions(*inputs, noise, num_steps, **kwargs)
             finally:
@@ -139,7 +133,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         if noise is None:
             shape = (len(tokens), self.config.chunk_size, self.config.max_action_dim)
             noise = self.sample_noise(shape, tokens.device)
-        return self.fast.sample(inputs, noise, num_steps or self.config.num_inference_steps, **kwargs)
+        return self.fast.sample(inputs, noise, num_steps or self.config.num_inference_steps)
 
     def forward(self, *args: Any, **kwargs: Any) -> Tensor:
         """Return LeRobot's flow-matching losses, (B, chunk, max_action_dim)."""

@@ -29,6 +29,7 @@ from transformers import AutoTokenizer
 
 from lerobot_policy_pi05_uniforce.action import CheckActionStep
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.training import read_target_range
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import ACTION, STATE
 
@@ -122,23 +123,19 @@ def _to_tensors(tokenizer: Any) -> dict[str, Tensor]:
         }
 
 
-def floor_quantiles(stats: dict[str, dict[str, Any]] | None) -> dict[str, dict[str, Any]] | None:
+def floor_quantiles(stats: dict[str, dict[str, Any]] | None) -> dict[str, dict[str, Any]]:
     """Return ``stats`` with q01…q99 of state and action at least ``SPAN_FLOOR`` apart, centre kept.
 
     An axis that never moved in the demos then can't explode at rollout. Other keys pass untouched, and so do vectors
     that don't have the five axes of the contract. Applying it twice changes nothing.
     """
-    if not stats:
-        return stats
-    return {key: _floor(value) if key in (STATE, ACTION) else value for key, value in stats.items()}
-
-
-def _floor(stat: dict[str, Any]) -> dict[str, Any]:
-    if "q01" not in stat or np.size(stat["q01"]) != len(SPAN_FLOOR):
-        return stat
-    low, high = (np.asarray(stat[q], dtype=np.float64) for q in ("q01", "q99"))
-    lack = np.maximum(np.asarray(SPAN_FLOOR) - (high - low), 0.0) / 2
-    return {**stat, "q01": low - lack, "q99": high + lack}
+    floored = dict(stats or {})
+    for key, stat in floored.items():
+        if key in (STATE, ACTION) and np.size(stat.get("q01", ())) == len(SPAN_FLOOR):
+            low, high = (np.asarray(stat[q], dtype=np.float64) for q in ("q01", "q99"))
+            lack = np.maximum(np.asarray(SPAN_FLOOR) - (high - low), 0.0) / 2
+            floored[key] = {**stat, "q01": low - lack, "q99": high + lack}
+    return floored
 
 
 def make_pi05_uniforce_pre_post_processors(
@@ -174,6 +171,6 @@ def make_pi05_uniforce_pre_post_processors(
             features=config.output_features, norm_map=config.normalization_mapping, stats=stats
         ),
         DeviceProcessorStep(device="cpu"),
-        CheckActionStep.of(stats if config.action.stop_outside_demos else None),
+        CheckActionStep(*(read_target_range(stats) if config.action.stop_outside_demos else [])),
     ]
     return make_policy_processor_pipelines(input_steps=before, output_steps=after)

@@ -15,9 +15,9 @@ import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key
+from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key, next_latent_key
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -38,16 +38,12 @@ def parameter_groups(named: Iterable[Named], config: PI05UniforceConfig) -> list
     rates: dict[str, dict[str, Any]] = {"": {}, "new": {"lr": new}, "gate": {"lr": GATE_LR}}
     groups: dict[str, list[nn.Parameter]] = {name: [] for name in rates}
     for name, parameter in named:
+        parts = set(name.split("."))  # a wrapper (PEFT) may stand before or behind the module's name
         if parameter.requires_grad:
-            groups[_group(name)].append(parameter)
+            groups["gate" if "touch_gate" in parts else "new" if parts & set(NEW_MODULES) else ""].append(
+                parameter
+            )
     return [{"params": groups[name], **rate} for name, rate in rates.items() if groups[name]]
-
-
-def _group(name: str) -> str:
-    parts = name.split(".")  # a wrapper (PEFT) may stand before or behind the module's name
-    if "touch_gate" in parts:
-        return "gate"
-    return "new" if set(NEW_MODULES) & set(parts) else ""
 
 
 def freeze_unread(network: stock.PI05Pytorch) -> None:
@@ -124,3 +120,40 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     if config.touch.input == "latent" and made_by and made_by != config.tokenizer_hash:
         do = "Build the view again with this policy's tokenizer."
         raise DatasetError(expected(f"tokenizer of {marker}", config.tokenizer_hash, made_by, do))
+
+
+class NextForce(nn.Module):
+    """Auxiliary head: predict every slot's ``size`` numbers, its pooled latents when the next chunk begins.
+
+    It reads the chunk's hidden states, in training alone; ``uniforce share`` leaves it out.
+    """
+
+    def __init__(self, width: int, slots: tuple[str, ...], size: int) -> None:
+        super().__init__()
+        self._slots, self._size = slots, size
+        self.head = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, len(slots) * size))
+
+    def forward(self, hidden: Tensor, batch: dict[str, Tensor], mean: Tensor, scale: Tensor) -> Tensor:
+        """Return the (B,) mean squared error in units of the latents' spread; 0 where the episode ends before.
+
+        Args:
+            hidden: (B, chunk, width) outputs of the action tokens.
+            batch: holds ``next_latent_key(slot)``, (B, K · latent), NaN where the episode ends before.
+            mean: (K, latent) of a slot's latents.
+            scale: (latent,) their spread.
+
+        Raises:
+            ContractError: the batch doesn't hold what comes next.
+        """
+        predicted = self.head(hidden.float().mean(dim=1)).unflatten(-1, (len(self._slots), self._size))
+        wanted = torch.stack([self._next(batch, slot) for slot in self._slots], dim=1).to(predicted)
+        wanted = (wanted - mean.flatten()) / scale.repeat(self._size // len(scale))
+        known = wanted.isfinite()
+        return ((predicted - wanted.nan_to_num()).square() * known).mean(dim=(1, 2))
+
+    def _next(self, batch: dict[str, Tensor], slot: str) -> Tensor:
+        key = next_latent_key(slot)
+        if key not in batch:
+            do = "Train on a view (uniforce view), or set policy.touch.next_force_weight=0."
+            raise ContractError(expected(key, "latents one chunk ahead", "none", do))
+        return batch[key].reshape(len(batch[key]), self._size)

@@ -1,8 +1,8 @@
-"""Strict loading: a checkpoint either fits tensor by tensor, or an error says which tensor doesn't."""
+"""Strict loading: a checkpoint fits tensor by tensor, or an error names those that don't; a published π0.5's names."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,12 @@ from uniforce_vtla.tokenizer.weights import is_finite
 ALIGNED_BELOW = 2**20  # bytes: all of tiny's matrices, hardly anything of base
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
+# start fresh whatever the source had
+TOUCH = tuple(f"model.{name}." for name in ("force_tokens", "touch_gate", "next_force", "tactile_encoder"))
+FRESH = (*TOUCH, "model.state_token.")  # no other checkpoint has them
+BACKBONE = "model.paligemma_with_expert."
+EMBEDDING = f"{BACKBONE}paligemma.model.language_model.embed_tokens.weight"
+HEADS = (f"{BACKBONE}paligemma.lm_head.weight", f"{BACKBONE}gemma_expert.lm_head.weight")
 
 
 def find(source: str | Path, name: str, revision: str | None = None, local_files_only: bool = False) -> Path:
@@ -120,3 +126,20 @@ def _check(own: dict[str, Tensor], stored: dict[str, Tensor], fresh: tuple[str, 
     if found:
         do = "Load it with the settings it was trained with (its own config.json)."
         raise CheckpointError(expected("checkpoint tensors", f"the {len(own)} of this policy", found, do))
+
+
+def own_names(stored: Iterable[str]) -> dict[str, str]:
+    """Return stored name → ours; what isn't in the result isn't wanted.
+
+    Both language heads are left out, since nothing reads them, and so is the touch of a pi05_uniforce. Where a file
+    ties the input embedding to the VLM's head and stores it only there, the embedding is taken from it. openpi's names
+    of the time MLP are understood. Nothing else is forgiven: a strange name stays and makes ``fill`` raise.
+    """
+    names = {name: name if name.startswith("model.") else f"model.{name}" for name in stored}
+    left_out = (*HEADS, *TOUCH)
+    kept = {name: full for name, full in names.items() if not full.startswith(left_out)}
+    ours = {name: full.replace("model.action_time_mlp_", "model.time_mlp_") for name, full in kept.items()}
+    if EMBEDDING not in ours.values():
+        tied = [name for name, full in names.items() if full == HEADS[0]]
+        ours |= dict.fromkeys(tied, EMBEDDING)
+    return ours

@@ -17,8 +17,8 @@ from uniforce_vtla.options import Count, Names, OutFolder, Seed, TokenizerFolder
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration, CalibrationConfig, calibrate
+from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 from uniforce_vtla.tokenizer.pair_cache import shrink
-from uniforce_vtla.tokenizer.pooling import POOL, pool_latent
 
 VirtualSensorName = Annotated[str, Names((*hidden_sensors(), GELSIGHT_D.name, *list_sensors()))]
 

@@ -25,7 +25,6 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     TinySettings,
     TouchSettings,
 )
-from lerobot_policy_pi05_uniforce.conversion import FRESH, own_names
 from lerobot_policy_pi05_uniforce.migration import grouped
 from uniforce_cli.boundary import command
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
@@ -92,7 +91,7 @@ def convert(config: ConvertConfig) -> Path:
     settings.input_features = {key: feature for key, feature in features.items() if key != ACTION}
     policy = PI05UniforcePolicy(settings, dataset_stats=view.meta.stats, dataset_meta=view.meta, empty=True)
     file = weights.find(config.source, weights.WEIGHTS, revision)
-    weights.fill(policy, file, own_names, FRESH)
+    weights.fill(policy, file, weights.own_names, weights.FRESH)
     before, after = make_pi05_uniforce_pre_post_processors(settings, view.meta.stats)
     for part in (policy, before, after):
         part.save_pretrained(config.out)
@@ -137,6 +136,6 @@ def main(config: ConvertConfig) -> int:
     """Entry of ``uniforce convert``."""
     torch.set_num_threads(1)
     out = convert(config)
-    print(f"policy in {out}; new modules start fresh: {', '.join(FRESH)}")
+    print(f"policy in {out}; new modules start fresh: {', '.join(weights.FRESH)}")
     print(f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")
     return 0

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import islice
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from benchmarks.probes.disturbances import Creep, Light, lagging_force
 from benchmarks.speed.contact import bench_contact
 from uniforce_vtla.contact import (
     PAPER_RANGE,
@@ -19,9 +21,8 @@ from uniforce_vtla.contact import (
     PairSettings,
     equilibrium_pairs,
     force_sequences,
-    pair_batches,
 )
-from uniforce_vtla.contact.grid import cell_positions_mm
+from uniforce_vtla.contact.pads import cell_positions_mm
 from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, sample_loads, sample_objects
 from uniforce_vtla.contact.sequences import press_shear_release
 from uniforce_vtla.sensors import list_sensors
@@ -61,11 +62,9 @@ def test_units_change_within_a_call() -> None:
     assert np.array_equal(references[0], references[1]) and not np.array_equal(references[1], references[2])
 
 
-def test_lean_batches_yield_transformed_images_without_end() -> None:
-    batches = pair_batches(np.random.default_rng(4), 3, "uskin", "tactip", transform=small)
-    first, second = islice(batches, 2)
-    assert first.left_current.shape == first.right_reference.shape == (3, 84, 112)
-    assert not np.array_equal(first.force_N, second.force_N)
+def test_a_transform_is_applied_to_every_image() -> None:
+    pairs = equilibrium_pairs(np.random.default_rng(4), 3, "uskin", "tactip", transform=small)
+    assert pairs.left_current.shape == pairs.right_reference.shape == (3, 84, 112)
 
 
 def test_loads_are_balanced_and_within_friction() -> None:
@@ -141,9 +140,8 @@ def test_sequence_labels_explain_the_image() -> None:
     weight = batch.frames.sum(axis=2, dtype=np.int64)  # (n, T, 640)
     x = (weight * columns).sum(axis=-1) / weight.sum(axis=-1)
     moved, load = np.diff(x, axis=1), np.diff(batch.force_N, axis=1)
-    sheared = (np.abs(load[..., 0]) > 0.3) & (
-        np.abs(load[..., 2]) < 0.8
-    )  # else pressing off-centre moves x too
+    # else pressing off-centre moves x too
+    sheared = (np.abs(load[..., 0]) > 0.3) & (np.abs(load[..., 2]) < 0.8)
     assert sheared.sum() > 10
     assert np.corrcoef(moved[sheared], load[..., 0][sheared])[0, 1] > 0.6
 
@@ -152,3 +150,40 @@ def test_bench_reports_every_sensor() -> None:
     result = bench_contact(0.05)["contact_images_per_s"]
     assert set(result) == {*list_sensors(), "median"}
     assert all(rate[name] > 0 for rate in result.values() for name in ("batched", "batch2"))
+
+
+NO_FLATS = PairSettings(unit_strength=0.0, flat_share=0.0)
+
+
+@given(st.floats(0.0, 0.3), st.floats(0.2, 2.0))
+def test_creep_lags_and_settles(share: float, tau: float) -> None:
+    force = np.concatenate([np.zeros((5, 3)), np.ones((200, 3))]).astype(np.float32)
+    lagging = lagging_force(force, Creep(share, tau), rate_hz=10.0)
+    assert np.all(lagging <= 1 + 1e-6) and np.all(np.diff(lagging, axis=0) >= -1e-6)
+    assert np.allclose(lagging[5], 1 - share * np.exp(-1 / (tau * 10)), atol=1e-5)
+    assert np.allclose(lagging[-1], 1, atol=1e-3)
+
+
+def test_no_late_share_is_no_creep() -> None:
+    force = np.random.default_rng(0).random((12, 3)).astype(np.float32)
+    assert np.allclose(lagging_force(force, Creep(0.0, 1.0), 10.0), force)
+
+
+def test_light_scales_channels_and_leans_to_one_side() -> None:
+    frames = np.full((1, 480, 640, 3), 100, np.uint8)
+    lit = Light((1.0, 0.5, 1.0), (0.2, 0.0)).on(frames)[0].astype(float)
+    assert abs(lit[240, 320, 0] - 100) <= 1 and abs(lit[240, 320, 1] - 50) <= 1
+    assert lit[240, -1, 0] > lit[240, 0, 0] + 30
+
+
+def test_perfect_pairs_by_default_and_disturbed_ones_on_request() -> None:
+    def draw(settings: PairSettings):
+        return equilibrium_pairs(np.random.default_rng(5), 6, "gelsight", "tactip", settings=settings)
+
+    plain, moved, unbalanced = (
+        draw(s) for s in (NO_FLATS, replace(NO_FLATS, misaligned_cells=2), replace(NO_FLATS, imbalance=0.3))
+    )
+    for other in (moved, unbalanced):
+        assert np.array_equal(plain.left_current, other.left_current)
+        assert not np.array_equal(plain.right_current, other.right_current)
+        assert np.array_equal(plain.force_N, other.force_N)

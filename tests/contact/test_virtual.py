@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from outside_family import half_extent_px, outside
 
-from uniforce_vtla.contact.family import FamilyBounds, FlatFamily, draw_dome, draw_flat, outside
+from uniforce_vtla.contact.family import FamilyBounds, FlatFamily, draw_dome, draw_flat
 from uniforce_vtla.contact.raster import fill_squares
 from uniforce_vtla.contact.sampling import sample_objects
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.units import Look, UnitVariation
-from uniforce_vtla.contact.virtual import GELSIGHT_D, as_virtual, half_extent_px
+from uniforce_vtla.contact.virtual import GELSIGHT_D, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.sensors import list_sensors

@@ -134,7 +134,9 @@ def adapter(folder: Path) -> FileTarget:
 def transfer(folder: Path) -> FileTarget:
     root = folder / "data"
     SensorTransfer(["gelsight", "tactip"], 12, HASH).save(root / FOLDER, {})
-    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root, HASH).told(torch.zeros(2, 12), 0, 1))
+    return FileTarget(
+        root, lambda: SensorTransfer.from_pretrained(root, HASH).mapped(torch.zeros(2, 12), 0, 1)
+    )
 
 
 def policy(folder: Path) -> FileTarget:

@@ -102,7 +102,7 @@ def test_wide_frame_is_letterboxed(gel):
     assert not image[:60].any() and not image[420:].any() and image[60:420].any()
 
 
-def test_one_canonicaliser_serves_different_gels(gel, dome):
+def test_one_canonicalizer_serves_different_gels(gel, dome):
     """What was learnt from one look must not spoil the next."""
     canon = Canonicalizer("gelsight")
     for scene in (gel(), dome(rings=6, rim="none"), gel(grid=(8, 8), shape="dot", dark=False), gel()):

@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
 
 from benchmarks.speed.canonicalizer import bench_canonicalizer, synthetic_frame
+from uniforce_vtla.contact.simulator import TactileSimulator
+from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.markers.identity import outline, why_not
+from uniforce_vtla.markers.nominal_scale import (
+    is_nominal,
+    nominal_zoom,
+    points_to_nominal_scale,
+    to_nominal_scale,
+)
 from uniforce_vtla.markers.reference import capture_taxel_reference
 from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.sensors.uskin_csv import read_uskin_csv
@@ -62,21 +76,6 @@ def test_markers_match_the_layout(sensor):
     centres = canon.markers(raw_pair(sensor)[1])
     assert centres.dtype == np.float32 and centres.shape == get_sensor(sensor).layout_mm.shape
     assert np.all((centres >= 0) & (centres < (640, 480)))
-
-
-@pytest.mark.parametrize("sensor", list_sensors())
-def test_version_and_scales_can_be_stored(sensor):
-    canon = Canonicalizer(sensor)
-    assert canon.version and canon.scales["version"] == canon.version
-
-
-def test_a_changed_reference_frame_is_not_mistaken_for_the_last(gel):
-    canon, frame = Canonicalizer("gelsight"), gel().frame.copy()
-    canon.pair(frame, frame, finger="left")
-    frame[:] = gel(grid=(5, 5)).frame
-    assert np.array_equal(
-        canon.pair(frame, frame, finger="left").reference, Canonicalizer("gelsight").marker_image(frame)
-    )
 
 
 @pytest.mark.parametrize("sensor", ["digit", "", "TacTip", None])
@@ -133,3 +132,90 @@ def test_free_air_and_held_scans_look_different(real_folder: Path):
     canon.set_reference(reference)
     held, free = ((canon.marker_image(scan) > 0).sum() for scan in (scans[0], scans[-1]))
     assert held > 3 * free
+
+
+@pytest.mark.parametrize("name", list_sensors())
+def test_the_known_sensors_stay_as_they_are(name: str) -> None:
+    image = np.random.default_rng(0).choice([0, 255], (480, 640)).astype(np.uint8)
+    spec = get_sensor(name)
+    assert is_nominal(spec) and to_nominal_scale(image, spec) is image
+
+
+@pytest.mark.parametrize(("name", "px_per_mm"), [("gelsight", 15.0), ("gelsight", 30.0), ("tactip", 14.0)])
+def test_another_lens_over_the_same_gel_looks_nominal(name: str, px_per_mm: float) -> None:
+    nominal = as_virtual(name)
+    spec = replace(nominal.spec, px_per_mm=(px_per_mm, px_per_mm))
+    other = TactileSimulator(replace(nominal, spec=spec), seed=0).reference()
+    brought, wanted = to_nominal_scale(other, spec), TactileSimulator(nominal, seed=0).reference()
+    assert set(np.unique(brought)) == {0, 255}
+    inner = (slice(100, 380), slice(140, 500))  # what a near lens cut away can't come back
+    both = np.logical_and(brought[inner] > 0, wanted[inner] > 0).sum()
+    either = np.logical_or(brought[inner] > 0, wanted[inner] > 0).sum()
+    assert both / either > 0.75
+    before = np.logical_and(other[inner] > 0, wanted[inner] > 0).sum()
+    assert both > 1.5 * before
+
+
+@examples(30)
+@given(zoom=st.floats(0.6, 1.7), x=st.integers(250, 390), y=st.integers(180, 300), taxel=st.booleans())
+def test_a_marker_goes_where_its_point_goes(zoom: float, x: int, y: int, taxel: bool) -> None:
+    base = get_sensor("uskin" if taxel else "gelsight")
+    spec = replace(base, px_per_mm=(24.0 / zoom, 24.0 / zoom))
+    image = np.zeros((480, 640), np.uint8)
+    image[y - 6 : y + 7, x - 6 : x + 7] = 255
+    rows, columns = np.nonzero(to_nominal_scale(image[None], spec)[0])
+    point = points_to_nominal_scale(np.array([[x, y]], np.float32), spec, (480, 640))[0]
+    assert np.allclose([columns.mean(), rows.mean()], point, atol=1.0)
+    assert nominal_zoom(spec) == ((1.0, 1.0) if taxel else pytest.approx((zoom, zoom)))
+
+
+def test_the_canonicalizer_brings_a_new_cameras_images_to_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    simulator = TactileSimulator("gelsight", seed=0)
+    raw = simulator.raw_reference()
+    plain = Canonicalizer("gelsight")
+    zoomed = Canonicalizer("gelsight")
+    zoomed.spec = replace(zoomed.spec, px_per_mm=(20.0, 20.0))  # as a registry entry with another lens would
+    image, again = plain.marker_image(raw), zoomed.marker_image(raw)
+    assert np.array_equal(again, to_nominal_scale(image, zoomed.spec)) and not np.array_equal(image, again)
+    pair = zoomed.pair(raw, raw, "left")
+    assert np.array_equal(pair.reference, again) and np.array_equal(pair.current, again)
+    spread = [np.ptp(c.markers(raw), axis=0) for c in (plain, zoomed)]
+    assert np.allclose(spread[1] / spread[0], 1.2, atol=0.02)
+
+
+CAMERAS = ("gelsight", "tactip")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("worn", CAMERAS)
+@pytest.mark.parametrize("said", CAMERAS)
+def test_each_sensor_is_itself_and_not_the_other(worn: str, said: str, seed: int) -> None:
+    frame = TactileSimulator(worn, seed=seed).raw_reference()
+    centres = Canonicalizer(said).markers(frame)
+    reason = why_not(get_sensor(said), centres, "the finger")
+    assert (reason is None) == (worn == said)
+    assert reason is None or "check_identity=false" in reason
+
+
+def test_missing_markers_and_a_stray_blob_change_nothing() -> None:
+    spec = get_sensor("tactip")
+    points = spec.layout_mm * np.asarray(spec.px_per_mm)
+    rng = np.random.default_rng(0)
+    some = points[rng.random(len(points)) > 0.15]
+    assert why_not(spec, np.concatenate([some, [[300.0, 220.0]]]), "it") is None
+    assert why_not(spec, points[:50], "it") is not None, "half the markers is another sensor"
+
+
+def test_real_gels_have_a_rectangles_outline() -> None:
+    rectangle = np.stack(np.meshgrid(np.arange(12), np.arange(9)), -1).reshape(-1, 2).astype(float)
+    assert abs(outline(rectangle) - 1.6) < 0.13
+
+
+@pytest.mark.real
+def test_a_real_gelsight_is_one_and_no_tactip() -> None:
+    files = sorted((Path(__file__).parents[2].parent / "shared" / "real" / "gelsight_fots").glob("*.png"))
+    if not files:
+        pytest.skip("no ../shared/real/gelsight_fots here")
+    centres = Canonicalizer("gelsight").markers(cv2.imread(str(files[0]))[..., ::-1].copy())
+    assert why_not(get_sensor("gelsight"), centres, "it") is None
+    assert why_not(get_sensor("tactip"), centres, "it") is not None

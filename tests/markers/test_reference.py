@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
-from uniforce_vtla.markers.reference import capture_camera_reference, capture_taxel_reference
+from uniforce_vtla.markers.reference import (
+    ReferenceMemory,
+    capture_camera_reference,
+    capture_taxel_reference,
+)
 
 FREE = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 
@@ -82,6 +87,26 @@ def test_camera_frames_of_two_sizes(gel):
     frames = [gel().frame, gel().frame, gel(size=(320, 240)).frame]
     with pytest.raises(ContractError, match="one size"):
         capture_camera_reference(frames, _centres(frames))
+
+
+@pytest.mark.parametrize("make", [np.array, torch.tensor])
+def test_a_reference_is_remembered_by_key_and_content(make):
+    """The identity every cache of references goes by: tokenizer, stream, policy and canonicalizer share it."""
+    memory, made = ReferenceMemory(2), []
+
+    def get(key, reference):
+        return memory.get(key, reference, lambda: made.append(key) or len(made))
+
+    image = make([[0, 255], [255, 0]])
+    assert get("left", image) == get("left", make([[0, 255], [255, 0]])) == 1
+    image[0, 0] = 255  # the same object with other content
+    assert get("left", image) == 2 and get("left", make([[0, 255], [255, 0]])) == 1
+    assert get("right", image) == 3 and get("left", image[:1]) == 4  # another key, another shape
+    # another type; and two are kept, so the first is gone
+    assert get("left", make([[0.0, 255.0], [255.0, 0.0]])) == 5
+    assert get("left", make([[0, 255], [255, 0]])) == 6
+    memory.forget()
+    assert get("left", make([[0, 255], [255, 0]])) == 7
 
 
 def _centres(frames: list[np.ndarray], sensor: str = "gelsight") -> list[np.ndarray]:

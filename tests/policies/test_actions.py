@@ -15,11 +15,11 @@ from lerobot_policy_pi05_uniforce.action import (
     IssuedTarget,
     NetworkUnits,
     check_leap,
-    check_range,
     previous_move,
     to_deltas,
     to_targets,
 )
+from lerobot_policy_pi05_uniforce.controller import Deadlines, PolicyController, shipped_checkpoint
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, SPAN_FLOOR, floor_quantiles
 from uniforce_vtla.errors import ContractError, RolloutError
 from uniforce_vtla.keys import ACTION
@@ -95,9 +95,9 @@ def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats
 
 
 @pytest.mark.parametrize("bounds", [[[0.0] * 5], [[0.0] * 4, [1.0] * 4], [[0.0] * 5, [1.0] * 4 + [-1.0]]])
-def test_a_range_that_is_none_is_refused(bounds):
+def test_a_range_that_is_none_is_refused(bounds, make_policy):
     with pytest.raises(ContractError, match="target_range"):
-        check_range(bounds, 5)
+        make_policy(touch__input="none", action__target_range=bounds)
 
 
 def test_postprocessor_leaves_targets_in_si_units(make_policy, make_batch, stats):
@@ -279,8 +279,8 @@ def test_where_the_command_came_from_decides_when_all_else_is_equal(make_policy,
             policy.issued.record(batch[MEASURED_STATE] - sign * step * way)
         chunks[sign] = policy.predict_action_chunk(batch)
         commands = torch.stack([batch[MEASURED_STATE] - sign * 3 * way, batch[MEASURED_STATE]], dim=1)
-        told = policy.predict_action_chunk({**batch, "action": commands})
-        assert torch.allclose(told, chunks[sign], atol=1e-6)
+        given_move = policy.predict_action_chunk({**batch, "action": commands})
+        assert torch.allclose(given_move, chunks[sign], atol=1e-6)
     assert (chunks[1] - chunks[-1]).abs().max() > 1e-4
     policy.reset()
     still = policy.predict_action_chunk(batch)  # nothing issued yet: nothing moved
@@ -299,9 +299,9 @@ def test_training_reads_the_move_in_front_of_the_chunk_and_blurs_it(make_policy,
     policy.train()
     loss, _ = policy({**batch, "action": actions, "action_is_pad": is_pad})
     loss.backward()
-    told = (actions[:, 1] - actions[:, 0]) / UNITS.unit
+    given_move = (actions[:, 1] - actions[:, 0]) / UNITS.unit
     assert seen[0].shape == (2, 1, 10) and torch.equal(seen[0][:, 0, :5], batch["observation.state"])
-    assert 0.02 < (seen[0][:, 0, 5:] - told).abs().mean() < 0.3
+    assert 0.02 < (seen[0][:, 0, 5:] - given_move).abs().mean() < 0.3
 
 
 def test_of_the_previous_action_only_the_axes_asked_for_are_given(make_policy, make_batch):
@@ -390,3 +390,38 @@ def test_a_policy_that_leaps_issues_nothing(make_policy, make_batch, monkeypatch
     with pytest.raises(RolloutError, match="change of target"):
         policy.select_action(batch)
     assert torch.equal(policy.issued.last, first)
+
+
+def test_a_call_is_due_when_the_queue_runs_dry() -> None:
+    account = Deadlines(control_hz=10)
+    assert account.facts() == {}
+    account.record(0.09, queued=0)  # within the present step
+    account.record(0.11, queued=0)  # one step without a new action
+    account.record(0.29, queued=2)  # two queued actions and the present step cover it
+    account.record(0.55, queued=2)  # three steps too late
+    facts = account.facts()
+    assert (facts["calls"], facts["missed_deadlines"], facts["empty_steps"]) == (4, 2, 4)
+    assert facts["latency_max_ms"] == pytest.approx(550) and facts["latency_p50_ms"] == pytest.approx(200)
+
+
+def test_a_rate_must_be_one() -> None:
+    with pytest.raises(ContractError, match="control rate"):
+        Deadlines(0)
+
+
+class Slow:
+    """An environment's clock so fast that no call is in time, or so slow that every call is."""
+
+    def __init__(self, hz: float) -> None:
+        self.metadata = {"render_fps": hz}
+
+
+@pytest.mark.parametrize(("hz", "missed"), [(1e6, 1), (1e-3, 0)])
+def test_the_controller_holds_itself_to_the_environments_rate(hz, missed, monkeypatch) -> None:
+    controller = PolicyController(shipped_checkpoint(), {"left": "gelsight", "right": "tactip"})
+    monkeypatch.setattr(controller, "_batch", lambda observation, task: {})
+    monkeypatch.setattr(controller, "_issue", lambda batch: "a chunk")
+    controller.reset(Slow(hz))
+    assert controller.facts() == {}
+    assert controller.chunk({}, "wipe") == "a chunk"
+    assert controller.facts()["missed_deadlines"] == missed and controller.facts()["calls"] == 1

@@ -221,9 +221,8 @@ def test_the_packages_tokenizer_is_stored_once(make_policy, make_batch, tmp_path
         assert torch.equal(loaded.predict_action_chunk(batch), policy.predict_action_chunk(batch))
 
 
-FLAT = json.loads(
-    (Path(__file__).parent / "flat_config.json").read_text()
-)  # of the V+T policy of version 0.1.0
+# of the V+T policy of version 0.1.0
+FLAT = json.loads((Path(__file__).parent / "flat_config.json").read_text())
 
 
 def test_settings_of_0_1_0_are_migrated(tmp_path):

@@ -43,7 +43,7 @@ def test_replays_give_lerobots_actions_for_every_new_observation(policy, make_ba
         assert (slow - fast).abs().max() < TOLERANCE
         returned.append((fast, fast.clone()))
     assert len(graphed._pairs) == 1  # recorded once
-    assert all(torch.equal(now, then) for now, then in returned)  # a later call overwrites nobody's chunk
+    assert all(torch.equal(now, then) for now, then in returned)  # a later call overwrites no chunk
 
 
 def test_prompts_cameras_and_lost_fingers_change_and_the_actions_are_still_lerobots(policy, make_batch):

@@ -6,7 +6,10 @@ import pytest
 import torch
 from lerobot.policies.rtc.configuration_rtc import RTCConfig
 from policy_samples import OPEN, SITES, alive, inputs, lerobots_own, ours, start_noise
+from torch import nn
+from torch.nn import functional as F  # noqa: N812
 
+from lerobot_policy_pi05_uniforce.sampler import layers
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_dead
 from uniforce_vtla.errors import ContractError
 
@@ -94,7 +97,7 @@ def test_touch_is_refreshed_without_the_cameras(gate, make_policy, make_batch):
     assert torch.allclose(policy.refresh_action_chunk(batch), first, atol=1e-5)
     harder = {key: 3 * value if "wrench" in key else value for key, value in batch.items()}
     joint = policy.model.paligemma_with_expert
-    joint.embed_image = joint.embed_language_tokens = None  # nobody may run cameras or text
+    joint.embed_image = joint.embed_language_tokens = None  # cameras and text may not run
     again = policy.refresh_action_chunk(harder)
     del joint.embed_image, joint.embed_language_tokens
     assert (again - first).abs().max() > 1e-5
@@ -137,3 +140,46 @@ def test_torch_compile_traces_step_and_prefix_whole(make_policy, make_batch):
     prefill = torch._dynamo.explain(fast.encoder.prefill)(given, 48, always_mask=True)
     reasons = step.break_reasons, prefill.break_reasons
     assert (step.graph_break_count, prefill.graph_break_count) == (0, 0), reasons
+
+
+CLOSE = {"rtol": 1e-5, "atol": 1e-5}
+
+
+@torch.no_grad()
+def test_products_and_their_epilogues_are_torchs() -> None:
+    x, w, b, other = torch.randn(2, 7, 24), torch.randn(16, 24) / 5, torch.randn(16), torch.randn(2, 7, 16)
+    plain = F.linear(x, w)
+    torch.testing.assert_close(layers.linear(x, w, b), plain + b, **CLOSE)
+    torch.testing.assert_close(layers.linear_gelu(x, w, b), F.gelu(plain + b, approximate="tanh"), **CLOSE)
+    torch.testing.assert_close(layers.linear_times(x, w, other), plain * other, **CLOSE)
+    torch.testing.assert_close(layers.linear_plus(x, w, b, other), plain + b + other, **CLOSE)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("rows", [0, 1, 50])
+def test_attention_in_one_product_is_torchs(rows: int) -> None:
+    q, cache = torch.randn(1, 8, 50, 16), torch.randn(1, 2, 300, 16)
+    mask = None if rows == 0 else torch.rand(1, 1, rows, 300) > 0.3
+    k, v = (cache[:, n : n + 1].expand(-1, 8, -1, -1) for n in (0, 1))
+    wanted = F.scaled_dot_product_attention(q, k, v, attn_mask=mask, scale=1.0)
+    torch.testing.assert_close(layers.attend_one(q, cache[0, 0], cache[0, 1], mask), wanted, **CLOSE)
+
+
+def test_where_a_gradient_is_wanted_torch_runs() -> None:
+    x, w = torch.randn(3, 8), torch.randn(4, 8, requires_grad=True)
+    assert not layers.here(x)
+    layers.linear_gelu(x, w).sum().backward()
+    assert w.grad is not None and bool(w.grad.abs().max() > 0)
+    with torch.no_grad():
+        assert not layers.here(x.bfloat16()) and layers.here(x) == layers.AVAILABLE
+
+
+@torch.no_grad()
+def test_cameras_are_seen_as_transformers_sees_them(make_policy) -> None:
+    model = make_policy(touch__input="none").model.paligemma_with_expert
+    for norm in (m for m in model.modules() if isinstance(m, nn.LayerNorm)):
+        nn.init.normal_(norm.weight), nn.init.normal_(norm.bias)
+    images = torch.rand(3, 3, 28, 28) * 2 - 1
+    wanted = model.embed_image(images)
+    assert wanted.abs().max() > 0.01
+    torch.testing.assert_close(layers.embed_cameras(model.paligemma.model, images), wanted, **CLOSE)

@@ -68,7 +68,7 @@ def test_every_trained_weight_gets_a_gradient(option, gated, site, make_policy, 
         assert not policy.model.tactile_encoder.training and any("tactile_encoder" in n for n in frozen)
     assert any("vision_tower" in n for n in frozen) == (option in ("expert_only", "frozen_vision"))
     assert any("language_model.layers.0" in n for n in frozen) == (option == "expert_only")
-    assert any("language_model.layers.1.mlp" in n for n in frozen)  # nobody reads the last layer's
+    assert any("language_model.layers.1.mlp" in n for n in frozen)  # the last layer's is not read
 
 
 def test_next_force_is_learnt_and_leaves_nothing_behind(make_policy, make_batch, tmp_path):
@@ -182,5 +182,5 @@ def test_training_varies_what_the_cameras_show_and_a_rollout_does_not(make_polic
     for camera in range(cameras):
         assert torch.equal(plain[camera], again[camera])
         assert not torch.allclose(plain[camera], varied[camera], atol=0.01)
-    for told in range(cameras, len(plain)):  # the state is no picture
-        assert torch.equal(plain[told], varied[told])
+    for other in range(cameras, len(plain)):  # the state is no picture
+        assert torch.equal(plain[other], varied[other])

@@ -38,15 +38,14 @@ def test_a_share_of_the_samples_is_mapped_to_each_known_sensor():
     touch = torch.randn(4000, 16, 6)
     moved = (transferred(touch, 1) - touch).mean(dim=(1, 2))
     assert torch.all((moved.abs() < 1e-4) | ((moved - 7).abs() < 1e-4))
-    assert (
-        0.27 < float((moved > 1).float().mean()) < 0.33
-    )  # half of .6: the slot's own kind is drawn as often
+    # half of .6: the slot's own kind is drawn as often
+    assert 0.27 < float((moved > 1).float().mean()) < 0.33
     assert torch.allclose(transferred(touch, 0), touch, atol=1e-5)
 
 
 def test_the_maps_spread_is_drawn_by_a_quarter():
     transfer = maps(shift=0.0)
-    transfer.doubt[:] = 0.3 * torch.eye(NUMBERS)
+    transfer.noise_scale[:] = 0.3 * torch.eye(NUMBERS)
     touch = torch.ones(500, 16, 6)  # of magnitude 1: rest is 0, units are 1
     for spread, drawn in (({}, 0.25), ({"spread": 0.0}, 0.0), ({"spread": 1.0}, 1.0)):
         mapped = TransferredTouch(transfer, ["tactip"], share=1.0, **spread)(touch, 0)
@@ -134,9 +133,8 @@ def test_noise_along_directions_is_what_fingers_of_a_grasp_disagree_by(make_conf
         make_config, view, augment__sensor_transfer=0.0, touch__directions=3, augment__touch_noise=0.5
     )
     policy.save_pretrained(tmp_path / "saved")
-    tokens = PI05UniforcePolicy.from_pretrained(
-        tmp_path / "saved"
-    ).model.force_tokens  # training goes on with it
+    # training goes on with it
+    tokens = PI05UniforcePolicy.from_pretrained(tmp_path / "saved").model.force_tokens
     read = []
     tokens.proj.register_forward_pre_hook(lambda _, given: read.append(given[0]))
     touch = torch.randn(1, 16, 6).expand(4000, 16, 6)

@@ -13,9 +13,8 @@ from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
-from lerobot_policy_pi05_uniforce.conversion import EMBEDDING, FRESH, HEADS, own_names
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
-from lerobot_policy_pi05_uniforce.weights import no_weights
+from lerobot_policy_pi05_uniforce.weights import EMBEDDING, FRESH, HEADS, no_weights, own_names
 from uniforce_cli import train
 from uniforce_cli.convert import main
 from uniforce_datasets.synthetic import record_synthetic

@@ -37,7 +37,7 @@ def test_a_variant_is_trained_read_and_summed_up(tmp_path: Path) -> None:
 
 def test_unknown_options_are_named(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main(["only=magic", f"results={tmp_path}"]) == 2
-    assert "free bits" in capsys.readouterr().err
+    assert "latent of three" in capsys.readouterr().err
 
 
 def test_no_two_options_share_a_folder() -> None:

@@ -21,10 +21,13 @@ def head() -> ForceHead:
     return ForceHead(ForceRegressor(HeadConfig()), "tactip", "own")
 
 
-def test_stream_equals_sequence_for_every_prefix(head: ForceHead) -> None:
+def test_steps_equal_a_sequence_for_every_prefix(head: ForceHead) -> None:
     z = latents(2, 5, 64, 6)
-    stream = head.stream()
-    one_by_one = torch.stack([stream(frame) for frame in z.unbind(1)], dim=1)
+    state, read = None, []
+    for frame in z.unbind(1):
+        force, state = head.step(frame, state)
+        read.append(force)
+    one_by_one = torch.stack(read, dim=1)
     torch.testing.assert_close(one_by_one, head.sequence(z), atol=1e-6, rtol=0)
     for length in range(1, 6):
         torch.testing.assert_close(head.sequence(z[:, :length]), one_by_one[:, :length], atol=1e-6, rtol=0)
@@ -34,9 +37,8 @@ def test_call_treats_a_batch_as_frames_without_history(head: ForceHead) -> None:
     z = latents(4, 64, 6)
     torch.testing.assert_close(head(z), head.sequence(z[:, None])[:, 0], atol=1e-6, rtol=0)
     torch.testing.assert_close(head(z)[2:3], head(z[2:3]), atol=1e-6, rtol=0)
-    stream = head.stream()
-    stream(z)
-    assert not torch.allclose(stream(z), head(z))  # the second frame remembers the first
+    _, state = head.step(z, None)
+    assert not torch.allclose(head.step(z, state)[0], head(z))  # the second frame remembers the first
 
 
 @pytest.mark.parametrize("length", [1, 6])
@@ -81,7 +83,7 @@ def test_bad_latents_raise(head: ForceHead, z: torch.Tensor) -> None:
     ],
 )
 def test_latents_of_another_origin_raise(head: ForceHead, z: torch.Tensor, error: type[Exception]) -> None:
-    for call in (head, head.sequence, head.stream()):
+    for call in (head, head.sequence):
         with pytest.raises(error, match="latents for the force head of tactip"):
             call(z)
 

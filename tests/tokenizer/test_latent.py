@@ -5,8 +5,7 @@ import pickle
 
 import torch
 
-from uniforce_vtla.tokenizer.latent import Latent
-from uniforce_vtla.tokenizer.pooling import pool_latent
+from uniforce_vtla.tokenizer.latent import Latent, pool_latent
 
 Z = Latent.of(torch.arange(96.0).view(1, 16, 6), "own")
 

@@ -6,8 +6,8 @@ import torch
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.entry import prepare
+from uniforce_vtla.tokenizer.latent import pool_latent
 from uniforce_vtla.tokenizer.motion import motion_channels, pyramid
-from uniforce_vtla.tokenizer.pooling import pool_latent
 
 
 def test_motion_points_where_the_dots_went(dots: np.ndarray) -> None:

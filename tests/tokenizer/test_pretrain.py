@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,7 +11,10 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 
+from uniforce_cli.pretrain import main
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import (
     LossConfig,
     Side,
@@ -22,7 +26,7 @@ from uniforce_vtla.tokenizer.losses import (
     reconstruction,
 )
 from uniforce_vtla.tokenizer.model import Posterior, TokenizerConfig, build_model
-from uniforce_vtla.tokenizer.pair_cache import PairCache, PairCacheConfig, build_cache
+from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, build_cache, draw_finger
 from uniforce_vtla.tokenizer.pretrain import (
     Pretraining,
     PretrainSettings,
@@ -125,10 +129,9 @@ def test_learning_rate_rises_then_falls(settings: PretrainSettings) -> None:
 
 def test_equilibrium_variants_on_a_known_gap() -> None:
     left, right = torch.zeros(1, 16, 6), torch.zeros(1, 16, 6)
-    right[0, 0], right[0, 1] = 1, -1  # two neighbours cancel in the pooled map
+    right[0, 0], right[0, 1] = 1, -1  # two neighbours cancel in the total
     assert equilibrium(left, right, LossConfig()) == pytest.approx(12 / 16)
-    assert equilibrium(left, right, LossConfig(equilibrium="pooled", pooled_grid=2)) == 0
-    assert equilibrium(left, right, LossConfig(equilibrium="both", pooled_grid=2)) == pytest.approx(12 / 16)
+    assert equilibrium(left, right, LossConfig(equilibrium="levels")) == pytest.approx(2 * 12 / 16)
 
 
 def test_whitened_equilibrium_knows_no_unit_of_the_latent() -> None:
@@ -188,13 +191,6 @@ def test_live_pairs_train_and_the_log_says_what_data_cost(settings: PretrainSett
     assert [p.name for p in (tmp_path / "strips").iterdir()] == ["step_000002.png"]
 
 
-def test_free_bits_and_warm_up_of_kl() -> None:
-    quiet = Posterior(torch.zeros(2, 4, 3), torch.zeros(2, 4, 3))
-    loud = Posterior(torch.ones(2, 4, 3) * 3, torch.zeros(2, 4, 3))
-    assert kl(quiet, 0.5) == pytest.approx(0.5) and kl(quiet) == 0
-    assert kl(loud, 0.5) == kl(loud)
-
-
 def test_quality_weights_let_go_of_a_broken_pair() -> None:
     error = torch.tensor([1.0, 1.1, 0.9, 1.0, 50.0])
     weights = quality_weights(error, 3.0)
@@ -215,3 +211,80 @@ def test_bf16_trains(
 ) -> None:
     report = Pretraining(replace(settings, mixed_precision="bf16"), tmp_path, data).train_step()
     assert np.isfinite(report["loss"])
+
+
+SMALL_COMMAND = [
+    "run.model.side=32",
+    "run.model.patch=8",
+    "run.model.width=16",
+    "run.model.heads=2",
+    "run.data.side=32",
+    "run.data.units=2",
+    "run.data.units_per_shard=1",
+    "run.data.pairs_per_unit=2",
+    "run.pairs_per_unit=2",
+]
+
+
+def run_command(folder: Path, *more: str) -> int:
+    return main([*SMALL_COMMAND, f"cache={folder / 'pairs'}", f"out={folder / 'out'}", *more])
+
+
+def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path) -> None:
+    assert run_command(tmp_path, "run.steps=2") == 0
+    first = Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash
+    assert run_command(tmp_path, "run.steps=3") == 0
+    assert Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash != first
+    assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
+
+
+def test_a_cache_of_another_recipe_is_a_plain_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(tmp_path, "run.steps=1") == 0
+    assert run_command(tmp_path, "run.steps=2", "run.data.seed=5") == 2
+    assert "another folder" in capsys.readouterr().err
+
+
+FREE_LOOK = PairCacheConfig(side=32, family_share=0.5, free_look=True, marker_loss=0.02)
+
+
+def test_live_pairs_have_the_shapes_and_repeat_with_the_generator() -> None:
+    def draw(config: PairCacheConfig):
+        return LivePairs(config).draw(np.random.default_rng(3), units=2, pairs=3)
+
+    one, two = draw(FREE_LOOK), draw(FREE_LOOK)
+    assert one.left_reference.shape == (2, 1, 32, 32) and one.right_current.shape == (6, 1, 32, 32)
+    assert bool((one.left_current == two.left_current).all())
+    assert not bool((one.left_current == draw(replace(FREE_LOOK, free_look=False)).left_current).all())
+
+
+def test_the_family_replaces_cameras_only_and_only_its_share() -> None:
+    rng = np.random.default_rng(0)
+    drawn = [draw_finger(rng, "gelsight", PairCacheConfig(family_share=0.5)) for _ in range(200)]
+    assert 60 < sum(isinstance(s, VirtualSensor) for s in drawn) < 140
+    assert all(draw_finger(rng, "uskin", PairCacheConfig(family_share=1.0)) == "uskin" for _ in range(5))
+    assert draw_finger(rng, "tactip", PairCacheConfig()) == "tactip"
+
+
+def lenses(family: str) -> list[float]:
+    rng, config = np.random.default_rng(0), PairCacheConfig(family_share=1.0, family=family)  # type: ignore[arg-type]
+    drawn = [as_virtual(draw_finger(rng, "gelsight", config)) for _ in range(300)]
+    return [sensor.spec.px_per_mm[0] for sensor in drawn]
+
+
+def test_wider_family_draws_what_the_first_could_not() -> None:
+    first, wider = lenses("v1"), lenses("v2")
+    assert min(first) >= 17 and max(first) <= 30
+    assert 16 <= min(wider) < 17 and 30 < max(wider) <= 32
+
+
+def test_a_cache_from_before_an_option_existed_still_fits(tmp_path: Path) -> None:
+    config = PairCacheConfig(side=32, units=1, units_per_shard=1, pairs_per_unit=1)
+    build_cache(tmp_path, config)
+    stored = json.loads((tmp_path / "config.json").read_text())
+    del stored["family"]
+    (tmp_path / "config.json").write_text(json.dumps(stored))
+    build_cache(tmp_path, config)
+    with pytest.raises(DatasetError, match="another folder"):
+        build_cache(tmp_path, replace(config, family="v2"))

@@ -77,11 +77,11 @@ def test_missing_folder_and_broken_config_raise(saved: Path, tmp_path: Path) -> 
         Tokenizer.from_pretrained(saved)
 
 
-def test_another_canonicaliser_is_refused(saved: Path) -> None:
+def test_another_canonicalizer_is_refused(saved: Path) -> None:
     config = json.loads((saved / "config.json").read_text())
     config["canonicaliser"]["taxel_scales"]["counts_per_pitch"] += 1
     (saved / "config.json").write_text(json.dumps(config))
-    with pytest.raises(CheckpointError, match="canonicaliser of"):
+    with pytest.raises(CheckpointError, match="canonicalizer of"):
         Tokenizer.from_pretrained(saved)
 
 
@@ -89,7 +89,7 @@ def test_hash_follows_weights_config_and_scales(tiny: TokenizerConfig) -> None:
     tokenizer = Tokenizer.random(tiny, seed=1)
     assert tokenizer.hash == Tokenizer.random(tiny, seed=1).hash
     assert tokenizer.hash != Tokenizer.random(tiny, seed=2).hash
-    other = Tokenizer(tokenizer.model, tokenizer.canonicaliser | {"taxel_scales": {"version": "other"}})
+    other = Tokenizer(tokenizer.model, tokenizer.canonicalizer | {"taxel_scales": {"version": "other"}})
     assert tokenizer.hash != other.hash
     with torch.no_grad():
         tokenizer.model.decoder.inject.bias[0] += 1e-3

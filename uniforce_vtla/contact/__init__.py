@@ -1,13 +1,13 @@
 """Stage: contact. One traction field, many sensors: contact state → marker images, raw frames or counts."""
 
 from uniforce_vtla.contact.indenters import PRETRAIN, SEEN, UNSEEN, flat_face_gap, gap_map, gap_maps
-from uniforce_vtla.contact.mirror import mirrored
-from uniforce_vtla.contact.options import ContactOptions
-from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs, pair_batches
+from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
+from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange
 from uniforce_vtla.contact.sequences import SequenceBatch, force_sequences
 from uniforce_vtla.contact.simulator import TactileSimulator, free_air
 from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.markers.mirror import mirrored
 
 __all__ = [
     "PAPER_RANGE",
@@ -28,5 +28,4 @@ __all__ = [
     "gap_map",
     "gap_maps",
     "mirrored",
-    "pair_batches",
 ]

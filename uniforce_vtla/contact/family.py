@@ -7,12 +7,12 @@ and gains leave no trace in free air, so an unseen sensor's force scale is only 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from uniforce_vtla.contact.materials import MATERIALS, PadMaterial
-from uniforce_vtla.contact.virtual import VirtualSensor, half_extent_px
+from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.sensors import SensorSpec
 from uniforce_vtla.sensors.layouts import hexagonal, rectangular
 
@@ -79,16 +79,12 @@ def draw_flat(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     points = _flat_layout(layout, pitch, stretch, pad, scale)
     spec = SensorSpec(
         name=f"flat_{layout}",
-        signal="camera",
-        raw_shape=(480, 640, 3),
         layout_mm=points,
         px_per_mm=(scale, scale),
         marker_shape=str(rng.choice(flat.shapes)),  # type: ignore[arg-type]
         marker_size_mm=rng.uniform(*flat.size_of_pitch) * pitch * min(1.0, stretch),
         pad_size_mm=(pad, pad),
-        dome_radius_mm=None,
         rated_depth_mm=1.5,
-        rate_hz=30.0,
         source="procedural",
     )
     return VirtualSensor(spec, _varied(rng, "gelsight", b.material), like="gelsight")
@@ -104,8 +100,6 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     scale = rng.uniform(*dome.px_per_mm)
     spec = SensorSpec(
         name="dome_hexagonal",
-        signal="camera",
-        raw_shape=(480, 640, 3),
         layout_mm=hexagonal(count, pitch),
         px_per_mm=(scale, scale),
         marker_shape="disc",
@@ -113,7 +107,6 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
         pad_size_mm=(40.0, 40.0),
         dome_radius_mm=41.5,
         rated_depth_mm=5.0,
-        rate_hz=30.0,
         source="procedural",
     )
     return VirtualSensor(spec, material, like="tactip")
@@ -134,52 +127,3 @@ def _varied(rng: np.random.Generator, base: str, spread: Span) -> PadMaterial:
     assert isinstance(material, PadMaterial)
     changed = {name: getattr(material, name) * float(rng.uniform(*spread)) for name in HIDDEN}
     return replace(material, **changed)
-
-
-def outside(sensor: VirtualSensor, bounds: FamilyBounds | None = None) -> list[str]:
-    """Return in which ways a camera sensor differs from everything the family can draw; empty if it could be one.
-
-    ``visible: …`` entries show in a reference image, ``hidden: …`` do not.
-    """
-    b = bounds or FamilyBounds()
-    spec, material = sensor.spec, sensor.material
-    assert isinstance(material, PadMaterial)
-    shapes = b.flat.shapes if spec.dome_radius_mm is None else ("disc",)
-    found = [] if spec.marker_shape in shapes else [f"visible: marker_shape {spec.marker_shape}"]
-    low, high = b.flat.px_per_mm if spec.dome_radius_mm is None else b.dome.px_per_mm
-    if not low <= spec.px_per_mm[0] <= high:
-        found.append(f"visible: px_per_mm {spec.px_per_mm[0]:.3g}")
-    if not _is_lattice(spec.layout_mm):
-        found.append("visible: layout is no lattice of the family")
-    if np.any(half_extent_px(sensor) > np.array([320, 240])):
-        found.append("visible: layout reaches beyond the image")
-    base = MATERIALS["gelsight" if spec.dome_radius_mm is None else "tactip"]
-    for name in (f.name for f in fields(PadMaterial)):
-        found += _hidden_difference(name, getattr(material, name), getattr(base, name), b.material)
-    return found
-
-
-def _hidden_difference(name: str, value: object, base: object, spread: Span) -> list[str]:
-    if name == "fisheye":  # shows in the reference
-        return []
-    low, high = spread if name in HIDDEN else (1.0, 1.0)
-    numbers, bases = np.atleast_1d(value), np.atleast_1d(base)  # type: ignore[call-overload]
-    inside = np.all((numbers >= bases * low - 1e-9) & (numbers <= bases * high + 1e-9))
-    return [] if inside else [f"hidden: {name} {value} (family {base} × {low}–{high})"]
-
-
-def _is_lattice(points_mm: np.ndarray) -> bool:
-    """Tell rectangular or hexagonal lattices: every marker's offset is a whole number of two basis steps."""
-    steps = points_mm[None] - points_mm[:, None]  # (M, M, 2)
-    length = np.linalg.norm(steps, axis=-1)
-    np.fill_diagonal(length, np.inf)
-    nearest = steps[np.unravel_index(length.argmin(), length.shape)]
-    unit = nearest / np.linalg.norm(nearest)
-    across = np.abs(steps @ np.array([-unit[1], unit[0]]))
-    length[across < 0.1 * np.linalg.norm(nearest)] = np.inf
-    if not np.isfinite(length).any():
-        return False
-    second = steps[np.unravel_index(length.argmin(), length.shape)]
-    basis = np.stack([nearest, second], axis=1)
-    whole = np.linalg.solve(basis, (points_mm - points_mm[0]).T)
-    return bool(np.abs(whole - np.round(whole)).max() < 0.1)

@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from uniforce_vtla.contact.grid import GRID_CELLS, cell_positions_mm
+from uniforce_vtla.contact.pads import GRID_CELLS, cell_positions_mm
 from uniforce_vtla.errors import ContractError, expected
 
 Height = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (x, y) mm in the indenter's frame → height mm
 
 _HALF_MM = 5.0  # typical half-width of an indenter
-_RELIEF_MM = 4.0  # how far a base plate lies behind the features it carries
 
 
 def _within(inside: np.ndarray, height: np.ndarray | float = 0.0) -> np.ndarray:
@@ -38,36 +37,8 @@ def _polygon(sides: int, apothem_mm: float, x: np.ndarray, y: np.ndarray) -> np.
     return _within(reach <= apothem_mm)
 
 
-def _balls(
-    points: Sequence[tuple[float, float]], radius_mm: float, x: np.ndarray, y: np.ndarray
-) -> np.ndarray:
-    return np.min([_ball(radius_mm, x - a, y - b) for a, b in points], axis=0)
-
-
-def _ring(radius_mm: float, tube_mm: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return _ball(tube_mm, np.hypot(x, y) - radius_mm, np.zeros_like(x))
-
-
 def _bar(half_length_mm: float, radius_mm: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.where(np.abs(x) <= half_length_mm, _ball(radius_mm, np.zeros_like(x), y), np.inf)
-
-
-def _pacman(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    mouth = np.abs(np.arctan2(y, x)) < np.pi / 5
-    return _within((np.hypot(x, y) <= _HALF_MM) & ~mouth)
-
-
-def _moon(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return _within((np.hypot(x, y) <= _HALF_MM) & (np.hypot(x - 2.5, y) >= 4.0))
-
-
-def _prism(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return _within((np.abs(x) <= _HALF_MM) & (np.abs(y) <= 4.0), np.abs(y) * 0.8)
-
-
-def _dotin(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A disc with one blunt dot standing out of its middle."""
-    return np.minimum(_ball(2.0, x, y), _disc(_HALF_MM, x, y) + 1.0)
 
 
 def _random(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -77,10 +48,6 @@ def _random(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return _within(np.maximum(np.abs(x), np.abs(y)) <= _HALF_MM, 0.3 * (4 - relief))
 
 
-def _wave(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return _within((np.abs(x) <= 6.0) & (np.abs(y) <= 4.0), 0.6 * (1 - np.cos(x * 2 * np.pi / 4.0)))
-
-
 _CORNERS = tuple((a, b) for a in (-3.5, 3.5) for b in (-3.5, 3.5))
 
 HEIGHTS: dict[str, Height] = {
@@ -88,20 +55,23 @@ HEIGHTS: dict[str, Height] = {
     "cylinder": lambda x, y: _disc(_HALF_MM, x, y),
     "cylinder_sh": lambda x, y: _within((np.hypot(x, y) <= _HALF_MM) & (np.hypot(x, y) >= 3.0)),  # a shell
     "cylinder_si": lambda x, y: _bar(6.0, 4.0, x, y),  # lying on its side
-    "dotin": _dotin,
-    "dots": lambda x, y: _balls((*_CORNERS, (0.0, 0.0)), 1.8, x, y),
+    # a disc with one blunt dot standing out of its middle
+    "dotin": lambda x, y: np.minimum(_ball(2.0, x, y), _disc(_HALF_MM, x, y) + 1.0),
+    "dots": lambda x, y: np.min([_ball(1.8, x - a, y - b) for a, b in (*_CORNERS, (0.0, 0.0))], axis=0),
     "hemisphere": lambda x, y: _ball(_HALF_MM, x, y),
     "hexagon": lambda x, y: _polygon(6, 4.5, x, y),
     "line": lambda x, y: _bar(7.0, 1.5, x, y),
-    "moon": _moon,
-    "pacman": _pacman,
-    "prism": _prism,
+    "moon": lambda x, y: _within((np.hypot(x, y) <= _HALF_MM) & (np.hypot(x - 2.5, y) >= 4.0)),
+    "pacman": lambda x, y: _within((np.hypot(x, y) <= _HALF_MM) & (np.abs(np.arctan2(y, x)) >= np.pi / 5)),
+    "prism": lambda x, y: _within((np.abs(x) <= _HALF_MM) & (np.abs(y) <= 4.0), np.abs(y) * 0.8),
     "random": _random,
     "sphere": lambda x, y: _ball(7.0, x, y),
     "sphere_s": lambda x, y: _ball(3.5, x, y),
-    "torus": lambda x, y: _ring(4.0, 1.8, x, y),
+    "torus": lambda x, y: _ball(1.8, np.hypot(x, y) - 4.0, np.zeros_like(x)),
     "triangle": lambda x, y: _polygon(3, 3.0, x, y),
-    "wave": _wave,
+    "wave": lambda x, y: _within(
+        (np.abs(x) <= 6.0) & (np.abs(y) <= 4.0), 0.6 * (1 - np.cos(x * np.pi / 2.0))
+    ),
 }
 UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
 SEEN = tuple(name for name in HEIGHTS if name not in UNSEEN)

@@ -1,4 +1,7 @@
-"""Where a sensor has material on the pad grid, and how far its skin stands back from the tangent plane."""
+"""The pad grid every contact lives on, where a sensor has material on it, and how far its skin stands back.
+
+Square cells, x right, y down, 0 at the pad's centre; the skin stands back from the tangent plane.
+"""
 
 from __future__ import annotations
 
@@ -6,28 +9,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_vtla.contact.grid import CELL_MM, GRID_CELLS, cell_positions_mm
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.sensors import SensorSpec
 
+GRID_CELLS = 40  # cells per side: 1 mm cells cover the largest pad (TacTip, 40 mm)
+CELL_MM = 1.0  # side of a cell; half the smallest marker pitch, finer buys nothing a marker shows
+CELL_AREA_MM2 = CELL_MM**2
 _LARGE_MM = 1e3  # stands in for "no object here" in sums, where inf would give NaN
+
+
+def cell_positions_mm() -> np.ndarray:
+    """Return (G·G, 2) cell centres (x, y) in mm, row by row from the top left."""
+    axis = ((np.arange(GRID_CELLS) - (GRID_CELLS - 1) / 2) * CELL_MM).astype(np.float32)
+    return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
 class Pad:
-    """A sensor's cells.
+    """A sensor's cells."""
 
-    Attributes:
-        cells: (C,) indices into the flattened grid of the cells with material.
-        position_mm: (C, 2) their centres.
-        coverage: (C,) share of each cell that is material, 0–1.
-        dome_mm: (C,) how far the skin lies behind the tangent plane.
-    """
-
-    cells: np.ndarray
-    position_mm: np.ndarray
-    coverage: np.ndarray
-    dome_mm: np.ndarray
+    cells: np.ndarray  # (C,) indices into the flattened grid of the cells with material
+    position_mm: np.ndarray  # (C, 2) their centres
+    coverage: np.ndarray  # (C,) share of each cell that is material, 0–1
+    dome_mm: np.ndarray  # (C,) how far the skin lies behind the tangent plane
 
     def total_gap_mm(self, gap_mm: np.ndarray) -> np.ndarray:
         """Return (B, C) distance from skin to object, given (B, G, G) gaps to the tangent plane.

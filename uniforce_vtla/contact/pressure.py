@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_vtla.contact.grid import CELL_AREA_MM2
-from uniforce_vtla.contact.pads import Pad, has_object
+from uniforce_vtla.contact.pads import CELL_AREA_MM2, Pad, has_object
 from uniforce_vtla.errors import ContractError, expected
 
 _LEAST_LOAD_MM = 1e-30  # less counts as none: float32 loses precision at 1e-38
@@ -16,21 +15,13 @@ _MAX_STEPS = 40  # Newton on a convex piecewise-linear curve ends exactly; 40 is
 
 @dataclass(frozen=True)
 class Foundation:
-    """A pad as a bed of springs.
+    """A pad as a bed of springs."""
 
-    Attributes:
-        pad: where there is material.
-        stiffness: N/mm³ under a full flat face.
-        rated_depth_mm: depth that ``rated_force_N`` reaches there.
-        flat_footprint_mm2: footprint of that face.
-        footprint_exponent: see ``materials.PadMaterial``.
-    """
-
-    pad: Pad
-    stiffness: float
-    rated_depth_mm: float
-    flat_footprint_mm2: float
-    footprint_exponent: float
+    pad: Pad  # where there is material
+    stiffness: float  # N/mm³ under a full flat face
+    rated_depth_mm: float  # depth that ``rated_force_N`` reaches there
+    flat_footprint_mm2: float  # footprint of that face
+    footprint_exponent: float  # see ``materials.PadMaterial``
 
 
 @dataclass(frozen=True)
@@ -60,7 +51,7 @@ def build_foundation(
 
 
 def contact_stiffness(foundation: Foundation, area_mm2: np.ndarray) -> np.ndarray:
-    """Return (B,) N/mm³ for objects of these footprints: smaller ones feel a stiffer bed."""
+    """Return (B,) N/mm³ for objects of these footprints: smaller ones meet a stiffer bed."""
     ratio = foundation.flat_footprint_mm2 / np.maximum(area_mm2, 0.5 * CELL_AREA_MM2)
     return (foundation.stiffness * ratio**foundation.footprint_exponent).astype(np.float32)
 
@@ -78,11 +69,8 @@ def solve_pressure(foundation: Foundation, gap_mm: np.ndarray, fz_N: np.ndarray)
     """
     gap = foundation.pad.total_gap_mm(gap_mm)  # (B, C)
     if np.any(~has_object(gap) & (fz_N > 0)):
-        raise ContractError(
-            expected(
-                "contact", "an object over the pad", "none, with fz > 0", "Move it over the pad or set 0 N."
-            )
-        )
+        do = "Move it over the pad or set 0 N."
+        raise ContractError(expected("contact", "an object over the pad", "none, with fz > 0", do))
     area = footprint_mm2(foundation.pad, gap, foundation.rated_depth_mm)
     stiffness = contact_stiffness(foundation, area)
     # Counted from first touch: float32 then resolves the depth of the smallest load as finely as that of a large one.

@@ -1,4 +1,4 @@
-"""Random contacts: objects on the pad and loads within friction, balanced over what a policy must feel."""
+"""Random contacts: objects on the pad and loads within friction, balanced over what a policy must tell apart."""
 
 from __future__ import annotations
 
@@ -16,21 +16,14 @@ FLAT_TILT_rad = 0.03  # a tool pressed by hand; what two parallel fingers hold l
 
 @dataclass(frozen=True)
 class ForceRange:
-    """Bounds of sampled loads.
+    """Bounds of sampled loads."""
 
-    Attributes:
-        normal_N: largest normal force; beyond the expert's grip, so that over-pressing is known too.
-        shear_N: largest shear along either axis.
-        friction: shear stays below friction × normal.
-        torsion_arm_mm: largest torsion is friction × normal × this arm.
-        flat_torsion_arm_mm: likewise of flat faces; even pressure over a 25 mm pad carries 9.6 mm.
-    """
-
-    normal_N: float = 16.0
-    shear_N: float = 8.0
-    friction: float = 0.95  # just under the simulator's 1.0: incipient slip, rarely gross slip
-    torsion_arm_mm: float = 2.5  # a disc of radius 4 mm slips in rotation at 2/3 of that
-    flat_torsion_arm_mm: float = 2.5  # as the others: what frozen sets were drawn with
+    normal_N: float = 16.0  # beyond the expert's grip, so that over-pressing is known too
+    shear_N: float = 8.0  # along either axis
+    friction: float = 0.95  # shear over normal; just under the simulator's 1.0: rarely gross slip
+    torsion_arm_mm: float = 2.5  # torsion over friction × normal; a disc of radius 4 mm slips at 2/3 of that
+    # likewise of flat faces, as frozen sets were drawn; even pressure over a 25 mm pad carries 9.6 mm
+    flat_torsion_arm_mm: float = 2.5
 
 
 PAPER_RANGE = ForceRange(normal_N=12.0, shear_N=3.0)  # the paper reports 0–12 N and ±3 N
@@ -90,9 +83,7 @@ def sample_loads(
     direction = rng.uniform(-np.pi, np.pi, n)
     share = rng.random(n)
     unit = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
-    longest = force_range.shear_N / np.abs(unit).max(
-        axis=1
-    )  # the square ±shear_N, reached in every direction
+    longest = force_range.shear_N / np.abs(unit).max(axis=1)  # the square ±shear_N, in every direction
     shear = unit * (np.minimum(force_range.friction * fz, longest) * share)[:, None]
     spare = np.sqrt(
         np.maximum(1 - (np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)) ** 2, 0)

@@ -8,29 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from uniforce_vtla.contact.indenters import SEEN
-from uniforce_vtla.contact.options import ContactOptions
+from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange, sample_objects
-from uniforce_vtla.contact.views import Transform, draw_simulator, images_of
+from uniforce_vtla.contact.simulator import Transform, draw_simulator, images_of
 from uniforce_vtla.contracts import ContactState
 
 
 @dataclass(frozen=True)
 class SequenceBatch:
-    """n sequences of a sensor worn on the left finger (its image frame is the canonical one).
+    """n sequences of a sensor worn on the left finger (its image frame is the canonical one)."""
 
-    Attributes:
-        reference: (n, 480, 640) uint8, or what ``transform`` made of it.
-        frames: (n, length, 480, 640) uint8, likewise.
-        force_N: (n, length, 3) fx, fy, fz.
-        indenters: (n,) names.
-        sensor: registry name.
-    """
-
-    reference: np.ndarray
-    frames: np.ndarray
-    force_N: np.ndarray
-    indenters: tuple[str, ...]
-    sensor: str
+    reference: np.ndarray  # (n, 480, 640) uint8, or what ``transform`` made of it
+    frames: np.ndarray  # (n, length, 480, 640) uint8, likewise
+    force_N: np.ndarray  # (n, length, 3) fx, fy, fz
+    indenters: tuple[str, ...]  # (n,) names
+    sensor: str  # registry name
 
 
 def force_sequences(

@@ -1,26 +1,33 @@
-"""A simulated sensor: contact state in, marker images, raw frames or counts out."""
+"""A simulated sensor: contact state in, marker images, raw frames or counts out; many contacts chunk by chunk."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from uniforce_vtla.contact.camera_response import CameraResponse
-from uniforce_vtla.contact.grid import GRID_CELLS
 from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial
-from uniforce_vtla.contact.options import ContactOptions
-from uniforce_vtla.contact.pads import build_pad, has_object
+from uniforce_vtla.contact.pads import GRID_CELLS, build_pad, has_object
 from uniforce_vtla.contact.pressure import Pressure, build_foundation, solve_pressure
 from uniforce_vtla.contact.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
-from uniforce_vtla.contact.taxel_response import TaxelResponse, taxel_positions_mm
+from uniforce_vtla.contact.responses import (
+    CameraResponse,
+    ContactOptions,
+    TaxelResponse,
+    taxel_positions_mm,
+)
 from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
-from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
 from uniforce_vtla.sensors.spec import DASH_ASPECT
 
+Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
+
+_CHUNK = 16  # images drawn at once: 5 MB, stays in cache
 _SCALES = TaxelScales()
 
 
@@ -30,7 +37,7 @@ class TactileSimulator:
     Args:
         sensor: registry name, or a virtual sensor.
         unit: how this unit differs from the drawing; None for the drawing itself.
-        options: which terms are on.
+        options: friction and randomness.
         seed: draws the noise.
     """
 
@@ -56,8 +63,6 @@ class TactileSimulator:
             self.unit.stiffness,
         )
         self._respond = self._build_response()
-
-    # -- what the sensor sees ---------------------------------------------------------------------------
 
     def reference(self) -> np.ndarray:
         """Return the (480, 640) uint8 marker image in free air, without noise."""
@@ -94,9 +99,8 @@ class TactileSimulator:
             ContractError: the sensor is a camera.
         """
         if not isinstance(self._respond, TaxelResponse):
-            raise ContractError(
-                expected("counts", "a taxel sensor", self.spec.name, "Use raw_frames for a camera.")
-            )
+            do = "Use raw_frames for a camera."
+            raise ContractError(expected("counts", "a taxel sensor", self.spec.name, do))
         return self._counts(contact, self.options.noise)
 
     def raw_reference(self) -> np.ndarray:
@@ -112,8 +116,6 @@ class TactileSimulator:
             return tactip_frames(images, self._rng)
         return gelsight_frames(images, self._indentation_mm(contact), self.spec.px_per_mm[0], self._rng)
 
-    # -- stages -----------------------------------------------------------------------------------------
-
     def _pressure(self, contact: ContactState) -> Pressure:
         return solve_pressure(self._foundation, contact.gap_mm, contact.force_N[:, 2])
 
@@ -128,16 +130,15 @@ class TactileSimulator:
         pressure = self._pressure(contact)
         cells = np.flatnonzero(pressure.p_MPa.any(axis=0))  # most contacts press few
         p = pressure.p_MPa[:, cells]
-        friction = self.options.friction if self.options.coulomb_cap else None
         position = self.pad.position_mm[cells]
-        q = solve_traction(p, position, contact.force_N[:, :2], contact.torsion_Nmm, friction)
+        q = solve_traction(p, position, contact.force_N[:, :2], contact.torsion_Nmm, self.options.friction)
         return Traction(cells, p, q, p / pressure.stiffness[:, None])
 
     def _markers(self, contact: ContactState, noise: bool) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(self._respond, TaxelResponse):
             discs = self._discs(contact, noise)
             return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
-        motion = self._respond(self._traction(contact), self.options)
+        motion = self._respond(self._traction(contact))
         mm = self.spec.marker_size_mm * self.unit.marker_size * self.unit.view_scale
         size = mm * self.spec.px_per_mm[0] * motion.growth
         return self._disturbed(self._project(self._rest_mm + motion.shift_mm), noise), size
@@ -164,7 +165,7 @@ class TactileSimulator:
 
     def _counts(self, contact: ContactState, noise: bool) -> np.ndarray:
         assert isinstance(self._respond, TaxelResponse)
-        counts = self._respond(self._traction(contact), self.options)
+        counts = self._respond(self._traction(contact))
         if noise:
             scatter = self._rng.standard_normal(counts.shape) * self.options.noise_counts
             counts = counts + scatter.astype(np.float32)
@@ -174,7 +175,7 @@ class TactileSimulator:
         return [place_discs(counts, _SCALES) for counts in self._counts(contact, noise)]
 
     def _images(self, contact: ContactState, noise: bool) -> np.ndarray:
-        """Return (B, 480, 640): taxels drawn by the canonicaliser's rule, camera markers by our own."""
+        """Return (B, 480, 640): taxels drawn by the canonicalizer's rule, camera markers by our own."""
         if isinstance(self._respond, TaxelResponse):
             return np.stack([draw_discs(discs) for discs in self._discs(contact, noise)])
         centre_px, size_px = self._markers(contact, noise)
@@ -187,15 +188,15 @@ class TactileSimulator:
             centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0)
         )
 
-    # -- building ---------------------------------------------------------------------------------------
-
     def _build_response(self) -> CameraResponse | TaxelResponse:
         rng = np.random.default_rng(self.unit.seed)
         offset = np.asarray(self.unit.offset_mm, dtype=np.float32)
         if isinstance(self._material, TaxelMaterial):
             taxel_mm = taxel_positions_mm(self.spec.layout_mm) + offset
             gain = self.unit.gain * (1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3)))
-            self._baseline = _draw_baseline(rng, len(taxel_mm), self._material)
+            shear = rng.integers(*self._material.baseline_shear, size=(len(taxel_mm), 2))
+            normal = rng.integers(*self._material.baseline_normal, size=(len(taxel_mm), 1))
+            self._baseline = np.concatenate([shear, normal], axis=1)  # raw counts at rest
             pitch_mm = float(np.mean(self.spec.pad_size_mm)) / 4
             return TaxelResponse(self.pad, taxel_mm, pitch_mm, self._material, gain)
         self._rest_mm = self._unit_layout(rng, offset)
@@ -209,13 +210,42 @@ class TactileSimulator:
         return (turned + offset_mm + jitter).astype(np.float32)
 
 
-def _draw_baseline(rng: np.random.Generator, taxels: int, material: TaxelMaterial) -> np.ndarray:
-    """Return (taxels, 3) raw counts of a unit at rest."""
-    shear = rng.integers(*material.baseline_shear, size=(taxels, 2))
-    return np.concatenate([shear, rng.integers(*material.baseline_normal, size=(taxels, 1))], axis=1)
-
-
 def free_air(batch: int) -> ContactState:
     """Return ``batch`` contact states without any contact."""
     gap = np.full((batch, GRID_CELLS, GRID_CELLS), np.inf, dtype=np.float32)
     return ContactState(gap, np.zeros((batch, 3), np.float32), np.zeros(batch, np.float32))
+
+
+def draw_simulator(
+    rng: np.random.Generator,
+    sensor: str | VirtualSensor,
+    unit_strength: float,
+    options: ContactOptions,
+    look: Look | None = None,
+) -> TactileSimulator:
+    """Return a simulator of a random unit of ``sensor``, seen by a random camera where a ``look`` is given."""
+    unit = UnitVariation.draw(rng, sensor, unit_strength)
+    if look is not None and as_virtual(sensor).spec.signal == "camera":
+        unit = unit.seen_through(rng, look)
+    return TactileSimulator(sensor, unit, options, seed=int(rng.integers(2**31)))
+
+
+def slices(n: int, size: int) -> list[slice]:
+    """Return slices that cut ``n`` rows into pieces of ``size``, the last one shorter."""
+    return [slice(start, min(start + size, n)) for start in range(0, n, size)]
+
+
+def rows_of(contact: ContactState, rows: slice) -> ContactState:
+    """Return some rows of a batch of contacts."""
+    return ContactState(contact.gap_mm[rows], contact.force_N[rows], contact.torsion_Nmm[rows])
+
+
+def images_of(
+    simulator: TactileSimulator, contact: ContactState, transform: Transform | None = None
+) -> np.ndarray:
+    """Return (B, …) images chunk by chunk, so that only a transform's (small) results pile up."""
+    chunks = []
+    for part in slices(len(contact.gap_mm), _CHUNK):
+        images = simulator.marker_images(rows_of(contact, part))
+        chunks.append(transform(images) if transform else images)
+    return np.concatenate(chunks)

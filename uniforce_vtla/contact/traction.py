@@ -1,4 +1,4 @@
-"""Shear load → tangential traction: shared in proportion to pressure, capped by friction where asked."""
+"""Shear load → tangential traction: shared in proportion to pressure, capped by friction."""
 
 from __future__ import annotations
 
@@ -6,26 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_vtla.contact.grid import CELL_AREA_MM2
+from uniforce_vtla.contact.pads import CELL_AREA_MM2
 
 _PASSES = 6  # rounds of handing capped cells' excess to sticking ones; the residual is < 1 % after 4
 
 
 @dataclass(frozen=True)
 class Traction:
-    """What the object does to the pad, on the cells any contact of the batch presses.
+    """What the object does to the pad, on the cells any contact of the batch presses."""
 
-    Attributes:
-        cells: (K,) indices into the pad's cells.
-        p_MPa: (B, K) pressure.
-        q_MPa: (B, 2, K) shear traction, x right, y down.
-        indentation_mm: (B, K) inward displacement under the object.
-    """
-
-    cells: np.ndarray
-    p_MPa: np.ndarray
-    q_MPa: np.ndarray
-    indentation_mm: np.ndarray
+    cells: np.ndarray  # (K,) indices into the pad's cells
+    p_MPa: np.ndarray  # (B, K) pressure
+    q_MPa: np.ndarray  # (B, 2, K) shear traction, x right, y down
+    indentation_mm: np.ndarray  # (B, K) inward displacement under the object
 
 
 def solve_traction(
@@ -33,7 +26,7 @@ def solve_traction(
     position_mm: np.ndarray,
     shear_N: np.ndarray,
     torsion_Nmm: np.ndarray,
-    friction: float | None,
+    friction: float,
 ) -> np.ndarray:
     """Return (B, 2, C) tangential traction in MPa that carries shear and torsion.
 
@@ -45,14 +38,12 @@ def solve_traction(
         position_mm: (C, 2) cell centres.
         shear_N: (B, 2) fx, fy.
         torsion_Nmm: (B,) moment about the centre of pressure, inward normal.
-        friction: μ, or None for no cap.
+        friction: μ.
     """
     centre = (p_MPa @ position_mm) / np.maximum(p_MPa.sum(axis=1, keepdims=True), 1e-9)  # (B, 2)
     arm = position_mm.T[None] - centre[:, :, None]  # (B, 2, C)
     ratio = _share(p_MPa, arm, shear_N, torsion_Nmm)  # (B, 2, C) = q / p
-    if friction is not None:
-        ratio = _cap(ratio, p_MPa, arm, shear_N, torsion_Nmm, friction)
-    return ratio * p_MPa[:, None]
+    return _cap(ratio, p_MPa, arm, shear_N, torsion_Nmm, friction) * p_MPa[:, None]
 
 
 def transmitted(

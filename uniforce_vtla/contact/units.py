@@ -14,28 +14,19 @@ class UnitVariation:
     """What differs from unit to unit.
 
     What a reference image shows (layout, view) may vary freely; what it can't show (stiffness, gain) stays
-    narrow, else an unseen unit's force scale can't be told from its picture.
-
-    Attributes:
-        offset_mm: shift of the marker pattern, x right, y down.
-        rotation_rad: rotation of the pattern, x towards y.
-        jitter_mm: standard deviation of single markers around the pattern (taxels: not used).
-        view_scale: magnification of the camera.
-        stiffness: factor on the foundation.
-        gain: factor on marker motion, or on counts.
-        seed: draws the jitter and, for taxels, baseline and gain per channel.
-        marker_size: factor on the size of every marker: print, threshold and light decide it (cameras).
-        tilt: relative magnification gained at the pad's right and lower rim, by a camera that isn't square on.
+    narrow, else an unseen unit's force scale can't be read from its picture.
     """
 
-    offset_mm: tuple[float, float] = (0.0, 0.0)
-    rotation_rad: float = 0.0
-    jitter_mm: float = 0.0
-    view_scale: float = 1.0
-    stiffness: float = 1.0
-    gain: float = 1.0
-    seed: int = 0
+    offset_mm: tuple[float, float] = (0.0, 0.0)  # shift of the marker pattern, x right, y down
+    rotation_rad: float = 0.0  # rotation of the pattern, x towards y
+    jitter_mm: float = 0.0  # standard deviation of single markers around the pattern (taxels: not used)
+    view_scale: float = 1.0  # magnification of the camera
+    stiffness: float = 1.0  # factor on the foundation
+    gain: float = 1.0  # factor on marker motion, or on counts
+    seed: int = 0  # draws the jitter and, for taxels, baseline and gain per channel
+    # factor on the size of every marker: print, threshold and light decide it (cameras)
     marker_size: float = 1.0
+    # relative magnification gained at the pad's right and lower rim, by a camera that isn't square on
     tilt: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
@@ -78,5 +69,5 @@ class Look:
     shift_mm: float = 1.0  # the pattern's place, ViTac 2024 draws ±1 mm
     turn_rad: float = 0.10  # ViTac 2024
     zoom: float = 0.06  # another lens distance
-    marker_size: tuple[float, float] = (0.85, 1.30)  # our own canonicaliser draws 12 to 32 % larger areas
+    marker_size: tuple[float, float] = (0.85, 1.30)  # our own canonicalizer draws 12 to 32 % larger areas
     tilt: float = 0.05  # magnification at the rim of a camera about 3° off

@@ -41,21 +41,15 @@ def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[di
 
 def better(reports: Mapping[str, ArmReport], pairs: Pairs) -> list[dict[str, Any]]:
     """Return, per pair scored on shared seeds, exact McNemar (Holm over the family) and the anytime test."""
-    tests = [
-        pair
-        | asdict(mcnemar(one, two))
-        | {"points": 100 * (sum(one) - sum(two)) / len(one)}
-        | _watched(one, two)
-        for pair, one, two in _scored(reports, pairs)
-    ]
+    tests = []
+    for pair, one, two in _scored(reports, pairs):
+        watched = anytime(one, two)
+        points = {"points": 100 * (sum(one) - sum(two)) / len(one)}
+        early = {"anytime_p": watched.p_value, "anytime_decided_after": watched.decided_after}
+        tests.append(pair | asdict(mcnemar(one, two)) | points | early)
     for test, adjusted in zip(tests, holm([test["p_value"] for test in tests]), strict=True):
         test["p_holm"] = adjusted
     return tests
-
-
-def _watched(one: Clean, two: Clean) -> dict[str, Any]:
-    test = anytime(one, two)
-    return {"anytime_p": test.p_value, "anytime_decided_after": test.decided_after}
 
 
 def as_good(reports: Mapping[str, ArmReport], claims: Sequence[AtMostWorse]) -> list[dict[str, Any]]:

@@ -37,35 +37,20 @@ WIPING_PHASE = 2  # of EpisodeTrace.phase
 
 @dataclass(frozen=True)
 class EpisodeTrace:
-    """Per-step arrays of one episode, all of length n.
+    """Per-step arrays of one episode, all of length n."""
 
-    Attributes:
-        time_s: end of each step.
-        press_N: eraser on board.
-        grip_left_N: normal force on the left pad.
-        grip_right_N: normal force on the right pad.
-        slip_mm: in-hand displacement across the pads since the lift; 0 before it.
-        depth_left_mm: indentation of the left pad.
-        depth_right_mm: indentation of the right pad.
-        tool_z_mm: measured tool height.
-        slide_mm: how far the eraser slid along the board within the step.
-        residual: visible ink over initial ink.
-        phase: 0 before the lift, 1 carrying, 2 wiping, 3 lifted off after wiping.
-        rated_depth_mm: (left, right) deepest indentation the sensors allow.
-    """
-
-    time_s: np.ndarray
-    press_N: np.ndarray
-    grip_left_N: np.ndarray
-    grip_right_N: np.ndarray
-    slip_mm: np.ndarray
-    depth_left_mm: np.ndarray
-    depth_right_mm: np.ndarray
-    tool_z_mm: np.ndarray
-    slide_mm: np.ndarray
-    residual: np.ndarray
-    phase: np.ndarray
-    rated_depth_mm: tuple[float, float]
+    time_s: np.ndarray  # end of each step
+    press_N: np.ndarray  # eraser on board
+    grip_left_N: np.ndarray  # normal force on the left pad
+    grip_right_N: np.ndarray  # normal force on the right pad
+    slip_mm: np.ndarray  # in-hand displacement across the pads since the lift; 0 before it
+    depth_left_mm: np.ndarray  # indentation of the left pad
+    depth_right_mm: np.ndarray  # indentation of the right pad
+    tool_z_mm: np.ndarray  # measured tool height
+    slide_mm: np.ndarray  # how far the eraser slid along the board within the step
+    residual: np.ndarray  # visible ink over initial ink
+    phase: np.ndarray  # 0 before the lift, 1 carrying, 2 wiping, 3 lifted off after wiping
+    rated_depth_mm: tuple[float, float]  # (left, right) deepest indentation the sensors allow
 
     def __post_init__(self) -> None:
         for name in STEP_FIELDS:

@@ -29,20 +29,13 @@ WIDTH_IN, FILM_IN, PLOT_IN, LATENT_IN = 14.0, 1.12, 1.45, 0.8  # of the time lin
 
 @dataclass(frozen=True, eq=False)
 class KeyFrame:
-    """One frame worth looking at.
+    """One frame worth looking at."""
 
-    Attributes:
-        name: why, e.g. "lifted".
-        frame: its number in the episode.
-        cameras: (H, W, 3) uint8 RGB by camera.
-        markers: (H, W, 3) uint8 overlay of reference and current, by finger.
-        raw: (H, W, 3) uint8 RGB of what the sensor gave, by finger; only those that were kept.
-    """
-
-    name: str
-    frame: int
-    cameras: dict[str, np.ndarray]
-    markers: dict[str, np.ndarray]
+    name: str  # why, e.g. "lifted".
+    frame: int  # its number in the episode
+    cameras: dict[str, np.ndarray]  # (H, W, 3) uint8 RGB by camera
+    markers: dict[str, np.ndarray]  # (H, W, 3) uint8 overlay of reference and current, by finger
+    # (H, W, 3) uint8 RGB of what the sensor gave, by finger; only those that were kept
     raw: dict[str, np.ndarray] = field(default_factory=dict)
 
 
@@ -57,33 +50,20 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class EpisodeSummary:
-    """An episode of n frames with two fingers, left before right in every array.
+    """An episode of n frames with two fingers, left before right in every array."""
 
-    Attributes:
-        title: dataset and episode.
-        time_s: (n,).
-        films: evenly spaced (H, W, 3) uint8 RGB pictures by camera.
-        force_N: (n, 2, 3) estimates, canonical frame.
-        true_force_N: the same from a simulator; None for a robot's recording.
-        change: by finger, (n, g, g, L) latent minus its free-air latent, as the sensor sees it.
-        key_frames: in order of time.
-        found: what the estimates mean; None where that can't be judged.
-        truth: what the true forces mean.
-        judges_slip: whether the pads' friction is known.
-        note: why ``found`` is None.
-    """
-
-    title: str
-    time_s: np.ndarray
-    films: dict[str, list[np.ndarray]]
-    force_N: np.ndarray
-    true_force_N: np.ndarray | None
+    title: str  # dataset and episode
+    time_s: np.ndarray  # (n,)
+    films: dict[str, list[np.ndarray]]  # evenly spaced (H, W, 3) uint8 RGB pictures by camera
+    force_N: np.ndarray  # (n, 2, 3) estimates, canonical frame
+    true_force_N: np.ndarray | None  # the same from a simulator; None for a robot's recording
+    # by finger, (n, g, g, L) latent minus its free-air latent, as the sensor sees it
     change: dict[str, np.ndarray]
-    key_frames: tuple[KeyFrame, ...]
-    found: FingerEstimate | None
-    truth: FingerEstimate | None
-    judges_slip: bool
-    note: str = ""
+    key_frames: tuple[KeyFrame, ...]  # in order of time
+    found: FingerEstimate | None  # what the estimates mean; None where that can't be judged
+    truth: FingerEstimate | None  # what the true forces mean
+    judges_slip: bool  # whether the pads' friction is known
+    note: str = ""  # why ``found`` is None
 
     def strength(self, finger: str) -> np.ndarray:
         """Return (n, g, g): how far each patch's latent is from free air."""

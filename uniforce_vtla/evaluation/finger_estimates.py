@@ -27,23 +27,15 @@ SMALLEST_GRIP_N = 0.5  # below it shear over grip means nothing
 
 @dataclass(frozen=True)
 class FingerEstimate:
-    """One episode as the fingers measured it.
+    """One episode as the fingers measured it."""
 
-    Attributes:
-        press_N: (n,) on the board; 0 before the lift.
-        grip_N: (n, 2) left, right.
-        friction_used: (n, 2) shear over what the pad's friction allows at this grip; 0 before the lift.
-        slippage: reasons for a slippage event, empty if none.
-        excess_force: reasons for an excess-force event, empty if none. Pad depth isn't judged.
-        lost: reasons to believe the object was dropped or never lifted.
-    """
-
-    press_N: np.ndarray
-    grip_N: np.ndarray
+    press_N: np.ndarray  # (n,) on the board; 0 before the lift
+    grip_N: np.ndarray  # (n, 2) left, right
+    # (n, 2) shear over what the pad's friction allows at this grip; 0 before the lift
     friction_used: np.ndarray
-    slippage: tuple[str, ...]
-    excess_force: tuple[str, ...]
-    lost: tuple[str, ...]
+    slippage: tuple[str, ...]  # reasons for a slippage event, empty if none
+    excess_force: tuple[str, ...]  # reasons for an excess-force event, empty if none. Pad depth isn't judged.
+    lost: tuple[str, ...]  # reasons to believe the object was dropped or never lifted
 
     @property
     def events(self) -> list[str]:
@@ -118,9 +110,8 @@ def _check(
     n = len(time_s)
     if n < 2 or force_N.shape != (n, 2, 3) or tool_z_m.shape != (n,):
         came = f"{time_s.shape}, {force_N.shape}, {tool_z_m.shape}"
-        raise ContractError(
-            expected("time, forces, height", "(n,), (n, 2, 3), (n,), n ≥ 2", came, "Align them.")
-        )
+        do = "Align them."
+        raise ContractError(expected("time, forces, height", "(n,), (n, 2, 3), (n,), n ≥ 2", came, do))
     if not all(np.isfinite(values).all() for values in (time_s, force_N, tool_z_m)):
         do = "Check the sensors of this episode."
         raise ContractError(expected("time, forces, height", "finite numbers", "NaN or inf", do))

@@ -17,6 +17,7 @@ from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.keys import OUTCOME_NAMES
 
+THUMBNAILS = 6
 PICTURE_DPI = 110  # thumbnails need it
 COLOURS = {
     "clean": "#2a9d8f",
@@ -69,7 +70,8 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     for row in rows[1:3]:
         row.sharex(rows[3])
         row.tick_params(labelbottom=False)
-    rows[0].imshow(_thumbnails(rollout.frames))
+    chosen = np.linspace(0, len(rollout.frames) - 1, THUMBNAILS).astype(int)
+    rows[0].imshow(np.concatenate([rollout.frames[i] for i in chosen], axis=1))
     rows[0].axis("off")
     events = [name for name in ("slippage", "excess_force") if getattr(rollout.result, name)]
     rows[0].set_title(f"{title}: {rollout.result.outcome}{', ' + ', '.join(events) if events else ''}")
@@ -88,30 +90,23 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
-def _thumbnails(frames: Sequence[np.ndarray], count: int = 6) -> np.ndarray:
-    chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, count).astype(int)]
-    return np.concatenate(chosen, axis=1)
-
-
 def draw_estimate(
     found: FingerEstimate, time_s: np.ndarray, truth: FingerEstimate | None, path: Path
 ) -> Path:
     """Draw a recording's estimates over time, beside the same from true forces where there are any."""
     figure = Figure(figsize=(9, 6), layout="constrained")
-    press, grip, friction = figure.subplots(3, 1, sharex=True)
+    panels = figure.subplots(3, 1, sharex=True)
     for estimate, style, label in ((truth, "k:", "from true forces"), (found, "-", "estimate")):
-        if estimate is None:
-            continue
-        press.plot(time_s, estimate.press_N, style, label=label)
-        grip.plot(time_s, estimate.grip_N[:, 0], style, label=f"left, {label}")
-        grip.plot(time_s, estimate.grip_N[:, 1], style, label=f"right, {label}")
-        friction.plot(time_s, estimate.friction_used.min(axis=1), style, label=label)
-    press.axhline(ScoreLimits().mean_press_N, color="C3", lw=0.8, ls="--")
-    friction.axhline(FRICTION_SHARE, color="C3", lw=0.8, ls="--")
-    press.set_ylabel("press on board [N]")
-    grip.set_ylabel("grip [N]")
-    friction.set(ylabel="friction used, lesser pad", xlabel="time [s]")
-    for panel in (press, grip, friction):
+        if estimate is not None:
+            panels[0].plot(time_s, estimate.press_N, style, label=label)
+            panels[1].plot(time_s, estimate.grip_N, style, label=[f"left, {label}", f"right, {label}"])
+            panels[2].plot(time_s, estimate.friction_used.min(axis=1), style, label=label)
+    panels[0].axhline(ScoreLimits().mean_press_N, color="C3", lw=0.8, ls="--")
+    panels[2].axhline(FRICTION_SHARE, color="C3", lw=0.8, ls="--")
+    panels[2].set_xlabel("time [s]")
+    labels = ("press on board [N]", "grip [N]", "friction used, lesser pad")
+    for panel, label in zip(panels, labels, strict=True):
+        panel.set_ylabel(label)
         panel.grid(alpha=0.25)
         panel.legend(fontsize=8, loc="upper left")
     figure.suptitle("; ".join(found.events))

@@ -49,22 +49,15 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class Rollout:
-    """One scored episode.
+    """One scored episode."""
 
-    Attributes:
-        seed: the integer that rebuilds the scene.
-        result: outcome, events and continuous scores, from simulator truth.
-        trace: what was measured at each control step.
-        think_ms: controller time per chunk.
-        frames: front-camera pictures, one per chunk, when asked for.
-        facts: the controller's own figures, e.g. ``missed_deadlines``.
-    """
-
-    seed: int
-    result: EpisodeResult
-    trace: EpisodeTrace
-    think_ms: np.ndarray
+    seed: int  # the integer that rebuilds the scene
+    result: EpisodeResult  # outcome, events and continuous scores, from simulator truth
+    trace: EpisodeTrace  # what was measured at each control step
+    think_ms: np.ndarray  # controller time per chunk
+    # front-camera pictures, one per chunk, when asked for
     frames: list[np.ndarray] = field(default_factory=list)
+    # the controller's own figures, e.g. ``missed_deadlines``.
     facts: dict[str, float] = field(default_factory=dict)
 
 
@@ -83,16 +76,12 @@ def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: b
         if keep_frames:
             frames.append(observation["pixels"]["front"])
         start = time.perf_counter()
-        chunk = _checked(controller.chunk(observation, env.task))
+        chunk = controller.chunk(observation, env.task)
+        if chunk.ndim != 2 or chunk.shape[1] != 5 or len(chunk) == 0 or not np.isfinite(chunk).all():
+            do = "The robot holds; check the policy."
+            raise RolloutError(expected("action chunk", "finite (n ≥ 1, 5)", chunk.shape, do))
         think_ms.append(1e3 * (time.perf_counter() - start))
         done = any(env.advance(action) for action in chunk)  # what comes after the end is not executed
         if not done:
             observation = env.observe()
     return Rollout(seed, env.result(), env.trace, np.asarray(think_ms), frames, controller.facts())
-
-
-def _checked(chunk: np.ndarray) -> np.ndarray:
-    if chunk.ndim != 2 or chunk.shape[1] != 5 or len(chunk) == 0 or not np.isfinite(chunk).all():
-        do = "The robot holds; check the policy."
-        raise RolloutError(expected("action chunk", "finite (n ≥ 1, 5)", chunk.shape, do))
-    return chunk

@@ -66,9 +66,8 @@ def discordant(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int]
         ContractError: the two arms do not have the same number of seeds.
     """
     if len(first) != len(second):
-        raise ContractError(
-            expected("paired arms", f"{len(first)} seeds", f"{len(second)} seeds", "Use the same seeds.")
-        )
+        do = "Use the same seeds."
+        raise ContractError(expected("paired arms", f"{len(first)} seeds", f"{len(second)} seeds", do))
     pairs = list(zip(first, second, strict=True))
     return sum(a and not b for a, b in pairs), sum(b and not a for a, b in pairs)
 
@@ -85,17 +84,11 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 @dataclass(frozen=True)
 class AnytimeTest:
-    """A test that may be looked at after every seed.
+    """A test that may be looked at after every seed."""
 
-    Attributes:
-        evidence: e-value now: a fair bettor's wealth against "the first arm is no better", from 1.
-        p_value: 1 / (the largest wealth so far), at most 1: valid whenever one stops looking.
-        decided_after: seeds after which p first fell to α; None if it never did.
-    """
-
-    evidence: float
-    p_value: float
-    decided_after: int | None
+    evidence: float  # e-value now: a fair bettor's wealth against "the first arm is no better", from 1
+    p_value: float  # 1 / (the largest wealth so far), at most 1: valid whenever one stops looking
+    decided_after: int | None  # seeds after which p first fell to α; None if it never did
 
 
 def anytime(first: Sequence[bool], second: Sequence[bool], alpha: float = 0.05) -> AnytimeTest:

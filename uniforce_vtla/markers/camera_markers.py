@@ -23,27 +23,25 @@ from uniforce_vtla.markers.marker_blobs import (
     keep_markers,
 )
 from uniforce_vtla.markers.marker_plan import choose_plan, score_blobs
-from uniforce_vtla.markers.rim import inside_rim
 
 MIN_SIDE_PX = 48  # a smaller frame can't hold a marker pattern
 THUMBNAIL_SIZE = (16, 12)  # enough to tell one gel and lighting from another
 ALIKE_LEVELS = 12.0  # grey levels, mean: a touch changes less, another sensor more
+# the bright ring outside a dome's rim: an arc of blobs that aren't markers, cut off by its radius
+ARC_BINS = 36  # 10° each
+MIN_ARC_BINS = 9  # a quarter circle: fewer bins are reflections, not a rim
+STRIDE_PX = 3  # every third pixel both ways is plenty for a circle
+MIN_RING_PX = 25  # sampled pixels needed to fit a circle
 BLACK_LEVEL = 12  # grey levels: no pixel brighter means the lights or the camera are off
 
 
 @dataclass(frozen=True)
 class Segmentation:
-    """Markers of one camera frame.
+    """Markers of one camera frame."""
 
-    Attributes:
-        image: (480, 640) uint8 in {0, 255}.
-        centres_px: (M, 2) float32, x, y in the canonical image.
-        plan: how they were found.
-    """
-
-    image: np.ndarray
-    centres_px: np.ndarray
-    plan: MarkerPlan
+    image: np.ndarray  # (480, 640) uint8 in {0, 255}
+    centres_px: np.ndarray  # (M, 2) float32, x, y in the canonical image
+    plan: MarkerPlan  # how they were found
 
 
 def check_frame(frame: np.ndarray) -> np.ndarray:
@@ -84,7 +82,9 @@ def segment(
     working = fit_canonical(check_frame(frame))
     chosen = plan or choose_plan(working, settings)[0]
     blobs = find_blobs(channel_image(working, chosen.channel), chosen, settings)
-    keep = _kept(blobs, settings, dome)
+    keep = np.zeros(0, bool) if blobs is None else keep_markers(blobs, settings)
+    if blobs is not None and dome:
+        keep = inside_rim(blobs, keep)
     if blobs is None or score_blobs(blobs, keep, settings) == 0:
         came = f"{int(keep.sum())} blobs without the spacing of a pattern"
         do = "Is the gel torn, unlit, or without markers?"
@@ -123,8 +123,40 @@ def centre_on_canvas(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return image, np.array([left, top], np.float32)
 
 
-def _kept(blobs: Blobs | None, settings: SegmentationSettings, dome: bool) -> np.ndarray:
-    if blobs is None:
-        return np.zeros(0, bool)
-    keep = keep_markers(blobs, settings)
-    return inside_rim(blobs, keep) if dome else keep
+def inside_rim(blobs: Blobs, keep: np.ndarray) -> np.ndarray:
+    """Return ``keep`` without blobs that lie on or outside the rim; unchanged where no rim shows."""
+    if keep.sum() < 4:
+        return keep
+    ring = _ring_pixels(blobs, keep)
+    if len(ring) < MIN_RING_PX:
+        return keep
+    centre, radius = fit_circle(ring)
+    offset = ring - centre
+    distance = np.hypot(*offset.T)
+    bins = np.unique(
+        np.floor((np.arctan2(offset[:, 1], offset[:, 0]) / np.pi + 1) / 2 * ARC_BINS).astype(int)
+    )
+    if len(bins) < MIN_ARC_BINS or distance.std() > 0.06 * radius:
+        return keep  # scattered reflections don't lie on one circle
+    inner = np.percentile(distance, 2)
+    marker_radius = np.sqrt(np.median(blobs.boxes[keep, 4]) / np.pi)
+    return keep & (np.hypot(*(blobs.centres - centre).T) < inner - 0.5 * marker_radius)
+
+
+def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return centre (2,) and radius of the algebraic least-squares circle through (N, 2) points."""
+    mean = points.mean(axis=0)
+    x, y = (points - mean).T
+    system = np.stack([2 * x, 2 * y, np.ones_like(x)], axis=1)
+    (a, b, c), *_ = np.linalg.lstsq(system, x**2 + y**2, rcond=None)
+    return mean + np.array([a, b]), float(np.sqrt(max(c + a**2 + b**2, 0.0)))
+
+
+def _ring_pixels(blobs: Blobs, keep: np.ndarray) -> np.ndarray:
+    """Return (N, 2) x, y of sampled pixels in blobs refused as markers that lie outside nearly all markers."""
+    refused = np.concatenate([[False], ~keep])[blobs.labels[::STRIDE_PX, ::STRIDE_PX]]
+    y, x = np.nonzero(refused)
+    points = np.stack([x, y], axis=1).astype(float) * STRIDE_PX
+    middle = np.median(blobs.centres[keep], axis=0)
+    reach = np.percentile(np.hypot(*(blobs.centres[keep] - middle).T), 85)
+    return points[np.hypot(*(points - middle).T) > reach]

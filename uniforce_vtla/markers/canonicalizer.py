@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
-
 import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, check_finger
@@ -19,12 +17,10 @@ from uniforce_vtla.markers.camera_markers import (
 from uniforce_vtla.markers.marker_blobs import MarkerPlan, SegmentationSettings
 from uniforce_vtla.markers.marker_plan import choose_plan
 from uniforce_vtla.markers.nominal_scale import (
-    is_nominal,
-    nominal_zoom,
     points_to_nominal_scale,
     to_nominal_scale,
 )
-from uniforce_vtla.markers.reference import NoContactCheck, refuse_pressed_reference
+from uniforce_vtla.markers.reference import NoContactCheck, ReferenceMemory, refuse_pressed_reference
 from uniforce_vtla.markers.taxel_render import (
     Saturation,
     TaxelDiscs,
@@ -53,32 +49,16 @@ class Canonicalizer:
         self,
         sensor: str,
         taxel_scales: TaxelScales | None = None,
-        segmentation: SegmentationSettings | None = None,
-        no_contact: NoContactCheck | None = None,
     ) -> None:
         self.spec = get_sensor(sensor)
         self.sensor = sensor
         self.saturation = Saturation()
         self._taxel_scales = taxel_scales or TaxelScales()
-        self._segmentation = segmentation or SegmentationSettings()
-        self._no_contact = no_contact or NoContactCheck()
+        self._segmentation = SegmentationSettings()
         self._reference_counts: np.ndarray | None = None
         self._plan: MarkerPlan | None = None
         self._recent: tuple[np.ndarray, MarkerPlan] | None = None
-        self._seen_reference: tuple[np.ndarray, Segmentation] | None = None
-
-    @property
-    def version(self) -> str:
-        """Name of the drawing or finding method; changes whenever equal raw input would give another image."""
-        return self._taxel_scales.version if self._is_taxel else self._segmentation.version
-
-    @property
-    def scales(self) -> dict[str, object]:
-        """Every number the image depends on, by name, for storing and hashing."""
-        if self._is_taxel:
-            return self._taxel_scales.as_dict()
-        zoom = {} if is_nominal(self.spec) else {"nominal_zoom": nominal_zoom(self.spec)}
-        return asdict(self._segmentation) | zoom
+        self._references: ReferenceMemory[Segmentation] = ReferenceMemory(1)
 
     def set_reference(self, raw: np.ndarray) -> None:
         """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.
@@ -158,7 +138,7 @@ class Canonicalizer:
     def _camera_pair(
         self, reference_raw: np.ndarray, current_raw: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        reference = self._segment_reference(reference_raw)
+        reference = self._references.get("", reference_raw, lambda: self._segment(reference_raw, None))
         shapes = np.shape(reference_raw), np.shape(current_raw)
         if shapes[0] != shapes[1]:
             do = "Use one camera setting for both."
@@ -166,21 +146,12 @@ class Canonicalizer:
         current = self._segment(current_raw, reference.plan)
         return to_nominal_scale(reference.image, self.spec), to_nominal_scale(current.image, self.spec)
 
-    def _segment_reference(self, raw: np.ndarray) -> Segmentation:
-        """Segment a reference once: a stream pairs every frame with the same one."""
-        seen = self._seen_reference
-        if seen is not None and np.array_equal(seen[0], raw):
-            return seen[1]
-        segmentation = self._segment(raw, None)
-        self._seen_reference = (raw.copy(), segmentation)
-        return segmentation
-
     def _taxel_pair(
         self, reference_raw: np.ndarray, current_raw: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         reference = _free_air(reference_raw)
         discs = self._discs(current_raw, reference)
-        refuse_pressed_reference(current_raw.astype(np.int64) - reference, self._no_contact)
+        refuse_pressed_reference(current_raw.astype(np.int64) - reference, NoContactCheck())
         self.saturation.add(discs)
         return draw_discs(place_discs(np.zeros_like(reference), self._taxel_scales)), draw_discs(discs)
 

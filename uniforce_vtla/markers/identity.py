@@ -1,4 +1,4 @@
-"""Is this the sensor it is said to be?  Asked when a finger connects, before a policy trusts what it feels.
+"""Is this the sensor it is said to be? Asked when a finger connects, before a policy acts on what it measures.
 
 Marker counts differ by a third between units of one kind (real GelSights here show 64 to 108), so the count is only
 held to half and double. The outline tells a dome from a flat gel: the outermost marker lies 1.34 median radii from the

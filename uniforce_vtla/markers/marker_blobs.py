@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 class SegmentationSettings:
     """Every threshold of the marker finder; lengths in px of the canonical image, the rest relative."""
 
-    version: str = "camera-dog-2"
     backgrounds_px: tuple[int, ...] = (19, 39, 79)  # box widths: from 331 pins to 25 large squares
     smooth_fraction: float = 0.08  # of the background width: 3, 3 and 7 px, below the markers each is for
     peak_fraction: float = (
@@ -54,23 +53,14 @@ class MarkerPlan:
 
 @dataclass(frozen=True)
 class Blobs:
-    """Connected components of one threshold pass.
+    """Connected components of one threshold pass."""
 
-    Attributes:
-        labels: (h, w) uint16, 0 is background.
-        boxes: (N, 5) int32, cv2 statistics of labels 1…N: left, top, width, height, area.
-        centres: (N, 2) float64, x, y.
-        typical: amplitude of a typical marker, grey levels.
-        leftover: mean response outside all blobs, grey levels.
-        foot: (h, w) uint8, 255 where the response exceeds the edge fraction of the peak nearby.
-    """
-
-    labels: np.ndarray
-    boxes: np.ndarray
-    centres: np.ndarray
-    typical: float
-    leftover: float
-    foot: np.ndarray
+    labels: np.ndarray  # (h, w) uint16, 0 is background
+    boxes: np.ndarray  # (N, 5) int32, cv2 statistics of labels 1…N: left, top, width, height, area
+    centres: np.ndarray  # (N, 2) float64, x, y
+    typical: float  # amplitude of a typical marker, grey levels
+    leftover: float  # mean response outside all blobs, grey levels
+    foot: np.ndarray  # (h, w) uint8, 255 where the response exceeds the edge fraction of the peak nearby
 
 
 def channel_image(frame: np.ndarray, channel: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The one mirror: nothing else in this project flips a tactile image or a force.
+"""The one mirror: nothing else in this project flips a tactile image, a force or a contact.
 
 Devices, datasets and the simulator store what each sensor sees. Facing fingers see a shared load mirrored, so the
 right finger's image is flipped horizontally where the tokenizer takes it in, and forces come out in that canonical
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from uniforce_vtla.contracts import Finger, check_finger
+from uniforce_vtla.contracts import ContactState, Finger, check_finger
 from uniforce_vtla.errors import ContractError, expected
 
 if TYPE_CHECKING:
@@ -50,6 +50,15 @@ def to_finger_frame[Array: (np.ndarray, "torch.Tensor")](force_N: Array, finger:
     if isinstance(force_N, np.ndarray):
         return (force_N * np.asarray(MIRROR_FORCE)).astype(np.result_type(force_N.dtype, np.float32))
     return force_N * force_N.new_tensor(MIRROR_FORCE)
+
+
+def mirrored(contact: ContactState) -> ContactState:
+    """Return the right finger's contact where ``contact`` is the left's, each in its finger's own frame.
+
+    The gap flips left-right; fx and torsion change sign (a moment about the normal is a pseudo-scalar).
+    """
+    force_N = (contact.force_N * np.asarray(MIRROR_FORCE, np.float32)).astype(np.float32)
+    return ContactState(np.ascontiguousarray(contact.gap_mm[:, :, ::-1]), force_N, -contact.torsion_Nmm)
 
 
 def _check_force(force_N: Any) -> None:

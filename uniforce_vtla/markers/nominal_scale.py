@@ -13,7 +13,7 @@ import numpy as np
 
 from uniforce_vtla.sensors import SensorSpec, get_sensor
 
-FLAT, DOME = "gelsight", "tactip"  # whose scale the others are brought to
+FLAT, DOME = get_sensor("gelsight").px_per_mm, get_sensor("tactip").px_per_mm  # the others are brought to
 SAME = 1e-3  # zooms closer to 1 than this leave the image untouched
 
 
@@ -21,7 +21,7 @@ def nominal_zoom(spec: SensorSpec) -> tuple[float, float]:
     """Return the (x, y) factors that bring a sensor's marker images to nominal scale; (1, 1) for taxels."""
     if spec.signal == "taxel":
         return 1.0, 1.0
-    nominal = get_sensor(FLAT if spec.dome_radius_mm is None else DOME).px_per_mm
+    nominal = FLAT if spec.dome_radius_mm is None else DOME
     return nominal[0] / spec.px_per_mm[0], nominal[1] / spec.px_per_mm[1]
 
 

@@ -1,14 +1,16 @@
-"""Free-air references: taken from several frames, and refused where they can be known to be in contact.
+"""Free-air references: taken from several frames, refused where they can be known to be in contact, remembered.
 
 What can be known: a touch that moves or changes shows within the frames; a tared taxel pressed at the reference reads
 negative once released; taxels far from a stored resting level are loaded. What can't: a steady touch on a gel seen by
-a camera, or on taxels whose resting level nobody stored. It looks like free air, and no check here claims otherwise.
+a camera, or on taxels whose resting level is not stored. It looks like free air, and no check here claims otherwise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -17,6 +19,9 @@ from scipy.stats import median_abs_deviation
 from uniforce_vtla.contracts import TAXEL_SHAPE
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.markers.taxel_render import check_alive, check_counts
+
+if TYPE_CHECKING:
+    import torch
 
 
 @dataclass(frozen=True)
@@ -114,3 +119,36 @@ def _check_resting(reference: np.ndarray, resting: np.ndarray, limits: NoContact
 def _refuse(wanted: str, came: str) -> None:
     do = "It was in contact: open the gripper and take it again in free air."
     raise SensorError(expected("reference", wanted, came, do))
+
+
+class ReferenceMemory[Value]:
+    """What was computed of the latest references: a stream pairs every frame with the same one.
+
+    Args:
+        most: references remembered; the oldest is forgotten.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._known: deque[tuple[Hashable, np.ndarray | torch.Tensor, Value]] = deque(maxlen=most)
+
+    def get(self, key: Hashable, reference: np.ndarray | torch.Tensor, compute: Callable[[], Value]) -> Value:
+        """Return what ``compute`` makes of a reference, from memory where key and content are the same."""
+        for known_key, known, value in self._known:
+            if known_key == key and same_reference(known, reference):
+                return value
+        value = compute()
+        copy = reference.copy() if isinstance(reference, np.ndarray) else reference.clone()
+        self._known.append((key, copy, value))
+        return value
+
+    def forget(self) -> None:
+        """Forget all references: another episode begins."""
+        self._known.clear()
+
+
+def same_reference(first: np.ndarray | torch.Tensor, second: np.ndarray | torch.Tensor) -> bool:
+    """Return whether two references (numpy or torch) have the same type, shape and content; NaN equals nothing."""
+    alike = type(first) is type(second) and first.dtype == second.dtype and first.shape == second.shape
+    if not alike or first.device != second.device:
+        return False
+    return bool((first == second).all())

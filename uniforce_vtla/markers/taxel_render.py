@@ -47,19 +47,12 @@ class TaxelScales:
 
 @dataclass(frozen=True)
 class TaxelDiscs:
-    """Where the discs are, and which were clipped.
+    """Where the discs are, and which were clipped."""
 
-    Attributes:
-        centres_px: (16, 2) float32, x right and y down in the 480×640 image.
-        radii_px: (16,) float32.
-        radius_saturated: (16,) bool, pressed beyond ``area_max_pt2``.
-        xy_saturated: (16,) bool, sheared beyond ``shift_max_pitch``.
-    """
-
-    centres_px: np.ndarray
-    radii_px: np.ndarray
-    radius_saturated: np.ndarray
-    xy_saturated: np.ndarray
+    centres_px: np.ndarray  # (16, 2) float32, x right and y down in the 480×640 image
+    radii_px: np.ndarray  # (16,) float32
+    radius_saturated: np.ndarray  # (16,) bool, pressed beyond ``area_max_pt2``
+    xy_saturated: np.ndarray  # (16,) bool, sheared beyond ``shift_max_pitch``
 
 
 @dataclass
@@ -113,10 +106,14 @@ def place_discs(delta_counts: np.ndarray, scales: TaxelScales) -> TaxelDiscs:
     shift = delta_counts[:, :2] / scales.counts_per_pitch
     limit = scales.shift_max_pitch
     position = np.clip(rest + np.clip(shift, -limit, limit), -scales.edge_pitch, 3 + scales.edge_pitch)
+    # canvas (y up, axes −1…4, 5 pitches wide) to pixels (y down; the first one's centre is 0, its edge −0.5)
+    rows, columns = MARKER_IMAGE_SHAPE
+    right, up = ((position + 1) * (columns, rows) / 5).T
+    centres_px = np.stack([right, rows - up], axis=1) - 0.5
     area = scales.area_rest_pt2 + scales.area_per_count_pt2 * delta_counts[:, 2]
     radii = np.sqrt(np.clip(area, scales.area_rest_pt2, scales.area_max_pt2)) * scales.px_per_pt / 2
     return TaxelDiscs(
-        centres_px=_to_pixels(position).astype(np.float32),
+        centres_px=centres_px.astype(np.float32),
         radii_px=radii.astype(np.float32),
         radius_saturated=area > scales.area_max_pt2,
         xy_saturated=np.any(np.abs(shift) > limit, axis=1),
@@ -132,11 +129,3 @@ def draw_discs(discs: TaxelDiscs) -> np.ndarray:
     for centre, radius in zip(centres, radii, strict=True):
         cv2.circle(image, centre, radius, 255, cv2.FILLED, cv2.LINE_8, SUBPIXEL_BITS)
     return image
-
-
-def _to_pixels(position_pitch: np.ndarray) -> np.ndarray:
-    """Map (M, 2) canvas positions (y up, axes −1…4) to pixel centres (y down)."""
-    rows, columns = MARKER_IMAGE_SHAPE
-    x = (position_pitch[:, 0] + 1) * columns / 5  # the canvas is 5 pitches wide
-    y = rows - (position_pitch[:, 1] + 1) * rows / 5
-    return np.stack([x, y], axis=1) - 0.5  # the first pixel's centre is 0, its edge −0.5

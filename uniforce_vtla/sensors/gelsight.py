@@ -5,15 +5,11 @@ from uniforce_vtla.sensors.spec import SensorSpec
 
 GELSIGHT = SensorSpec(
     name="gelsight",
-    signal="camera",
-    raw_shape=(480, 640, 3),
     layout_mm=rectangular(rows=8, columns=10, pitch_mm=(2.5, 2.5)),  # 80 squares on a 25 mm pad
     px_per_mm=(24.0, 24.0),  # 10 columns fill 540 of 640 px
     marker_shape="square",
     marker_size_mm=0.9,
     pad_size_mm=(25.0, 25.0),
-    dome_radius_mm=None,
     rated_depth_mm=1.5,
-    rate_hz=30.0,
     source="UniForce paper, section IV-A (80 squares, 25×25×4 mm, 1.5 mm)",
 )

@@ -5,8 +5,6 @@ from uniforce_vtla.sensors.spec import SensorSpec
 
 TACTIP = SensorSpec(
     name="tactip",
-    signal="camera",
-    raw_shape=(480, 640, 3),
     layout_mm=hexagonal(rings=6, pitch_mm=2.95),  # 127 pins inside a 40 mm disc
     px_per_mm=(12.0, 12.0),  # the 40 mm disc fills the 480 rows
     marker_shape="disc",
@@ -14,6 +12,5 @@ TACTIP = SensorSpec(
     pad_size_mm=(40.0, 40.0),
     dome_radius_mm=41.5,
     rated_depth_mm=5.0,
-    rate_hz=30.0,
     source="UniForce paper, section IV-A (127 markers, R 41.5 mm, diameter 40 mm, 5 mm)",
 )

@@ -12,7 +12,6 @@ USKIN = SensorSpec(
     marker_shape="disc",
     marker_size_mm=0.67,  # 13.9 px at rest: the canonical renderer's smallest disc
     pad_size_mm=(24.6, 22.6),
-    dome_radius_mm=None,
     rated_depth_mm=1.5,
     rate_hz=500.0,
     source="UniForce paper, section IV-A (4×4 taxels, 24.6×22.6×5 mm, 500 Hz)",

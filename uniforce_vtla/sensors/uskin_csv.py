@@ -27,9 +27,8 @@ def read_uskin_csv(path: Path | str) -> np.ndarray:
     values = table[COLUMNS].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)  # (N, 48)
     if len(values) == 0 or not np.isfinite(values).all() or np.any(values != np.rint(values)):
         came = "no rows" if len(values) == 0 else "missing or fractional values"
-        raise SensorError(
-            expected(f"{path}", "whole counts in every cell", came, "Log the raw signal again.")
-        )
+        do = "Log the raw signal again."
+        raise SensorError(expected(f"{path}", "whole counts in every cell", came, do))
     return values.astype(np.int64).reshape(-1, *TAXEL_SHAPE)  # (N, 16, 3)
 
 
@@ -39,6 +38,5 @@ def _read_table(path: Path) -> pd.DataFrame:
     try:
         return pd.read_csv(path)
     except pd.errors.EmptyDataError as error:
-        raise SensorError(
-            expected(f"{path}", "a csv table", "an empty file", "Log the trial again.")
-        ) from error
+        do = "Log the trial again."
+        raise SensorError(expected(f"{path}", "a csv table", "an empty file", do)) from error

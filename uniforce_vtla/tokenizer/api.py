@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import torch
 
 from uniforce_vtla.contracts import Finger, MarkerPair, check_count, check_finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.markers.taxel_render import TaxelScales
 from uniforce_vtla.tokenizer.entry import prepare
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
@@ -23,11 +23,14 @@ from uniforce_vtla.tokenizer.weights import (
     save_checkpoint,
 )
 
+STORED_KEY = (
+    "canonicaliser"  # of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
+)
 CACHED_REFERENCES = 8  # two slots, a few swaps; each costs about 0.5 MB
 
 
-def canonicaliser_facts() -> dict[str, Any]:
-    """Return what of the canonicaliser a checkpoint depends on; part of its hash."""
+def canonicalizer_facts() -> dict[str, Any]:
+    """Return what of the canonicalizer a checkpoint depends on; part of its hash."""
     return {"taxel_scales": TaxelScales().as_dict()}
 
 
@@ -37,16 +40,16 @@ class Tokenizer:
     Attributes:
         model: the network, in eval mode.
         config: its sizes.
-        canonicaliser: facts of the canonicaliser it was trained behind.
-        hash: sha256 over weights, config and canonicaliser facts; checkpoints that use z must store it.
+        canonicalizer: facts of the canonicalizer it was trained behind.
+        hash: sha256 over weights, config and canonicalizer facts; checkpoints that use z must store it.
     """
 
-    def __init__(self, model: ForceAutoencoder, canonicaliser: dict[str, Any] | None = None) -> None:
+    def __init__(self, model: ForceAutoencoder, canonicalizer: dict[str, Any] | None = None) -> None:
         self.model = model.eval().requires_grad_(False)
         self.config: TokenizerConfig = model.config
-        self.canonicaliser = canonicaliser_facts() if canonicaliser is None else canonicaliser
+        self.canonicalizer = canonicalizer_facts() if canonicalizer is None else canonicalizer
         self.hash = content_hash(model, self.facts())
-        self._references: dict[str, ReferenceCache] = {}
+        self._references: ReferenceMemory[ReferenceCache] = ReferenceMemory(CACHED_REFERENCES)
 
     @classmethod
     def random(cls, config: TokenizerConfig | None = None, seed: int = 0) -> Tokenizer:
@@ -58,13 +61,13 @@ class Tokenizer:
         """Load a checkpoint folder, or one shipped with the package: ``"small"`` (None) or ``"nano"``.
 
         Raises:
-            CheckpointError: missing, truncated, of another shape, or made behind another canonicaliser.
+            CheckpointError: missing, truncated, of another shape, or made behind another canonicalizer.
         """
         folder = checkpoint_folder(path, "tokenizer")
         facts = read_config(folder)
         sizes = _sizes(facts, folder)
         model = load_model(folder, lambda: build_model(sizes, seed=0))
-        return cls(model, _same_canonicaliser(facts, folder))
+        return cls(model, _same_canonicalizer(facts, folder))
 
     def save(self, path: str | Path) -> Path:
         """Write weights and facts to a folder that ``from_pretrained`` reads."""
@@ -72,18 +75,12 @@ class Tokenizer:
 
     def facts(self) -> dict[str, Any]:
         """Return everything but the weights that decides what z means."""
-        return {"model": self.config.facts(), "canonicaliser": self.canonicaliser}
+        return {"model": self.config.facts(), STORED_KEY: self.canonicalizer}
 
     @property
     def num_patches(self) -> int:
         """P, the number of latent vectors per image."""
         return self.config.num_patches
-
-    @overload
-    def encode(self, reference: MarkerPair) -> Latent: ...
-
-    @overload
-    def encode(self, reference: np.ndarray, current: np.ndarray, finger: Finger = "left") -> Latent: ...
 
     @torch.no_grad()
     def encode(
@@ -102,12 +99,14 @@ class Tokenizer:
         Raises:
             ContractError: images of the wrong form or of two sizes, an unknown finger, a reference without markers.
         """
+        if isinstance(reference, MarkerPair) == (current is not None):
+            wanted, came = "a MarkerPair alone, or reference and current", f"current {type(current).__name__}"
+            raise ContractError(expected("encode", wanted, came, "Pass the pair, or both images."))
         if isinstance(reference, MarkerPair):
-            _not_given(current)
-            return self.encode(reference.reference[None], reference.current[None], reference.finger)
-        after = prepare(_given(current), check_finger(finger), self.config.side, "current")
+            reference, current, finger = reference.reference, reference.current[None], reference.finger
+        after = prepare(current, check_finger(finger), self.config.side, "current")
         before = self._reference(reference, finger, len(after))
-        _same("current", reference.shape[-2:], _given(current).shape[-2:], "Use one camera setting for both.")
+        _same("current", reference.shape[-2:], current.shape[-2:], "Use one camera setting for both.")
         z = self.model.encoder.encode_current(before, after).mean
         return Latent.of(z, self.hash)
 
@@ -128,22 +127,25 @@ class Tokenizer:
         return self.model.decoder(before.expand(len(z), -1, -1, -1), z)[:, 0].clamp(0, 1)
 
     def _reference(self, reference: np.ndarray, finger: Finger, batch: int) -> ReferenceCache:
-        """Return the reference's cache; a single one is kept by content, since it lasts an episode."""
-        images = reference[None] if getattr(reference, "ndim", 0) == 2 else reference
-        before_count = len(images) if isinstance(images, np.ndarray) else 0
-        if before_count > 1:
-            _same("references", batch, before_count, "Pass one reference per image, or one.")
-            return self.encode_reference(images, finger)
-        key = _content_key(images, finger)
-        if key not in self._references:
-            self._references[key] = self.encode_reference(images, finger)
-        if len(self._references) > CACHED_REFERENCES:
-            self._references.pop(next(iter(self._references)))  # the oldest
-        return self._references[key]
+        if not isinstance(reference, np.ndarray):
+            came, do = type(reference).__name__, "Use Canonicalizer.pair."
+            raise ContractError(expected("reference", "a MarkerPair or array", came, do))
+        images = reference[None] if reference.ndim == 2 else reference
+        if len(images) > 1:
+            _same("references", batch, len(images), "Pass one reference per image, or one.")
+        return self.encode_reference(images, finger)
 
     def encode_reference(self, images: np.ndarray, finger: Finger) -> ReferenceCache:
-        """Return what frames need of free-air images (B, H, W), not cached; ContractError if one shows no marker."""
-        return self.model.encoder.encode_reference(self._free_air(images, finger))
+        """Return what frames need of free-air images (B, H, W); a single one is remembered: it lasts an episode.
+
+        Raises:
+            ContractError: images of the wrong form, or without markers.
+        """
+
+        def encode() -> ReferenceCache:
+            return self.model.encoder.encode_reference(self._free_air(images, finger))
+
+        return encode() if len(images) > 1 else self._references.get(finger, images, encode)
 
     def _free_air(self, images: np.ndarray, finger: Finger) -> torch.Tensor:
         before = prepare(images, finger, self.config.side, "reference")
@@ -154,47 +156,22 @@ class Tokenizer:
         return before
 
 
-def _given(current: np.ndarray | None) -> np.ndarray:
-    if current is None:
-        raise ContractError(
-            expected("encode", "a MarkerPair or reference and current", "no current", "Pass both images.")
-        )
-    return current
-
-
-def _not_given(current: np.ndarray | None) -> None:
-    if current is not None:
-        do = "Pass the pair, or reference and current."
-        raise ContractError(expected("encode", "a MarkerPair alone", "a current beside it", do))
-
-
 def _same(what: str, wanted: object, came: object, do: str) -> None:
     if wanted != came:
         raise ContractError(expected(what, wanted, came, do))
-
-
-def _content_key(images: np.ndarray, finger: Finger) -> str:
-    if not isinstance(images, np.ndarray):
-        raise ContractError(
-            expected("reference", "a MarkerPair or array", type(images).__name__, "Use Canonicalizer.pair.")
-        )
-    header = f"{finger} {images.dtype} {images.shape}".encode()
-    return hashlib.blake2b(header + np.ascontiguousarray(images).tobytes(), digest_size=16).hexdigest()
 
 
 def _sizes(facts: dict[str, Any], folder: Path) -> TokenizerConfig:
     try:
         return TokenizerConfig(**facts["model"])
     except (KeyError, TypeError, ContractError) as error:
-        raise CheckpointError(
-            expected(f"config of {folder}", "the fields of TokenizerConfig", error, "Is this a tokenizer?")
-        ) from error
+        wanted, do = "the fields of TokenizerConfig", "Is this a tokenizer?"
+        raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
 
 
-def _same_canonicaliser(facts: dict[str, Any], folder: Path) -> dict[str, Any]:
-    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+def _same_canonicalizer(facts: dict[str, Any], folder: Path) -> dict[str, Any]:
+    stored, running = facts.get(STORED_KEY), canonicalizer_facts()
     if stored != running:
-        raise CheckpointError(
-            expected(f"canonicaliser of {folder}", stored, running, "Use its version, or pretrain again.")
-        )
+        do = "Use its version, or pretrain again."
+        raise CheckpointError(expected(f"canonicalizer of {folder}", stored, running, do))
     return running

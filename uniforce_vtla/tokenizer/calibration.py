@@ -1,4 +1,4 @@
-"""Label-free calibration: a sensor nobody has pretrained on learns the known one's latent by feeling the same things.
+"""Label-free calibration: a sensor never pretrained on learns the known one's latent on the same grasps.
 
 Both fingers grasp an externally held object for about a minute.  Their forces are equal, so their latents should be:
 a small adapter on the new sensor's latent is fitted until they are.  No force is ever measured.  It corrects what a
@@ -7,7 +7,7 @@ reference image can't show: stiffness and gain.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +17,7 @@ from torch import nn
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.options import Count, CountOrZero, NotNegative, Rate, Seed, Share
-from uniforce_vtla.tokenizer.latent import Latent, own_latent
-from uniforce_vtla.tokenizer.pooling import as_map
+from uniforce_vtla.tokenizer.latent import Latent, as_map, own_latent
 from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
 
 MAX_SIZE = 16384  # of an adapter's latent and hidden units, see model.LIMITS
@@ -65,21 +64,15 @@ class LatentAdapter(nn.Module):
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted adapter and how well the fingers agree on held-out grasps, before and after.
+    """A fitted adapter and how well the fingers agree on held-out grasps, before and after."""
 
-    Attributes:
-        adapter: the network, in eval mode.
-        tokenizer_hash: the tokenizer whose latents it adapts.
-        imbalance_before: ‖z_new − z_anchor‖² over ‖z_anchor − mean‖², held-out grasps, total latent of the pad.
-        imbalance_after: the same with the adapter.
-    """
-
-    adapter: LatentAdapter
-    tokenizer_hash: str
+    adapter: LatentAdapter  # the network, in eval mode
+    tokenizer_hash: str  # the tokenizer whose latents it adapts
     new: str
     anchor: str
+    # ‖z_new − z_anchor‖² over ‖z_anchor − mean‖², held-out grasps, total latent of the pad
     imbalance_before: float
-    imbalance_after: float
+    imbalance_after: float  # the same with the adapter
 
     @torch.no_grad()
     def __call__(self, z: Latent) -> Latent:
@@ -87,18 +80,15 @@ class Calibration:
         own = own_latent(z, self.tokenizer_hash, f"the calibration of {self.new}")
         return Latent.of(self.adapter(own), self.tokenizer_hash)
 
+    def facts(self) -> dict[str, object]:
+        """Return which sensors it matches, and how well."""
+        names = ("new", "anchor", "imbalance_before", "imbalance_after")
+        return {name: getattr(self, name) for name in names}
+
     def save(self, path: str | Path) -> Path:
         """Write the adapter and its facts to a folder ``load`` reads."""
-        latent, hidden = self.adapter.affine.in_features, self.adapter.bend[0].out_features
-        facts = {
-            "latent": latent,
-            "hidden": hidden,
-            "tokenizer_hash": self.tokenizer_hash,
-            "new": self.new,
-            "anchor": self.anchor,
-            "imbalance_before": self.imbalance_before,
-            "imbalance_after": self.imbalance_after,
-        }
+        sizes = {"latent": self.adapter.affine.in_features, "hidden": self.adapter.bend[0].out_features}
+        facts = self.facts() | sizes | {"tokenizer_hash": self.tokenizer_hash}
         return save_checkpoint(Path(path), self.adapter, facts)
 
     @classmethod
@@ -112,19 +102,15 @@ class Calibration:
         facts = read_config(folder)
         if facts.get("tokenizer_hash") != tokenizer_hash:
             came = facts.get("tokenizer_hash")
-            raise CheckpointError(
-                expected(
-                    f"tokenizer of {folder}", tokenizer_hash, came, "Calibrate again with this tokenizer."
-                )
-            )
+            do = "Calibrate again with this tokenizer."
+            raise CheckpointError(expected(f"tokenizer of {folder}", tokenizer_hash, came, do))
         try:
             latent, hidden = (check_count(name, facts[name], MAX_SIZE) for name in ("latent", "hidden"))
             names = str(facts["new"]), str(facts["anchor"])
             judged = float(facts["imbalance_before"]), float(facts["imbalance_after"])
         except (KeyError, TypeError, ValueError, ContractError) as error:
-            raise CheckpointError(
-                expected(f"config of {folder}", "the facts of a calibration", error, "Calibrate again.")
-            ) from error
+            wanted, do = "the facts of a calibration", "Calibrate again."
+            raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
         adapter = load_model(folder, lambda: LatentAdapter(latent, hidden))
         return cls(adapter.eval(), tokenizer_hash, *names, *judged)
 
@@ -181,19 +167,15 @@ def _fit(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfig)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
     for _ in range(config.steps):
         rows = torch.randint(len(z_new), (config.batch,))
-        loss = _disagreement(adapter(z_new[rows]), z_anchor[rows], adapter.spread)
+        gap = (adapter(z_new[rows]) - z_anchor[rows]) / adapter.spread
+        regions = as_map(gap).unfold(2, 2, 2).unfold(3, 2, 2).mean(dim=(-1, -2))  # 2×2 patches at a time
+        # fingers balance in total, maps only loosely
+        loss = 10 * gap.mean(dim=1).square().mean() + regions.square().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
     return adapter.eval()
-
-
-def _disagreement(z: torch.Tensor, anchor: torch.Tensor, spread: torch.Tensor) -> torch.Tensor:
-    """Return the error of totals, and with less weight of regions: fingers balance in total, maps only loosely."""
-    gap = (z - anchor) / spread
-    regions = as_map(gap).unfold(2, 2, 2).unfold(3, 2, 2).mean(dim=(-1, -2))  # 2×2 patches at a time
-    return gap.mean(dim=1).square().mean() * 10 + regions.square().mean()
 
 
 def _check(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfig) -> None:
@@ -208,14 +190,3 @@ def _check(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfi
     if float(z_anchor.mean(dim=1).std(dim=0).max()) < 1e-6:
         do = "Hold the object from outside and squeeze, push and twist it."
         raise ContractError(expected("grasps", "changing forces", "the same latent throughout", do))
-
-
-def calibration_facts(calibration: Calibration, config: CalibrationConfig) -> dict[str, object]:
-    """Return what a report says of a calibration."""
-    return {
-        "new": calibration.new,
-        "anchor": calibration.anchor,
-        "imbalance_before": calibration.imbalance_before,
-        "imbalance_after": calibration.imbalance_after,
-        "config": asdict(config),
-    }

@@ -1,7 +1,7 @@
 """Newtons for scores, read by hand: a sensor's own head over hand descriptors, without the tokenizer.
 
-A policy may act on the tokenizer's latents. Whoever scores it must not read forces through the same latents, or both
-err alike and nobody sees it. A descriptor head knows one sensor and one kind of scene, which is all a score needs.
+A policy may act on the tokenizer's latents. A score must not read forces through the same latents, or both
+err alike and it does not show. A descriptor head knows one sensor and one kind of scene, which is all a score needs.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class DescriptorHead:
         seed: int = 0,
     ) -> DescriptorHead:
         """Return a descriptor head fitted to overlapping stretches of (n, 6) descriptors and (n, 3) N per episode."""
-        z = torch.cat([_stretches(_natural(felt), stretch) for felt, _ in episodes])  # (m, stretch, 1, 6)
+        z = torch.cat([_stretches(_natural(seen), stretch) for seen, _ in episodes])  # (m, stretch, 1, 6)
         force = torch.cat([_stretches(torch.from_numpy(force_N), stretch) for _, force_N in episodes])
         # it reads the sensor it learnt from, so fine print is welcome: little noise, small spreads kept
         head = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1)
@@ -67,9 +67,8 @@ class DescriptorHead:
         try:
             config = HeadConfig(**facts["head"])
         except (TypeError, ContractError) as error:
-            raise CheckpointError(
-                expected(f"head in {place}", "a head's sizes", error, "Make it again.")
-            ) from error
+            do = "Make it again."
+            raise CheckpointError(expected(f"head in {place}", "a head's sizes", error, do)) from error
         return cls(load_model(place, lambda: ForceRegressor(config)), sensor)
 
     def save(self, folder: str | Path) -> Path:
@@ -90,9 +89,8 @@ class DescriptorHead:
         """
         if descriptors.ndim != 2 or descriptors.shape[1] != len(DESCRIPTOR_NAMES):
             do = "Take them from plain_touch.descriptors."
-            raise ContractError(
-                expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", descriptors.shape, do)
-            )
+            came = descriptors.shape
+            raise ContractError(expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", came, do))
         if not np.isfinite(descriptors).all():
             do = "Check the sensor's images."
             raise ContractError(expected("descriptors", "finite numbers", "NaN or inf", do))

@@ -74,9 +74,8 @@ def check_images[Images: (np.ndarray, torch.Tensor)](images: Images, name: str) 
     kind = str(images.dtype).removeprefix("torch.")
     came = f"{kind} {tuple(images.shape)}"
     if images.ndim != 3 or not (kind == "uint8" or kind.startswith(("float", "bfloat"))):
-        raise ContractError(
-            expected(name, "(B, H, W) uint8 or float", came, "Pass marker images, one channel.")
-        )
+        do = "Pass marker images, one channel."
+        raise ContractError(expected(name, "(B, H, W) uint8 or float", came, do))
     if 0 in tuple(images.shape):
         raise ContractError(expected(name, "non-empty images", came, "Check the sensor's frame."))
     if min(images.shape[1:]) < MIN_SIDE_PX:

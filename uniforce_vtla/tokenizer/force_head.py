@@ -14,8 +14,7 @@ from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.tokenizer.latent import own_latent
-from uniforce_vtla.tokenizer.pooling import pool_latent
+from uniforce_vtla.tokenizer.latent import own_latent, pool_latent
 from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
 
 LIMITS = {"channels": 4096, "grid": 64, "hidden": 4096, "mlp": 16384}  # of HeadConfig, see model.LIMITS
@@ -131,11 +130,8 @@ class ForceHead:
             config = HeadConfig(**facts["head"])
             found, tokenizer_hash = str(facts["source"]), str(facts["tokenizer_hash"])
         except (KeyError, TypeError, ContractError) as error:
-            raise CheckpointError(
-                expected(
-                    f"config of {folder}", "head, source, tokenizer_hash", error, "Is this a force head?"
-                )
-            ) from error
+            wanted, do = "head, source, tokenizer_hash", "Is this a force head?"
+            raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
         return cls(load_model(folder, lambda: ForceRegressor(config)), found, tokenizer_hash)
 
     def save(self, path: str | Path) -> Path:
@@ -165,10 +161,6 @@ class ForceHead:
         """Return force (B, 3) N and the next state for one frame of (B, P, L) latents and those before it."""
         return self.model.step(self._frames(self._own(z)), state)
 
-    def stream(self) -> ForceStream:
-        """Return a reader that remembers the frames before; one per finger and episode."""
-        return ForceStream(self)
-
     def _own(self, z: torch.Tensor) -> torch.Tensor:
         return own_latent(z, self.tokenizer_hash, f"the force head of {self.source}")
 
@@ -182,16 +174,3 @@ class ForceHead:
         if not bool(z.isfinite().all()):
             raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the images."))
         return z
-
-
-class ForceStream:
-    """A force head with memory: call it with (B, P, L) frame after frame."""
-
-    def __init__(self, head: ForceHead) -> None:
-        self._head = head
-        self._state: torch.Tensor | None = None
-
-    def __call__(self, z: torch.Tensor) -> torch.Tensor:
-        """Return (B, 3) N, given this frame and those before it."""
-        force, self._state = self._head.step(z, self._state)
-        return force

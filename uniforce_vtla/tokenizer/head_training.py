@@ -45,10 +45,15 @@ def train_head(z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig,
         )
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
         rng = np.random.default_rng(seed)
+        spread = head.input_std.flatten(1).mean(1)  # (L,) one amount of noise per channel
         head.train()
         for _ in range(config.steps):
-            rows, frames = _stretch(rng, len(z), z.shape[1], config.batch)
-            loss = _loss(head, z[rows][:, frames], target[rows][:, frames], config.input_noise)
+            frames = int(rng.integers(1, z.shape[1] + 1))
+            start = int(rng.integers(0, z.shape[1] - frames + 1))
+            rows, stretch = rng.integers(len(z), size=config.batch), slice(start, start + frames)
+            given, wanted = z[rows][:, stretch], target[rows][:, stretch] / head.force_scale
+            noisy = given + config.input_noise * spread * torch.randn_like(given)
+            loss = F.smooth_l1_loss(head(noisy) / head.force_scale, wanted, beta=0.2)
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -64,15 +69,3 @@ def _standardise(head: ForceRegressor, z: torch.Tensor, force_N: torch.Tensor, s
     head.input_mean.copy_(maps.mean(dim=0))
     head.input_std.copy_(torch.maximum(std, STD_FLOOR * channel).clamp_min(smallest))
     head.force_scale.copy_(force_N.flatten(0, 1).std(dim=0))
-
-
-def _stretch(rng: np.random.Generator, rows: int, length: int, batch: int) -> tuple[np.ndarray, slice]:
-    frames = int(rng.integers(1, length + 1))
-    start = int(rng.integers(0, length - frames + 1))
-    return rng.integers(rows, size=batch), slice(start, start + frames)
-
-
-def _loss(head: ForceRegressor, z: torch.Tensor, force_N: torch.Tensor, noise: float) -> torch.Tensor:
-    spread = head.input_std.flatten(1).mean(1)  # (L,) one amount of noise per channel
-    noisy = z + noise * spread * torch.randn_like(z)
-    return F.smooth_l1_loss(head(noisy) / head.force_scale, force_N / head.force_scale, beta=0.2)

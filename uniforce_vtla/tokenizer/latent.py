@@ -1,13 +1,20 @@
-"""Latents that carry the hash of their tokenizer: those of two have the same shape and don't mean the same."""
+"""Latents that carry the hash of their tokenizer, since those of two have one shape and two meanings; pooled maps."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
+from torch.nn import functional as F  # noqa: N812
 
+from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+
+POOL = 4  # regions per side of a pooled map: what heads, calibrations and policies read
+# of a pooled latent are kept; beyond them fingers of one grasp differ as much as grasps do (sensor_transfer.py)
+MOST_DIRECTIONS = 16
 
 # What only picks, joins, reshapes or moves numbers; everything else gives a plain tensor.
 PICKS = ("__getitem__", "unbind", "cat", "stack", "unsqueeze", "squeeze", "flatten", "unflatten")
@@ -60,9 +67,8 @@ def own_latent(z: torch.Tensor, tokenizer_hash: str, reader: str) -> torch.Tenso
         raise ContractError(expected(f"latents for {reader}", "a Latent", type(z).__name__, do))
     if z.tokenizer_hash != tokenizer_hash:
         wanted, came = (f"tokenizer {name[:12]}…" for name in (tokenizer_hash, z.tokenizer_hash))
-        raise CheckpointError(
-            expected(f"latents for {reader}", wanted, came, "Load both of one size or folder.")
-        )
+        do = "Load both of one size or folder."
+        raise CheckpointError(expected(f"latents for {reader}", wanted, came, do))
     return z.as_subclass(torch.Tensor)
 
 
@@ -74,3 +80,20 @@ def _of_all(result: Any, origin: str) -> Any:
     if isinstance(result, Iterable) and not isinstance(result, torch.Tensor):
         return tuple(Latent.of(part, origin) for part in result)
     return Latent.of(result, origin)
+
+
+def as_map(z: torch.Tensor) -> torch.Tensor:
+    """Return latents (B, P, L) as a square map (B, L, g, g)."""
+    if z.ndim != 3 or math.isqrt(z.shape[1]) ** 2 != z.shape[1]:
+        do = "Use Tokenizer.encode."
+        raise ContractError(expected("latent", "(B, P, L), P a square", tuple(z.shape), do))
+    side = math.isqrt(z.shape[1])
+    return z.transpose(1, 2).unflatten(2, (side, side))  # (B, L, g, g)
+
+
+def pool_latent(z: torch.Tensor, grid: int = POOL) -> torch.Tensor:
+    """Return (B, grid², L): means over neighbouring patches of (B, P, L), with their origin if they have one."""
+    cells = as_map(z)
+    check_count("grid of pooled latents", grid, cells.shape[-1])
+    pooled = F.adaptive_avg_pool2d(cells, grid).flatten(2).transpose(1, 2)
+    return Latent.of(pooled, z.tokenizer_hash) if isinstance(z, Latent) else pooled

@@ -14,17 +14,13 @@ from torch.nn import functional as F  # noqa: N812
 
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.options import Count, CountOrZero, NotNegative
+from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 from uniforce_vtla.tokenizer.model import Decoder, Posterior
-from uniforce_vtla.tokenizer.pooling import pool_latent
 
 Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
-LEVELS: dict[str, tuple[str | int | None, ...]] = {  # regions per side; None = every patch
-    "patch": (None,),
-    "pooled": ("pooled",),
-    "both": (None, "pooled"),
-    "levels": (None, "pooled", 1),
-}
-WHITENING_FLOOR = 0.01  # of the mean variance; below it a direction of the latent counts as silent
+# regions per side; None = every patch
+LEVELS: dict[str, tuple[int | None, ...]] = {"patch": (None,), "levels": (None, POOL, 1)}
+WHITENING_FLOOR = 0.01  # of the mean variance; below it a direction of the latent counts as noise
 
 
 @dataclass(frozen=True)
@@ -35,20 +31,15 @@ class LossConfig:
     perceptual: Literal["gradient_pyramid", "lpips"] = "gradient_pyramid"
     perceptual_weight: NotNegative = 0.1  # λ of the perceptual term
     kl_weight: NotNegative = 1e-2  # λ of the KL term, per latent number
-    # it rises linearly over so many steps; 0 = full weight from the start (paper)
-    kl_warmup_steps: CountOrZero = 0
-    free_bits: NotNegative = 0.0  # nats per latent number the KL term leaves free; 0 = none (paper)
     equilibrium_weight: NotNegative = 4.0  # λ of the equilibrium term
     # it rises linearly: at full weight from the start, z learns to be 0
     equilibrium_warmup_steps: CountOrZero = 300
-    # patch is the paper's; real totals balance better; levels = patch, pooled and total added
-    equilibrium: Literal["patch", "pooled", "both", "levels"] = "patch"
-    # absolute is the paper's; whitened counts in
+    # patch is the paper's; real totals balance better; levels = patches, 4×4 regions and total added
+    equilibrium: Literal["patch", "levels"] = "patch"
+    # absolute is the paper's; whitened counts in units of the latent's own spread: shrinking z is no way out
     equilibrium_scale: Literal["absolute", "whitened"] = "absolute"
-    # units of the latent's own spread, so that shrinking z is no way out and faint directions count too
     # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
     pair_quality: NotNegative = 0.0
-    pooled_grid: Count = 4  # regions per side for the pooled variant
     # extra weight where current differs from reference; 0 = plain L1
     changed_pixel_weight: NotNegative = 10.0
     pyramid_levels: Count = 3  # scales of the gradient pyramid
@@ -91,17 +82,12 @@ def objective(
     for (i, j), image in zip(branches, drawn.chunk(4), strict=True):
         parts[f"recon_{i}{j}"] = reconstruction(image, sides[j], config)
     recon = torch.stack(list(parts.values())).sum()
-    parts["kl"] = kl(left.posterior, config.free_bits) + kl(right.posterior, config.free_bits)
+    parts["kl"] = kl(left.posterior) + kl(right.posterior)
     parts["equilibrium"] = equilibrium(z["L"], z["R"], config)
     with torch.no_grad():
         parts["copied"] = 2 * sum(reconstruction(s.reference, s, config) for s in (left, right))  # type: ignore
-    kl_weight = config.kl_weight * _rise(step, config.kl_warmup_steps)
-    pull = config.equilibrium_weight * _rise(step, config.equilibrium_warmup_steps)
-    return recon + kl_weight * parts["kl"] + pull * parts["equilibrium"], parts
-
-
-def _rise(step: int, warmup_steps: int) -> float:
-    return min(1.0, (step + 1) / max(1, warmup_steps))
+    pull = config.equilibrium_weight * min(1.0, (step + 1) / max(1, config.equilibrium_warmup_steps))
+    return recon + config.kl_weight * parts["kl"] + pull * parts["equilibrium"], parts
 
 
 def reconstruction(drawn: torch.Tensor, truth: Side, config: LossConfig) -> torch.Tensor:
@@ -116,19 +102,17 @@ def reconstruction(drawn: torch.Tensor, truth: Side, config: LossConfig) -> torc
     return per_pixel * config.pixels_per_patch
 
 
-def kl(posterior: Posterior, free_bits: float = 0.0) -> torch.Tensor:
-    """Return KL(q ‖ N(0, 1)), mean over the latent's numbers; what lies below ``free_bits`` costs nothing."""
+def kl(posterior: Posterior) -> torch.Tensor:
+    """Return KL(q ‖ N(0, 1)), mean over the latent's numbers."""
     mean, log_variance = posterior
-    per_number = 0.5 * (mean**2 + log_variance.exp() - 1 - log_variance).mean(dim=(0, 1))  # (latent,)
-    return per_number.clamp_min(free_bits).mean() if free_bits else per_number.mean()
+    return 0.5 * (mean**2 + log_variance.exp() - 1 - log_variance).mean()
 
 
 def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig) -> torch.Tensor:
-    """Return ‖z_L − z_R‖² / P by patch (paper), on the pooled map, or several of them added."""
+    """Return ‖z_L − z_R‖² / P by patch (paper), or added to the same of regions and of the total."""
     errors = []
     for grid in LEVELS[config.equilibrium]:
-        grid = config.pooled_grid if grid == "pooled" else grid
-        left, right = (z if grid is None else pool_latent(z, int(grid)) for z in (z_left, z_right))
+        left, right = (z if grid is None else pool_latent(z, grid) for z in (z_left, z_right))
         errors.append(_imbalance(left, right, config.equilibrium_scale == "whitened"))  # (B,)
     error = torch.stack(errors).sum(dim=0)
     return (error * quality_weights(error.detach(), config.pair_quality)).mean()
@@ -180,9 +164,8 @@ def perceptual(config: LossConfig) -> Perceptual:
                 "Install them and register the distance here, or use perceptual=gradient_pyramid.",
             )
         )
-    raise ContractError(
-        expected("perceptual", "gradient_pyramid or lpips", repr(config.perceptual), "Choose one.")
-    )
+    do = "Choose one."
+    raise ContractError(expected("perceptual", "gradient_pyramid or lpips", repr(config.perceptual), do))
 
 
 def gradient_pyramid(drawn: torch.Tensor, truth: torch.Tensor, levels: int) -> torch.Tensor:

@@ -21,11 +21,10 @@ from uniforce_vtla.tokenizer.attention import (
     grid_code,
     sinusoid,
 )
-from uniforce_vtla.tokenizer.material import MaterialEncoder
 from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels, pyramid
 
 LATER = ("warp", "material")  # fields of TokenizerConfig that came after the first shipped checkpoint
-LIMITS = {  # of TokenizerConfig: far beyond what anybody trains, far below what fills a machine
+LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below what fills a machine
     "side": (1, 2048),
     "patch": (1, 2048),
     "width": (1, 8192),
@@ -40,6 +39,7 @@ LIMITS = {  # of TokenizerConfig: far beyond what anybody trains, far below what
 }
 MAX_PATCHES = 4096  # 64×64
 START_LOG_VARIANCE = -4.0  # σ ≈ 0.14
+MATERIAL_HIDDEN = 32  # units of both layers; a handful of numbers comes out
 FLOW_PX = 2.0  # shift of one unit of the flow head: about a strong shear on a GelSight at 128 px
 LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
 
@@ -61,7 +61,7 @@ class TokenizerConfig:
     predict_change: bool = True  # decoder adds to the reference instead of redrawing every marker
     # decoder also moves the reference's pixels along a flow it predicts; a marker stays a marker
     warp: bool = False
-    material: int = 0  # numbers per unit told to the decoder (material.py); 0 = none, as in the paper
+    material: int = 0  # numbers per unit given to the decoder (MaterialEncoder); 0 = none, as in the paper
 
     def __post_init__(self) -> None:
         for name, (least, most) in LIMITS.items():
@@ -69,9 +69,8 @@ class TokenizerConfig:
         check_count("tokenizer's patches", self.num_patches, MAX_PATCHES)
         if self.side % self.patch or self.width % self.heads or self.width % 4:
             came = f"side {self.side}, patch {self.patch}, width {self.width}, heads {self.heads}"
-            raise ContractError(
-                expected("tokenizer sizes", "patch | side, heads | width, 4 | width", came, "Change one.")
-            )
+            wanted = "patch | side, heads | width, 4 | width"
+            raise ContractError(expected("tokenizer sizes", wanted, came, "Change one."))
 
     def facts(self) -> dict[str, Any]:
         """Return all sizes by name; options added later only where they are on, so that older hashes stay."""
@@ -100,16 +99,11 @@ class Posterior(NamedTuple):
 
 
 class ReferenceCache(NamedTuple):
-    """What the current frame needs of its reference, all with the reference's batch.
+    """What the current frame needs of its reference, all with the reference's batch."""
 
-    Attributes:
-        image: (B, 1, S, S) prepared reference.
-        halved: the same at every scale of the motion channels; empty without them.
-        kept: per encoder block its key and value, (B, P, heads, D/heads) each.
-    """
-
-    image: torch.Tensor
-    halved: list[torch.Tensor]
+    image: torch.Tensor  # (B, 1, S, S) prepared reference
+    halved: list[torch.Tensor]  # the same at every scale of the motion channels; empty without them
+    # per encoder block its key and value, (B, P, heads, D/heads) each
     kept: list[tuple[torch.Tensor, torch.Tensor]]
 
     def repeat(self, times: int) -> ReferenceCache:
@@ -200,7 +194,7 @@ class Encoder(nn.Module):
         self.motion = MotionEmbed(config) if config.motion_scales else None
         self.blocks = nn.ModuleList(EncoderBlock(config) for _ in range(config.depth))
         self.posterior = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, 2 * config.latent))
-        with torch.no_grad():  # a quiet start: at σ = 1 noise drowns what little μ says at first
+        with torch.no_grad():  # at σ = 1 noise would drown what little μ says at first
             self.posterior[1].bias[config.latent :] = START_LOG_VARIANCE
         self.register_buffer("time", sinusoid(torch.arange(2), config.width), persistent=False)
 
@@ -302,6 +296,49 @@ def warped(image: torch.Tensor, flow_px: torch.Tensor) -> torch.Tensor:
     place = torch.stack(torch.meshgrid(axis, axis, indexing="xy"))  # (2, S, S): x, y
     unit = (place + flow_px) * (2 / side) + (1 / side - 1)  # pixel centres in [-1, 1]
     return F.grid_sample(image, unit.permute(0, 2, 3, 1), padding_mode="zeros", align_corners=False)
+
+
+class MaterialEncoder(nn.Module):
+    """How images changed under which latents → a few numbers per contact's unit, for the decoder alone.
+
+    A reference image doesn't show how soft a gel is; without them the decoder puts a unit's softness into z. They are
+    inferred in pretraining from the *other* contacts of the same unit and its partner's latents there; the encoder
+    never sees them, and z means the same with and without.
+    """
+
+    def __init__(self, patch: int, latent: int, material: int) -> None:
+        super().__init__()
+        self.patch = patch
+        self.look = nn.Sequential(nn.Linear(2 * patch**2 + latent, MATERIAL_HIDDEN), nn.GELU())
+        self.tell = nn.Sequential(
+            nn.Linear(2 * MATERIAL_HIDDEN, MATERIAL_HIDDEN), nn.GELU(), nn.Linear(MATERIAL_HIDDEN, material)
+        )
+
+    def forward(
+        self, reference: torch.Tensor, current: torch.Tensor, z_partner: torch.Tensor, per_unit: int
+    ) -> torch.Tensor:
+        """Return (U·n, material) for each contact, from the unit's ``n`` − 1 others; zeros where n is 1.
+
+        Args:
+            reference: (U·n, 1, S, S), each unit's repeated.
+            current: (U·n, 1, S, S), unit by unit.
+            z_partner: (U·n, P, latent) latents of the other finger; taken as given.
+            per_unit: n.
+        """
+        change, before = (
+            patches(current - reference, self.patch),
+            patches(reference, self.patch),
+        )  # (B, P, patch²)
+        seen = self.look(torch.cat([change, before, z_partner.detach()], dim=2))  # (B, P, H)
+        summary = torch.cat([seen.mean(dim=1), seen.amax(dim=1)], dim=1)  # (B, 2·H)
+        return mean_of_others(self.tell(summary), per_unit)
+
+
+def mean_of_others(values: torch.Tensor, per_unit: int) -> torch.Tensor:
+    """Return (U·n, M): per row the mean over its unit's other rows; a contact never informs about itself."""
+    grouped = values.unflatten(0, (-1, per_unit))  # (U, n, M)
+    others = grouped.sum(dim=1, keepdim=True) - grouped
+    return (others / max(1, per_unit - 1)).flatten(0, 1)
 
 
 class ForceAutoencoder(nn.Module):

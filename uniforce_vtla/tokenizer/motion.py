@@ -1,7 +1,7 @@
 """Motion channels: a least-squares guess of how far markers moved, cell by cell, at several scales.
 
 A product of "what changed" and "which way the edge faces" is what optical flow is made of; a linear patch
-embedding has no products, and learning them from equilibrium alone took longer than a laptop's patience.
+embedding has no products, and learning them from equilibrium alone takes long.
 """
 
 from __future__ import annotations
@@ -45,22 +45,16 @@ def _cell_means(reference: torch.Tensor, current: torch.Tensor, cell: int) -> to
     apart), so products are 4 × and the energy 16 × what they are called: powers of two, undone at the end.
     """
     gain = current - reference
-    gx, gy = _differences(current + reference)
+    both = current + reference  # a gradient is the difference of a pixel's two neighbours, zero at the rim
+    gx = F.pad(both[..., 2:] - both[..., :-2], (1, 1))
+    gy = F.pad(both[..., 2:, :] - both[..., :-2, :], (0, 0, 1, 1))
     means = torch.cat([gain, gain * gx, gain * gy, torch.addcmul(gx * gx, gy, gy)], dim=1)  # (B, 4, S, S)
     if cell == 1:
         return means
     height, width = means.shape[-2:]
-    rows = means.unflatten(-2, (height // cell, cell)).sum(
-        -2
-    )  # two sums of slices: a pooling kernel takes longer
+    # two sums of slices: a pooling kernel takes longer
+    rows = means.unflatten(-2, (height // cell, cell)).sum(-2)
     return rows.unflatten(-1, (width // cell, cell)).sum(-1) / cell**2
-
-
-def _differences(image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the difference of a pixel's two neighbours along x and along y, zero at the rim."""
-    gx = F.pad(image[..., 2:] - image[..., :-2], (1, 1))
-    gy = F.pad(image[..., 2:, :] - image[..., :-2, :], (0, 0, 1, 1))
-    return gx, gy
 
 
 def _neighbourhood_sums(maps: torch.Tensor) -> torch.Tensor:

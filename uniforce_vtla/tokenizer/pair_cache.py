@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 import torch
@@ -17,8 +18,8 @@ from tqdm import tqdm
 
 from uniforce_vtla.array_file import read_arrays
 from uniforce_vtla.contact.family import BOUNDS, draw_dome, draw_flat
-from uniforce_vtla.contact.options import ContactOptions
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
+from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import VirtualSensor
@@ -39,7 +40,7 @@ class PairCacheConfig:
 
     side: Pixels = 128  # pixels, the model's
     units: Count = 768  # units per rig; each has its own layout, view, stiffness and gains
-    pairs_per_unit: Count = 16  # contacts felt by one unit: they share a reference
+    pairs_per_unit: Count = 16  # contacts of one unit: they share a reference
     units_per_shard: Count = 64  # one file per so many units; a killed run continues at the next shard
     seed: Seed = 1  # of everything drawn
     # share of cameras drawn from the procedural family; 0 = the paper's three sensors
@@ -59,24 +60,14 @@ FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, m
 
 @dataclass(frozen=True)
 class Pairs:
-    """A batch of pairs in the canonical frame, ready for the model.
+    """A batch of pairs in the canonical frame, ready for the model."""
 
-    Attributes:
-        left_reference, right_reference: (U, 1, S, S) float32 in [0, 1], one per unit.
-        left_current, right_current: (U·n, 1, S, S), unit by unit.
-    """
-
+    # left_reference, right_reference: (U, 1, S, S) float32 in [0, 1], one per unit
     left_reference: torch.Tensor
     right_reference: torch.Tensor
+    # left_current, right_current: (U·n, 1, S, S), unit by unit
     left_current: torch.Tensor
     right_current: torch.Tensor
-
-
-class PairSource(Protocol):
-    """Where batches come from: a pair cache, or pairs drawn anew."""
-
-    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
-        """Return ``units`` units with ``pairs`` contacts each; depends on ``rng`` alone."""
 
 
 class PairCache:
@@ -111,6 +102,9 @@ class LivePairs:
         return _canonical(*_stacked(batches).values())
 
 
+PairSource = PairCache | LivePairs  # where batches come from; each depends on ``rng`` alone
+
+
 def build_cache(folder: Path, config: PairCacheConfig) -> None:
     """Draw the shards that are not there yet.
 
@@ -121,7 +115,11 @@ def build_cache(folder: Path, config: PairCacheConfig) -> None:
     _check_or_write_config(folder / "config.json", config)
     for number, path in enumerate(tqdm(_shard_paths(folder, config), desc="drawing pairs")):
         if not path.exists():
-            _write(path, _draw_shard(config, number))
+            rng, rig = np.random.default_rng([config.seed, number]), RIGS[number % len(RIGS)]
+            batches = [_draw_unit(rng, config, rig) for _ in range(config.units_per_shard)]
+            scratch = path.with_suffix(".tmp.npz")
+            np.savez(scratch, **_stacked(batches))  # type: ignore[arg-type]
+            scratch.replace(path)
 
 
 def shrink(images: np.ndarray, side: int) -> np.ndarray:
@@ -130,35 +128,35 @@ def shrink(images: np.ndarray, side: int) -> np.ndarray:
     return small.round().to(torch.uint8).numpy()
 
 
-def _draw_shard(config: PairCacheConfig, number: int) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng([config.seed, number])
-    rig = RIGS[number % len(RIGS)]
-    batches = [_draw_unit(rng, config, rig) for _ in range(config.units_per_shard)]
-    return _stacked(batches)
-
-
 def _stacked(batches: list[PairBatch]) -> dict[str, np.ndarray]:
     """Return units' images by name: one reference (U, S, S) and all currents (U, n, S, S) of each unit."""
     references = {name: np.stack([getattr(b, name)[0] for b in batches]) for name in NAMES[:2]}
     return references | {name: np.stack([getattr(b, name) for b in batches]) for name in NAMES[2:]}
 
 
-def _canonical(
-    left_reference: np.ndarray, right_reference: np.ndarray, left: np.ndarray, right: np.ndarray
-) -> Pairs:
-    """Return a batch for the model from images as the sensors saw them."""
+def _canonical(*images: np.ndarray) -> Pairs:
+    """Return a batch for the model from images (…, S, S) uint8 by ``NAMES``, as the sensors saw them."""
+    flat = [
+        torch.from_numpy(np.ascontiguousarray(i.reshape(-1, 1, *i.shape[-2:]))).float() / 255 for i in images
+    ]
     return Pairs(
-        _ready(left_reference), _mirrored(_ready(right_reference)), _ready(left), _mirrored(_ready(right))
+        *(to_canonical(i, "left" if "left" in name else "right") for name, i in zip(NAMES, flat, strict=True))
     )
 
 
 def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]) -> PairBatch:
     left, right = (draw_finger(rng, sensor, config) for sensor in rig)
-    settings = _pair_settings(rng, config)
-    pairs = config.pairs_per_unit
-    return equilibrium_pairs(
-        rng, pairs, left, right, settings=settings, transform=lambda images: shrink(images, config.side)
+    lossy = config.marker_loss > 0 and rng.random() < 0.5
+    settings = PairSettings(
+        options=ContactOptions(marker_loss=lossy, loss_probability=config.marker_loss),
+        look=Look() if config.free_look else None,
+        misaligned_cells=config.misaligned_cells,
+        imbalance=config.imbalance,
+        flat_share=config.flat_share,
+        force_range=ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm),
     )
+    shrunk = partial(shrink, side=config.side)
+    return equilibrium_pairs(rng, config.pairs_per_unit, left, right, settings=settings, transform=shrunk)
 
 
 def draw_finger(rng: np.random.Generator, sensor: str, config: PairCacheConfig) -> str | VirtualSensor:
@@ -169,27 +167,9 @@ def draw_finger(rng: np.random.Generator, sensor: str, config: PairCacheConfig) 
     return FAMILIES[sensor](rng, BOUNDS[config.family])
 
 
-def _pair_settings(rng: np.random.Generator, config: PairCacheConfig) -> PairSettings:
-    lossy = config.marker_loss > 0 and rng.random() < 0.5
-    return PairSettings(
-        options=ContactOptions(marker_loss=lossy, loss_probability=config.marker_loss),
-        look=Look() if config.free_look else None,
-        misaligned_cells=config.misaligned_cells,
-        imbalance=config.imbalance,
-        flat_share=config.flat_share,
-        force_range=ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm),
-    )
-
-
 def _shard_paths(folder: Path, config: PairCacheConfig) -> list[Path]:
     count = len(RIGS) * config.units // config.units_per_shard
     return [folder / f"shard_{number:03d}.npz" for number in range(count)]
-
-
-def _write(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    scratch = path.with_suffix(".tmp.npz")
-    np.savez(scratch, **arrays)  # type: ignore[arg-type]
-    scratch.replace(path)
 
 
 def _gathered(paths: list[Path]) -> dict[str, np.ndarray]:
@@ -213,13 +193,3 @@ def _check_or_write_config(path: Path, config: PairCacheConfig) -> None:
     if not known or replace(PairCacheConfig(), **stored) != config:
         do = "Choose another folder."
         raise DatasetError(expected(f"cache in {path.parent}", asdict(config), stored, do))
-
-
-def _ready(images: np.ndarray) -> torch.Tensor:
-    """Return (…, S, S) uint8 as (N, 1, S, S) float32 in [0, 1]."""
-    flat = np.ascontiguousarray(images.reshape(-1, 1, *images.shape[-2:]))
-    return torch.from_numpy(flat).float() / 255
-
-
-def _mirrored(images: torch.Tensor) -> torch.Tensor:
-    return to_canonical(images, "right")

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 import torch
 from accelerate import Accelerator
@@ -26,12 +27,11 @@ from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
 from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, TokenizerConfig, build_model
 from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs, PairSource
-from uniforce_vtla.tokenizer.strips import draw_strips
 from uniforce_vtla.tokenizer.training_state import is_there, load_state, save_state
 
 RECIPE = "recipe.json"  # every setting of the run, beside its state
 MAY_CHANGE = ("steps", "save_every", "strips_every", "tracker")  # between a run and its continuation
-UNTOLD_SHARE = 0.25  # of units whose material variables are withheld in a step
+WITHHELD_SHARE = 0.25  # of units whose material variables are withheld in a step
 
 
 @dataclass(frozen=True)
@@ -82,11 +82,8 @@ def starting_model(settings: PretrainSettings) -> ForceAutoencoder:
     if settings.init:
         earlier = Tokenizer.from_pretrained(settings.init)
         if earlier.config != settings.model:
-            raise ContractError(
-                expected(
-                    f"model of {settings.init}", settings.model, earlier.config, "Give it the same sizes."
-                )
-            )
+            do = "Give it the same sizes."
+            raise ContractError(expected(f"model of {settings.init}", settings.model, earlier.config, do))
         model.load_state_dict(earlier.model.state_dict())
     return model
 
@@ -114,7 +111,10 @@ class Pretraining:
         )
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
         self.step = 0
-        self._resume()
+        if resumes:
+            self.step, weights, moments = load_state(folder)
+            self._bare().load_state_dict(weights)
+            self.optimizer.load_state_dict(moments)
 
     def run(self, until: int | None = None) -> Tokenizer:
         """Train up to ``until`` (or to the end) and return the tokenizer so far."""
@@ -130,8 +130,13 @@ class Pretraining:
             self._log(report | {"seconds": time.monotonic() - start})
             if self.step % self.settings.save_every == 0 or self.step == last:
                 self.save()
-            if self.settings.strips_every and self.step % self.settings.strips_every == 0:
-                self._draw_strips()
+            strips = self.settings.strips_every if self.accelerator.is_main_process else 0
+            if strips and self.step % strips == 0:
+                # the same few pairs each time: what the decoder makes of them shows whether it learns
+                pairs = self.data.draw(np.random.default_rng([self.settings.seed, 2**31]), 4, 2)
+                draw_strips(
+                    self.tokenizer().model, pairs, self.folder / "strips" / f"step_{self.step:06d}.png"
+                )
         return self.tokenizer()
 
     def train_step(self) -> dict[str, float]:
@@ -140,7 +145,8 @@ class Pretraining:
         rng = np.random.default_rng([self.settings.seed, self.step, process])
         torch.manual_seed(int(rng.integers(2**62)))  # the latent's noise
         start = time.monotonic()
-        pairs = self._draw(rng)
+        drawn = self.data.draw(rng, self.settings.units_per_batch, self.settings.pairs_per_unit)
+        pairs = Pairs(**{name: value.to(self.accelerator.device) for name, value in vars(drawn).items()})
         loaded = time.monotonic()
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(self.step, self.settings)
@@ -148,24 +154,16 @@ class Pretraining:
             loss, parts, spread = pair_loss(self._bare(), pairs, self.settings.loss, self.step)
         self.optimizer.zero_grad()
         self.accelerator.backward(loss)
-        self._average_gradients()
+        # the encoder is called in parts, which a wrapped forward() doesn't see
+        if self.accelerator.num_processes > 1:
+            for parameter in (p for p in self.model.parameters() if p.grad is not None):
+                parameter.grad.copy_(self.accelerator.reduce(parameter.grad, "mean"))
         self.accelerator.clip_grad_norm_(self.model.parameters(), self.settings.clip_norm)
         self.optimizer.step()
         self.step += 1
         report = {"step": self.step, "loss": loss.item(), "latent_std": spread.item()}
         share = (loaded - start) / max(time.monotonic() - start, 1e-9)  # of this step, spent waiting for data
         return report | {name: part.item() for name, part in parts.items()} | {"data_share": share}
-
-    def _draw(self, rng: np.random.Generator) -> Pairs:
-        return self._to_device(
-            self.data.draw(rng, self.settings.units_per_batch, self.settings.pairs_per_unit)
-        )
-
-    def _draw_strips(self) -> None:
-        """Draw the same few pairs at every call: what the decoder makes of them shows whether it learns."""
-        if self.accelerator.is_main_process:
-            pairs = self.data.draw(np.random.default_rng([self.settings.seed, 2**31]), 4, 2)
-            draw_strips(self.tokenizer().model, pairs, self.folder / "strips" / f"step_{self.step:06d}.png")
 
     def tokenizer(self) -> Tokenizer:
         """Return a frozen copy of the model as it stands."""
@@ -190,28 +188,11 @@ class Pretraining:
         stored, asked = read_object(path, DatasetError), asdict(self.settings)
         differs = sorted(k for k in asked if k not in MAY_CHANGE and stored.get(k) != asked[k])
         if differs:
-            raise DatasetError(
-                expected(str(path), "the recipe now asked for", f"another {differs}", "Choose another out=.")
-            )
-
-    def _resume(self) -> None:
-        if is_there(self.folder):
-            self.step, model, optimizer = load_state(self.folder)
-            self._bare().load_state_dict(model)
-            self.optimizer.load_state_dict(optimizer)
+            do = "Choose another out=."
+            raise DatasetError(expected(str(path), "the recipe now asked for", f"another {differs}", do))
 
     def _bare(self) -> ForceAutoencoder:
         return self.accelerator.unwrap_model(self.model)
-
-    def _average_gradients(self) -> None:
-        """Average over processes: the encoder is called in parts, which a wrapped forward() doesn't see."""
-        if self.accelerator.num_processes > 1:
-            for parameter in self.model.parameters():
-                if parameter.grad is not None:
-                    parameter.grad.copy_(self.accelerator.reduce(parameter.grad, "mean"))
-
-    def _to_device(self, pairs: Pairs) -> Pairs:
-        return Pairs(**{name: value.to(self.accelerator.device) for name, value in vars(pairs).items()})
 
     def _log(self, report: dict[str, float]) -> None:
         if not self.accelerator.is_main_process:
@@ -268,10 +249,10 @@ def _material(
     """
     if model.material is None:
         return None
-    partner = torch.cat(mean.chunk(2)[::-1])  # left rows get what the right finger felt, and vice versa
-    told = model.material(references, current, partner, per_unit)
-    kept = torch.rand(len(told) // per_unit, device=told.device) >= UNTOLD_SHARE
-    return told * kept.repeat_interleave(per_unit)[:, None]
+    partner = torch.cat(mean.chunk(2)[::-1])  # left rows get the right finger's latents, and vice versa
+    material = model.material(references, current, partner, per_unit)
+    kept = torch.rand(len(material) // per_unit, device=material.device) >= WITHHELD_SHARE
+    return material * kept.repeat_interleave(per_unit)[:, None]
 
 
 def encode_by_unit(
@@ -279,3 +260,19 @@ def encode_by_unit(
 ) -> Posterior:
     """Encode each reference once and its ``per_unit`` current images with it."""
     return encoder.encode_current(encoder.encode_reference(reference).repeat(per_unit), current)
+
+
+@torch.no_grad()
+def draw_strips(model: ForceAutoencoder, pairs: Pairs, path: Path) -> None:
+    """Write a PNG of reconstructions, a row per pair: left reference, current, from z_L, from z_R; then the right's."""
+    per_unit = len(pairs.left_current) // len(pairs.left_reference)
+    left, right = (r.repeat_interleave(per_unit, 0) for r in (pairs.left_reference, pairs.right_reference))
+    z_left, z_right = model(left, pairs.left_current).mean, model(right, pairs.right_current).mean
+    columns = [
+        *(left, pairs.left_current, model.decoder(left, z_left), model.decoder(left, z_right)),
+        *(right, pairs.right_current, model.decoder(right, z_right), model.decoder(right, z_left)),
+    ]
+    rows = torch.cat(columns, dim=3)[:, 0]  # (B, S, 8·S)
+    picture = (rows.clamp(0, 1) * 255).round().numpy().astype(np.uint8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.concatenate(list(picture)))

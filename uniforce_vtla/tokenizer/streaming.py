@@ -1,7 +1,6 @@
 """One finger's encoder at the sensor's own rate: marker image in, latent and newtons out, in bounded memory.
 
-The reference's keys and values are computed once, when it is set; what is kept from frame to frame is the force head's
-state alone.  ``Tokenizer.encode`` gives the same latents, but looks its reference up by content at every call.
+The tokenizer remembers the reference's keys and values; what is kept from frame to frame is the force head's state.
 """
 
 from __future__ import annotations
@@ -14,10 +13,8 @@ import torch
 from uniforce_vtla.contracts import Finger, check_finger
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.entry import prepare
-from uniforce_vtla.tokenizer.force_head import ForceHead, ForceStream
+from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import Latent
-from uniforce_vtla.tokenizer.model import ReferenceCache
 
 
 class StreamStep(NamedTuple):
@@ -46,16 +43,12 @@ class StreamingEncoder:
     def __init__(self, tokenizer: Tokenizer, finger: Finger, head: ForceHead | None = None) -> None:
         self.finger = check_finger(finger)
         if head is not None and head.tokenizer_hash != tokenizer.hash:
-            raise CheckpointError(
-                expected(
-                    "tokenizer of the head", tokenizer.hash, head.tokenizer_hash, "Load a pair that fits."
-                )
-            )
+            do = "Load a pair that fits."
+            raise CheckpointError(expected("tokenizer of the head", tokenizer.hash, head.tokenizer_hash, do))
         self._tokenizer = tokenizer
         self._head = head
-        self._shape: tuple[int, ...] = ()
-        self._reference: ReferenceCache | None = None
-        self._stream: ForceStream | None = None
+        self._reference: np.ndarray | None = None
+        self._state: torch.Tensor | None = None  # of the head, after the frames before
 
     def set_reference(self, image: np.ndarray) -> None:
         """Take ``image`` (H, W) as free air and forget every frame before it.
@@ -65,12 +58,10 @@ class StreamingEncoder:
         Raises:
             ContractError: not one image, NaN, or without markers.
         """
-        self._reference, self._stream = None, None
-        self._reference = self._tokenizer.encode_reference(_one(image, "reference"), self.finger)
-        self._shape = image.shape
-        self._stream = None if self._head is None else self._head.stream()
+        self._reference, self._state = None, None
+        self._tokenizer.encode_reference(_one(image, "reference"), self.finger)  # refuses what is none
+        self._reference = image.copy()
 
-    @torch.no_grad()
     def step(self, image: np.ndarray) -> StreamStep:
         """Return the answer to the next frame (H, W), of the reference's size.
 
@@ -80,19 +71,13 @@ class StreamingEncoder:
             ContractError: no reference yet, another size, NaN, or a form the tokenizer doesn't take.
         """
         if self._reference is None:
-            raise ContractError(
-                expected("stream", "a reference first", "a frame", "Call set_reference in free air.")
-            )
-        batch = _one(image, "current")
-        if image.shape != self._shape:
-            raise ContractError(
-                expected("current", self._shape, image.shape, "Use one camera setting for both.")
-            )
-        current = prepare(batch, self.finger, self._tokenizer.config.side, "current")
-        mean = self._tokenizer.model.encoder.encode_current(self._reference, current).mean
-        z = Latent.of(mean, self._tokenizer.hash)  # (1, P, L)
-        force = None if self._stream is None else self._stream(z)[0].numpy()
-        return StreamStep(z[0], force)
+            do = "Call set_reference in free air."
+            raise ContractError(expected("stream", "a reference first", "a frame", do))
+        z = self._tokenizer.encode(self._reference, _one(image, "current"), self.finger)  # (1, P, L)
+        if self._head is None:
+            return StreamStep(z[0], None)
+        force, self._state = self._head.step(z, self._state)
+        return StreamStep(z[0], force[0].numpy())
 
 
 def _one(image: np.ndarray, name: str) -> np.ndarray:

@@ -14,7 +14,6 @@ from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer.weights import is_finite
 
 STATE = "state.safetensors"
-OLD_STATE = "state.pt"  # before 0.1.0 was released
 MODEL, MOMENTS = "model.", "optimizer."
 
 
@@ -32,14 +31,7 @@ def save_state(folder: Path, step: int, model: dict[str, Any], optimizer: dict[s
 
 
 def is_there(folder: Path) -> bool:
-    """Return whether a run can go on from ``folder``.
-
-    Raises:
-        CheckpointError: its state is pickled, as earlier versions wrote it.
-    """
-    if (folder / OLD_STATE).exists() and not (folder / STATE).exists():
-        do = "Finish the run with the version that began it, or start another folder."
-        raise CheckpointError(expected(str(folder), STATE, OLD_STATE, do))
+    """Return whether a run can go on from ``folder``."""
     return (folder / STATE).exists()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -53,28 +53,30 @@ def read_config(folder: Path) -> dict[str, Any]:
     """
     path = folder / CONFIG
     if not path.is_file() or not (folder / WEIGHTS).is_file():
-        raise CheckpointError(
-            expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", "Check the path.")
-        )
+        do = "Check the path."
+        raise CheckpointError(expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", do))
     check_hashes(folder, CheckpointError)
     return read_object(path, CheckpointError)
 
 
-def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Model:
+def load_model[Model: nn.Module](
+    folder: Path, build: Callable[[], Model], renamed: Mapping[str, str] | None = None
+) -> Model:
     """Return what ``build`` makes, with the checkpoint's tensors.
 
-    It is built without memory first: sizes that don't fit the file cost nothing.
+    It is built without memory first: sizes that don't fit the file cost nothing. ``renamed`` says what tensors of
+    earlier versions are called today.
 
     Raises:
         CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type, or not finite; all are
             listed.
     """
     try:
-        tensors = load_file(folder / WEIGHTS)
+        stored = load_file(folder / WEIGHTS)
     except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:
-        raise CheckpointError(
-            expected(str(folder / WEIGHTS), "readable weights", str(error), "Copy the checkpoint again.")
-        ) from error
+        do = "Copy the checkpoint again."
+        raise CheckpointError(expected(str(folder / WEIGHTS), "readable weights", str(error), do)) from error
+    tensors = {(renamed or {}).get(name, name): tensor for name, tensor in stored.items()}
     with torch.device("meta"):
         wanted = build().state_dict()
     wrong = mismatches(wanted, tensors)
@@ -85,11 +87,8 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
     ]
     wrong += [f"NaN or inf in {name}" for name, tensor in sorted(tensors.items()) if not is_finite(tensor)]
     if wrong:
-        raise CheckpointError(
-            expected(
-                str(folder), "the model's tensors", "; ".join(wrong), "Load the config it was made with."
-            )
-        )
+        do = "Load the config it was made with."
+        raise CheckpointError(expected(str(folder), "the model's tensors", "; ".join(wrong), do))
     model = build()
     model.load_state_dict(tensors)
     return model

@@ -6,8 +6,7 @@ each), masks are always there, and what is returned is a copy. The flow's graph 
 first leaves them; a refresh of touch replays the flow alone.
 
 Whatever is captured is an ordinary function of tensors. ``capture=False`` runs the same functions on the same fixed
-buffers without a graph, on any device: that is what the tests do, and all that was ever run. RTC, which differentiates
-through the flow, is never captured.
+buffers without a graph, on any device: that is what the tests do, and all that was ever run.
 """
 
 from __future__ import annotations

@@ -12,13 +12,19 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from lerobot.policies.common.flow_matching import euler_integrate
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.sampler.layers import Modulation, attend, modulated, rotated
-from lerobot_policy_pi05_uniforce.sampler.onednn import gated_hidden, linear
+from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import GraphedSampler
+from lerobot_policy_pi05_uniforce.sampler.layers import (
+    Modulation,
+    attend,
+    gated_hidden,
+    linear,
+    modulated,
+    rotated,
+)
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefix, PrefixEncoder, drop_dead
 from lerobot_policy_pi05_uniforce.touch.tokens import SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
@@ -41,9 +47,8 @@ class Prepared:
         self._tables: dict[int, list[StepTable]] = {}
         self.version = 0  # counts preparations
         self.eps = torch.empty(0)  # of the norms, one for all of π0.5
-        self.gains: list[
-            tuple[Tensor, Tensor]
-        ] = []  # of the VLM's norms, before attention and MLP, per layer
+        # of the VLM's norms, before attention and MLP, per layer
+        self.gains: list[tuple[Tensor, Tensor]] = []
         self.qkv: list[Tensor] = []  # of the expert's layers, side by side, ((heads + 2)·head, D) each
 
     def tables(self, num_steps: int) -> list[StepTable]:
@@ -102,21 +107,17 @@ class FastSampler:
         self.latest: Prefix | None = None  # of the last sample, for ``refresh``
         self.prepared = Prepared(network)
         self.encoder = PrefixEncoder(network, self.prepared)
-        self.graphed: Any = None  # cuda_graphs.GraphedSampler, made where there is a cuda device
+        self.graphed: GraphedSampler | None = None  # made where there is a cuda device
 
     @torch.no_grad()
-    def sample(self, inputs: Inputs, noise: Tensor, num_steps: int, **rtc: Any) -> Tensor:
-        """Return (B, chunk, max_action_dim) actions; ``rtc`` as ``PI05Pytorch.sample_actions`` takes it."""
+    def sample(self, inputs: Inputs, noise: Tensor, num_steps: int) -> Tensor:
+        """Return (B, chunk, max_action_dim) actions."""
         tables, inputs = self.prepared.tables(num_steps), drop_dead(inputs)
-        rtc_wanted = self.network._rtc_enabled() or self.network.rtc_processor is not None
-        graphed = None if rtc_wanted else self._graphs(noise)
+        graphed = self._graphs(noise)
         if graphed is not None:
             return graphed.sample(inputs, noise, tables)
-        prefix = self.encoder.encode(inputs, noise.shape[1])
-        if rtc_wanted:
-            return self._with_rtc(prefix, noise, tables, rtc)
-        self.latest = prefix
-        return self.flow(prefix, noise, tables)
+        self.latest = self.encoder.encode(inputs, noise.shape[1])
+        return self.flow(self.latest, noise, tables)
 
     @torch.no_grad()
     def refresh(self, touch: SuffixTouch, noise: Tensor, num_steps: int) -> Tensor:
@@ -134,11 +135,9 @@ class FastSampler:
         self.latest = self.encoder.refreshed(self.latest, touch, noise.shape[1])
         return self.flow(self.latest, noise, tables)
 
-    def _graphs(self, noise: Tensor) -> Any:
+    def _graphs(self, noise: Tensor) -> GraphedSampler | None:
         wanted = noise.device.type == "cuda" and self.network.config.sampler.kind == "fast"
         if self.graphed is None and wanted:
-            from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import GraphedSampler
-
             self.graphed = GraphedSampler(self)
         return self.graphed
 
@@ -148,16 +147,6 @@ class FastSampler:
         for table in tables:
             x = torch.add(x, self.velocity(prefix, x, table), alpha=-1.0 / num_steps)
         return x
-
-    def _with_rtc(self, prefix: Prefix, noise: Tensor, tables: list[StepTable], rtc: Any) -> Tensor:
-        steps, network = len(tables), self.network
-
-        def velocity(x: Tensor, time: Tensor) -> Tensor:
-            return self.velocity(prefix, x, tables[round((1 - float(time[0])) * steps)])
-
-        guide = {"rtc_processor": network.rtc_processor, "rtc_enabled": network._rtc_enabled()}
-        names = ("inference_delay", "prev_chunk_left_over", "execution_horizon")
-        return euler_integrate(velocity, noise, steps, **guide, **{name: rtc.get(name) for name in names})
 
     def velocity(self, prefix: Prefix, actions: Tensor, table: StepTable) -> Tensor:
         """Return (B, chunk, max_action_dim) velocity of noisy ``actions`` at the table's flow time."""
@@ -183,8 +172,5 @@ class FastSampler:
         rows = rows.transpose(1, 2)  # (B, heads + 2, L_suffix, head)
         turned, cache = rotated(rows, prefix.rotary), prefix.prefill.cache[depth]
         length = prefix.prefill.pads.shape[1]
-        if torch.is_grad_enabled():  # RTC's guidance differentiates through here: nothing may be overwritten
-            cache = torch.cat([cache[:, :, :length], turned[:, -2:]], dim=2)
-        else:
-            cache[:, :, length:] = turned[:, -2:]
+        cache[:, :, length:] = turned[:, -2:]
         return attend(turned[:, :-2], cache, prefix.mask)

@@ -1,4 +1,9 @@
-"""Arithmetic of the fast sampler: SigLIP, norms, rotations and attention, without copies LeRobot's layers make."""
+"""Arithmetic of the fast sampler: SigLIP, norms, rotations and attention, without copies LeRobot's layers make.
+
+Products run in oneDNN where it takes them: torch sends a float32 ``linear`` on a CPU to MKL, which on AMD processors
+runs at half of oneDNN's speed (docs/experiments/policy_speed.md). Results agree within rounding. Without oneDNN, on
+another device, in another dtype, where a gradient is wanted, or where torch.compile traces, torch runs.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +13,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.sampler.onednn import attend_one, linear, linear_gelu, linear_plus, suits
-
+AVAILABLE = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_linear_pointwise")
+# of attention: fewer aren't worth five operations, more leave the cache, and torch's tiled attention wins
+SCORES = (2**16, 2**20)
 Rotary = tuple[Tensor, Tensor]  # cos, and sin with the sign rotate_half would give; (B, heads, L, head) each
 
 
@@ -19,6 +25,66 @@ class Modulation(NamedTuple):
     scale: Tensor
     shift: Tensor
     gate: Tensor
+
+
+def here(x: Tensor) -> bool:
+    """Return whether oneDNN takes this tensor's products: float32 on a CPU, no gradient wanted, not compiling."""
+    wanted = x.device.type == "cpu" and x.dtype == torch.float32 and not torch.is_grad_enabled()
+    return AVAILABLE and wanted and not torch.compiler.is_compiling()
+
+
+def linear(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """Return ``x`` (…, K) times ``weight`` (N, K) transposed, plus ``bias`` (N,)."""
+    if not here(x):
+        return F.linear(x, weight, bias)
+    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "none", [], "")
+
+
+def linear_gelu(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """Return the tanh GELU of :func:`linear`."""
+    if not here(x):
+        return F.gelu(F.linear(x, weight, bias), approximate="tanh")
+    return torch.ops.mkldnn._linear_pointwise(x, weight, bias, "gelu", [], "tanh")
+
+
+def linear_times(x: Tensor, weight: Tensor, factor: Tensor) -> Tensor:
+    """Return :func:`linear` times ``factor`` (…, N)."""
+    if not here(x):
+        return F.linear(x, weight) * factor
+    return torch.ops.mkldnn._linear_pointwise.binary(x, factor, weight, None, "mul")
+
+
+def linear_plus(x: Tensor, weight: Tensor, bias: Tensor | None, summand: Tensor) -> Tensor:
+    """Return :func:`linear` plus ``summand`` (…, N), a residual stream."""
+    if not here(x):
+        return F.linear(x, weight, bias) + summand
+    return torch.ops.mkldnn._linear_pointwise.binary(x, summand, weight, bias, "add")
+
+
+def gated_hidden(mlp: nn.Module, x: Tensor) -> Tensor:
+    """Return the hidden layer of Gemma's MLP, gelu(gate) · up."""
+    return linear_times(x, mlp.up_proj.weight, linear_gelu(x, mlp.gate_proj.weight))
+
+
+def suits(q: Tensor, keys: int) -> bool:
+    """Return whether :func:`attend_one` is the faster way for (B, heads, L, head) queries."""
+    return here(q) and len(q) == 1 and SCORES[0] <= q.shape[1] * q.shape[2] * keys <= SCORES[1]
+
+
+def attend_one(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
+    """Return attention (1, heads, L, head) of a batch of one, all heads in one product.
+
+    Args:
+        q: (1, heads, L, head), scaled.
+        k: (L_keys, head), shared by all heads, as ``v`` is.
+        v: (L_keys, head).
+        mask: (1, 1, 1 or L, L_keys), bool (True is seen) or additive, or None.
+    """
+    scores = linear(q.flatten(0, 2), k)  # (heads·L, L_keys)
+    if mask is not None:
+        apart = scores.view(*q.shape[:3], -1)
+        apart.masked_fill_(~mask, -torch.inf) if mask.dtype == torch.bool else apart.add_(mask)
+    return linear(scores.softmax(dim=-1), v.t()).view(q.shape)
 
 
 def modulated(x: Tensor, by: Modulation, eps: Tensor) -> Tensor:

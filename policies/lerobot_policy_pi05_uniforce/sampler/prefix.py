@@ -11,7 +11,6 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
-from lerobot_policy_pi05_uniforce.sampler.onednn import gated_hidden, linear_plus
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
 
@@ -20,19 +19,12 @@ if TYPE_CHECKING:
 
 
 class Inputs(NamedTuple):
-    """What ``PI05Pytorch.sample_actions`` takes: cameras, then state and touch; text.
+    """What ``PI05Pytorch.sample_actions`` takes: cameras, then state and touch; text."""
 
-    Attributes:
-        images: (B, 3, H, W) cameras, (B, 1, S) state, (B, K, ·) per touch slot.
-        img_masks: (B,) bool each.
-        tokens: (B, L) text.
-        masks: (B, L) bool.
-    """
-
-    images: list
-    img_masks: list
-    tokens: Tensor
-    masks: Tensor
+    images: list  # (B, 3, H, W) cameras, (B, 1, S) state, (B, K, ·) per touch slot
+    img_masks: list  # (B,) bool each
+    tokens: Tensor  # (B, L) text
+    masks: Tensor  # (B, L) bool
 
     @property
     def extra(self) -> tuple[list, list]:
@@ -43,34 +35,23 @@ class Inputs(NamedTuple):
 
 @dataclass(frozen=True)
 class Prefill:
-    """Cameras, text and extra tokens after the VLM.
+    """Cameras, text and extra tokens after the VLM."""
 
-    Attributes:
-        cache: per layer (B, 2, L_prefix + L_suffix, head): key and value, the suffix's places still empty.
-        pads: (B, L_prefix) bool, which kept tokens are real.
-        gated: the weight of touch, or None: as any other token.
-    """
-
+    # per layer (B, 2, L_prefix + L_suffix, head): key and value, the suffix's places still empty
     cache: list[Tensor]
-    pads: Tensor
-    gated: GatedColumns | None
+    pads: Tensor  # (B, L_prefix) bool, which kept tokens are real
+    gated: GatedColumns | None  # the weight of touch, or None: as any other token
 
 
 @dataclass(frozen=True)
 class Prefix:
-    """A prefill ready for the flow: with touch in the suffix, and how the suffix attends.
+    """A prefill ready for the flow: with touch in the suffix, and how the suffix attends."""
 
-    Attributes:
-        prefill: keys and values; the suffix's own take their places in every step.
-        touch: force tokens in front of the actions, or None.
-        mask: (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or (touch behind a gate) additive; None: all see all.
-        rotary: of the suffix's positions, for queries, key and value; the value's turns nothing.
-    """
-
-    prefill: Prefill
-    touch: SuffixTouch | None
+    prefill: Prefill  # keys and values; the suffix's own take their places in every step
+    touch: SuffixTouch | None  # force tokens in front of the actions, or None
+    # (B, 1, 1 or L_suffix, L_prefix + L_suffix), bool or (touch behind a gate) additive; None: all see all
     mask: Tensor | None
-    rotary: ops.Rotary
+    rotary: ops.Rotary  # of the suffix's positions, for queries, key and value; the value's turns nothing
 
 
 class PrefixEncoder:
@@ -109,9 +90,9 @@ class PrefixEncoder:
             if depth == len(vlm.layers) - 1:
                 break  # what the last layer makes of the prefix is not read
             mixed = ops.attend(turned[:, :-2], turned[:, -2:], mask)
-            x = linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
+            x = ops.linear_plus(mixed, layer.self_attn.o_proj.weight, None, x)
             normed = ops.rms(x, eps).mul_(gains[depth][1]).to(x.dtype)
-            x = linear_plus(gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
+            x = ops.linear_plus(ops.gated_hidden(layer.mlp, normed), layer.mlp.down_proj.weight, None, x)
         return Prefill(cache, pads, gated)
 
     def refreshed(self, prefix: Prefix, touch: SuffixTouch, chunk: int) -> Prefix:

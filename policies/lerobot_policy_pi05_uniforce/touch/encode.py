@@ -11,11 +11,12 @@ import torch
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.weights import no_weights
-from uniforce_vtla.contracts import Finger
+from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, expected
-from uniforce_vtla.keys import latent_key, tactile_key
+from uniforce_vtla.keys import SLOTS, latent_key, tactile_key
+from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
-from uniforce_vtla.tokenizer.api import canonicaliser_facts
+from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
 from uniforce_vtla.tokenizer.entry import prepare_tensor
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.weights import SIZES, content_hash
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+LATENT_KEYS = {slot: latent_key(slot) for slot in SLOTS}
+# reference, current
+PAIR_KEYS = {finger: (tactile_key(finger, True), tactile_key(finger)) for finger in FINGERS}
 ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where the package doesn't have them
 
 
@@ -34,7 +38,7 @@ class TactileEncoder(nn.Module):
     def __init__(self, model: ForceAutoencoder, grid: int) -> None:
         super().__init__()
         self.model, self.grid = model, grid
-        self._references: dict[str, tuple[Tensor, ReferenceCache]] = {}
+        self.references: ReferenceMemory[ReferenceCache] = ReferenceMemory(len(SLOTS))
         self.requires_grad_(False)
         self.train(False)
 
@@ -42,32 +46,23 @@ class TactileEncoder(nn.Module):
         """Stay in eval mode: LeRobot calls ``policy.train()`` at every step."""
         return super().train(False)
 
-    def forget_references(self) -> None:
-        """Drop cached references; call it where an episode begins."""
-        self._references.clear()
-
     @torch.no_grad()
     def forward(self, slot: str, finger: Finger, reference: Tensor, current: Tensor) -> Tensor:
         """Return (B, K, latent) pooled latents of a slot's pair, (B, H, W) each in [0, 1].
 
         The slot is the key of the reference cache, the finger that wears the sensor decides the mirror.
         """
-        cached = self._encode_reference(slot, finger, reference)
+        encode = functools.partial(self._encode_reference, slot, finger, reference)
+        cached = self.references.get((slot, finger), reference, encode)
         latent = self.model.encoder.encode_current(cached, self._prepare(current, finger, "current")).mean
         return pool_latent(latent, self.grid)
 
     def _encode_reference(self, slot: str, finger: Finger, reference: Tensor) -> ReferenceCache:
-        key = f"{slot}/{finger}"
-        known = self._references.get(key)
-        if known is not None and torch.equal(known[0], reference):
-            return known[1]
         before = self._prepare(reference, finger, "reference")
         if not bool((before.amax(dim=(1, 2, 3)) > 0).all()):
             do = "Capture it again in free air."
             raise ContractError(expected(f"reference of {slot}", "an image with markers", "all black", do))
-        cache = self.model.encoder.encode_reference(before)
-        self._references[key] = (reference.clone(), cache)
-        return cache
+        return self.model.encoder.encode_reference(before)
 
     def _prepare(self, images: Tensor, finger: Finger, name: str) -> Tensor:
         return prepare_tensor(images, right=finger == "right", side=self.model.config.side, name=name)
@@ -90,7 +85,7 @@ def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEnc
     That is the packaged tokenizer of its hash, or one that is rebuilt, ``empty``, and filled from the checkpoint.
 
     Raises:
-        CheckpointError: it was made behind another canonicaliser.
+        CheckpointError: it was made behind another canonicalizer.
     """
     facts = config.touch.tokenizer
     if facts is not None and is_packaged(config):
@@ -100,10 +95,10 @@ def build_encoder(config: PI05UniforceConfig, empty: bool = False) -> TactileEnc
         tokenizer = Tokenizer.from_pretrained(config.touch.tokenizer_path)
         config.touch.tokenizer = {**tokenizer.facts(), "hash": tokenizer.hash}
         return TactileEncoder(tokenizer.model, config.latent_grid)
-    stored, running = facts.get("canonicaliser"), canonicaliser_facts()
+    stored, running = facts.get(STORED_KEY), canonicalizer_facts()
     if stored != running:
         do = "Use the version it was trained with, or train again."
-        raise CheckpointError(expected("canonicaliser of the checkpoint", stored, running, do))
+        raise CheckpointError(expected("canonicalizer of the checkpoint", stored, running, do))
     with no_weights() if empty else nullcontext():
         return TactileEncoder(build_model(TokenizerConfig(**facts["model"]), seed=0), config.latent_grid)
 
@@ -129,7 +124,7 @@ class TouchInput:
     def reset(self) -> None:
         """Forget cached references: the next episode takes its own."""
         if self.encoder is not None:
-            self.encoder.forget_references()
+            self.encoder.references.forget()
 
     def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
         """Return the slots' tensors and masks, in slot order.
@@ -167,8 +162,8 @@ class TouchInput:
 
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return a slot's (B, K, latent) latents, cached or encoded now; RolloutError where its sensor is lost."""
-        if latent_key(slot) in batch:
-            latent = batch[latent_key(slot)].to(device, torch.float32)
+        if LATENT_KEYS[slot] in batch:
+            latent = batch[LATENT_KEYS[slot]].to(device, torch.float32)
             return latent.reshape(len(latent), *self.shape)
         finger = self.config.finger_by_slot()[slot]
         reference, current = (image.to(device) for image in self.pair(batch, finger))
@@ -176,7 +171,7 @@ class TouchInput:
 
     def pair(self, batch: dict[str, Tensor], finger: Finger) -> list[Tensor]:
         """Return a finger's reference and current marker images, (B, H, W)."""
-        return [_grey(taken(batch, tactile_key(finger, reference))) for reference in (True, False)]
+        return [grey(taken(batch, key)) for key in PAIR_KEYS[finger]]
 
 
 def taken(batch: dict[str, Tensor], key: str) -> Tensor:
@@ -187,6 +182,6 @@ def taken(batch: dict[str, Tensor], key: str) -> Tensor:
     return batch[key]
 
 
-def _grey(images: Tensor) -> Tensor:
+def grey(images: Tensor) -> Tensor:
     """Return (B, H, W) from (B, H, W) or (B, 3, H, W), RGB copies of one binary channel."""
     return images[:, 0] if images.ndim == 4 else images

@@ -61,11 +61,13 @@ class ForceTokens(nn.Module):
         if self.training and self.needs_transfer:
             if self.transferred is None:
                 do = "Give the policy its dataset_meta, or set policy.augment.sensor_transfer=0."
-                raise ContractError(
-                    expected("sensor_transfer", "maps, found by a view's sensors", "no view", do)
-                )
+                came = "no view"
+                raise ContractError(expected("sensor_transfer", "maps, found by a view's sensors", came, do))
             touch = self.transferred(touch, slot)
-        features = self._features(touch)
+        if self.agreed_only:
+            features = (touch.flatten(1) @ self.directions - self.origin)[:, None]  # (B, 1, directions)
+        else:
+            features = (touch - self.input_mean) / self.input_scale
         if self.training and self.noise:
             # what survives it is what many cells agree on, and that is what another sensor's latents share
             unit = self.disagreement if self.agreed_only else 1.0
@@ -76,18 +78,13 @@ class ForceTokens(nn.Module):
         hidden = hidden + self.cell_embedding + self.slot_embedding[slot]  # (B, K, D)
         return self.gain * F.rms_norm(hidden, hidden.shape[-1:])
 
-    def _features(self, touch: Tensor) -> Tensor:
-        if self.agreed_only:
-            return (touch.flatten(1) @ self.directions - self.origin)[:, None]  # (B, 1, directions)
-        return (touch - self.input_mean) / self.input_scale
-
 
 def _two_layers(size: int, width: int) -> nn.Sequential:
     return nn.Sequential(nn.Linear(size, width), nn.GELU(), nn.Linear(width, width))
 
 
 class TouchGate(nn.Module):
-    """Start at the base: a learnt gate per slot on the weight of its tokens in everybody's attention, nearly shut.
+    """Start at the base: a learnt gate per slot on the weight of its tokens in all attention, nearly shut.
 
     Appending tokens is not the identity, not even zeros: they take their share of every softmax, and they move the
     actions' positions. So, where ``start_at_base`` is on, a slot's tokens enter every softmax with their weight times
@@ -109,17 +106,11 @@ class TouchGate(nn.Module):
 
 @dataclass(frozen=True)
 class GatedColumns:
-    """Where touch stands among the columns of attention, and with which weight.
+    """Where touch stands among the columns of attention, and with which weight."""
 
-    Attributes:
-        first: column of the first touch token.
-        bias: (N,) additive logit per touch token.
-        real: (B, N) bool, False where a slot is lost or hidden.
-    """
-
-    first: int
-    bias: Tensor
-    real: Tensor
+    first: int  # column of the first touch token
+    bias: Tensor  # (N,) additive logit per touch token
+    real: Tensor  # (B, N) bool, False where a slot is lost or hidden
 
     def masked(self, mask: Tensor) -> Tensor:
         """Return an additive mask (B, 1, rows, L) with touch's logits in it; as it is where L ends before touch."""

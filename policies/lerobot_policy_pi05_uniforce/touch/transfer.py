@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
     from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
 
-# of the maps' spread that is drawn: the whole makes a policy answer swapped fingers less, and reads them no better
+# of the maps' noise that is drawn: all of it makes a policy answer swapped fingers less, and reads them no better
 SPREAD = 0.25
 
 
@@ -44,7 +44,7 @@ class TransferredTouch(nn.Module):
         kind = torch.where(torch.rand_like(own[:, :1]) < self.share, kind, -1)  # -1: as it is
         mapped = own
         for target in range(len(transfer.kinds)):
-            other = transfer.told(own, self._rows[slot], target, self.spread)
+            other = transfer.mapped(own, self._rows[slot], target, self.spread)
             mapped = torch.where(kind == target, other, mapped)
         return mapped.view_as(touch)
 

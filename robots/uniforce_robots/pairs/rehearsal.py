@@ -15,10 +15,10 @@ from uniforce_robots.pairs.guided_grasp import GraspSettings, draw_grasp
 from uniforce_robots.pairs.pair_judge import FLOOR_N
 from uniforce_robots.pairs.rig import RigFrame
 from uniforce_vtla.contact.indenters import gap_maps
-from uniforce_vtla.contact.mirror import mirrored
-from uniforce_vtla.contact.options import ContactOptions
-from uniforce_vtla.contact.views import draw_simulator, images_of
+from uniforce_vtla.contact.responses import ContactOptions
+from uniforce_vtla.contact.simulator import draw_simulator, images_of
 from uniforce_vtla.contracts import FINGERS, ContactState, Finger
+from uniforce_vtla.markers.mirror import mirrored
 
 LIMIT = 0.10  # true relative error above which a pair must not be trained on
 OPTIONS = ContactOptions()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from outside_family import outside
 
 from benchmarks.probes.hard_sets import (
     HELDOUT_HIDDEN,
@@ -24,7 +25,7 @@ from benchmarks.probes.hard_sets import (
 )
 from benchmarks.probes.labelled_cache import cached
 from benchmarks.probes.report_sets import REPORT_SETS, get_report_set
-from uniforce_vtla.contact.family import BOUNDS, outside
+from uniforce_vtla.contact.family import BOUNDS
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.virtual import as_virtual, hidden_sensors
 from uniforce_vtla.errors import ContractError

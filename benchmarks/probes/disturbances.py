@@ -1,4 +1,4 @@
-"""Other light on a camera's raw frames: exposure, colour cast, a gradient; the canonicaliser has to cope."""
+"""What units do beside the model: rubber creeps (markers lag behind the force), light on a camera changes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,32 @@ from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 EXPOSURE = (0.70, 1.20)  # of the usual light; above it the TacTip's pins clip, below noise takes over
 CAST = 0.15  # relative gain of single colour channels
 GRADIENT = 0.25  # relative gain at the image's edge, towards a random side
+
+
+@dataclass(frozen=True)
+class Creep:
+    """A standard linear solid: one Maxwell arm beside a spring."""
+
+    share: float  # part of the motion that comes late, E1 / (E∞ + E1); rubbers .1–.3
+    relaxation_s: float  # time constant of that part, .2–2 s
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, share: tuple[float, float]) -> Creep:
+        """Return a random pad: the late share even over ``share``, its time even in the logarithm."""
+        return cls(float(rng.uniform(*share)), float(np.exp(rng.uniform(np.log(0.2), np.log(2.0)))))
+
+
+def lagging_force(force_N: np.ndarray, creep: Creep, rate_hz: float) -> np.ndarray:
+    """Return the force (T, 3) whose static picture the pad shows while ``force_N`` (T, 3) acts.
+
+    It starts relaxed at the first frame.  Friction's cone is kept: both parts are mixtures of forces inside it.
+    """
+    keep = np.exp(-1 / (creep.relaxation_s * rate_hz))
+    late = np.empty_like(force_N)
+    late[0] = force_N[0]
+    for t in range(1, len(force_N)):
+        late[t] = keep * late[t - 1] + (1 - keep) * force_N[t]
+    return ((1 - creep.share) * force_N + creep.share * late).astype(force_N.dtype)
 
 
 @dataclass(frozen=True)
