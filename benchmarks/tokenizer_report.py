@@ -1,4 +1,4 @@
-"""What the tokenizer is worth: zero-shot force on frozen sets, correlation, reconstructions, real recordings."""
+"""What the tokenizer is worth: zero-shot force on frozen sets, charts, real recordings."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ class TokenizerReportCommand:
     Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v1 seeds=3
     """
 
-    # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | charts: hardness, scale
-    question: Literal["force", "correlation", "reconstructions", "slip", "hardness", "scale"] = "force"
+    # force (Q3) | slip (real) | charts: hardness, scale
+    question: Literal["force", "slip", "hardness", "scale"] = "force"
     # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     data: FolderPath = ""
     recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
@@ -298,10 +298,6 @@ def _report(command: TokenizerReportCommand) -> str:
 
 def _other_question(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
     results = Path(command.results)
-    if command.question == "reconstructions":
-        return questions.reconstructions(tokenizer, results)
-    if command.question not in ("correlation", "slip", "hardness", "scale"):
-        raise questions.unknown(command.question)
     if command.question == "hardness":
         cache = Path(command.cache)
         training = report_set.draw(report_set.training, report_set.sources(), tokenizer.config.side, cache)
@@ -309,8 +305,6 @@ def _other_question(command: TokenizerReportCommand, report_set: ReportSet, toke
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     if command.question == "scale":
         return questions.scale_chart(tokenizer, report_set, table, command.seeds, results)
-    if command.question == "correlation":
-        return questions.correlation(tokenizer, report_set, table, results)
     return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
 
 

@@ -1,8 +1,8 @@
-"""Figures of the wiping benchmark: success over demos, tool height over the wipe."""
+"""Figure of the wiping benchmark: tool height over the wipe."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,31 +10,10 @@ from matplotlib.figure import Figure
 
 from uniforce_vtla.evaluation.arms import ArmReport
 from uniforce_vtla.evaluation.pictures import PICTURE_DPI
-from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.figure_file import save_figure
 
 PANELS_PER_ROW = 6  # z-profiles that still fit a page
 Z_RANGE_MM = (-4.0, 6.0)  # what pressing changes; a look back lifts out of it
-
-
-def draw_success_over_demos(curves: Mapping[str, Mapping[int, ArmReport]], path: Path) -> Path:
-    """Draw clean success with its 95 % interval over the number of demos, a curve per arm."""
-    figure = Figure(figsize=(5.6, 3.6))
-    axes = figure.subplots()
-    for name, curve in curves.items():
-        clean = [wilson(report.count("clean"), report.n) for report in curve.values()]
-        rates = np.array([p.k / p.n for p in clean])
-        spread = np.abs(np.array([(p.low, p.high) for p in clean]).T - rates)
-        axes.errorbar([*curve], rates, yerr=spread, fmt="o-", capsize=3, ms=4, label=name)
-    every = sorted({demos for curve in curves.values() for demos in curve})
-    axes.set_xscale("log")
-    axes.set_xticks(every, [str(demos) for demos in every])
-    axes.minorticks_off()
-    axes.set_ylim(0, 1.02)
-    axes.set_xlabel("demos")
-    axes.set_ylabel("clean success, 95 %")
-    axes.legend(frameon=False)
-    return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
 def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:

@@ -25,7 +25,7 @@ from uniforce_vtla.tokenizer.model import TokenizerConfig
     ("arguments", "says"),
     [
         (["set=easy"], "hetero_hard_v1"),
-        (["question=why"], "reconstructions"),
+        (["question=why"], "hardness"),
         (["data=/nowhere"], "nowhere"),
     ],
 )
