@@ -16,8 +16,7 @@ from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Level
-from uniforce_cli.score import score_arms
-from uniforce_cli.score_config import SCRIPTS, ScoreConfig
+from uniforce_cli.score import SCRIPTS, ScoreConfig, check_film, score_arms
 from uniforce_vtla.arguments import choose, names_in
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, own_scenes, table
@@ -165,6 +164,7 @@ def _run(command: BenchmarkConfig) -> str:
     if command.replay:
         return replay(command)
     start = time.perf_counter()
+    check_film(command.film, range(command.first_seed, command.first_seed + command.rollouts))
     reports = score_arms(configs(command, command.rollouts), command.workers)
     path = report(command, reports, time.perf_counter() - start)
     return f"{table(reports)}\ntable, tests and figures: {path}"

@@ -82,8 +82,8 @@ def convert(config: ConvertConfig) -> Path:
     if config.revision and Path(config.source).exists():
         raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
     revision = config.revision or None
-    weights.check_files(config.source, "full", revision, local_files_only=False)
     source = grouped(read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError))
+    weights.check_files(config.source, "full", revision, local_files_only=False)
     slots = _slots(config.touch_slots)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
     settings = _settings(source, config, slots)

@@ -48,10 +48,9 @@ def say(step: str, text: str) -> None:
 def run(config: DemoConfig) -> Path:
     """Run the demo; return the picture page's path."""
     from uniforce_cli.demo_page import draw_demo_page
+    from uniforce_cli.lerobot_training import train
     from uniforce_cli.record import RecordConfig, record
-    from uniforce_cli.score import score
-    from uniforce_cli.score_config import ScoreConfig
-    from uniforce_cli.train import train
+    from uniforce_cli.score import ScoreConfig, score
     from uniforce_cli.view import ViewConfig, make_view
     from uniforce_vtla.evaluation.arms import table
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from uniforce_cli.touch_outputs import counts_picture
+from uniforce_cli.touch_view import counts_picture
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames
 from uniforce_vtla.contracts import TAXEL_SHAPE, Finger

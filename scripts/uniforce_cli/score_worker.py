@@ -17,8 +17,9 @@ from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import Script
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
-from uniforce_cli.score_config import ScoreConfig, mounted_sensors
+from uniforce_cli.score import ScoreConfig
 from uniforce_cli.score_controls import controlled
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet
@@ -51,11 +52,10 @@ class ScriptController:
 
 @dataclass(frozen=True)
 class Job:
-    """One episode of one arm; ``index`` tells whose answer it is."""
+    """One episode of one arm; ``index`` is the arm's number."""
 
     index: int
     config: ScoreConfig
-    folder: Path
     seed: int
 
 
@@ -64,69 +64,50 @@ def score_job(job: Job) -> tuple[int, EpisodeRow]:
     torch.set_num_threads(1)  # processes share the cores; more threads each only fight
     cv2.setNumThreads(1)
     config, seed = job.config, job.seed
-    env, controller = _build(_Setup.of(config, seed), job.folder)
+    rig = config.left_sensor, config.right_sensor, config.swap
+    env, controller = _build(config.policy_of(seed), config.level, *rig, config.control, config.folder)
     film = seed < config.first_seed + config.videos or seed in config.film
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
     rollout = roll_out(env, controller, seed, keep_frames=film)
     if film:
-        _keep(rollout, job.folder, config.arm)
+        _keep(rollout, config)
     return job.index, row_of(rollout)
 
 
-@dataclass(frozen=True)
-class _Setup:
-    """What decides environment and controller."""
-
-    policy: str
-    level: str
-    left: str
-    right: str
-    swap: str
-    control: str
-
-    @classmethod
-    def of(cls, config: ScoreConfig, seed: int) -> _Setup:
-        sensors = config.left_sensor, config.right_sensor
-        return cls(config.policy_of(seed), config.level, *sensors, config.swap, config.control)
-
-
 @functools.lru_cache(maxsize=64)  # arms take turns, and training seeds within them
-def _build(setup: _Setup, out: Path) -> tuple[WipeEnv, Controller]:
+def _build(
+    policy: str, level: str, left: str, right: str, swap: str, control: str, out: Path
+) -> tuple[WipeEnv, Controller]:
     """Build both once per process and store which sensors they run on."""
-    env, controller = _make(setup)
+    controller: Controller
+    if policy in SCRIPTS:
+        if control:
+            do = "Controls are for policies."
+            raise ContractError(expected(f"control of the {policy}", "none", control, do))
+        env, controller = WipeEnv(level, *_mounted(left, right).values()), ScriptController(SCRIPTS[policy]())
+    else:
+        env, plain = policy_on_rig(policy, level, left, right, swap)
+        controller = controlled(plain, control, env)
     write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     return env, controller
 
 
-def _make(setup: _Setup) -> tuple[WipeEnv, Controller]:
-    if setup.policy in SCRIPTS:
-        if setup.control:
-            do = "Controls are for policies."
-            raise ContractError(expected(f"control of the {setup.policy}", "none", setup.control, do))
-        mounted = mounted_sensors(setup.left, setup.right)
-        env = WipeEnv(setup.level, mounted["left"], mounted["right"])
-        return env, ScriptController(SCRIPTS[setup.policy]())
-    env, controller = policy_on_rig(setup.policy, setup.level, setup.left, setup.right, setup.swap)
-    return env, controlled(controller, setup.control, env)
+def _mounted(left: str, right: str) -> dict[Finger, str]:
+    return ScoreConfig(left_sensor=left, right_sensor=right).mounted
 
 
 def policy_on_rig(
     policy: str, level: str, left: str, right: str, swap: str
 ) -> tuple[WipeEnv, PolicyController]:
     """Return a scene and the checkpoint that acts in it; "shipped" is the package's own, "" the usual sensor."""
-    mounted = mounted_sensors(left, right)
+    mounted = _mounted(left, right)
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
-    truth = controller.needs_true_wrench
-    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=truth), controller
+    return WipeEnv(level, *mounted.values(), expose_wrench=controller.needs_true_wrench), controller
 
 
-def _keep(rollout: Rollout, out: Path, arm: str) -> None:
+def _keep(rollout: Rollout, config: ScoreConfig) -> None:
     frames = [cv2.resize(f, None, fx=2, fy=2) for f in rollout.frames]
-    write_trace_sheet(out / f"seed_{rollout.seed}.png", rollout, title=f"{arm}, seed {rollout.seed}")
-    write_video(video_path(out, rollout.seed), frames, fps=5)
-
-
-def video_path(out: Path, seed: int) -> Path:
-    """Return where an episode's video lies, once it is filmed."""
-    return out / f"seed_{seed}.mp4"
+    sheet = config.folder / f"seed_{rollout.seed}.png"
+    write_trace_sheet(sheet, rollout, title=f"{config.arm}, seed {rollout.seed}")
+    write_video(config.video(rollout.seed), frames, fps=5)

@@ -12,8 +12,7 @@ from benchmarks.wiping import BenchmarkConfig, configs, main, report
 from benchmarks.wiping_plan import ARMS
 from lerobot_env_uniforce_wiping.blind import BEST
 from uniforce_cli import score_worker
-from uniforce_cli.score import score_arms
-from uniforce_cli.score_config import SCRIPTS, ScoreConfig
+from uniforce_cli.score import SCRIPTS, ScoreConfig, score_arms
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.arms import read_rows
 
@@ -41,18 +40,17 @@ def test_arms_without_a_checkpoint_are_named_and_left_out(
 def test_training_seeds_take_turns_from_scene_to_scene(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from uniforce_cli import score as module
     from uniforce_vtla.evaluation.arms import EpisodeRow
 
     for folder in (tmp_path / "seed0" / "v", tmp_path / "seed1" / "v", tmp_path / "seed0" / "vt"):
         folder.mkdir(parents=True)
         (folder / "config.json").write_text("{}")
 
-    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
+    def fake(job: score_worker.Job) -> tuple[int, EpisodeRow]:
         clean = "seed0" in job.config.policy_of(job.seed)
         return job.index, EpisodeRow(job.seed, "success", clean, False, False, 0, 0, 0, 0, 0, 0)
 
-    monkeypatch.setattr(module, "score_job", fake)
+    monkeypatch.setattr(score_worker, "score_job", fake)
     both = f"{tmp_path / 'seed0'}, {tmp_path / 'seed1'}"
     command = BenchmarkConfig(checkpoints=both, rollouts=5, out=str(tmp_path / "out"), results=str(tmp_path))
     with pytest.raises(DatasetError, match="Train the arms"):
@@ -67,16 +65,15 @@ def test_training_seeds_take_turns_from_scene_to_scene(
 def test_arms_take_turns_and_a_second_run_does_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from uniforce_cli import score as module
     from uniforce_vtla.evaluation.arms import EpisodeRow
 
     order = []
 
-    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
+    def fake(job: score_worker.Job) -> tuple[int, EpisodeRow]:
         order.append((job.seed, job.config.arm))
         return job.index, EpisodeRow(job.seed, "success", True, False, False, 0, 0, 0, 0, 0, 0)
 
-    monkeypatch.setattr(module, "score_job", fake)
+    monkeypatch.setattr(score_worker, "score_job", fake)
     arms = [ScoreConfig(arm=name, rollouts=2, first_seed=5, out=str(tmp_path)) for name in ("V", "V+T")]
     reports = score_arms(arms, workers=1)
     assert order == [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
@@ -88,18 +85,17 @@ def test_arms_take_turns_and_a_second_run_does_nothing(
 def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from uniforce_cli import score as module
     from uniforce_vtla.evaluation.arms import EpisodeRow
 
     rolled = []
 
-    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
+    def fake(job: score_worker.Job) -> tuple[int, EpisodeRow]:
         rolled.append(job.seed)
         if job.seed in job.config.film:
-            score_worker.video_path(job.folder, job.seed).touch()
+            job.config.video(job.seed).touch()
         return job.index, EpisodeRow(job.seed, "success", True, False, False, 0, 0, 0, 0, 0, 0)
 
-    monkeypatch.setattr(module, "score_job", fake)
+    monkeypatch.setattr(score_worker, "score_job", fake)
     plain = {"arm": "V", "rollouts": 3, "first_seed": 5, "out": str(tmp_path)}
     score_arms([ScoreConfig(**plain)], workers=1)  # type: ignore[arg-type]
     for _ in range(2):

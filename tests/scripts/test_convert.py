@@ -16,7 +16,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySetting
 from lerobot_policy_pi05_uniforce.conversion import EMBEDDING, FRESH, HEADS, own_names
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.weights import no_weights
-from uniforce_cli import train
+from uniforce_cli import lerobot_training
 from uniforce_cli.convert import main
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
@@ -104,7 +104,7 @@ def test_a_conversion_keeps_every_weight_and_trains_on(published: Path, view: Pa
     assert json.loads((out / "config.json").read_text())["touch"]["site"] == "suffix"
     data = ["dataset.repo_id=local/view", f"dataset.root={view}", f"output_dir={tmp_path / 'run'}"]
     run = ["steps=2", "batch_size=2", "num_workers=0", "save_freq=2", "policy.device=cpu"]
-    train.train([f"policy.path={out}", *data, *run])
+    lerobot_training.train([f"policy.path={out}", *data, *run])
     assert (tmp_path / "run" / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").exists()
 
 

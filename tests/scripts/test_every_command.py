@@ -52,7 +52,7 @@ def test_scripts_hold_no_logic_and_shadow_no_library() -> None:
 
 
 def test_key_value_reaches_the_config() -> None:
-    from uniforce_cli.score_config import ScoreConfig
+    from uniforce_cli.score import ScoreConfig
     from uniforce_vtla.arguments import parse
 
     config = parse(ScoreConfig, ["rollouts=3", "--level=paper", "swap=touch0:left"])

@@ -9,7 +9,7 @@ import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_cli import score_controls
-from uniforce_cli.score_config import ScoreConfig
+from uniforce_cli.score import ScoreConfig
 from uniforce_cli.score_controls import ShuffledTouch, controlled, donated_touch
 from uniforce_cli.score_worker import Job, score_job
 from uniforce_vtla.errors import ContractError
@@ -58,6 +58,6 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
 def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
     with pytest.raises(ContractError, match="masked"):
         controlled(None, "asleep", WipeEnv("easy"))  # type: ignore[arg-type]
-    job = Job(0, ScoreConfig(policy="expert", control="masked"), tmp_path, 1)
+    job = Job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(job)
