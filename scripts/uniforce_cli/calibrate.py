@@ -75,17 +75,12 @@ def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, 
     return calibrate(*latents, tokenizer.hash, new, anchor, command.fit)
 
 
-def _run(command: CalibrateCommand) -> str:
-    tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
-    calibration = calibrate_sensor(command, tokenizer, command.new, command.anchor)
-    path = calibration.save(command.out)
-    change = f"{calibration.imbalance_before:.3f} → {calibration.imbalance_after:.3f}"
-    return f"{command.new} against {command.anchor}: imbalance on held-out grasps {change}; adapter in {path}"
-
-
 @command(CalibrateCommand)
 def main(command: CalibrateCommand) -> int:
     """Entry of ``uniforce calibrate``."""
     torch.set_num_threads(1)
-    print(_run(command))
+    tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
+    found = calibrate_sensor(command, tokenizer, command.new, command.anchor)
+    change = f"imbalance on held-out grasps {found.imbalance_before:.3f} → {found.imbalance_after:.3f}"
+    print(f"{command.new} against {command.anchor}: {change}; adapter in {found.save(command.out)}")
     return 0

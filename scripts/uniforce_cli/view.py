@@ -7,9 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import cv2
-import torch
-
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Verify
 from uniforce_vtla.options import Datasets, OutFolder, Pixels, Range, Slots, TokenizerFolder, Workers
@@ -60,13 +57,15 @@ def make_view(config: ViewConfig) -> Path:
 
 def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
     """Return whether an episode is taken: clean successes always."""
-    wiped = facts.outcome == "success"
-    return facts.success or config.keep_failures or (config.keep_events and wiped)
+    return facts.success or config.keep_failures or (config.keep_events and facts.outcome == "success")
 
 
 @command(ViewConfig)
 def main(config: ViewConfig) -> int:
     """Entry of ``uniforce view``."""
+    import cv2
+    import torch
+
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     out = make_view(config)
