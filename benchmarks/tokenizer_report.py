@@ -15,7 +15,7 @@ import torch
 from tqdm import tqdm
 
 from benchmarks import tokenizer_questions as questions
-from benchmarks.baselines import rows as peer_rows
+from benchmarks.baselines import rows as baseline_rows
 from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
@@ -38,7 +38,6 @@ from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.options import (
-    Count,
     CountOrZero,
     FileName,
     FilePath,
@@ -57,13 +56,13 @@ from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
-OF_THE_PEERS = ("published_encoders", "speed")  # parts of the table that ``peers=true`` measures
+OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``peers=true`` measures
 SHIPPED_HEADS_SET = (
     "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
 )
 
 
-OF_PEERS = ("pairs", "anytouch", "t3", "t3_encoder", "unit")
+WEIGHTS_OF_BASELINES = ("anytouch", "t3", "t3_encoder", "unit")
 Heads = Annotated[int, Range(1, 100)]
 ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
 
@@ -95,8 +94,6 @@ class TokenizerReportCommand:
     table: FileName = ""  # another name for the table's file; empty = the set's own
     # also the rows that train networks of their own: hours on two cores, one row at a time
     peers: bool = False
-    twin_steps: Count = 6000  # of the objective twins; the shipped checkpoint's own number
-    pairs: FolderPath = ""  # pair cache of the tokenizer's recipe, for the twins; empty = drawn live
     anytouch: FilePath = ""  # official checkpoint file; empty = row n/a
     t3: FolderPath = ""  # folder with encoders/ and trunk.pth; empty = row n/a
     t3_encoder: FileName = ""  # which of T3's encoders reads our sensors; must be named
@@ -129,7 +126,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "mean": lambda: mean_row(table),
     }
     if command.peers:
-        makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps, command.pairs)
+        makers |= baseline_rows.trained(table, tokenizer, seeds)
     chosen = choose(makers, command.only)
     _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
     measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
@@ -148,10 +145,10 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "rows": rows,
         "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
     }
-    content |= {part: committed[part] for part in OF_THE_PEERS if part in committed}
+    content |= {part: committed[part] for part in OF_BASELINES if part in committed}
     if command.peers:
         paths = {"anytouch": command.anytouch, "t3": command.t3, "unit": command.unit}
-        content |= peer_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
+        content |= baseline_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
     if report_set.name == SHIPPED_HEADS_SET and not command.table:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
     return content | origin
@@ -265,9 +262,9 @@ def _say_if_redrawn(
         print(f"note: {error}")
 
 
-def _check_peers(command: TokenizerReportCommand) -> None:
+def _check_baselines(command: TokenizerReportCommand) -> None:
     """Refuse other people's weights that are damaged, or not asked about, before hours of work."""
-    given = [name for name in OF_PEERS if getattr(command, name)]
+    given = [name for name in WEIGHTS_OF_BASELINES if getattr(command, name)]
     if given and not command.peers:
         raise ContractError(expected(", ".join(given), "peers=true beside it", "peers=false", "Add it."))
     for file in filter(None, (command.anytouch, command.unit)):
@@ -277,7 +274,7 @@ def _check_peers(command: TokenizerReportCommand) -> None:
 def _report(command: TokenizerReportCommand) -> str:
     results, report_set = Path(command.results), get_report_set(command.set)
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
-    _check_peers(command)
+    _check_baselines(command)
     if command.freeze:
         return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
     if command.replay:

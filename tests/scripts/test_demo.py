@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 from pathlib import Path
@@ -43,7 +42,7 @@ def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(
 ) -> None:
     def fail(config: record.RecordConfig) -> None:
         sys.stdout.write("".join(f"line {number}\n" for number in range(100)))
-        logging.warning("of a library")
+        sys.stderr.write("of a library\n")
         os.write(2, b"of a child process\n")
         raise SeenEnoughError
 
