@@ -16,15 +16,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.probes.hard_sets import HETERO_HARD, HardSettings
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.zero_shot import (
-    POOL,
-    Table,
-    encode_set,
-    learnt_row,
-    mean_cells,
-    score,
-    transfer_name,
-)
+from benchmarks.probes.zero_shot import POOL, Table, encode_set, learnt_row, mean_cells, score, transfer_name
 from benchmarks.probes.zero_shot_figure import AXES
 from uniforce_vtla.contact.hysteresis import Creep, felt_force
 from uniforce_vtla.contact.sequences import press_shear_release

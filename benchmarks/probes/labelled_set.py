@@ -76,12 +76,7 @@ def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
 
 def set_facts(config: Any, digests: dict[str, str]) -> dict[str, Any]:
     """Return what is committed before training: the set's recipe and one hash over all sensors."""
-    return {
-        "recipe": asdict(config),
-        "digests": digests,
-        "set": config.name,
-        "set_hash": set_hash(digests),
-    }
+    return {"recipe": asdict(config), "digests": digests, "set": config.name, "set_hash": set_hash(digests)}
 
 
 def set_hash(digests: dict[str, str]) -> str:

@@ -53,11 +53,7 @@ def write_sheet(summary: EpisodeSummary, facts: Mapping[str, str], folder: Path,
             draw_timeline(summary, folder / f"{stem}_timeline.png"),
         ),
         ("Key frames", TOUCH, draw_key_frames(summary, folder / f"{stem}_moments.png")),
-        (
-            f"Latent force, {held.name}",
-            CHANNELS,
-            draw_channels(summary, held, folder / f"{stem}_latent.png"),
-        ),
+        (f"Latent force, {held.name}", CHANNELS, draw_channels(summary, held, folder / f"{stem}_latent.png")),
     )
     rows = "\n".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts.items())
     verdict = f"<b>Estimated from the fingers:</b> {escape('; '.join(summary.verdict))}"

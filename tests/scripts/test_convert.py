@@ -72,11 +72,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("published")
     config = PI05UniforceConfig(
-        size="tiny",
-        device="cpu",
-        touch=TouchSettings(input="none"),
-        image_resolution=(28, 28),
-        tiny=SMALL,
+        size="tiny", device="cpu", touch=TouchSettings(input="none"), image_resolution=(28, 28), tiny=SMALL
     )
     camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
     config.input_features = {f"observation.images.{name}": camera for name in ("front", "wrist")}

@@ -97,10 +97,7 @@ def test_unknown_episodes_and_forms_are_refused(
 
 
 def test_without_rerun_its_form_is_refused_before_any_work(
-    recorded: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 2

@@ -7,14 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.probes.labelled_set import (
-    FROZEN,
-    HEAD_TRAINING,
-    SENSORS,
-    draw_labelled,
-    set_facts,
-    within,
-)
+from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled, set_facts, within
 from benchmarks.probes.report_sets import get_report_set
 from benchmarks.probes.zero_shot import check_frozen, score, summary, transfer_name, transfers
 from benchmarks.probes.zero_shot_figure import draw_table
