@@ -56,7 +56,7 @@ from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
-OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``peers=true`` measures
+OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``baselines=true`` measures
 SHIPPED_HEADS_SET = (
     "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
 )
@@ -93,7 +93,7 @@ class TokenizerReportCommand:
     ship: Literal["", "small", "nano"] = ""
     table: FileName = ""  # another name for the table's file; empty = the set's own
     # also the rows that train networks of their own: hours on two cores, one row at a time
-    peers: bool = False
+    baselines: bool = False
     anytouch: FilePath = ""  # official checkpoint file; empty = row n/a
     t3: FolderPath = ""  # folder with encoders/ and trunk.pth; empty = row n/a
     t3_encoder: FileName = ""  # which of T3's encoders reads our sensors; must be named
@@ -125,7 +125,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "random encoder": lambda: learnt_row(table, lambda s: encode_set(untrained, s), seeds, POOL),
         "mean": lambda: mean_row(table),
     }
-    if command.peers:
+    if command.baselines:
         makers |= baseline_rows.trained(table, tokenizer, seeds)
     chosen = choose(makers, command.only)
     _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
@@ -146,7 +146,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
     }
     content |= {part: committed[part] for part in OF_BASELINES if part in committed}
-    if command.peers:
+    if command.baselines:
         paths = {"anytouch": command.anytouch, "t3": command.t3, "unit": command.unit}
         content |= baseline_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
     if report_set.name == SHIPPED_HEADS_SET and not command.table:
@@ -265,8 +265,10 @@ def _say_if_redrawn(
 def _check_baselines(command: TokenizerReportCommand) -> None:
     """Refuse other people's weights that are damaged, or not asked about, before hours of work."""
     given = [name for name in WEIGHTS_OF_BASELINES if getattr(command, name)]
-    if given and not command.peers:
-        raise ContractError(expected(", ".join(given), "peers=true beside it", "peers=false", "Add it."))
+    if given and not command.baselines:
+        raise ContractError(
+            expected(", ".join(given), "baselines=true beside it", "baselines=false", "Add it.")
+        )
     for file in filter(None, (command.anytouch, command.unit)):
         read_tensors(Path(file))
 

@@ -44,7 +44,7 @@ class HardSettings:
     sequences: int  # per sensor
     length: int  # frames per sequence
     indenters: tuple[str, ...]  # names drawn from
-    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is felt too
+    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is read too
     sequences_per_unit: int = 4  # then another unit with another pose and light
     unit_strength: float = 1.5  # times the usual spread of stiffness, gain, moulding
     look: Look = field(default_factory=Look)  # camera pose and marker size
@@ -160,8 +160,10 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     for index, (gap, force) in enumerate(zip(objects.gap_mm, loads, strict=True)):
         if index % settings.sequences_per_unit == 0:
             unit = _Unit(settings, sensor, rng)
-        felt = felt_force(force, unit.creep, settings.rate_hz)
-        contact = ContactState(np.repeat(gap[None], len(felt), axis=0), felt, np.zeros(len(felt), np.float32))
+        pressed_N = felt_force(force, unit.creep, settings.rate_hz)
+        contact = ContactState(
+            np.repeat(gap[None], len(pressed_N), axis=0), pressed_N, np.zeros(len(pressed_N), np.float32)
+        )
         before, after = unit.images(contact)
         digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes())
         before, after = (to_nominal_scale(images, sensor.spec) for images in (before, after))

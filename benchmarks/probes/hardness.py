@@ -1,7 +1,7 @@
-"""Where the newtons go: the same transfers with one hardness taken away at a time, beside what no image tells.
+"""Where the newtons go: the same transfers with one hardness taken away at a time, beside what no image holds.
 
 Heads are trained on the hard training set throughout; only the scored set gets easier.  ``oracle`` is a reader of the
-true force behind every image: it errs by what no image tells, a unit's own gain and what its rubber still holds back.
+true force behind every image: it errs by what no image holds, a unit's own gain and what its rubber still holds back.
 """
 
 from __future__ import annotations

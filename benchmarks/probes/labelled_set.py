@@ -29,7 +29,7 @@ class SetConfig:
     sequences: int  # per sensor, each from its own unit and indenter placement
     length: int  # frames per sequence
     indenters: tuple[str, ...]  # names drawn from
-    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is felt too
+    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is read too
 
 
 FROZEN = SetConfig("zero_shot_v1", seed=7_001, sequences=120, length=12, indenters=UNSEEN)

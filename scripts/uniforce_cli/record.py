@@ -68,8 +68,8 @@ class RecordConfig:
     keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
     prompts: Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
     episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
-    operator: Literal["keys", "nobody"] = "keys"  # who begins and judges
-    # what nobody calls an episode
+    operator: Literal["keys", "nobody"] = "keys"  # keys | nobody: what begins and judges an episode
+    # operator=nobody: what an episode is called
     verdict: Literal["success", "residual", "failed_grasp"] = "success"
     quick_notes: Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
@@ -78,7 +78,7 @@ class RecordConfig:
     keep_raw: bool = True  # robot: raw tactile frames beside the dataset
     window: Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
     reserve_MB: NotNegative = 500.0  # MB that have to stay free on the disk
-    unwell_s: NotNegative = 10.0  # s, how long nobody waits for a sensor to become well
+    unwell_s: NotNegative = 10.0  # s, operator=nobody: how long to wait for a sensor to become well
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
 
@@ -91,7 +91,7 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
         given: settings that were named, also with the value they have anyway.
 
     Raises:
-        ContractError: a robot, teleoperator, sensor, level or setting nobody knows.
+        ContractError: a robot, teleoperator, sensor, level or setting that is unknown.
         DatasetError: see ``EpisodeRecorder``.
         RobotError, SensorError, TeleoperatorError: it can't be connected.
     """
@@ -163,7 +163,7 @@ def _rig(config: RecordConfig, devices: Devices, teleop: Teleoperator) -> Rig:
 
 def _check(config: RecordConfig) -> None:
     if config.robot == "franka" and config.teleop == "expert":
-        do = "The expert feels the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
+        do = "The expert reads the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
         raise ContractError(expected("teleop", "one that works on a robot", "expert", do))
     if config.robot == "franka" and not config.prompts:
         do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'

@@ -1,7 +1,7 @@
-"""Controls at rollout time: the same checkpoint with its touch taken away, or with somebody else's.
+"""Controls at rollout time: the same checkpoint with its touch taken away, or with another scene's.
 
-Both ask whether the policy uses what it feels: masked touch says nothing, shuffled touch says something plausible
-for the phase of the task but about another scene.
+Both ask whether the policy uses touch: masked touch carries nothing, shuffled touch is plausible for the phase of the
+task but of another scene.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from uniforce_vtla.evaluation.rollout import Controller
 from uniforce_vtla.keys import TACTILE_NAMES
 
 CONTROLS = ("", "masked", "shuffled")
-DONOR_SEED = 50_000  # scenes nobody trains on or scores
+DONOR_SEED = 50_000  # scenes that are neither trained on nor scored
 DONORS = 6  # expert episodes that lend their touch
 EVERY = 5  # steps between two frames kept of a donor
 
@@ -54,14 +54,14 @@ def donated_touch(level: str, sensors: dict[str, str], donors: int = DONORS) -> 
 
 
 class ShuffledTouch:
-    """A controller that feels, at every look, a random moment of another scene in the same phase."""
+    """A controller that gets, at every look, the touch of a random moment of another scene in the same phase."""
 
     def __init__(self, inner: Controller, bank: dict[int, list[Donated]]) -> None:
         self._inner, self._bank = inner, bank
         self._env: Any = None
 
     def reset(self, env: Any) -> None:
-        """Start an episode; the scene's seed decides whose touch it gets."""
+        """Start an episode; the scene's seed decides which touch it gets."""
         self._env = env
         self._rng = np.random.default_rng([env.scene.seed, 31])
         self._inner.reset(env)

@@ -45,7 +45,7 @@ class TouchConfig:
     # the finger that wears it: left | right; forces are in that finger's own frame
     finger: Literal["left", "right"] = "left"
     output: Literal["terminal", "rerun"] = "terminal"  # rerun needs rerun-sdk
-    # rate: measured rate, ages, losses | orientation: press where told; empty = live view
+    # rate: measured rate, ages, losses | orientation: press where asked; empty = live view
     check: Literal["", "rate", "orientation"] = ""
     seconds: NotNegative = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
     refresh_hz: Positive = 10.0  # pictures per second

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.leak_check import TOUCHING_N, LeakConfig, collect
-from benchmarks.press_regressors import FRAMES, Samples, measure, verdict
+from benchmarks.leak_check import FRAMES, TOUCHING_N, LeakConfig, Samples, collect, measure, verdict
 from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE
 
 
