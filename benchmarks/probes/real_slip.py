@@ -100,13 +100,13 @@ def balance_report(
     """
     changing = [(t, s) for t, s in zip(trials, signals, strict=True) if changes_load(t, config)]
     report: dict[str, Any] = {"trials": [t.name for t, _ in changing], "by_trial": {}, "median": {}}
-    for trial, found in changing:
+    for trial, signal in changing:
         report["by_trial"][trial.name] = {
             name: {
                 axis: balance(values[0, :, number], values[1, :, number], ~trial.dropped)
                 for number, axis in enumerate(("x", "y", "normal"))
             }
-            for name, values in loads(found, rotation).items()
+            for name, values in loads(signal, rotation).items()
         }
     for name in ("latent", "raw counts", "hand descriptor"):
         found = [entry[name] for entry in report["by_trial"].values()]

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import torch
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.units import Look
@@ -78,7 +78,7 @@ def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, 
 @command(CalibrateCommand)
 def main(command: CalibrateCommand) -> int:
     """Entry of ``uniforce calibrate``."""
-    torch.set_num_threads(1)
+    one_thread()
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
     found = calibrate_sensor(command, tokenizer, command.new, command.anchor)
     change = f"imbalance on held-out grasps {found.imbalance_before:.3f} → {found.imbalance_after:.3f}"

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
@@ -117,11 +117,9 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
 @command(ConvertConfig)
 def main(config: ConvertConfig) -> int:
     """Entry of ``uniforce convert``."""
-    import torch
-
     from lerobot_policy_pi05_uniforce.conversion import FRESH
 
-    torch.set_num_threads(1)
+    one_thread()
     out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(FRESH)}")
     print(f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Verify
 from uniforce_vtla.arguments import numbers
 from uniforce_vtla.errors import DatasetError, expected
@@ -118,11 +118,7 @@ def _line(row: dict[str, Any]) -> str:
 @command(ScoreRecordingConfig)
 def main(config: ScoreRecordingConfig) -> int:
     """Entry of ``uniforce estimate``."""
-    import cv2
-    import torch
-
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     content = score_recording(config)
     path = write_json(Path(config.out) / "estimates.json", content | provenance())
     print("\n".join(["Estimates, not truth:", *map(_line, content["episodes"]), f"written to {path}"]))

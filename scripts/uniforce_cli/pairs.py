@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Sensor
 from uniforce_vtla.arguments import names_in
 from uniforce_vtla.errors import ContractError, expected
@@ -73,7 +73,14 @@ def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
     out = Path(config.out)
     with PairStore(out, config.left_sensor, config.right_sensor, names, round(rate)) as store:
         rig, report = _run(config, store, rate)
-        content = _content(config, store, report)
+        content: dict[str, Any] = {
+            "config": asdict(config),
+            "pairs": dict(zip(store.indenters, store.counts.tolist(), strict=True)),
+            "frames": dict(report.outcomes),
+            "covered": {name: c.covered for name, c in zip(store.indenters, store.coverage, strict=True)},
+            "dataset": str(store.dataset),
+            "layout": str(store.layout),
+        }
         if config.robot == "sim":
             content["truth"] = _truth(rig, report)  # type: ignore[arg-type]
         draw_coverage(names, store.coverage, out / "coverage.png")
@@ -130,17 +137,6 @@ def _status_shown(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status]
     return show
 
 
-def _content(config: RecordPairsConfig, store: PairStore, report: SessionReport) -> dict[str, Any]:
-    return {
-        "config": asdict(config),
-        "pairs": dict(zip(store.indenters, store.counts.tolist(), strict=True)),
-        "frames": dict(report.outcomes),
-        "covered": dict(zip(store.indenters, [c.covered for c in store.coverage], strict=True)),
-        "dataset": str(store.dataset),
-        "layout": str(store.layout),
-    }
-
-
 def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
     """Return how good the pairs kept in this session are: only a rehearsal knows."""
     import numpy as np
@@ -168,13 +164,9 @@ def _check(config: RecordPairsConfig) -> tuple[str, ...]:
 @command(RecordPairsConfig)
 def main(config: RecordPairsConfig) -> int:
     """Entry of ``uniforce pairs``."""
-    import cv2
-    import torch
-
     import datasets
 
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     datasets.disable_progress_bars()  # LeRobot's own, one per saved chunk, would tear ours apart
     content = record_pairs(config)
     print(f"{sum(content['pairs'].values())} pairs in {content['dataset']} and {content['layout']}")

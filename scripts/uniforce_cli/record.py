@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Level, Sensor
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import (
     Count,
     Dataset,
@@ -106,43 +107,21 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
 
     devices = read_devices(device_flags, config.robot.replace("sim", ""), config.teleop, config.rig)
     teleop = make_teleoperator(devices.teleop)
-    return run_session(
-        _rig(config, devices, teleop),
-        teleop,
-        make_operator(config.operator, config.verdict, config.quick_notes, teleop),
-        StoreSettings(Path(config.root), config.repo_id, config.reserve_MB),
-        SessionSettings(
-            config.episodes,
-            tuple(config.prompts),
-            config.episode_s,
-            config.drive_between,
-            config.unwell_s,
-            config.keep_aborted,
-            config.late_share,
-            {**asdict(config), "devices": list(device_flags)},
-        ),
-        config.seed,
-        sys.stdout,
-    )
+    operator = make_operator(config.operator, config.verdict, config.quick_notes, teleop)
+    store = StoreSettings(Path(config.root), config.repo_id, config.reserve_MB)
+    limits = config.drive_between, config.unwell_s, config.keep_aborted, config.late_share
+    facts = {**asdict(config), "devices": list(device_flags)}
+    settings = SessionSettings(config.episodes, tuple(config.prompts), config.episode_s, *limits, facts)
+    rig = _rig(config, devices, teleop)
+    return run_session(rig, teleop, operator, store, settings, config.seed, sys.stdout)
 
 
 def _record_expert(config: RecordConfig) -> SessionEnd:
     from uniforce_robots.recorder.expert_demos import ExpertDemos, record_expert
     from uniforce_robots.recorder.session import SessionEnd
 
-    record_expert(
-        ExpertDemos(
-            Path(config.root),
-            config.repo_id,
-            config.episodes,
-            config.level,
-            config.left_sensor,
-            config.right_sensor,
-            config.seed,
-            config.nudge,
-            config.keep_failures,
-        )
-    )
+    same = {field.name: getattr(config, field.name) for field in fields(ExpertDemos)}
+    record_expert(ExpertDemos(**same | {"root": Path(config.root)}))
     return SessionEnd(0, f"{config.episodes} episodes")
 
 
@@ -168,6 +147,8 @@ def _check(config: RecordConfig) -> None:
     if config.robot == "franka" and not config.prompts:
         do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'
         raise ContractError(expected("prompts", "an instruction or more", "none", do))
+    if config.resume:  # a damaged dataset is named before anything is logged
+        read_object(Path(config.resume) / "meta" / "info.json", DatasetError)
     config.root = config.resume or config.root
 
 
@@ -186,9 +167,10 @@ IGNORED = {  # by how it records: settings that would change nothing
 
 def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Collection[str]) -> None:
     """Refuse what was set and would change nothing."""
-    mode = "robot=franka" if config.robot == "franka" else "robot=sim, steered by hand"
-    if (config.robot, config.teleop) == ("sim", "expert"):
-        mode = "robot=sim teleop=expert"
+    scripted, mode, parts = (config.robot, config.teleop) == ("sim", "expert"), "robot=franka", ()
+    if config.robot == "sim":
+        mode = "robot=sim teleop=expert" if scripted else "robot=sim, steered by hand"
+        parts = ("--robot.", "--teleop.") if scripted else ("--robot.",)
     operator = "" if config.teleop == "expert" else f"operator={config.operator}"
     plain = RecordConfig()
     ignored = [
@@ -196,15 +178,10 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Co
         for name in (*IGNORED[mode], *IGNORED.get(operator, ()))
         if name in given or getattr(config, name) != getattr(plain, name)
     ]
-    parts = (
-        () if config.robot == "franka" else ("robot",) if config.teleop != "expert" else ("robot", "teleop")
-    )
-    flags = [
-        flag for flag in device_flags if flag.removeprefix("--").startswith(tuple(f"{p}." for p in parts))
-    ]
-    if ignored or (parts and flags):
-        came, mode = ", ".join([*ignored, *flags]), f"{mode} {operator}".strip()
-        raise ContractError(expected(f"settings with {mode}", "those it uses", came, "Leave them out."))
+    ignored += [flag for flag in device_flags if flag.startswith(parts)]
+    if ignored:
+        settings = f"settings with {mode} {operator}".strip()
+        raise ContractError(expected(settings, "those it uses", ", ".join(ignored), "Leave them out."))
 
 
 @command(RecordConfig, others=("robot.", "teleop."))

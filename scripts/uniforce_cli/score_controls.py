@@ -18,7 +18,6 @@ from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.rollout import Controller
 from uniforce_vtla.keys import TACTILE_NAMES
 
-CONTROLS = ("", "masked", "shuffled")
 DONOR_SEED = 50_000  # scenes that are neither trained on nor scored
 DONORS = 6  # expert episodes that lend their touch
 EVERY = 5  # steps between two frames kept of a donor
@@ -27,18 +26,16 @@ Donated = dict[str, np.ndarray]  # stream → (H, W) bool, packed along the last
 
 
 def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Controller:
-    """Return the controller under a control; "" leaves it as it is.
+    """Return the controller under a control, ``masked`` or ``shuffled``; "" leaves it as it is.
 
     Raises:
         ContractError: an unknown control.
     """
-    if control not in CONTROLS:
-        known = " | ".join(repr(name) for name in CONTROLS)
-        raise ContractError(expected("control", known, repr(control), "Name one."))
-    if control == "masked":
-        controller.policy.touch.masked = True
     if control == "shuffled":
         return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors))
+    if control not in ("", "masked"):
+        raise ContractError(expected("control", "masked | shuffled", repr(control), "Name one."))
+    controller.policy.touch.masked |= control == "masked"
     return controller
 
 
@@ -46,10 +43,12 @@ def donated_touch(level: str, sensors: dict[str, str], donors: int = DONORS) -> 
     """Return marker images of expert episodes on other scenes, by phase of the task."""
     env, expert = WipeEnv(level, sensors["left"], sensors["right"]), WipeExpert()
     bank: dict[int, list[Donated]] = {}
-    for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch"):
+    for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch", disable=None):
         for step, _ in enumerate(walk(env, expert, seed), start=1):
             if step % EVERY == 0 or env.phase not in bank:
-                bank.setdefault(env.phase, []).append(_packed(env.observe()["pixels"]))
+                pixels = env.observe()["pixels"]
+                packed = {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in TACTILE_NAMES}
+                bank.setdefault(env.phase, []).append(packed)
     return bank
 
 
@@ -74,15 +73,8 @@ class ShuffledTouch:
         """Return the inner controller's chunk for this observation with touch exchanged."""
         bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]
         donated = bank[int(self._rng.integers(len(bank)))]
-        pixels = observation["pixels"] | {name: _unpacked(image) for name, image in donated.items()}
-        return self._inner.chunk(observation | {"pixels": pixels}, task)
-
-
-def _packed(pixels: dict[str, np.ndarray]) -> Donated:
-    return {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in TACTILE_NAMES}
-
-
-def _unpacked(image: np.ndarray) -> np.ndarray:
-    """Return (H, W, 3) uint8 in {0, 255}."""
-    grey = np.unpackbits(image, axis=-1) * np.uint8(255)
-    return np.repeat(grey[..., None], 3, axis=-1)
+        grey = {name: np.unpackbits(image, axis=-1) * np.uint8(255) for name, image in donated.items()}
+        exchanged = {
+            name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()
+        }  # (H, W, 3)
+        return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)

@@ -17,9 +17,9 @@ from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import Script
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from uniforce_cli.boundary import one_thread
 from uniforce_cli.score import ScoreConfig
 from uniforce_cli.score_controls import controlled
-from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet
@@ -61,8 +61,7 @@ class Job:
 
 def score_job(job: Job) -> tuple[int, EpisodeRow]:
     """Roll one episode out and return its row."""
-    torch.set_num_threads(1)  # processes share the cores; more threads each only fight
-    cv2.setNumThreads(1)
+    one_thread()  # processes share the cores
     config, seed = job.config, job.seed
     rig = config.left_sensor, config.right_sensor, config.swap
     env, controller = _build(config.policy_of(seed), config.level, *rig, config.control, config.folder)
@@ -84,7 +83,9 @@ def _build(
         if control:
             do = "Controls are for policies."
             raise ContractError(expected(f"control of the {policy}", "none", control, do))
-        env, controller = WipeEnv(level, *_mounted(left, right).values()), ScriptController(SCRIPTS[policy]())
+        mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
+        env = WipeEnv(level, mounted["left"], mounted["right"])
+        controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, level, left, right, swap)
         controller = controlled(plain, control, env)
@@ -92,18 +93,15 @@ def _build(
     return env, controller
 
 
-def _mounted(left: str, right: str) -> dict[Finger, str]:
-    return ScoreConfig(left_sensor=left, right_sensor=right).mounted
-
-
 def policy_on_rig(
     policy: str, level: str, left: str, right: str, swap: str
 ) -> tuple[WipeEnv, PolicyController]:
     """Return a scene and the checkpoint that acts in it; "shipped" is the package's own, "" the usual sensor."""
-    mounted = _mounted(left, right)
+    mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
-    return WipeEnv(level, *mounted.values(), expose_wrench=controller.needs_true_wrench), controller
+    truth = controller.needs_true_wrench
+    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=truth), controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

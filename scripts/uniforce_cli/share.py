@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
@@ -151,9 +151,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 @command(ShareConfig)
 def main(config: ShareConfig) -> int:
     """Entry of ``uniforce share``."""
-    import torch
-
-    torch.set_num_threads(1)
+    one_thread()
     _scores(config)  # a damaged file is named first
     if bool(config.dataset) == bool(config.checkpoint):
         came = "both" if config.dataset else "neither"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Verify
 from uniforce_cli.rerun_viewer import import_rerun, open_viewer
 from uniforce_vtla.arguments import names_in, numbers
@@ -149,11 +149,7 @@ def _numbers(summary: EpisodeSummary, facts: dict[str, str]) -> dict[str, object
 @command(ShowDatasetConfig)
 def main(config: ShowDatasetConfig) -> int:
     """Entry of ``uniforce show``."""
-    import cv2
-    import torch
-
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     written = show_dataset(config)
     print("\n".join(f"written to {path}" for path in written))
     if config.form == "rerun" and config.spawn:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Sensor
 from uniforce_vtla.contracts import check_finger
 from uniforce_vtla.errors import ContractError, expected
@@ -135,11 +135,7 @@ def run(config: TouchConfig) -> int:
 @command(TouchConfig)
 def main(config: TouchConfig) -> int:
     """Entry of ``uniforce touch``."""
-    import cv2
-    import torch
-
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     try:
         return run(config)
     except KeyboardInterrupt:

@@ -23,19 +23,8 @@ def made_up(seed: int) -> EpisodeForces:
     grip = np.where(t > 0.5, rng.uniform(8, 12), 0.0)
     force = np.stack([0.3 * np.sin(3 * t), up, grip], axis=1).astype(np.float32)
     flat = np.zeros(FRAMES)
-    trace = EpisodeTrace(
-        t,
-        press,
-        grip,
-        grip,
-        flat,
-        flat,
-        flat,
-        flat,
-        flat,
-        np.digitize(t, [1.2, 2.0]),
-        rated_depth_mm=(1.5, 5.0),
-    )
+    phase = np.digitize(t, [1.2, 2.0])
+    trace = EpisodeTrace(t, press, grip, grip, *[flat] * 5, phase, rated_depth_mm=(1.5, 5.0))
     true = np.concatenate([force, force], axis=1) * NATURAL_UNITS
     noisy = {
         f: (true + 0.01 * rng.standard_normal(true.shape) * NATURAL_UNITS).astype(np.float32) for f in FINGERS

@@ -1,4 +1,4 @@
-"""The demo at its smallest: every stage runs, a page of text comes out, the rest is in its log."""
+"""The demo at its smallest: every stage runs, a page of text comes out, the rest is in its log; what a view takes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import pytest
 
 from uniforce_cli import demo, record, view
 from uniforce_datasets.view_plan import EpisodeFacts
+
+CLEAN, EVENT, FAILED, ABORTED = (True, "success"), (False, "success"), (False, "residual"), (False, "aborted")
 
 
 class SeenEnoughError(Exception):
@@ -66,3 +68,21 @@ def test_the_smallest_demo_prints_less_than_forty_lines(
     assert "| V+U |" in said and "Done in" in said and str(out / demo.LOG) in said
     assert "Creating policy" in (out / demo.LOG).read_text()  # LeRobot's own words
     assert (out / "page.png").is_file() and (out / "wiping.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("settings", "taken"),
+    [
+        ({}, [CLEAN]),
+        ({"keep_events": True}, [CLEAN, EVENT]),
+        ({"keep_failures": True}, [CLEAN, EVENT, FAILED, ABORTED]),
+    ],
+)
+def test_clean_demos_always_others_when_asked_for(
+    settings: dict[str, bool], taken: list[tuple[bool, str]]
+) -> None:
+    def facts(success: bool, outcome: str) -> EpisodeFacts:
+        return EpisodeFacts("demos", 0, 300, "wipe", success, outcome, 0, "gelsight", "tactip")
+
+    every = (CLEAN, EVENT, FAILED, ABORTED)
+    assert [end for end in every if view.chosen(facts(*end), view.ViewConfig(**settings))] == taken

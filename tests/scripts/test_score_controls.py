@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
-from uniforce_cli import score_controls
 from uniforce_cli.score import ScoreConfig
 from uniforce_cli.score_controls import ShuffledTouch, controlled, donated_touch
 from uniforce_cli.score_worker import Job, score_job
@@ -47,7 +46,7 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
         seen = watching.seen[0]
         images = {name: seen["pixels"][name] for name in TACTILE_NAMES}
         assert all(i.shape == (480, 640, 3) and set(np.unique(i)) <= {0, 255} for i in images.values())
-        packed = score_controls._packed(images)
+        packed = {n: np.packbits(image[..., 0] > 0, axis=-1) for n, image in images.items()}
         assert any(all(np.array_equal(packed[n], donor[n]) for n in TACTILE_NAMES) for donor in bank[phase])
         assert np.array_equal(seen["pixels"]["front"], observation["pixels"]["front"])
         assert np.array_equal(seen["agent_pos"], observation["agent_pos"])
