@@ -34,9 +34,8 @@ class ScoreRecordingConfig:
     board_corners: Numbers = ""
     camera: FileName = "front"  # scene camera that sees the board
     episodes: CountOrZero = 0  # the first so many; 0 = all
-    heads: FolderPath = (
-        ""  # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
-    )
+    # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
+    heads: FolderPath = ""
     verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
     out: OutFolder = "outputs/recording_scores"  # estimates.json and a picture per episode
 

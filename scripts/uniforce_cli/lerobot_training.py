@@ -44,6 +44,8 @@ RANGES = {  # of LeRobot's own settings, which it does not check
     "log_freq": Range(0, 10_000_000),
     "seed": Range(0, 2**32 - 1),
 }
+ARGUMENTS = (ArgumentError, ValueError, TypeError, KeyError, AttributeError, NotImplementedError)
+LEROBOTS_ERRORS = (OSError, *ARGUMENTS)  # what its parser and its checks raise over a setting
 KEPT_GROUPS: list[Any] = []  # process groups of trainings that ended, see ``TrainingAccelerator``
 MIXED_PRECISION = {"bfloat16": "bf16", "float16": "fp16", "float32": "no"}  # LeRobot's, by the policy's dtype
 
@@ -176,18 +178,9 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
         raise _with_nearest(error) from error
     except SystemExit as error:  # LeRobot's way to end after a wrong type; it printed why
         raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
-    except (
-        ArgumentError,
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-        NotImplementedError,
-    ) as error:
-        raise ContractError(
-            expected("settings", "what LeRobot takes", _said(error), "See --help.")
-        ) from error
+    except LEROBOTS_ERRORS as error:
+        came = _said(error)
+        raise ContractError(expected("settings", "what LeRobot takes", came, "See --help.")) from error
     finally:
         logging.disable(logging.NOTSET)
     return settings

@@ -42,9 +42,8 @@ class ShareConfig:
     scored_as: Text = ""
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
-    dataset: Dataset = (
-        ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
-    )
+    # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    dataset: Dataset = ""
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 
@@ -63,9 +62,7 @@ def share(config: ShareConfig) -> Path:
     scores = _scores(config)
     policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
-    policy.config.touch.tokenizer_path = policy.config.pretrained_path = (
-        None  # both tokenizers are in the folder
-    )
+    policy.config.touch.tokenizer_path = policy.config.pretrained_path = None  # paths of this machine
     if policy.config.text_tokenizer_name and Path(policy.config.text_tokenizer_name).exists():
         policy.config.text_tokenizer_name = None
     policy.config.repo_id = config.push or policy.config.repo_id

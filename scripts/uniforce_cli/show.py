@@ -43,9 +43,8 @@ class ShowDatasetConfig:
     pad_friction: Numbers = ""
     # newtons from the latents: a shipped force head or a folder; empty = descriptor heads, as for scores
     head: Head = ""
-    heads: FolderPath = (
-        ""  # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
-    )
+    # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
+    heads: FolderPath = ""
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
 

@@ -9,8 +9,7 @@ import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_cli.score import ScoreConfig
-from uniforce_cli.score_controls import ShuffledTouch, controlled, donated_touch
-from uniforce_cli.score_worker import Job, score_job
+from uniforce_cli.score_worker import Job, ShuffledTouch, controlled, donated_touch, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.keys import TACTILE_NAMES
 
