@@ -58,7 +58,7 @@ class ProgressBars:
             self._terminal.write(text)
         elif text.strip():
             self._log.write(text)
-        else:  # the bar is done: the next one takes its line
+        elif text:  # a line's end: the bar is done, and the next one takes its line
             self._terminal.write("\r\x1b[K")
         return len(text)
 
