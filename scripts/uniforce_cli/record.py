@@ -167,7 +167,8 @@ IGNORED = {  # by how it records: settings that would change nothing
 
 def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Collection[str]) -> None:
     """Refuse what was set and would change nothing."""
-    scripted, mode, parts = (config.robot, config.teleop) == ("sim", "expert"), "robot=franka", ()
+    parts: tuple[str, ...] = ()
+    scripted, mode = (config.robot, config.teleop) == ("sim", "expert"), "robot=franka"
     if config.robot == "sim":
         mode = "robot=sim teleop=expert" if scripted else "robot=sim, steered by hand"
         parts = ("--robot.", "--teleop.") if scripted else ("--robot.",)
