@@ -45,10 +45,12 @@ class CalibrateCommand:
 def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, anchor: str) -> Calibration:
     """Grasp in simulation, the new sensor left and the anchor right, and fit; SensorError for unknown sensors."""
     per_unit, side = max(1, command.grasps // command.units), tokenizer.config.side
+    left_sensor, right_sensor = (hidden_sensors().get(name) or as_virtual(name) for name in (new, anchor))
     pairs = equilibrium_pairs(
         np.random.default_rng([command.seed, 55]),
         per_unit * command.units,
-        *(hidden_sensors().get(name) or as_virtual(name) for name in (new, anchor)),
+        left_sensor,
+        right_sensor,
         PRETRAIN,
         settings=PairSettings(pairs_per_unit=per_unit, look=Look()),
         transform=lambda images: shrink(images, side),
