@@ -182,11 +182,11 @@ def load_t3(folder: Path, encoder: str, config: T3Config | None = None) -> T3Enc
                 "Name the encoder to use; nothing is put in its place.",
             )
         )
-    encoder = T3Encoder(config)
+    model = T3Encoder(config)
     path = folder / "encoders" / f"{encoder}.pth"
-    load_strictly(encoder.encoder, read_tensors(path), str(path))
-    load_strictly(encoder.trunk, read_tensors(folder / "trunk.pth"), str(folder / "trunk.pth"))
-    return encoder.eval().requires_grad_(False)
+    load_strictly(model.encoder, read_tensors(path), str(path))
+    load_strictly(model.trunk, read_tensors(folder / "trunk.pth"), str(folder / "trunk.pth"))
+    return model.eval().requires_grad_(False)
 
 
 def t3_row(
