@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import multiprocessing
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
+from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from benchmarks.blind_styles import STYLES, MeasuredRelative
@@ -46,7 +46,7 @@ class BlindConfig:
     # a nominal width: pads yield, so more
     grip_open_N: Newtons = field(default_factory=lambda: [11.0, 13.0])
     grip_relative_N: Newtons = field(default_factory=lambda: [6.5, 7.5])  # inside the measured width
-    experts: Experts = field(default_factory=lambda: list(EXPERTS))  # which fingers the expert feels
+    experts: Experts = field(default_factory=lambda: list(EXPERTS))  # which fingers the expert reads
     workers: Workers = 2  # processes
     out: OutFile = "outputs/blind/blind_scripts.json"  # the result file
 
@@ -115,8 +115,8 @@ def summarise(results: Sequence[EpisodeResult]) -> dict[str, Any]:
 def run_all(config: BlindConfig) -> dict[str, dict[str, Any]]:
     """Return script name → summary."""
     jobs = all_jobs(config)
-    with multiprocessing.get_context("forkserver").Pool(config.workers) as pool:
-        done = list(tqdm(pool.imap(run_job, jobs, chunksize=4), total=len(jobs), desc="episodes"))
+    episodes = Parallel(config.workers, return_as="generator")(delayed(run_job)(job) for job in jobs)
+    done = list(tqdm(episodes, total=len(jobs), desc="episodes"))
     names = dict.fromkeys(job.name for job, _ in done)
     return {name: summarise([r for job, r in done if job.name == name]) for name in names}
 

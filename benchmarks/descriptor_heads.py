@@ -69,7 +69,7 @@ class DescriptorHeadsConfig:
 class EpisodeForces:
     """One wipe: hand descriptors (n, 6) and true forces (n, 3) N per finger, and what happened."""
 
-    felt: dict[Finger, np.ndarray]
+    described: dict[Finger, np.ndarray]
     force_N: dict[Finger, np.ndarray]
     sensors: dict[str, str]
     tool_z_m: np.ndarray
@@ -77,7 +77,7 @@ class EpisodeForces:
     trace: EpisodeTrace
 
 
-def felt_episodes(level: str, seeds: range) -> Iterator[EpisodeForces]:
+def described_episodes(level: str, seeds: range) -> Iterator[EpisodeForces]:
     """Yield wipes by experts whose grip and press are drawn per scene, the rigs in turns."""
     envs = [WipeEnv(level, left) for left in LEFT_SENSORS]
     for number, seed in enumerate(tqdm(seeds, desc=f"wiping from {seeds.start}", unit="scene")):
@@ -88,18 +88,18 @@ def _felt_episode(env: WipeEnv, seed: int) -> EpisodeForces:
     rng = np.random.default_rng([seed, 9])
     wanted = TouchSettings(float(rng.uniform(*PRESS_RANGE_N)), float(rng.uniform(*GRIP_RANGE_N)))
     expert, nudge = WipeExpert(settings=wanted), Nudge(seed)
-    felt: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
+    described: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
     forces: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
     heights = []
     for _ in walk(env, expert, seed, nudge):
         pixels, wrench = env.observe()["pixels"], env.true_wrench()
         for finger in FINGERS:
             reference, current = pixels[tactile_name(finger, reference=True)], pixels[tactile_name(finger)]
-            felt[finger].append(descriptors(reference[..., 0], current[None, ..., 0], finger)[0])
+            described[finger].append(descriptors(reference[..., 0], current[None, ..., 0], finger)[0])
             forces[finger].append(wrench[finger][:3])
         heights.append(float(env.state[2]))
     return EpisodeForces(
-        {finger: np.stack(felt[finger]) for finger in FINGERS},
+        {finger: np.stack(described[finger]) for finger in FINGERS},
         {finger: np.stack(forces[finger]) for finger in FINGERS},
         env.sensors,
         np.asarray(heights),
@@ -113,21 +113,21 @@ def worn(episodes: list[EpisodeForces]) -> dict[str, list[tuple[np.ndarray, np.n
     found: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for episode in episodes:
         for finger in FINGERS:
-            pair = episode.felt[finger], episode.force_N[finger]
+            pair = episode.described[finger], episode.force_N[finger]
             found.setdefault(episode.sensors[finger], []).append(pair)
     return found
 
 
 def errors(head: DescriptorHead, wipes: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, list[float]]:
     """Return R² and MAE per axis over whole episodes, each read from its first frame on."""
-    said = np.concatenate([head.read(felt) for felt, _ in wipes])
+    said = np.concatenate([head.read(described) for described, _ in wipes])
     truth = np.concatenate([force_N for _, force_N in wipes])
     return score(truth[None], said[None])
 
 
 def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str, Any]:
     """Return the truth of one episode beside what its fingers alone say of it."""
-    read = [heads[episode.sensors[finger]].read(episode.felt[finger]) for finger in FINGERS]
+    read = [heads[episode.sensors[finger]].read(episode.described[finger]) for finger in FINGERS]
     trace, truth = episode.trace, score_episode(episode.trace)
     forces = np.stack(read, axis=1)  # (n, 2, 3)
     found = estimate_events(trace.time_s, forces, episode.tool_z_m, episode.pad_friction)
@@ -147,9 +147,9 @@ def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str,
 def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
     """Fit, score and save the heads; return the report."""
     first = config.first_seed
-    lessons = worn(list(felt_episodes(config.level, range(first, first + config.scenes))))
+    lessons = worn(list(described_episodes(config.level, range(first, first + config.scenes))))
     heads = {s: DescriptorHead.fit(s, wipes, config.stretch, config.steps) for s, wipes in lessons.items()}
-    tests = list(felt_episodes(config.level, range(first + 1000, first + 1000 + config.test_scenes)))
+    tests = list(described_episodes(config.level, range(first + 1000, first + 1000 + config.test_scenes)))
     for head in heads.values():
         head.save(Path(config.out))
     return {

@@ -49,9 +49,8 @@ class PairQualityConfig:
 
 def measure(config: PairQualityConfig) -> dict[str, Any]:
     """Return precision and recall over all rehearsed pairs, and by fault, rig, indenter and gate."""
-    from benchmarks.pairs.evaluation import score_session
+    from benchmarks.pairs.evaluation import report, score_session
     from benchmarks.pairs.figure import draw_scores
-    from benchmarks.pairs.report import report
     from uniforce_robots.pairs import pair_judge
     from uniforce_robots.pairs.rehearsal import Rehearsal
 

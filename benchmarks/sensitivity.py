@@ -33,7 +33,7 @@ NOISE_DRAWS = 4  # per look, to know how far noise alone moves a chunk
 Observation = dict[str, Any]
 Exchange = Callable[
     [Observation, Observation], Observation
-]  # this look and a stranger's → what the policy gets
+]  # this look and another one → what the policy gets
 
 
 @dataclass
@@ -81,7 +81,7 @@ def exchanges(wrench: bool) -> dict[str, Exchange]:
     """Return what is exchanged, by name; touch is marker images, or the true wrench where a policy is fed that."""
     found: dict[str, Exchange] = {
         "touch as in free air": _free_air_wrench if wrench else _free_air,
-        "touch of another moment": _strange_wrench if wrench else _strange_touch,
+        "touch of another moment": _other_wrench if wrench else _other_touch,
     }
     return found | {f"{camera} camera black": _black(camera) for camera in CAMERAS}
 
@@ -95,7 +95,7 @@ def _free_air(here: Observation, _: Observation) -> Observation:
     return _with(here, {tactile_name(f): pixels[tactile_name(f, reference=True)] for f in FINGERS})
 
 
-def _strange_touch(here: Observation, there: Observation) -> Observation:
+def _other_touch(here: Observation, there: Observation) -> Observation:
     return _with(here, {name: there["pixels"][name] for name in TACTILE_NAMES})
 
 
@@ -103,7 +103,7 @@ def _free_air_wrench(here: Observation, _: Observation) -> Observation:
     return here | {f"wrench_{f}": np.zeros_like(here[f"wrench_{f}"]) for f in FINGERS}
 
 
-def _strange_wrench(here: Observation, there: Observation) -> Observation:
+def _other_wrench(here: Observation, there: Observation) -> Observation:
     return here | {f"wrench_{f}": there[f"wrench_{f}"] for f in FINGERS}
 
 
@@ -126,9 +126,9 @@ def measure(controller: PolicyController, moments: list[Look], seed: int = 0) ->
         noise = torch.randn(NOISE_DRAWS, *shape, generator=generator)
         chunks = [_chunk(controller, moment, moment.observation, n) / scale for n in noise]
         changes["other noise"].append(float(np.std(chunks, axis=0).mean()))
-        stranger = touched[int(rng.integers(len(touched)))].observation
+        other_look = touched[int(rng.integers(len(touched)))].observation
         for name, exchange in exchanges(controller.needs_true_wrench).items():
-            other = _chunk(controller, moment, exchange(moment.observation, stranger), noise[0]) / scale
+            other = _chunk(controller, moment, exchange(moment.observation, other_look), noise[0]) / scale
             changes[name].append(float(np.sqrt(np.mean((other - chunks[0]) ** 2))))
     contact = np.array([moment.contact for moment in moments])
     return {

@@ -1,4 +1,4 @@
-"""Fit what the other finger would have said, whatever sensor it wears, for policies that shall swap sensors."""
+"""Fit what the other finger's latent would be, whatever sensor it wears, for policies that shall swap sensors."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class SensorTransferCommand:
 def draw_latents(
     tokenizer: Tokenizer, kinds: list[str], config: SensorTransferFit
 ) -> dict[str, GraspLatents]:
-    """Return sensor → what it says of the same grasps on either finger."""
+    """Return sensor → its latents of the same grasps on either finger."""
     force_range = ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm)
     settings = PairSettings(
         flat_share=config.flat_share,
@@ -58,13 +58,15 @@ def draw_latents(
         return pool_latent(tokenizer.encode(reference, current), config.grid).numpy()
 
     drawn = two_fingers(rng, blocks, kinds, settings, config.other, lambda images: shrink(images, side))
-    told: dict[str, list[tuple[np.ndarray, ...]]] = {kind: [] for kind in kinds}
+    latents: dict[str, list[tuple[np.ndarray, ...]]] = {kind: [] for kind in kinds}
     for first, second in tqdm(drawn, total=blocks, desc="grasps", unit=f"×{settings.pairs_per_unit}"):
         for kind, (reference, current), views in zip(kinds, first, second, strict=True):
-            told[kind].append(
+            latents[kind].append(
                 (pooled(reference, current), pooled(*views), pooled(reference, reference[None]))
             )
-    joined = {kind: [np.concatenate(part) for part in zip(*rows, strict=True)] for kind, rows in told.items()}
+    joined = {
+        kind: [np.concatenate(part) for part in zip(*rows, strict=True)] for kind, rows in latents.items()
+    }
     return {kind: GraspLatents(one, two, rest.mean(axis=0)) for kind, (one, two, rest) in joined.items()}
 
 
@@ -76,8 +78,8 @@ def _run(command: SensorTransferCommand) -> str:
     folder = checkpoint_folder(command.tokenizer, FOLDER)
     path = transfer.save(folder if folder.name == FOLDER else folder / FOLDER, facts)
     lines = [
-        f"{pair}: differ by {told['rms']:.2f} spreads, by {told['rms_left']:.2f} once mapped"
-        for pair, told in facts["differences"].items()
+        f"{pair}: differ by {found['rms']:.2f} spreads, by {found['rms_left']:.2f} once mapped"
+        for pair, found in facts["differences"].items()
     ]
     return "\n".join([*lines, f"maps in {Path(path)}"])
 

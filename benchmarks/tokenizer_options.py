@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 
-from benchmarks.probes.options_figure import draw_options
 from benchmarks.probes.report_sets import REPORT_SETS, get_report_set
 from benchmarks.probes.zero_shot import POOL, Table, encode_set, learnt_row, summary, transfer_name
 from benchmarks.tokenizer_report import draw_sets
@@ -20,6 +20,7 @@ from uniforce_cli.boundary import command
 from uniforce_cli.pretrain import PRESETS, PretrainCommand
 from uniforce_vtla.arguments import choose, read
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.options import Count, Names, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
@@ -54,6 +55,14 @@ VARIANTS: dict[str, tuple[str, ...]] = {
     "patches of 32 px": ("run.model.patch=32",),
     "broken pairs": BROKEN,
     "broken pairs weighted by quality": (*BROKEN, "run.loss.pair_quality=2"),
+}
+
+LOWEST = -1.0  # R² is drawn down to here; a number says what lies below
+PANELS = {
+    "worst shear R²": "shear_worst",
+    "mean shear R²": "shear_mean",
+    "mean Fz R²": "fz_mean",
+    "mean Fz error, N": "mae_fz_N",
 }
 
 
@@ -126,6 +135,30 @@ def _run(command: OptionsCommand) -> str:
     if done:
         draw_options(json.loads(path.read_text()), path.with_suffix(".png"))
     return "\n".join([*(_line(name, done[name]) for name in chosen), f"written to {path}"])
+
+
+def draw_options(content: dict[str, Any], path: Path) -> Path:
+    """Draw the options of ``tokenizer_options``, the best worst-shear cell on top; return the picture."""
+    options = content["options"]
+    names = sorted(options, key=lambda name: options[name]["summary"]["shear_worst"])
+    figure = Figure(figsize=(13, 1.4 + 0.3 * len(names)), layout="constrained")
+    panels = figure.subplots(1, len(PANELS), sharey=True)
+    first = next(iter(options))  # the recipe the others differ from
+    colours = ["#1f6fb2" if name == first else "0.65" for name in names]
+    for panel, (title, key) in zip(panels, PANELS.items(), strict=True):
+        values = np.array([options[name]["summary"][key] for name in names])
+        shown = np.maximum(values, LOWEST)
+        panel.barh(range(len(names)), shown, color=colours)
+        for row, value in enumerate(values):
+            panel.text(max(shown[row], 0) + 0.02, row, f"{value:.2f}", va="center", fontsize=7)
+        panel.axvline(values[names.index(first)], color="#1f6fb2", lw=0.8, ls="--")
+        panel.set_title(title)
+        panel.margins(x=0.15)
+    panels[0].set_yticks(range(len(names)), names)
+    figure.suptitle(
+        f"nano recipe, {content['steps']} steps, one option changed at a time ({content['set']}, simulated)"
+    )
+    return save_figure(figure, path)
 
 
 def _line(name: str, found: dict[str, Any]) -> str:

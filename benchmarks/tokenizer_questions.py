@@ -1,4 +1,4 @@
-"""What else is asked of a tokenizer: correlation (Q1), reconstructions (Q2), real slip, a user's own recordings."""
+"""What else is asked of a tokenizer: hardness and scale charts, real slip, a user's own recordings."""
 
 from __future__ import annotations
 
@@ -6,21 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.probes.hard_sets import HardSettings
-from benchmarks.probes.hardness import hardness
-from benchmarks.probes.hardness_figure import draw_hardness
+from benchmarks.probes.hardness import draw_hardness, hardness
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.latent_correlation import (
-    fit_rotation,
-    indenters_of,
-    latent_correlation,
-    pad_latent,
-)
-from benchmarks.probes.latent_correlation_figure import draw_correlations
+from benchmarks.probes.latent_rotation import fit_rotation, pad_latent
 from benchmarks.probes.real_slip import real_slip
 from benchmarks.probes.real_slip_figure import draw_real_slip
 from benchmarks.probes.real_trials import read_trials
-from benchmarks.probes.reconstructions import reconstruction_report
-from benchmarks.probes.reconstructions_figure import draw_reconstructions
 from benchmarks.probes.recorded_set import (
     WindowConfig,
     of_indenters,
@@ -29,37 +20,13 @@ from benchmarks.probes.recorded_set import (
     to_labelled_set,
 )
 from benchmarks.probes.report_sets import ReportSet
-from benchmarks.probes.scale_error import scale_error
-from benchmarks.probes.scale_error_figure import draw_scale_error
+from benchmarks.probes.scale_error import draw_scale_error, scale_error
 from benchmarks.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
 from uniforce_datasets.readers import read_genforce
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-
-
-def correlation(tokenizer: Tokenizer, report_set: ReportSet, table: Table, results: Path) -> str:
-    """Write Q1: |r| of rotated latents with Fx, Fy, Fz on every sensor's unseen indenters."""
-    names = indenters_of(report_set.frozen)
-    content = latent_correlation(
-        tokenizer, table.training["tactip"], table.frozen, dict.fromkeys(table.frozen, names)
-    )
-    content |= {"set": report_set.name, "tokenizer_hash": tokenizer.hash} | provenance()
-    path = write_json(results / "latent_correlation.json", content)
-    draw_correlations(content, path.with_suffix(".png"))
-    lines = [f"{sensor}: |r| Fx, Fy, Fz {_short(r)}" for sensor, r in content["best_abs_r"].items()]
-    return "\n".join([*lines, f"written to {path}"])
-
-
-def reconstructions(tokenizer: Tokenizer, results: Path) -> str:
-    """Write Q2: self and cross reconstructions, their errors and the worst cases."""
-    content, rigs = reconstruction_report(tokenizer)
-    path = write_json(
-        results / "reconstructions.json", content | {"tokenizer_hash": tokenizer.hash} | provenance()
-    )
-    draw_reconstructions(rigs, path.with_suffix(".png"))
-    return f"written to {path}"
 
 
 def slip(tokenizer: Tokenizer, uskin: LabelledSet, recordings: str, results: Path) -> str:
@@ -122,7 +89,7 @@ def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> s
     """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
 
     Raises:
-        DatasetError: a format nobody knows, or fewer than two sensors with both kinds of indenters.
+        DatasetError: an unknown format, or fewer than two sensors with both kinds of indenters.
     """
     windows, side = WindowConfig(), tokenizer.config.side
     sensors = sorted({recording.sensor for recording in read_genforce(folder)})
@@ -149,12 +116,6 @@ def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> s
     path = write_json(results / "force_on_data.json", content | provenance())
     lines = [f"{name}: R² {_short(cell['r2'])}" for name, cell in content["rows"]["UniForce"].items()]
     return "\n".join([*lines, f"written to {path}; check shear_agreement: −1 there means a wrong sign"])
-
-
-def unknown(question: str) -> ContractError:
-    """Return the error for a question nobody asks."""
-    known = "force | correlation | reconstructions | slip | hardness | scale"
-    return ContractError(expected("question", known, repr(question), "Ask one of these."))
 
 
 def _short(values: list[float]) -> str:

@@ -1,4 +1,4 @@
-"""What the tokenizer is worth: zero-shot force on frozen sets, correlation, reconstructions, real recordings."""
+"""What the tokenizer is worth: zero-shot force on frozen sets, charts, real recordings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import torch
 from tqdm import tqdm
 
 from benchmarks import tokenizer_questions as questions
-from benchmarks.baselines import rows as peer_rows
+from benchmarks.baselines import rows as baseline_rows
 from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
@@ -38,7 +38,6 @@ from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.options import (
-    Count,
     CountOrZero,
     FileName,
     FilePath,
@@ -57,13 +56,13 @@ from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
-OF_THE_PEERS = ("published_encoders", "speed")  # parts of the table that ``peers=true`` measures
+OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``baselines=true`` measures
 SHIPPED_HEADS_SET = (
     "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
 )
 
 
-OF_PEERS = ("pairs", "anytouch", "t3", "t3_encoder", "unit")
+WEIGHTS_OF_BASELINES = ("anytouch", "t3", "t3_encoder", "unit")
 Heads = Annotated[int, Range(1, 100)]
 ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
 
@@ -75,8 +74,8 @@ class TokenizerReportCommand:
     Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v1 seeds=3
     """
 
-    # force (Q3) | correlation (Q1) | reconstructions (Q2) | slip (real) | charts: hardness, scale
-    question: Literal["force", "correlation", "reconstructions", "slip", "hardness", "scale"] = "force"
+    # force (Q3) | slip (real) | charts: hardness, scale
+    question: Literal["force", "slip", "hardness", "scale"] = "force"
     # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     data: FolderPath = ""
     recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
@@ -94,9 +93,7 @@ class TokenizerReportCommand:
     ship: Literal["", "small", "nano"] = ""
     table: FileName = ""  # another name for the table's file; empty = the set's own
     # also the rows that train networks of their own: hours on two cores, one row at a time
-    peers: bool = False
-    twin_steps: Count = 6000  # of the objective twins; the shipped checkpoint's own number
-    pairs: FolderPath = ""  # pair cache of the tokenizer's recipe, for the twins; empty = drawn live
+    baselines: bool = False
     anytouch: FilePath = ""  # official checkpoint file; empty = row n/a
     t3: FolderPath = ""  # folder with encoders/ and trunk.pth; empty = row n/a
     t3_encoder: FileName = ""  # which of T3's encoders reads our sensors; must be named
@@ -128,8 +125,8 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "random encoder": lambda: learnt_row(table, lambda s: encode_set(untrained, s), seeds, POOL),
         "mean": lambda: mean_row(table),
     }
-    if command.peers:
-        makers |= peer_rows.trained(table, tokenizer, seeds, command.twin_steps, command.pairs)
+    if command.baselines:
+        makers |= baseline_rows.trained(table, tokenizer, seeds)
     chosen = choose(makers, command.only)
     _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
     measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
@@ -148,10 +145,10 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "rows": rows,
         "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
     }
-    content |= {part: committed[part] for part in OF_THE_PEERS if part in committed}
-    if command.peers:
+    content |= {part: committed[part] for part in OF_BASELINES if part in committed}
+    if command.baselines:
         paths = {"anytouch": command.anytouch, "t3": command.t3, "unit": command.unit}
-        content |= peer_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
+        content |= baseline_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
     if report_set.name == SHIPPED_HEADS_SET and not command.table:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
     return content | origin
@@ -265,11 +262,13 @@ def _say_if_redrawn(
         print(f"note: {error}")
 
 
-def _check_peers(command: TokenizerReportCommand) -> None:
+def _check_baselines(command: TokenizerReportCommand) -> None:
     """Refuse other people's weights that are damaged, or not asked about, before hours of work."""
-    given = [name for name in OF_PEERS if getattr(command, name)]
-    if given and not command.peers:
-        raise ContractError(expected(", ".join(given), "peers=true beside it", "peers=false", "Add it."))
+    given = [name for name in WEIGHTS_OF_BASELINES if getattr(command, name)]
+    if given and not command.baselines:
+        raise ContractError(
+            expected(", ".join(given), "baselines=true beside it", "baselines=false", "Add it.")
+        )
     for file in filter(None, (command.anytouch, command.unit)):
         read_tensors(Path(file))
 
@@ -277,7 +276,7 @@ def _check_peers(command: TokenizerReportCommand) -> None:
 def _report(command: TokenizerReportCommand) -> str:
     results, report_set = Path(command.results), get_report_set(command.set)
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
-    _check_peers(command)
+    _check_baselines(command)
     if command.freeze:
         return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
     if command.replay:
@@ -298,10 +297,6 @@ def _report(command: TokenizerReportCommand) -> str:
 
 def _other_question(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
     results = Path(command.results)
-    if command.question == "reconstructions":
-        return questions.reconstructions(tokenizer, results)
-    if command.question not in ("correlation", "slip", "hardness", "scale"):
-        raise questions.unknown(command.question)
     if command.question == "hardness":
         cache = Path(command.cache)
         training = report_set.draw(report_set.training, report_set.sources(), tokenizer.config.side, cache)
@@ -309,8 +304,6 @@ def _other_question(command: TokenizerReportCommand, report_set: ReportSet, toke
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     if command.question == "scale":
         return questions.scale_chart(tokenizer, report_set, table, command.seeds, results)
-    if command.question == "correlation":
-        return questions.correlation(tokenizer, report_set, table, results)
     return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from benchmarks.wiping_plan import RECIPES, Recipe
-from uniforce_cli import train
+from uniforce_cli import lerobot_training
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected
@@ -97,9 +97,9 @@ def train_arm(config: TrainArmConfig) -> Path:
     if done.exists():
         return done
     if (last / "train_config.json").exists():
-        train.train(["resume=true", f"config_path={last / 'train_config.json'}"])
+        lerobot_training.train(["resume=true", f"config_path={last / 'train_config.json'}"])
     else:
-        train.train(arguments(config, recipe, run))
+        lerobot_training.train(arguments(config, recipe, run))
     done.parent.mkdir(parents=True, exist_ok=True)
     done.symlink_to(last.resolve(), target_is_directory=True)
     return done

@@ -11,21 +11,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
-from benchmarks.wiping_figures import draw_z_profiles
+import numpy as np
+from matplotlib.figure import Figure
+
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Level
-from uniforce_cli.score import score_arms
-from uniforce_cli.score_config import SCRIPTS, ScoreConfig
+from uniforce_cli.score import SCRIPTS, ScoreConfig, check_film, score_arms
 from uniforce_vtla.arguments import choose, names_in
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, own_scenes, table
 from uniforce_vtla.evaluation.comparison import as_good, better
-from uniforce_vtla.evaluation.pictures import draw_arms
+from uniforce_vtla.evaluation.pictures import PICTURE_DPI, draw_arms
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.options import Count, CountOrZero, FolderPaths, Names, OutFolder, Seed, Seeds, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
+PANELS_PER_ROW = 6  # z-profiles that still fit a page
+Z_RANGE_MM = (-4.0, 6.0)  # what pressing changes; a look back lifts out of it
 PlanArms = Annotated[str, Names(tuple(arm.name for arm in ARMS), many=True)]
 
 
@@ -124,6 +128,33 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
     return path
 
 
+def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
+    """Draw each arm's tool height over the wipe: median, and the middle half of all rollouts as a band.
+
+    A board's height and tilt differ between scenes, so every profile is taken against its own median; medians, since
+    a policy that looks back at the board lifts by centimetres between two sweeps.
+    """
+    shown = [r for r in reports if any(row.z_profile_mm for row in r.rows)]
+    columns = min(max(len(shown), 1), PANELS_PER_ROW)
+    rows = max(-(-len(shown) // columns), 1)
+    figure = Figure(figsize=(1.0 + 2.3 * columns, 0.4 + 2.6 * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    for panel in panels.flat[len(shown) :]:
+        panel.axis("off")
+    for panel, report in zip(panels.flat, shown, strict=False):
+        height = np.array([row.z_profile_mm for row in report.rows if row.z_profile_mm])
+        height -= np.median(height, axis=1, keepdims=True)
+        share = np.linspace(0, 100, height.shape[1])
+        low, middle, high = np.percentile(height, [25, 50, 75], axis=0)
+        panel.fill_between(share, low, high, alpha=0.25, color="#2a9d8f")
+        panel.plot(share, middle, color="#2a9d8f")
+        panel.set_title(f"{report.arm}\nhalf within {np.median(np.abs(height)):.2f} mm", fontsize=9)
+        panel.set_ylim(*Z_RANGE_MM)
+        panel.set_xlabel("% of the wipe", fontsize=8)
+    figure.supylabel("tool height about its median, mm", fontsize=9)
+    return save_figure(figure, path, PICTURE_DPI, crop=True)
+
+
 def _by_checkpoint(arm: ArmReport, command: BenchmarkConfig) -> dict[str, Any]:
     """Return the clean rollouts of each training seed, where they took turns."""
     seeds = names_in(command.checkpoints)
@@ -165,6 +196,7 @@ def _run(command: BenchmarkConfig) -> str:
     if command.replay:
         return replay(command)
     start = time.perf_counter()
+    check_film(command.film, range(command.first_seed, command.first_seed + command.rollouts))
     reports = score_arms(configs(command, command.rollouts), command.workers)
     path = report(command, reports, time.perf_counter() - start)
     return f"{table(reports)}\ntable, tests and figures: {path}"

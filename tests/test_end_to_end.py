@@ -14,10 +14,9 @@ from lerobot_env_uniforce_wiping import draw_scene
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
 from uniforce_cli.estimate import ScoreRecordingConfig, score_recording
 from uniforce_cli.estimate import main as score_recording_main
+from uniforce_cli.lerobot_training import train
 from uniforce_cli.record import RecordConfig, record
-from uniforce_cli.score import score
-from uniforce_cli.score_config import ScoreConfig
-from uniforce_cli.train import train
+from uniforce_cli.score import ScoreConfig, score
 from uniforce_cli.view import ViewConfig, make_view
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]

@@ -1,1 +1,1 @@
-"""Comparison rows of the zero-shot force table: published encoders, twins of their objectives, supervised nets."""
+"""Comparison rows of the zero-shot force table: published encoders, supervised nets, a translator."""

@@ -15,8 +15,8 @@ from transformers import CLIPVisionConfig, CLIPVisionModel
 from benchmarks.baselines.checkpoint import Tensors, load_strictly, read_tensors
 from benchmarks.baselines.frozen import (
     Brightness,
-    PeerEncoder,
-    PeerRow,
+    PublishedEncoder,
+    PublishedRow,
     grey_to_rgb,
     measured_row,
     missing_row,
@@ -60,7 +60,7 @@ class AnyTouchConfig:
         )
 
 
-class AnyTouchEncoder(PeerEncoder):
+class AnyTouchEncoder(PublishedEncoder):
     """The touch tower; tokens are projected patch tokens, those its probe averages."""
 
     name = "AnyTouch"
@@ -112,9 +112,9 @@ def load_anytouch(
     Raises:
         CheckpointError: missing, unreadable, an unknown sensor, or any of the tower's keys that doesn't fit.
     """
-    peer = AnyTouchEncoder(config, sensor)
-    load_strictly(peer, touch_tower(read_tensors(path, inside="model")), str(path))
-    return peer.eval().requires_grad_(False)
+    encoder = AnyTouchEncoder(config, sensor)
+    load_strictly(encoder, touch_tower(read_tensors(path, inside="model")), str(path))
+    return encoder.eval().requires_grad_(False)
 
 
 def touch_tower(tensors: Tensors) -> Tensors:
@@ -139,7 +139,7 @@ def touch_tower(tensors: Tensors) -> Tensors:
 
 def anytouch_row(
     table: Table, seeds: int, weights: Path | None, sensor: str = "universal", device: str = "cpu"
-) -> PeerRow:
+) -> PublishedRow:
     """Return AnyTouch's row; "n/a" without a file."""
     if weights is None:
         with torch.device("meta"):

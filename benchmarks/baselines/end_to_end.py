@@ -93,11 +93,7 @@ def predictor(model: EndToEnd, device: str, batch: int = 8) -> Predictor:
 
 
 def _loss(
-    model: EndToEnd,
-    shown: Pictures,
-    force_N: torch.Tensor,
-    config: EndToEndConfig,
-    rng: np.random.Generator,
+    model: EndToEnd, shown: Pictures, force_N: torch.Tensor, config: EndToEndConfig, rng: np.random.Generator
 ) -> torch.Tensor:
     n, length = shown.frames.shape[:2]
     count = int(rng.integers(1, length + 1))

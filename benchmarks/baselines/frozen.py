@@ -28,7 +28,7 @@ class Brightness:
     std: float
 
 
-class PeerEncoder(nn.Module):
+class PublishedEncoder(nn.Module):
     """A published encoder. Subclasses say how a marker image becomes its input, and its input a map of tokens."""
 
     name: str  # as in the table
@@ -50,7 +50,7 @@ class PeerEncoder(nn.Module):
 
 
 @dataclass(frozen=True)
-class PeerRow:
+class PublishedRow:
     """One row and what stands beside it.
 
     Attributes:
@@ -68,33 +68,37 @@ class PeerRow:
         return {"status": self.status, "cells": self.cells, **self.facts}
 
 
-def measured_row(peer: PeerEncoder, table: Table, seeds: int, weights: str, device: str = "cpu") -> PeerRow:
+def measured_row(
+    encoder: PublishedEncoder, table: Table, seeds: int, weights: str, device: str = "cpu"
+) -> PublishedRow:
     """Return the row of a loaded encoder: frozen, same pooling, same head as ours."""
     check_seeds(seeds)
-    cells = learnt_row(table, lambda labelled: features(peer, labelled, device), seeds, POOL)
-    return PeerRow(MEASURED, cells, {"weights": weights} | size_facts(peer))
+    cells = learnt_row(table, lambda labelled: features(encoder, labelled, device), seeds, POOL)
+    return PublishedRow(MEASURED, cells, {"weights": weights} | size_facts(encoder))
 
 
-def missing_row(peer: PeerEncoder) -> PeerRow:
-    """Return the row of an encoder without weights: its size, no score. ``peer`` may be on the meta device."""
-    return PeerRow(NOT_PRESENT, None, {"weights": None} | size_facts(peer))
+def missing_row(encoder: PublishedEncoder) -> PublishedRow:
+    """Return the row of an encoder without weights: its size, no score. ``encoder`` may be on the meta device."""
+    return PublishedRow(NOT_PRESENT, None, {"weights": None} | size_facts(encoder))
 
 
 @torch.no_grad()
-def features(peer: PeerEncoder, labelled: LabelledSet, device: str = "cpu") -> torch.Tensor:
+def features(encoder: PublishedEncoder, labelled: LabelledSet, device: str = "cpu") -> torch.Tensor:
     """Return (n, T, POOL², L) of a labelled set's current frames; these encoders take one frame, no reference.
 
     Raises:
         ContractError: images of another form, or an encoder on the meta device (it has no weights).
     """
-    if next(peer.parameters()).is_meta:
-        raise ContractError(expected(peer.name, "loaded weights", "a meta model", "Use its load function."))
+    if next(encoder.parameters()).is_meta:
+        raise ContractError(
+            expected(encoder.name, "loaded weights", "a meta model", "Use its load function.")
+        )
     shown = pictures(labelled)
     brightness = brightness_of(labelled)
-    peer = peer.to(device).eval()
+    encoder = encoder.to(device).eval()
     n, length = shown.frames.shape[:2]
     flat = torch.from_numpy(shown.frames).flatten(0, 1)  # (n·T, S, S) uint8
-    rows = [peer(part.to(device).float() / 255, brightness).cpu() for part in flat.split(BATCH)]
+    rows = [encoder(part.to(device).float() / 255, brightness).cpu() for part in flat.split(BATCH)]
     return torch.cat(rows).unflatten(0, (n, length))
 
 
@@ -106,23 +110,23 @@ def brightness_of(labelled: LabelledSet) -> Brightness:
     )  # a black set must not divide by 0
 
 
-def size_facts(peer: PeerEncoder) -> dict[str, Any]:
+def size_facts(encoder: PublishedEncoder) -> dict[str, Any]:
     """Return ``params`` and ``flops_per_frame``."""
     return {
-        "params": sum(p.numel() for p in peer.parameters()),
-        "flops_per_frame": count_flops(peer),
-        "input_px": list(peer.input_size),
+        "params": sum(p.numel() for p in encoder.parameters()),
+        "flops_per_frame": count_flops(encoder),
+        "input_px": list(encoder.input_size),
     }
 
 
-def count_flops(peer: PeerEncoder) -> int:
+def count_flops(encoder: PublishedEncoder) -> int:
     """Return floating point operations (2 per multiply-add) for one frame.
 
     Counted on the meta device: the counter has no entry for the CPU's fused attention and would leave it out.
     """
-    shadow = peer if next(peer.parameters()).is_meta else _on_meta(peer)
+    shadow = encoder if next(encoder.parameters()).is_meta else _on_meta(encoder)
     with torch.no_grad(), FlopCounterMode(display=False) as counter:
-        shadow.token_map(torch.empty(1, 3, *peer.input_size, device="meta"))
+        shadow.token_map(torch.empty(1, 3, *encoder.input_size, device="meta"))
     return int(counter.get_total_flops())
 
 
@@ -132,6 +136,6 @@ def grey_to_rgb(images: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
     return resized.expand(-1, 3, -1, -1)
 
 
-def _on_meta(peer: PeerEncoder) -> PeerEncoder:
+def _on_meta(encoder: PublishedEncoder) -> PublishedEncoder:
     with torch.device("meta"):
-        return type(peer)(peer.config)
+        return type(encoder)(encoder.config)

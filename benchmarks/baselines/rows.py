@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,32 +12,16 @@ from benchmarks.baselines.genforce_style import genforce_style_row
 from benchmarks.baselines.resnet import resnet_row
 from benchmarks.baselines.speed import speed_report
 from benchmarks.baselines.t3 import t3_row
-from benchmarks.baselines.twins import TwinConfig, train_twin, twin_row
 from benchmarks.baselines.unit import unit_row
 from benchmarks.probes.zero_shot import Cells, Table
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.pair_cache import FAMILY, LivePairs, PairCache
 
 
-def trained(
-    table: Table, tokenizer: Tokenizer, seeds: int, twin_steps: int, pairs: str = ""
-) -> dict[str, Callable[[], Cells]]:
-    """Return the makers of rows that train networks: name → maker.
-
-    Twins see pairs of the tokenizer's own recipe, read from the cache in ``pairs`` or drawn live.
-    """
-    recipe = replace(FAMILY, side=tokenizer.config.side)
-
-    def twin(kind: str) -> Cells:
-        config = TwinConfig(model=tokenizer.config)
-        source = PairCache(Path(pairs), recipe) if pairs else LivePairs(recipe)
-        return twin_row(table, train_twin(kind, source, twin_steps, 0, config), seeds)  # type: ignore[arg-type]
-
+def trained(table: Table, tokenizer: Tokenizer, seeds: int) -> dict[str, Callable[[], Cells]]:
+    """Return the makers of rows that train networks: name → maker."""
     makers: dict[str, Callable[[], Cells]] = {
         "UniForce (FT)": lambda: finetuned_row(table, tokenizer, seeds),
         "ResNet": lambda: resnet_row(table, seeds),
-        "MAE twin": lambda: twin("mae"),
-        "VQ-VAE twin": lambda: twin("vqvae"),
     }
     if set(table.frozen) <= set(table.training):  # a translator needs pictures of its target
         makers["GenForce-style (ours)"] = lambda: genforce_style_row(table, 1)
@@ -48,7 +31,7 @@ def trained(
 def published(
     table: Table, tokenizer: Tokenizer, seeds: int, paths: dict[str, str], t3_encoder: str
 ) -> dict[str, Any]:
-    """Return the published encoders' rows (n/a without their weights) and everyone's speed."""
+    """Return the published encoders' rows (n/a without their weights) and the speed of all."""
     found = {name: Path(path) if path else None for name, path in paths.items()}
     return {
         "published_encoders": {

@@ -14,7 +14,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.baselines.anytouch import AnyTouchEncoder
-from benchmarks.baselines.frozen import Brightness, PeerEncoder, size_facts
+from benchmarks.baselines.frozen import Brightness, PublishedEncoder, size_facts
 from benchmarks.baselines.t3 import T3Encoder
 from benchmarks.baselines.unit import UniTEncoder
 from uniforce_vtla.contact.pairs import equilibrium_pairs
@@ -23,7 +23,7 @@ from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import Encoder, TokenizerConfig
 
 OURS = "UniForce"
-PEERS: dict[str, Callable[[], PeerEncoder]] = {
+PUBLISHED: dict[str, Callable[[], PublishedEncoder]] = {
     "UniT": UniTEncoder,
     "T3-medium": T3Encoder,
     "AnyTouch": AnyTouchEncoder,
@@ -48,12 +48,14 @@ class Taken:
 
 @torch.no_grad()
 def speed_report(
-    tokenizer: Tokenizer, config: SpeedConfig | None = None, peers: dict[str, PeerEncoder] | None = None
+    tokenizer: Tokenizer,
+    config: SpeedConfig | None = None,
+    published: dict[str, PublishedEncoder] | None = None,
 ) -> dict[str, Any]:
     """Return per encoder its size, ``ms_per_frame`` and ``cpu_ms_per_frame``, and both over ours.
 
     One 480×640 marker image to latents, resize included, one thread, batch 1, our reference cached. Without
-    ``peers`` they have random weights: speed doesn't depend on what the weights are.
+    ``published`` they have random weights: speed doesn't depend on what the weights are.
 
     Raises:
         ContractError: nothing to repeat.
@@ -61,13 +63,13 @@ def speed_report(
     config = config or SpeedConfig()
     if config.repeats < 1 or config.ours_per_round < 1:
         raise ContractError(expected("speed rounds", "at least 1", config, "Raise them."))
-    peers = random_peers() if peers is None else peers
+    published = random_encoders() if published is None else published
     reference, current = _images()
     turns = {OURS: _ours(tokenizer, reference, current, config.ours_per_round)}
-    turns |= {name: _turn(peer.eval(), current) for name, peer in peers.items()}
+    turns |= {name: _turn(encoder.eval(), current) for name, encoder in published.items()}
     with one_thread():
         taken = interleaved(turns, config.repeats)
-    facts = {OURS: our_size(tokenizer)} | {name: size_facts(peer) for name, peer in peers.items()}
+    facts = {OURS: our_size(tokenizer)} | {name: size_facts(encoder) for name, encoder in published.items()}
     encoders = {name: facts[name] | _timing(taken, name) for name in turns}
     return {
         "what": "one marker image, one CPU thread, medians",
@@ -76,9 +78,9 @@ def speed_report(
     }
 
 
-def random_peers() -> dict[str, PeerEncoder]:
-    """Return every peer at its published size with random weights, for timing only."""
-    return {name: build() for name, build in PEERS.items()}
+def random_encoders() -> dict[str, PublishedEncoder]:
+    """Return every encoder at its published size with random weights, for timing only."""
+    return {name: build() for name, build in PUBLISHED.items()}
 
 
 def our_size(tokenizer: Tokenizer) -> dict[str, Any]:
@@ -145,14 +147,14 @@ def _ours(tokenizer: Tokenizer, reference: np.ndarray, current: np.ndarray, fram
     return turn
 
 
-def _turn(peer: PeerEncoder, current: np.ndarray) -> Callable[[], int]:
+def _turn(encoder: PublishedEncoder, current: np.ndarray) -> Callable[[], int]:
     images = torch.from_numpy(current)
     side = images.shape[-1]
     bar = (side - images.shape[-2]) // 2
 
     def turn() -> int:
         square = torch.nn.functional.pad(images.float() / 255, (0, 0, bar, bar))  # (1, 640, 640)
-        peer(square, Brightness(0.1, 0.3))
+        encoder(square, Brightness(0.1, 0.3))
         return 1
 
     return turn

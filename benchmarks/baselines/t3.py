@@ -16,8 +16,8 @@ from torch.nn import functional as F  # noqa: N812
 from benchmarks.baselines.checkpoint import load_strictly, read_tensors
 from benchmarks.baselines.frozen import (
     Brightness,
-    PeerEncoder,
-    PeerRow,
+    PublishedEncoder,
+    PublishedRow,
     grey_to_rgb,
     measured_row,
     missing_row,
@@ -134,7 +134,7 @@ class Trunk(nn.Module):
         return self.norm(tokens)
 
 
-class T3Encoder(PeerEncoder):
+class T3Encoder(PublishedEncoder):
     """Encoder of one sensor and the trunk; tokens are the trunk's patch tokens."""
 
     name = "T3"
@@ -182,14 +182,16 @@ def load_t3(folder: Path, encoder: str, config: T3Config | None = None) -> T3Enc
                 "Name the encoder to use; nothing is put in its place.",
             )
         )
-    peer = T3Encoder(config)
+    model = T3Encoder(config)
     path = folder / "encoders" / f"{encoder}.pth"
-    load_strictly(peer.encoder, read_tensors(path), str(path))
-    load_strictly(peer.trunk, read_tensors(folder / "trunk.pth"), str(folder / "trunk.pth"))
-    return peer.eval().requires_grad_(False)
+    load_strictly(model.encoder, read_tensors(path), str(path))
+    load_strictly(model.trunk, read_tensors(folder / "trunk.pth"), str(folder / "trunk.pth"))
+    return model.eval().requires_grad_(False)
 
 
-def t3_row(table: Table, seeds: int, folder: Path | None, encoder: str = "", device: str = "cpu") -> PeerRow:
+def t3_row(
+    table: Table, seeds: int, folder: Path | None, encoder: str = "", device: str = "cpu"
+) -> PublishedRow:
     """Return T3's row; without a folder "n/a", with one the encoder must be named."""
     if folder is None:
         with torch.device("meta"):

@@ -15,8 +15,8 @@ from torch.nn import functional as F  # noqa: N812
 from benchmarks.baselines.checkpoint import Tensors, load_strictly, read_tensors
 from benchmarks.baselines.frozen import (
     Brightness,
-    PeerEncoder,
-    PeerRow,
+    PublishedEncoder,
+    PublishedRow,
     grey_to_rgb,
     measured_row,
     missing_row,
@@ -148,7 +148,7 @@ class VQEncoder(nn.Module):
         return self.conv_out(F.silu(self.norm_out(self.mid(maps))))
 
 
-class UniTEncoder(PeerEncoder):
+class UniTEncoder(PublishedEncoder):
     """Encoder and 1×1 convolution: UniT's representation, before quantisation."""
 
     name = "UniT"
@@ -177,9 +177,9 @@ def load_unit(path: Path, config: UniTConfig | None = None) -> UniTEncoder:
     Raises:
         CheckpointError: missing, unreadable, or any key that doesn't fit or isn't known.
     """
-    peer = UniTEncoder(config)
-    load_strictly(peer, used_half(read_tensors(path, inside="state_dict")), str(path))
-    return peer.eval().requires_grad_(False)
+    encoder = UniTEncoder(config)
+    load_strictly(encoder, used_half(read_tensors(path, inside="state_dict")), str(path))
+    return encoder.eval().requires_grad_(False)
 
 
 def used_half(tensors: Tensors) -> Tensors:
@@ -187,7 +187,7 @@ def used_half(tensors: Tensors) -> Tensors:
     return {name: value for name, value in tensors.items() if not name.startswith(UNUSED)}
 
 
-def unit_row(table: Table, seeds: int, weights: Path | None, device: str = "cpu") -> PeerRow:
+def unit_row(table: Table, seeds: int, weights: Path | None, device: str = "cpu") -> PublishedRow:
     """Return UniT's row; "n/a" without a file."""
     if weights is None:
         with torch.device("meta"):

@@ -130,10 +130,7 @@ def samplers(
         with lerobots_layers(network):
             return stock.PI05Pytorch.sample_actions(network, *given, noise=noise, num_steps=steps)
 
-    return {
-        "stock": slow,
-        "fast": lambda: network.sample_actions(*given, noise=noise, num_steps=steps),
-    }
+    return {"stock": slow, "fast": lambda: network.sample_actions(*given, noise=noise, num_steps=steps)}
 
 
 @torch.no_grad()

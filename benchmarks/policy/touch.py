@@ -14,14 +14,7 @@ from typing import Any
 
 import torch
 
-from benchmarks.policy.latency import (
-    BenchCase,
-    Given,
-    build,
-    lerobots_layers,
-    milliseconds,
-    observe,
-)
+from benchmarks.policy.latency import BenchCase, Given, build, lerobots_layers, milliseconds, observe
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 

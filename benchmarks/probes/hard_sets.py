@@ -42,7 +42,7 @@ class HardSettings:
     sequences: int  # per sensor
     length: int  # frames per sequence
     indenters: tuple[str, ...]  # names drawn from
-    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is felt too
+    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is read too
     sequences_per_unit: int = 4  # then another unit with another pose and light
     unit_strength: float = 1.5  # times the usual spread of stiffness, gain, moulding
     look: Look = field(default_factory=Look)  # camera pose and marker size

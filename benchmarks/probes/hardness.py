@@ -1,31 +1,27 @@
-"""Where the newtons go: the same transfers with one hardness taken away at a time, beside what nobody could know.
+"""Where the newtons go: the same transfers with one hardness taken away at a time, beside what no image holds.
 
 Heads are trained on the hard training set throughout; only the scored set gets easier.  ``oracle`` is a reader of the
-true force behind every image: it errs by what no image tells, a unit's own gain and what its rubber still holds back.
+true force behind every image: it errs by what no image holds, a unit's own gain and what its rubber still holds back.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from benchmarks.probes.disturbances import Creep, lagging_force
 from benchmarks.probes.hard_sets import HETERO_HARD, HardSettings
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.zero_shot import (
-    POOL,
-    Table,
-    encode_set,
-    learnt_row,
-    mean_cells,
-    score,
-    transfer_name,
-)
+from benchmarks.probes.zero_shot import POOL, Table, encode_set, learnt_row, mean_cells, score, transfer_name
+from benchmarks.probes.zero_shot_figure import AXES
 from uniforce_vtla.contact.sequences import press_shear_release
 from uniforce_vtla.contact.units import Look
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
 
@@ -113,3 +109,23 @@ def oracle(recipe: HardSettings, draws: int = 20) -> dict[str, list[float]]:
     said, force = np.stack(seen), np.stack(truth)
     scale = (said * force).sum(axis=(0, 1)) / (said**2).sum(axis=(0, 1))
     return score(force, scale * said)
+
+
+def draw_hardness(content: dict[str, Any], path: Path) -> Path:
+    """Draw mean absolute errors of transfers and of sensors read by their own head."""
+    names = list(content["without"])
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    for axis, panel in enumerate(figure.subplots(1, 3)):
+        for place, kind in enumerate(("transfers", "self")):
+            mae_N = [content["without"][name][kind]["mae_N_paper_range"][axis] for name in names]
+            panel.bar(np.arange(len(names)) + 0.4 * place - 0.2, mae_N, 0.4, label=kind)
+        floor = content["oracle"]["mae_N_paper_range"][axis]
+        panel.axhline(
+            floor, color="black", linewidth=1, linestyle="--", label="oracle: gain and creep unknown"
+        )
+        panel.set_xticks(range(len(names)), names, rotation=40, ha="right")
+        panel.set_title(f"{AXES[axis]}, N")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, frameon=False, ncols=3, loc="outside lower center")
+    figure.suptitle("Mean absolute error (0–12, ±3 N), simulated, by what was taken away from hetero_hard_v1")
+    return save_figure(figure, path)

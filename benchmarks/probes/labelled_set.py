@@ -29,7 +29,7 @@ class SetConfig:
     sequences: int  # per sensor, each from its own unit and indenter placement
     length: int  # frames per sequence
     indenters: tuple[str, ...]  # names drawn from
-    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is felt too
+    force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is read too
 
 
 FROZEN = SetConfig("zero_shot_v1", seed=7_001, sequences=120, length=12, indenters=UNSEEN)
@@ -76,12 +76,7 @@ def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
 
 def set_facts(config: Any, digests: dict[str, str]) -> dict[str, Any]:
     """Return what is committed before training: the set's recipe and one hash over all sensors."""
-    return {
-        "recipe": asdict(config),
-        "digests": digests,
-        "set": config.name,
-        "set_hash": set_hash(digests),
-    }
+    return {"recipe": asdict(config), "digests": digests, "set": config.name, "set_hash": set_hash(digests)}
 
 
 def set_hash(digests: dict[str, str]) -> str:

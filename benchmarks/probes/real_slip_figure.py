@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.probes.latent_correlation import Rotation
-from benchmarks.probes.real_balance import loads
+from benchmarks.probes.latent_rotation import Rotation
+from benchmarks.probes.real_slip import loads
 from benchmarks.probes.real_trials import RATE_HZ, Signals, Trial
 from uniforce_vtla.figure_file import save_figure
 

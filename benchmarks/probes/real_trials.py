@@ -68,7 +68,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Signals:
-    """What was felt during a trial, all in the canonical frame.
+    """What the fingers measured during a trial, all in the canonical frame.
 
     Attributes:
         latent: (2, T, pool², L) above its value in free air.
@@ -116,10 +116,10 @@ def read_trials(folder: Path, config: SlipConfig | None = None) -> list[Trial]:
     ]
 
 
-def feel(tokenizer: Tokenizer, trial: Trial, config: SlipConfig | None = None) -> Signals:
+def encode_trial(tokenizer: Tokenizer, trial: Trial, config: SlipConfig | None = None) -> Signals:
     """Return a trial's signals: counts → marker images → latents and descriptors, both fingers."""
     config = config or SlipConfig()
-    fingers = [_feel_finger(tokenizer, trial, number, config) for number in range(len(FINGERS))]
+    fingers = [_encode_finger(tokenizer, trial, number, config) for number in range(len(FINGERS))]
     latent, descriptor, saturated = zip(*fingers, strict=True)
     counts = (trial.counts - trial.reference[:, None]).astype(np.float64)
     counts[1, ..., 0] *= -1  # the mirror, for raw counts
@@ -157,7 +157,7 @@ def _free_air(counts: np.ndarray, config: SlipConfig) -> np.ndarray:
     return np.stack([capture_taxel_reference(scans[-config.free_scans :]) for scans in counts])
 
 
-def _feel_finger(
+def _encode_finger(
     tokenizer: Tokenizer, trial: Trial, number: int, config: SlipConfig
 ) -> tuple[np.ndarray, np.ndarray, int]:
     finger, reference = FINGERS[number], trial.reference[number]

@@ -140,8 +140,8 @@ def shear_agreement(labelled: LabelledSet) -> np.ndarray:
     """
     motion = labelled.descriptor[..., :2].reshape(-1, 2)
     shear = labelled.force_N[..., :2].reshape(-1, 2)
-    told = np.hypot(*shear.T) >= MIN_SHEAR_N
-    if told.sum() < 3:
+    sheared = np.hypot(*shear.T) >= MIN_SHEAR_N
+    if sheared.sum() < 3:
         return np.full(2, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.array([np.corrcoef(motion[told, axis], shear[told, axis])[0, 1] for axis in range(2)])
+        return np.array([np.corrcoef(motion[sheared, axis], shear[sheared, axis])[0, 1] for axis in range(2)])

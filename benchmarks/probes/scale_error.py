@@ -7,14 +7,18 @@ statement is wrong by a known factor; heads and tokenizer know nothing of it.
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from torch.nn import functional as F  # noqa: N812
 
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import POOL, Table, encode_set, learnt_row, transfer_name
+from benchmarks.probes.zero_shot_figure import AXES
+from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.tokenizer.api import Tokenizer
 
 STATED = (0.6, 0.7, 0.8, 0.9, 0.95, 1.0, 1.05, 1.1, 1.25, 1.4, 1.6)  # stated px/mm over the true one
@@ -66,3 +70,19 @@ def _zoomed(images: np.ndarray, zoom: float) -> np.ndarray:
 
 def _key(sensor: str, stated: float) -> str:
     return f"{sensor} at {stated:g}"
+
+
+def draw_scale_error(content: dict[str, Any], path: Path) -> Path:
+    """Draw R² of each axis over the stated scale, a line per sensor; return the picture's path."""
+    stated = np.array(content["stated_over_true"])
+    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    for axis, panel in enumerate(figure.subplots(1, 3, sharey=True)):
+        for sensor, r2 in content["r2"].items():
+            panel.plot(stated, np.array(r2)[:, axis], "o-", ms=4, label=sensor)
+        panel.axvline(1.0, color="0.5", lw=0.8, ls="--")
+        panel.set(title=AXES[axis], xlabel="px/mm as stated over true", ylim=(-0.6, 1.02))
+        panel.grid(alpha=0.25)
+    figure.axes[0].set_ylabel("R², mean over sources")
+    figure.axes[0].legend(fontsize=8)
+    figure.suptitle(f"Cameras outside the training, their scale misstated ({content['set']}, simulated)")
+    return save_figure(figure, path)

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.stats import rankdata
+from sklearn.linear_model import LogisticRegression
+from sklearn.metrics import roc_auc_score
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from benchmarks.probes.real_trials import RATE_HZ, Signals, SlipConfig, Trial
 from uniforce_vtla.errors import DatasetError, expected
@@ -59,6 +61,8 @@ def leave_one_out(
 ) -> list[tuple[np.ndarray, float]]:
     """Return per trial its frames' log odds (T,) and the alarm level, both from the other trials alone.
 
+    Both classes weigh the same, however rare one is.
+
     Args:
         features: per trial (T, F), none negative.
         labels: per trial (T,) bool.
@@ -76,39 +80,19 @@ def leave_one_out(
         if y.all() or not y.any():
             raise DatasetError(expected("training trials", "slip and no slip", "one class", "Add trials."))
         scale = np.maximum(np.median(x, axis=0), 1e-9)
-        seen, asked = np.log1p(x / scale), np.log1p(own / scale)
-        mean, std = seen.mean(axis=0), np.maximum(seen.std(axis=0), 1e-9)
-        weight = fit_logistic((seen - mean) / std, y, config.ridge)
-        quiet = _odds((seen - mean) / std, weight)[~y]
-        scores.append(
-            (_odds((asked - mean) / std, weight), float(np.quantile(quiet, 1 - config.false_alarms)))
-        )
+        detector = make_pipeline(
+            StandardScaler(),
+            LogisticRegression(C=1 / config.ridge, class_weight="balanced", tol=1e-6, max_iter=1000),
+        ).fit(np.log1p(x / scale), y)
+        quiet = detector.decision_function(np.log1p(x[~y] / scale))
+        odds = detector.decision_function(np.log1p(own / scale))
+        scores.append((odds, float(np.quantile(quiet, 1 - config.false_alarms))))
     return scores
 
 
-def fit_logistic(x: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
-    """Return (F + 1,) weights, the offset last; both classes weigh the same however rare one is."""
-    share = np.where(y, 0.5 / y.mean(), 0.5 / (1 - y.mean()))
-    sign = np.where(y, 1.0, -1.0)
-
-    def loss(weight: np.ndarray) -> tuple[float, np.ndarray]:
-        margin = sign * _odds(x, weight)
-        pull = -share * sign / (1 + np.exp(np.clip(margin, -500, 500)))  # d loss / d odds
-        gradient = np.append(x.T @ pull + ridge * weight[:-1], pull.sum())
-        return float(
-            (share * np.logaddexp(0, -margin)).sum() + ridge / 2 * weight[:-1] @ weight[:-1]
-        ), gradient
-
-    return minimize(loss, np.zeros(x.shape[1] + 1), jac=True, method="L-BFGS-B").x
-
-
 def auroc(scores: np.ndarray, labels: np.ndarray) -> float | None:
-    """Return the area under the ROC curve, ties counted half; None where one class is missing."""
-    positive = int(labels.sum())
-    negative = len(labels) - positive
-    if not positive or not negative:
-        return None
-    return float((rankdata(scores)[labels].sum() - positive * (positive + 1) / 2) / (positive * negative))
+    """Return the area under the ROC curve; None where one class is missing."""
+    return float(roc_auc_score(labels, scores)) if labels.any() and not labels.all() else None
 
 
 def starts(slip: np.ndarray) -> list[int]:
@@ -172,7 +156,3 @@ def _onset(slip: np.ndarray, frames: int) -> np.ndarray:
     for start in starts(slip):
         early[start : start + frames] = True
     return early & slip
-
-
-def _odds(x: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    return x @ weight[:-1] + weight[-1]

@@ -58,7 +58,7 @@ def try_recorder(config: TrialsConfig) -> dict[str, Any]:
     """Run the chosen parts; return the whole result.
 
     Raises:
-        ContractError: a part or a fault nobody knows.
+        ContractError: an unknown part or fault.
         TrialError: a trial that didn't come to its point outside the faults, which note it and go on.
     """
     from benchmarks.recorder.ledger import Ledger

@@ -66,7 +66,7 @@ class SmallDisk:
 
 
 def _take(file: int, size: int) -> None:
-    """Allocate bytes, or as many as there are: whoever records takes some meanwhile."""
+    """Allocate bytes, or as many as there are: a recorder takes some meanwhile."""
     taken, step = 0, size
     while taken < size and step >= PAGE_B:
         try:

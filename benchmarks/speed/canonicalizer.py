@@ -58,11 +58,7 @@ def _bench(seconds_each: float) -> dict[str, dict]:
     cameras = [name for name in list_sensors() if get_sensor(name).signal == "camera"]
     first = {name: _rate(_first_frame_call(name, rng), seconds_each) for name in cameras}
     anchor = _rate(_anchor_call(rng), seconds_each)
-    return {
-        "canonicalize_hz": steady,
-        "first_frame_hz": first,
-        "anchors": {"adaptive_threshold_hz": anchor},
-    }
+    return {"canonicalize_hz": steady, "first_frame_hz": first, "anchors": {"adaptive_threshold_hz": anchor}}
 
 
 def _pair_call(name: str, rng: np.random.Generator) -> Callable[[], object]:

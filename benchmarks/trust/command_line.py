@@ -43,12 +43,14 @@ MODULES = {verb: f"uniforce_cli.{verb}" for verb in VERBS} | {
 COMMANDS = {name: f"{module}:main" for name, module in MODULES.items()}
 Commands = Annotated[str, Names(tuple(COMMANDS), many=True)]
 SOUND = {  # what a command needs besides sound folders, to begin its work
+    "verify": ("root={room}/dataset",),
+    "share": ("checkpoint={shipped}",),
     "touch": ("source=standin",),
     "estimate": ("pad_friction=0.6,0.7",),
     "calibrate": ("grasps=60",),
 }
 ROBOT = ("robot=franka", "teleop=keyboard", "prompts=[wipe]")
-CONTROL_S = 12.0  # the sound words alone: whoever refuses those refuses anything
+CONTROL_S = 12.0  # the sound words alone: a command that refuses those refuses anything
 VERDICTS = ("one_line", "tracebacks", "silent", "long_or_beside_the_point")
 
 
@@ -85,7 +87,9 @@ def trials(command: str, room: Room) -> list[Trial]:
     if command == "train":
         return _train_trials(room)
     options = options_of(_entry(command).config_class)
-    sound = (*SOUND.get(command, ()), *_sound(options, room))
+    named = tuple(w.format(room=room.folder, shipped=shipped_checkpoint()) for w in SOUND.get(command, ()))
+    given = {word.partition("=")[0] for word in named}
+    sound = (*named, *(word for word in _sound(options, room) if word.partition("=")[0] not in given))
     found = [Trial(command, bad, sound) for bad in bad_inputs(options, room)]
     return found + (_robot_trials(room) if command == "record" else [])
 
@@ -109,7 +113,7 @@ def _sound(options: Mapping[str, Option], room: Room) -> tuple[str, ...]:
 
 def _train_trials(room: Room) -> list[Trial]:
     """Return bad inputs for a sample of LeRobot's and the policy's settings."""
-    from uniforce_cli.train import RANGES, settings_known
+    from uniforce_cli.lerobot_training import RANGES, settings_known
 
     known = settings_known()
     rest = [name for name in known if name not in RANGES and not name.startswith("job.")]

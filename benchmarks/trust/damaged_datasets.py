@@ -229,9 +229,7 @@ TABLE_DAMAGES = (
     Damage("an action changed", lambda r: set_value(data(r), ACTION, 0.25)),
     Damage("a time changed, no hashes", lambda r: set_value(data(r), "timestamp", 0.1), hashed=False),
     Damage(
-        "frame of another episode, no hashes",
-        lambda r: set_value(data(r), "episode_index", 2),
-        hashed=False,
+        "frame of another episode, no hashes", lambda r: set_value(data(r), "episode_index", 2), hashed=False
     ),
     Damage("an aborted episode called a success", lambda r: set_value(data(r), SUCCESS, 0.0)),
     Damage("another sensor named", lambda r: set_value(data(r), sensor_key("left"), 2)),
@@ -250,10 +248,7 @@ META_DAMAGES = (
         "length of an episode changed",
         lambda r: set_value(r / "meta/episodes/chunk-000/file-001.parquet", "length", FRAMES - 1, 0),
     ),
-    Damage(
-        "card changed",
-        lambda r: edit_json(card_path(r, HIT), lambda card: card.update(label="failed")),
-    ),
+    Damage("card changed", lambda r: edit_json(card_path(r, HIT), lambda card: card.update(label="failed"))),
     Damage("card missing", lambda r: card_path(r, HIT).unlink()),
     Damage("a file added", lambda r: shutil.copy(data(r), data(r, 7)), "file-007.parquet"),
     Damage("hashes cut", lambda r: cut(r / HASHES), HASHES),

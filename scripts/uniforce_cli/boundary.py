@@ -7,9 +7,9 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn, Protocol, cast
+from typing import Any, NoReturn
 
 import yaml
 from draccus.utils import DraccusException
@@ -22,69 +22,63 @@ DEBUG = "--debug"
 LONGEST_LINE = 600
 
 
-class Command(Protocol):
-    """An entry point that knows its options."""
-
-    config_class: type | None
-    others: tuple[str, ...]
-
-    def __call__(self, argv: Sequence[str] | None = None) -> int:
-        """Run on the given arguments, the process's own when None; return the exit code."""
-
-
-def command(
-    config_class: type | None, presets: Path | None = None, others: tuple[str, ...] = ()
-) -> Callable[[Callable[..., int]], Command]:
-    """Make ``main(config)`` an entry point: a command line in, one line for an error.
+class Command:
+    """An entry point that knows its options: a command line in, one line for an error.
 
     Exit codes: the command's own; 2 for what a user can put right, 130 after Ctrl-C, 70 for a fault of the program.
 
     Args:
+        main: gets the config; the words themselves where there is no config class.
         config_class: what the options are parsed into; None = ``main`` gets the words themselves.
         presets: see ``parse``.
         others: options that begin like this are not parsed; ``main`` gets them, as ``--key=value``, beside the config,
             and the names of the options that were given.
     """
 
-    def decorate(main: Callable[..., int]) -> Command:
-        @wraps(main)
-        def entry(argv: Sequence[str] | None = None) -> int:
-            words = list(sys.argv[1:] if argv is None else argv)
-            plain = [word for word in words if word != DEBUG]
-            run = partial(_run, main, plain, config_class, presets, others)
-            return run() if len(plain) < len(words) else guarded(_name(main), run)
+    def __init__(
+        self,
+        main: Callable[..., int],
+        config_class: type | None,
+        presets: Path | None = None,
+        others: tuple[str, ...] = (),
+    ) -> None:
+        self._main, self.config_class, self._presets, self.others = main, config_class, presets, others
+        module = main.__module__  # a person typed uniforce record, or benchmarks.blind
+        verb = module.removeprefix("uniforce_cli.")
+        self._name = module if verb == module else f"uniforce {verb}"
 
-        found = cast("Command", entry)
-        found.config_class, found.others = config_class, others
-        return found
+    def __call__(self, argv: Sequence[str] | None = None) -> int:
+        """Run on the given arguments, the process's own when None; return the exit code."""
+        words = list(sys.argv[1:] if argv is None else argv)
+        plain = [word for word in words if word != DEBUG]
+        run = partial(self._run, plain)
+        return run() if len(plain) < len(words) else guarded(self._name, run)
 
-    return decorate
+    def _run(self, words: list[str]) -> int:
+        if self.config_class is None:
+            return self._main(words)
+        names = [word.removeprefix("--") for word in words]
+        flags = [f"--{name}" for name in names if self.others and name.startswith(self.others)]
+        own = [word for word in words if f"--{word.removeprefix('--')}" not in flags]
+        split_words(flags)
+        config: Any = parse(self.config_class, own, self._presets)
+        return self._main(config, flags, list(split_words(own))) if self.others else self._main(config)
 
 
-def _name(main: Callable[..., int]) -> str:
-    """Return what a person typed: ``uniforce record``, or ``benchmarks.blind``."""
-    module = main.__module__
-    return f"uniforce {module.rpartition('.')[2]}" if module.startswith("uniforce_cli.") else module
+def command(
+    config_class: type | None, presets: Path | None = None, others: tuple[str, ...] = ()
+) -> Callable[[Callable[..., int]], Command]:
+    """Make ``main(config)`` a ``Command``, which says what the arguments are."""
+    return lambda main: Command(main, config_class, presets, others)
 
 
-def _run(
-    main: Callable[..., int],
-    words: list[str],
-    config_class: type | None,
-    presets: Path | None,
-    others: tuple[str, ...],
-) -> int:
-    if config_class is None:
-        return main(words)
-    flags = (
-        [f"--{w.removeprefix('--')}" for w in words if w.removeprefix("--").startswith(others)]
-        if others
-        else []
-    )
-    own = [word for word in words if not others or not word.removeprefix("--").startswith(others)]
-    split_words(flags)
-    config: Any = parse(config_class, own, presets)
-    return main(config, flags, list(split_words(own))) if others else main(config)
+def one_thread() -> None:
+    """Let torch and OpenCV compute on one thread: small work gains nothing from more."""
+    import cv2
+    import torch
+
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
 
 
 def guarded(name: str, run: Callable[[], int]) -> int:

@@ -6,13 +6,12 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-import torch
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.units import Look
-from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual, hidden_sensors
+from uniforce_vtla.contact.virtual import GELSIGHT_D, as_virtual, hidden_sensors
 from uniforce_vtla.options import Count, Names, OutFolder, Seed, TokenizerFolder
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -43,49 +42,31 @@ class CalibrateCommand:
     seed: Seed = 0  # of the grasps
 
 
-def find_sensor(name: str) -> VirtualSensor:
-    """Return a held-out or registry sensor by name; SensorError for others."""
-    return hidden_sensors().get(name) or as_virtual(name)
-
-
-def grasp_latents(
-    command: CalibrateCommand, tokenizer: Tokenizer, new: VirtualSensor, anchor: VirtualSensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return pooled (n, POOL², latent) of both fingers for the same simulated grasps, new left, anchor right."""
-    per_unit = max(1, command.grasps // command.units)
-    settings = PairSettings(pairs_per_unit=per_unit, look=Look())
-    side = tokenizer.config.side
+def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, anchor: str) -> Calibration:
+    """Grasp in simulation, the new sensor left and the anchor right, and fit; SensorError for unknown sensors."""
+    per_unit, side = max(1, command.grasps // command.units), tokenizer.config.side
+    left_sensor, right_sensor = (hidden_sensors().get(name) or as_virtual(name) for name in (new, anchor))
     pairs = equilibrium_pairs(
         np.random.default_rng([command.seed, 55]),
         per_unit * command.units,
-        new,
-        anchor,
+        left_sensor,
+        right_sensor,
         PRETRAIN,
-        settings=settings,
+        settings=PairSettings(pairs_per_unit=per_unit, look=Look()),
         transform=lambda images: shrink(images, side),
     )
     left = tokenizer.encode(pairs.left_reference, pairs.left_current, "left")
     right = tokenizer.encode(pairs.right_reference, pairs.right_current, "right")
-    return pool_latent(left, POOL), pool_latent(right, POOL)  # what heads and policies read
-
-
-def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, anchor: str) -> Calibration:
-    """Grasp and fit."""
-    latents = grasp_latents(command, tokenizer, find_sensor(new), find_sensor(anchor))
+    latents = pool_latent(left, POOL), pool_latent(right, POOL)  # (n, POOL², L): what heads and policies read
     return calibrate(*latents, tokenizer.hash, new, anchor, command.fit)
-
-
-def _run(command: CalibrateCommand) -> str:
-    tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
-    calibration = calibrate_sensor(command, tokenizer, command.new, command.anchor)
-    path = calibration.save(command.out)
-    change = f"{calibration.imbalance_before:.3f} → {calibration.imbalance_after:.3f}"
-    return f"{command.new} against {command.anchor}: imbalance on held-out grasps {change}; adapter in {path}"
 
 
 @command(CalibrateCommand)
 def main(command: CalibrateCommand) -> int:
     """Entry of ``uniforce calibrate``."""
-    torch.set_num_threads(1)
-    print(_run(command))
+    one_thread()
+    tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
+    found = calibrate_sensor(command, tokenizer, command.new, command.anchor)
+    change = f"imbalance on held-out grasps {found.imbalance_before:.3f} → {found.imbalance_after:.3f}"
+    print(f"{command.new} against {command.anchor}: {change}; adapter in {found.save(command.out)}")
     return 0

@@ -8,39 +8,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import torch
-from lerobot.utils.feature_utils import dataset_to_policy_features
-
-from lerobot_policy_pi05_uniforce import (
-    PI05UniforceConfig,
-    PI05UniforcePolicy,
-    make_pi05_uniforce_pre_post_processors,
-    weights,
-)
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
-    ActionSettings,
-    SamplerSettings,
-    TinySettings,
-    TouchSettings,
-)
-from lerobot_policy_pi05_uniforce.migration import grouped
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION
 from uniforce_vtla.options import Existing, OutFolder, Pattern, Slots, View
 
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce import PI05UniforceConfig
+
 KNOWN_TYPES = ("pi05", "pi05_uniforce")
 NOT_TAKEN = (  # what the new policy decides for itself, or what its own data say
     *("type", "device", "dtype", "input_features", "output_features", "normalization_mapping", "rtc_config"),
     *("pretrained_path", "repo_id", "trained_on", "swap", "left_sensor", "right_sensor", "touch", "augment"),
 )
-GROUPS = {"action": ActionSettings, "tiny": TinySettings, "sampler": SamplerSettings}
-
-
 Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
 Revision = Annotated[str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")]
 
@@ -76,14 +60,22 @@ def convert(config: ConvertConfig) -> Path:
         ContractError: settings that don't go together.
         DatasetError: no view, or one that lacks the touch input.
     """
+    from lerobot.utils.feature_utils import dataset_to_policy_features
+
+    from lerobot_policy_pi05_uniforce import (
+        PI05UniforcePolicy,
+        make_pi05_uniforce_pre_post_processors,
+        weights,
+    )
+    from lerobot_policy_pi05_uniforce.migration import grouped
     from uniforce_datasets.training_view import TrainingView
 
     if config.revision and Path(config.source).exists():
         raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
     revision = config.revision or None
-    weights.check_files(config.source, "full", revision, local_files_only=False)
     source = grouped(read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError))
-    slots = _slots(config.touch_slots)
+    weights.check_files(config.source, "full", revision, local_files_only=False)
+    slots = dict(pair.strip().split(":") for pair in config.touch_slots.split(",") if pair)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)
     settings = _settings(source, config, slots)
     features = dataset_to_policy_features(view.meta.features)
@@ -105,36 +97,28 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
     Raises:
         CheckpointError: a checkpoint of another policy.
     """
+    from lerobot_policy_pi05_uniforce import PI05UniforceConfig
+    from lerobot_policy_pi05_uniforce import configuration_pi05_uniforce as groups
+
     if source.get("type") not in KNOWN_TYPES:
-        do = "Name a π0.5 checkpoint."
-        raise CheckpointError(
-            expected(f"policy type of {config.source}", " | ".join(KNOWN_TYPES), source.get("type"), do)
-        )
+        policy, do = f"policy type of {config.source}", "Name a π0.5 checkpoint."
+        raise CheckpointError(expected(policy, " | ".join(KNOWN_TYPES), source.get("type"), do))
     known = PI05UniforceConfig.__dataclass_fields__.keys() - set(NOT_TAKEN)
     taken = {name: value for name, value in source.items() if name in known}
-    taken |= {name: group(**taken[name]) for name, group in GROUPS.items() if name in taken}
+    kinds = {"action": groups.ActionSettings, "tiny": groups.TinySettings, "sampler": groups.SamplerSettings}
+    taken |= {name: kind(**taken[name]) for name, kind in kinds.items() if name in taken}
     taken.setdefault("size", "base")
+    touch = groups.TouchSettings(slots, config.touch_input, config.token_site, config.start_at_base)
     dtype = "float32" if taken["size"] == "tiny" else config.dtype
-    return PI05UniforceConfig(
-        **taken,
-        device="cpu",
-        dtype=dtype,
-        touch=TouchSettings(slots, config.touch_input, config.token_site, config.start_at_base),
-    )
-
-
-def _slots(text: str) -> dict[str, str]:
-    pairs = [entry.split(":") for entry in text.replace(" ", "").split(",") if entry]
-    if any(len(pair) != 2 for pair in pairs):
-        do = "Write touch_slots=touch0:right,touch1:left."
-        raise ContractError(expected("touch_slots", "slot:finger pairs", repr(text), do))
-    return dict(pairs)
+    return PI05UniforceConfig(**taken, device="cpu", dtype=dtype, touch=touch)
 
 
 @command(ConvertConfig)
 def main(config: ConvertConfig) -> int:
     """Entry of ``uniforce convert``."""
-    torch.set_num_threads(1)
+    from lerobot_policy_pi05_uniforce import weights
+
+    one_thread()
     out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(weights.FRESH)}")
     print(f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -10,8 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from uniforce_cli.dataset_story import camera_frames, cameras
-from uniforce_cli.raw_recording import raw_touch
+from uniforce_cli.recorded_episode import camera_frames, cameras, raw_touch
 from uniforce_datasets.source import Episode, Source
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
@@ -24,13 +23,13 @@ HEAT_PX = 16  # a patch's side in a heat map, so that the viewer has something t
 
 
 def write_recording(
-    rerun: ModuleType, story: EpisodeSummary, source: Source, episode: Episode, path: Path
+    rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode, path: Path
 ) -> Path:
     """Write an episode and the layout it is looked at in.
 
     Args:
         rerun: the package.
-        story: felt forces, latents and verdict.
+        summary: forces, latents and verdict.
         source: where the pictures are.
         episode: which one.
         path: of the .rrd file.
@@ -39,90 +38,75 @@ def write_recording(
         DatasetError: a video that is missing or truncated.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    at = rerun.TimeColumn(TIME, duration=summary.time_s)
     with rerun.RecordingStream("uniforce show", recording_id=path.stem) as recording:
-        recording.save(path, default_blueprint=_layout(rerun, story, cameras(source)))
-        recording.log("events", rerun.TextDocument("\n".join(["estimated:", *story.verdict])), static=True)
-        for name, key in cameras(source).items():
-            pictures = (_encoded(frame, ".jpg") for frame in camera_frames(source, episode, key))
-            _send_pictures(rerun, recording, f"camera/{name}", "image/jpeg", pictures, story)
-        for finger in FINGERS:
-            _send_touch(rerun, recording, story, source, episode, finger)
-        _send_numbers(rerun, recording, story)
+        recording.save(path, default_blueprint=_layout(rerun, summary, cameras(source)))
+        recording.log("events", rerun.TextDocument("\n".join(["estimated:", *summary.verdict])), static=True)
+        for name, frames, ending in _pictures(summary, source, episode):
+            blobs = [_encoded(frame, ending) for frame in frames]
+            kinds = [f"image/{'jpeg' if ending == '.jpg' else 'png'}"] * len(blobs)
+            recording.send_columns(name, [at], rerun.EncodedImage.columns(blob=blobs, media_type=kinds))
+        for name, values in traces(summary).items():
+            recording.send_columns(name, [at], rerun.Scalars.columns(scalars=np.ascontiguousarray(values)))
+        for frame, text, level in _notes(summary):
+            recording.set_time(TIME, duration=summary.time_s[frame])
+            recording.log("log", rerun.TextLog(text, level=level))
     return path
 
 
-def _send_touch(
-    rerun: ModuleType, recording: Any, story: EpisodeSummary, source: Source, episode: Episode, finger: Any
-) -> None:
-    if (raw := raw_touch(source, episode, finger)) is not None:
-        frames = (_encoded(frame, ".jpg") for frame in raw())
-        _send_pictures(rerun, recording, f"raw/{finger}", "image/jpeg", frames, story)
-    images = camera_frames(source, episode, tactile_key(finger))
-    markers = (_encoded(frame[..., 0], ".png") for frame in images)
-    _send_pictures(rerun, recording, f"markers/{finger}", "image/png", markers, story)
-    strength = story.strength(finger)
-    scale = 255 / max(float(strength.max()), 1e-6)
-    heat = (_encoded(_heat(frame * scale), ".png") for frame in strength)
-    _send_pictures(rerun, recording, f"latent/{finger}", "image/png", heat, story)
+def _pictures(
+    summary: EpisodeSummary, source: Source, episode: Episode
+) -> Iterator[tuple[str, Iterable[np.ndarray], str]]:
+    """Yield the path, frames and file ending of every stream of pictures."""
+    for name, key in cameras(source).items():
+        yield f"camera/{name}", camera_frames(source, episode, key), ".jpg"
+    for finger in FINGERS:
+        if (raw := raw_touch(source, episode, finger)) is not None:
+            yield f"raw/{finger}", raw(), ".jpg"
+        images = camera_frames(source, episode, tactile_key(finger))
+        yield f"markers/{finger}", (image[..., 0] for image in images), ".png"
+        strength = summary.strength(finger)
+        scale = 255 / max(float(strength.max()), 1e-6)
+        yield f"latent/{finger}", (_heat(frame * scale) for frame in strength), ".png"
 
 
-def _send_pictures(
-    rerun: ModuleType, recording: Any, path: str, kind: str, pictures: Iterator[bytes], story: EpisodeSummary
-) -> None:
-    blobs = list(pictures)
-    columns = rerun.EncodedImage.columns(blob=blobs, media_type=[kind] * len(blobs))
-    recording.send_columns(path, [rerun.TimeColumn(TIME, duration=story.time_s)], columns)
+def _notes(summary: EpisodeSummary) -> Iterator[tuple[int, str, str]]:
+    """Yield frame, text and level of what happens in an episode."""
+    for stretch in summary.stretches:
+        yield stretch.first, f"{stretch.name} begins", "WARN"
+        yield stretch.end - 1, f"{stretch.name} ends", "WARN"
+    for key_frame in summary.key_frames:
+        yield key_frame.frame, key_frame.name, "INFO"
 
 
-def _send_numbers(rerun: ModuleType, recording: Any, story: EpisodeSummary) -> None:
-    for path, values in traces(story).items():
-        columns = rerun.Scalars.columns(scalars=np.ascontiguousarray(values))
-        recording.send_columns(path, [rerun.TimeColumn(TIME, duration=story.time_s)], columns)
-    for stretch in story.stretches:
-        for frame, word in ((stretch.first, "begins"), (stretch.end - 1, "ends")):
-            recording.set_time(TIME, duration=story.time_s[frame])
-            recording.log("log", rerun.TextLog(f"{stretch.name} {word}", level="WARN"))
-    for key_frame in story.key_frames:
-        recording.set_time(TIME, duration=story.time_s[key_frame.frame])
-        recording.log("log", rerun.TextLog(key_frame.name, level="INFO"))
-
-
-def traces(story: EpisodeSummary) -> dict[str, np.ndarray]:
+def traces(summary: EpisodeSummary) -> dict[str, np.ndarray]:
     """Return (n,) numbers by path: forces of both fingers, and what follows from them."""
     found = {}
     for number, finger in enumerate(FINGERS):
         for axis, name in enumerate(AXES):
-            found[f"force_N/{finger}/{name}_estimate"] = story.force_N[:, number, axis]
-            if story.true_force_N is not None:
-                found[f"force_N/{finger}/{name}_true"] = story.true_force_N[:, number, axis]
-    for word, judged in (("estimate", story.found), ("from_true_forces", story.truth)):
+            found[f"force_N/{finger}/{name}_estimate"] = summary.force_N[:, number, axis]
+            if summary.true_force_N is not None:
+                found[f"force_N/{finger}/{name}_true"] = summary.true_force_N[:, number, axis]
+    for word, judged in (("estimate", summary.found), ("from_true_forces", summary.truth)):
         if judged is not None:
             found[f"press_N/{word}"] = judged.press_N
-            found |= {f"friction_used/{word}": judged.friction_used.min(axis=1)} if story.judges_slip else {}
+            found |= (
+                {f"friction_used/{word}": judged.friction_used.min(axis=1)} if summary.judges_slip else {}
+            )
     return found
 
 
-def _layout(rerun: ModuleType, story: EpisodeSummary, seen: dict[str, str]) -> Any:
-    blueprint = rerun.blueprint
-    pictures = [f"camera/{name}" for name in seen]
-    touch = [f"raw/{finger}" for finger in story.key_frames[0].raw]
+def _layout(rerun: ModuleType, summary: EpisodeSummary, seen: dict[str, str]) -> Any:
+    view, judged = rerun.blueprint, summary.found is not None
+    touch = [f"raw/{finger}" for finger in summary.key_frames[0].raw]
     touch += [f"{what}/{finger}" for what in ("markers", "latent") for finger in FINGERS]
-    plots = [f"force_N/{finger}" for finger in FINGERS]
-    plots += ["press_N"] if story.found is not None else []
-    plots += ["friction_used"] if story.found is not None and story.judges_slip else []
-    texts = (blueprint.TextDocumentView(origin="events"), blueprint.TextLogView(origin="log"))
-    return blueprint.Blueprint(
-        blueprint.Horizontal(
-            blueprint.Vertical(
-                blueprint.Grid(*(blueprint.Spatial2DView(origin=path, name=path) for path in pictures)),
-                blueprint.Grid(*(blueprint.Spatial2DView(origin=path, name=path) for path in touch)),
-            ),
-            blueprint.Vertical(
-                *(blueprint.TimeSeriesView(origin=path, name=path) for path in plots),
-                blueprint.Horizontal(*texts),
-            ),
-        )
-    )
+    plots = [f"force_N/{finger}" for finger in FINGERS] + ["press_N"] * judged
+    plots += ["friction_used"] * (judged and summary.judges_slip)
+    grids = ([f"camera/{name}" for name in seen], touch)
+    pictures = [view.Grid(*(view.Spatial2DView(origin=p, name=p) for p in paths)) for paths in grids]
+    texts = view.Horizontal(view.TextDocumentView(origin="events"), view.TextLogView(origin="log"))
+    lines = (view.TimeSeriesView(origin=path, name=path) for path in plots)
+    return view.Blueprint(view.Horizontal(view.Vertical(*pictures), view.Vertical(*lines, texts)))
 
 
 def _heat(strength: np.ndarray) -> np.ndarray:

@@ -36,47 +36,42 @@ CHANNELS = (
 )
 
 
-def write_sheet(story: EpisodeSummary, facts: Mapping[str, str], folder: Path, stem: str) -> Path:
+def write_sheet(summary: EpisodeSummary, facts: Mapping[str, str], folder: Path, stem: str) -> Path:
     """Draw the pictures, write the page beside them, and return the page's path.
 
     Args:
-        story: what is shown.
+        summary: what is shown.
         facts: lines of the table at the top; whatever they hold is shown as text, never as HTML.
         folder: where to.
         stem: how the files' names begin.
     """
-    timeline = draw_timeline(story, folder / f"{stem}_timeline.png")
-    key_frames = draw_key_frames(story, folder / f"{stem}_moments.png")
-    held = hardest(story)
-    channels = draw_channels(story, held, folder / f"{stem}_latent.png")
+    held = hardest(summary)
     sections = (
-        ("Time line", HONEST + (TRUE if story.true_force_N is not None else ""), timeline),
-        ("Key frames", TOUCH, key_frames),
-        (f"Latent force, {held.name}", CHANNELS, channels),
+        (
+            "Time line",
+            HONEST + (TRUE if summary.true_force_N is not None else ""),
+            draw_timeline(summary, folder / f"{stem}_timeline.png"),
+        ),
+        ("Key frames", TOUCH, draw_key_frames(summary, folder / f"{stem}_moments.png")),
+        (f"Latent force, {held.name}", CHANNELS, draw_channels(summary, held, folder / f"{stem}_latent.png")),
     )
-    page = folder / f"{stem}.html"
-    page.write_text(_page(story, facts, sections))
-    return page
-
-
-def hardest(story: EpisodeSummary) -> KeyFrame:
-    """Return the key frame at which both fingers together press hardest."""
-    return max(story.key_frames, key=lambda key_frame: float(story.force_N[key_frame.frame, :, 2].sum()))
-
-
-def _page(
-    story: EpisodeSummary, facts: Mapping[str, str], sections: tuple[tuple[str, str, Path], ...]
-) -> str:
     rows = "\n".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts.items())
-    verdict = f"<b>Estimated from the fingers:</b> {escape('; '.join(story.verdict))}"
-    if story.true_verdict:
-        verdict += f"<br><b>The same from true forces:</b> {escape('; '.join(story.true_verdict))}"
+    verdict = f"<b>Estimated from the fingers:</b> {escape('; '.join(summary.verdict))}"
+    if summary.true_verdict:
+        verdict += f"<br><b>The same from true forces:</b> {escape('; '.join(summary.true_verdict))}"
     body = "\n".join(
         f'<h2>{escape(title)}</h2>\n<p>{escape(text)}</p>\n<img src="{picture.name}" alt="{escape(title)}">'
         for title, text, picture in sections
     )
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(story.title)}</title>'
-        f"<style>{STYLE}</style></head><body>\n<h1>{escape(story.title)}</h1>\n<table>{rows}</table>\n"
+    page = folder / f"{stem}.html"
+    page.write_text(
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(summary.title)}</title>'
+        f"<style>{STYLE}</style></head><body>\n<h1>{escape(summary.title)}</h1>\n<table>{rows}</table>\n"
         f'<div class="verdict">{verdict}</div>\n{body}\n</body></html>\n'
     )
+    return page
+
+
+def hardest(summary: EpisodeSummary) -> KeyFrame:
+    """Return the key frame at which both fingers together press hardest."""
+    return max(summary.key_frames, key=lambda key_frame: float(summary.force_N[key_frame.frame, :, 2].sum()))

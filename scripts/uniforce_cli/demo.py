@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import shutil
+import sys
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Level
@@ -16,11 +20,13 @@ from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
 
 MARKER = "uniforce_demo.json"  # in a folder that the next demo may empty
+LOG = "demo.log"  # what the steps and their libraries print
+TAIL = 15  # of its lines are shown where a step fails
 
 
 @dataclass
 class DemoConfig:
-    """Run every stage once, small: no robot, no GPU, about ten minutes on two cores.
+    """Run every stage once, small: no robot, no GPU, three to five minutes on two cores.
 
     Example: uniforce demo rollouts=4 out=outputs/demo
     """
@@ -40,46 +46,103 @@ ARMS = {
 }
 
 
-def say(step: str, text: str) -> None:
-    """Print a headline of the demo."""
-    print(f"\n[{step}] {text}", flush=True)
+class ProgressBars:
+    """A stream that lets progress bars through to a terminal, on one line, and writes all else into a log."""
+
+    def __init__(self, terminal: TextIO, log: TextIO) -> None:
+        self._terminal, self._log = terminal, log
+
+    def write(self, text: str) -> int:
+        """Sort a text by how it begins: a bar returns to the start of its line."""
+        if text.startswith("\r"):
+            self._terminal.write(text)
+        elif text.strip():
+            self._log.write(text)
+        elif text:  # a line's end: the bar is done, and the next one takes its line
+            self._terminal.write("\r\x1b[K")
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush both."""
+        self._terminal.flush()
+        self._log.flush()
+
+    def isatty(self) -> bool:
+        """Return whether a person is looking."""
+        return self._terminal.isatty()
 
 
-def run(config: DemoConfig) -> Path:
-    """Run the demo; return the picture page's path."""
-    from uniforce_cli.demo_page import draw_demo_page
-    from uniforce_cli.record import RecordConfig, record
-    from uniforce_cli.score import score
-    from uniforce_cli.score_config import ScoreConfig
-    from uniforce_cli.train import train
-    from uniforce_cli.view import ViewConfig, make_view
+@contextlib.contextmanager
+def logged(path: Path) -> Iterator[Callable[[str], None]]:
+    """Send what Python, its libraries and child processes print into a file; yield what prints for people.
+
+    On a terminal progress bars stay, on one line. Where the block fails, the log's last lines and its path are printed.
+    """
+    handlers, stdout = list(logging.root.handlers), sys.stdout
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = os.dup(1), os.dup(2)
+    with path.open("w", buffering=1) as log, os.fdopen(os.dup(1), "w", buffering=1) as terminal:
+        out = terminal if stdout is sys.__stdout__ else stdout
+        errors = ProgressBars(terminal, log) if terminal.isatty() else log
+        for number in (1, 2):
+            os.dup2(log.fileno(), number)
+        try:
+            with contextlib.redirect_stdout(log), contextlib.redirect_stderr(errors):  # type: ignore[type-var]
+                yield lambda text: print(text, file=out, flush=True)
+        except Exception:
+            tail = path.read_text().splitlines()[-TAIL:]
+            print("\n".join([*tail, f"the step failed; all it printed is in {path}"]), file=out, flush=True)
+            raise
+        finally:
+            for number, copy in enumerate(kept, start=1):
+                os.dup2(copy, number)
+                os.close(copy)
+            logging.root.handlers[:] = handlers
+
+
+def run(config: DemoConfig) -> None:
+    """Run the demo and print where everything is."""
+    start, out = time.perf_counter(), Path(config.out)
+    _start_over(out)
+    with logged(out / LOG) as say:
+        page = _steps(config, out, say)
+        minutes = (time.perf_counter() - start) / 60
+        say(f"\nDone in {minutes:.1f} minutes (n = {config.rollouts}: smoke, no claim).")
+        say(f"  picture page   {page}")
+        say(f"  video          {next(out.glob('score/VT_*/seed_*.mp4'))}")
+        say(f"  demos          {out / 'demos'}   (LeRobot v3 dataset)")
+        say(f"  trained        {out / 'train' / 'checkpoints' / 'last'}")
+        say(f"  scores         {out / 'wiping.json'}")
+        say(f"  log            {out / LOG}")
+
+
+def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
+    """Run every stage; return the picture page's path."""
+    say(f"\n[1/5] recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)")
+    from uniforce_cli import demo_page, lerobot_training, record, score, view
     from uniforce_vtla.evaluation.arms import table
 
-    out = Path(config.out)
-    _start_over(out)
-    say("1/5", f"recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)")
-    recording = RecordConfig(episodes=config.episodes, level=config.level, root=str(out / "demos"))
-    record(recording)
-    say("2/5", "training view: cameras resized once, touch encoded once by the frozen tokenizer")
+    record.record(record.RecordConfig(episodes=config.episodes, level=config.level, root=str(out / "demos")))
+    say("\n[2/5] training view: cameras resized once, touch encoded once by the frozen tokenizer")
     # few demos, and the nudged expert may have an event in each of them: all that wiped the board, as the policy learnt
-    make_view(ViewConfig(roots=str(out / "demos"), out=str(out / "view"), keep_events=True))
-    say("3/5", f"training a tiny policy for {config.train_steps} steps with LeRobot's own trainer")
-    train(_train_arguments(config, out))
-    say("4/5", "rolling out the shipped policy: trained sensor, then two swapped ones, nothing retrained")
+    view.make_view(view.ViewConfig(roots=str(out / "demos"), out=str(out / "view"), keep_events=True))
+    say(f"\n[3/5] training a tiny policy for {config.train_steps} steps with LeRobot's own trainer")
+    lerobot_training.train(_train_arguments(config, out))
+    say("\n[4/5] rolling out the shipped policy: trained sensor, then two swapped ones, nothing retrained")
     reports = []
     for arm, (left, right, swap) in ARMS.items():
-        scoring = ScoreConfig(
+        scoring = score.ScoreConfig(
             arm=arm, left_sensor=left, right_sensor=right, swap=swap, level=config.level,
             rollouts=config.rollouts, videos=1 if arm == "V+T" else 0, out=str(out / "score"),
         )  # fmt: skip
-        reports.append(score(scoring))
-    say("5/5", "report")
-    page = draw_demo_page(reports, next(out.glob("score/VT_*/seed_*.png")), out / "page.png")
+        reports.append(score.score(scoring))
+    say("\n[5/5] report")
+    page = demo_page.draw_demo_page(reports, next(out.glob("score/VT_*/seed_*.png")), out / "page.png")
     arms = {report.arm: report.as_dict() for report in reports}
-    write_json(
-        out / "wiping.json", {"level": config.level, "label": "smoke, no claim", "arms": arms} | provenance()
-    )
-    print(table(reports))
+    content = {"level": config.level, "label": "smoke, no claim", "arms": arms}
+    write_json(out / "wiping.json", content | provenance())
+    say(table(reports))
     return page
 
 
@@ -109,15 +172,5 @@ def main(config: DemoConfig) -> int:
     """Entry of ``uniforce demo``."""
     logging.basicConfig(level=logging.WARNING)
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
-    start = time.perf_counter()
-    page = run(config)
-    out = Path(config.out)
-    print(
-        f"\nDone in {(time.perf_counter() - start) / 60:.1f} minutes (n = {config.rollouts}: smoke, no claim)."
-    )
-    print(f"  picture page   {page}")
-    print(f"  video          {next(out.glob('score/VT_*/seed_*.mp4'))}")
-    print(f"  demos          {out / 'demos'}   (LeRobot v3 dataset)")
-    print(f"  trained        {out / 'train' / 'checkpoints' / 'last'}")
-    print(f"  scores         {out / 'wiping.json'}")
+    run(config)
     return 0

@@ -44,10 +44,10 @@ def _draw_sensors(figure: SubFigure) -> None:
     for (above, below), sensor in zip(columns.T, list_sensors(), strict=True):
         pair = _press(sensor)
         latent = tokenizer.encode(pair)  # (1, P, 6)
-        felt = ", ".join(f"{value:+.1f}" for value in head(latent)[0].tolist())
+        read_N = ", ".join(f"{value:+.1f}" for value in head(latent)[0].tolist())
         above.imshow(overlay(pair.reference, pair.current))
         above.set_title(
-            f"{sensor}: reference cyan, current red\nhead trained on TacTip only: ({felt}) N", fontsize=9
+            f"{sensor}: reference cyan, current red\nhead trained on TacTip only: ({read_N}) N", fontsize=9
         )
         side = int(np.sqrt(latent.shape[1]))
         below.imshow(np.hstack(list(latent[0].numpy().T.reshape(-1, side, side))), cmap="RdBu")

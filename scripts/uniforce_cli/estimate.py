@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cv2
-import numpy as np
-import torch
-from tqdm import tqdm
-
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Verify
-from uniforce_cli.recording_forces import RecordingForces, descriptor_heads
-from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_vtla.arguments import numbers
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.evaluation.board_camera import estimate_residual
-from uniforce_vtla.evaluation.episode import ScoreLimits
-from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
-from uniforce_vtla.evaluation.pictures import draw_estimate
 from uniforce_vtla.keys import camera_key
 from uniforce_vtla.options import CountOrZero, Dataset, FileName, FolderPath, Numbers, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from uniforce_datasets.source import Episode, Source
+    from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
 
 
 @dataclass
@@ -40,9 +34,8 @@ class ScoreRecordingConfig:
     board_corners: Numbers = ""
     camera: FileName = "front"  # scene camera that sees the board
     episodes: CountOrZero = 0  # the first so many; 0 = all
-    heads: FolderPath = (
-        ""  # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
-    )
+    # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
+    heads: FolderPath = ""
     verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
     out: OutFolder = "outputs/recording_scores"  # estimates.json and a picture per episode
 
@@ -54,20 +47,26 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
         ContractError: friction or corners of the wrong form.
         DatasetError: a dataset that can't be read, lacks a finger, or is truncated.
     """
+    from tqdm import tqdm
+
+    from uniforce_cli.recording_forces import RecordingForces, descriptor_heads
+    from uniforce_vtla.evaluation.episode import ScoreLimits
+    from uniforce_vtla.evaluation.pictures import draw_estimate
+
     left, right = numbers("pad_friction", config.pad_friction, 2)
     corners = numbers("board_corners", config.board_corners, 8) if config.board_corners else None
     recording = RecordingForces(config.root, descriptor_heads(config.heads), config.verify)
     source, rows = recording.source, []
     for episode in tqdm(source.episodes[: config.episodes or None], desc="episodes", unit="episode"):
-        felt = recording.feel(episode)
-        found, truth = felt.judge((left, right))
+        forces = recording.read(episode)
+        found, truth = forces.judge((left, right))
         row = _row(episode, found)
         if corners is not None:
             row["residual"] = _residual(source, episode, config.camera, corners)
         if truth is not None:
             row["with_true_forces"] = _row(episode, truth)
-            row["press_mae_N"] = float(np.abs(found.press_N - truth.press_N).mean())
-        draw_estimate(found, felt.time_s, truth, Path(config.out) / f"episode_{episode.index}.png")
+            row["press_mae_N"] = float(abs(found.press_N - truth.press_N).mean())
+        draw_estimate(found, forces.time_s, truth, Path(config.out) / f"episode_{episode.index}.png")
         rows.append(row)
     return {
         "what": "estimates from marker images, the robot's own height and a camera; no truth was used",
@@ -92,6 +91,9 @@ def _row(episode: Episode, found: FingerEstimate) -> dict[str, Any]:
 
 
 def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray) -> dict[str, Any]:
+    from uniforce_datasets.source import episode_frames
+    from uniforce_vtla.evaluation.board_camera import estimate_residual
+
     span = episode.videos.get(camera_key(camera))
     if span is None:
         raise DatasetError(expected(str(source.root), camera_key(camera), "no such video", "Name another."))
@@ -105,22 +107,18 @@ def _residual(source: Source, episode: Episode, camera: str, corners: np.ndarray
 
 
 def _line(row: dict[str, Any]) -> str:
-    events = [*row["lost"], *row["slippage"], *row["excess_force"]] or ["no event"]
-    ink = _ink(row["residual"]) if "residual" in row else ""
+    events, ink = [*row["lost"], *row["slippage"], *row["excess_force"]] or ["no event"], ""
+    if "residual" in row:
+        left = row["residual"].get("residual")
+        ink = ", ink not judged" if left is None else f", ink left {left:.0%}"
     return f"episode {row['episode']}: {'; '.join(events)} (press to {row['press_max_N']:.1f} N{ink})"
-
-
-def _ink(residual: dict[str, Any]) -> str:
-    return f", ink left {residual['residual']:.0%}" if "residual" in residual else ", ink not judged"
 
 
 @command(ScoreRecordingConfig)
 def main(config: ScoreRecordingConfig) -> int:
     """Entry of ``uniforce estimate``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     content = score_recording(config)
     path = write_json(Path(config.out) / "estimates.json", content | provenance())
-    lines = list(itertools.chain(["Estimates, not truth:"], map(_line, content["episodes"])))
-    print("\n".join([*lines, f"written to {path}"]))
+    print("\n".join(["Estimates, not truth:", *map(_line, content["episodes"]), f"written to {path}"]))
     return 0

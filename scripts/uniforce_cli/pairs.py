@@ -8,28 +8,22 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import cv2
-import numpy as np
-import torch
-from tqdm import tqdm
-
-import datasets
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Sensor
 from uniforce_vtla.arguments import names_in
-from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Share, Text
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
+    from tqdm import tqdm
+
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
     from uniforce_robots.pairs.rig import PairRig
     from uniforce_robots.pairs.storage import PairStore
 
 
-ALL_INDENTERS = ",".join(PRETRAIN)
 Several = Annotated[int, Range(2, 1_000_000)]
 Address = Annotated[str, Pattern("a host", r"[\w.:-]{1,253}", "172.16.0.2")]
 Mass = Annotated[float, Range(0, 20, above=True)]
@@ -48,7 +42,7 @@ class RecordPairsConfig:
     robot: Literal["sim", "franka"] = "sim"  # sim rehearses in the simulator | franka (never run on hardware)
     left_sensor: Sensor = "gelsight"  # gelsight | tactip | uskin
     right_sensor: Sensor = "tactip"  # gelsight | tactip | uskin
-    indenters: Text = ALL_INDENTERS  # names, in order; any words for a robot
+    indenters: Text = ""  # names, in order; any words for a robot; empty = all that pretraining knows
     pairs: Several = 1000  # per indenter, earlier sessions included
     chunk: Several = 50  # pairs saved at once: what a kill may cost
     speed_m_s: Positive = 0.15  # a faster hand's frames are not kept
@@ -59,7 +53,7 @@ class RecordPairsConfig:
     left_source: Text = ""  # franka: device of the left finger, as for uniforce touch; or standin
     right_source: Text = ""  # franka: of the right finger
     mass_kg: Mass = 0.2  # franka: of the object and what moves of its holder; weigh it
-    grip_N: Grip = 6.0  # franka: the force the hand is told to hold with
+    grip_N: Grip = 6.0  # franka: the force the hand is asked to hold with
     rate_hz: FrameRate = 0.0  # frames per second; 0 = 15 in simulation, 30 on a robot
     out: OutFolder = "outputs/pairs"  # lerobot/, uniforce_pairs/, coverage.png, session.json
 
@@ -79,7 +73,14 @@ def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
     out = Path(config.out)
     with PairStore(out, config.left_sensor, config.right_sensor, names, round(rate)) as store:
         rig, report = _run(config, store, rate)
-        content = _content(config, store, report)
+        content: dict[str, Any] = {
+            "config": asdict(config),
+            "pairs": dict(zip(store.indenters, store.counts.tolist(), strict=True)),
+            "frames": dict(report.outcomes),
+            "covered": {name: c.covered for name, c in zip(store.indenters, store.coverage, strict=True)},
+            "dataset": str(store.dataset),
+            "layout": str(store.layout),
+        }
         if config.robot == "sim":
             content["truth"] = _truth(rig, report)  # type: ignore[arg-type]
         draw_coverage(names, store.coverage, out / "coverage.png")
@@ -88,65 +89,58 @@ def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
 
 
 def _run(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> tuple[PairRig, SessionReport]:
+    import numpy as np
+    from tqdm import tqdm
+
     from uniforce_robots.pairs.recorder import PairRecorder, RecordingPlan
     from uniforce_robots.pairs.track import MotionLimits
 
     limits = MotionLimits(config.speed_m_s, config.acceleration_m_s2)
     plan = RecordingPlan(config.pairs, config.chunk, limits, crowded=config.crowded)
+
+    def saved() -> int:
+        return int(np.minimum(store.counts, config.pairs).sum())
+
     wanted = config.pairs * len(store.indenters)
-    have = int(np.minimum(store.counts, config.pairs).sum())
-    with tqdm(total=wanted, initial=have, unit="pair") as bar, _rig(config, store, rate_hz) as rig:
-        report = PairRecorder(rig, store, plan, _teller(bar, store, config.pairs)).run()
-        bar.update(int(np.minimum(store.counts, config.pairs).sum()) - bar.n)
+    with tqdm(total=wanted, initial=saved(), unit="pair") as bar, _rig(config, store, rate_hz) as rig:
+        report = PairRecorder(rig, store, plan, _status_shown(bar, store, config.pairs)).run()
+        bar.update(saved() - bar.n)
     return rig, report
 
 
 @contextlib.contextmanager
 def _rig(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> Iterator[PairRig]:
-    if config.robot == "sim":
-        from uniforce_robots.pairs.guided_grasp import GraspSettings
-        from uniforce_robots.pairs.rehearsal import Rehearsal, SimulatedRig
+    if config.robot == "franka":
+        from uniforce_cli.pairs_robot import opened_rig
 
-        seed = config.seed + store.next_session  # other grasps than those recorded before
-        grasps = GraspSettings(rate_hz=rate_hz)
-        yield SimulatedRig(Rehearsal(config.left_sensor, config.right_sensor, seed, grasps=grasps))
+        with opened_rig(config, rate_hz) as robot_rig:
+            yield robot_rig
         return
-    from uniforce_cli.pairs_robot import RobotSession, opened_rig
+    from uniforce_robots.pairs.guided_grasp import GraspSettings
+    from uniforce_robots.pairs.rehearsal import Rehearsal, SimulatedRig
 
-    session = RobotSession(
-        config.address, config.left_sensor, config.left_source, config.right_sensor, config.right_source,
-        config.mass_kg, config.grip_N, rate_hz,
-    )  # fmt: skip
-    with opened_rig(session) as rig:
-        yield rig
+    seed = config.seed + store.next_session  # other grasps than those recorded before
+    grasps = GraspSettings(rate_hz=rate_hz)
+    yield SimulatedRig(Rehearsal(config.left_sensor, config.right_sensor, seed, grasps=grasps))
 
 
-def _teller(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status], None]:
+def _status_shown(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status], None]:
     """Return what shows the live status beside the bar."""
 
-    def tell(status: Status) -> None:
+    def show(status: Status) -> None:
         bar.set_description_str(f"indenter {status.indenter}/{len(store.indenters)} {status.name}")
-        saved = np.minimum(store.counts, wanted).sum() - min(int(store.counts[status.indenter - 1]), wanted)
-        bar.update(int(saved) + status.have - bar.n)
+        others = sum(min(int(n), wanted) for i, n in enumerate(store.counts, 1) if i != status.indenter)
+        bar.update(others + status.have - bar.n)
         balance = f"{status.have}/{wanted}, off balance {status.error:.0%}"
         bar.set_postfix_str(f"{balance}, {status.reason or 'good'}; missing: {status.coverage.missing()}")
 
-    return tell
-
-
-def _content(config: RecordPairsConfig, store: PairStore, report: SessionReport) -> dict[str, Any]:
-    return {
-        "config": asdict(config),
-        "pairs": dict(zip(store.indenters, store.counts.tolist(), strict=True)),
-        "frames": dict(report.outcomes),
-        "covered": dict(zip(store.indenters, [c.covered for c in store.coverage], strict=True)),
-        "dataset": str(store.dataset),
-        "layout": str(store.layout),
-    }
+    return show
 
 
 def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
-    """How good the pairs kept in this session are: only a rehearsal can tell."""
+    """Return how good the pairs kept in this session are: only a rehearsal knows."""
+    import numpy as np
+
     from uniforce_robots.pairs.rehearsal import LIMIT
 
     error = np.array([rig.truths[grasp].error[k] for grasp, k in report.kept])
@@ -157,9 +151,11 @@ def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
 
 
 def _check(config: RecordPairsConfig) -> tuple[str, ...]:
-    names = tuple(names_in(config.indenters))
+    from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
+
+    names = tuple(names_in(config.indenters)) or PRETRAIN
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
-    if unknown or not names or len(set(names)) < len(names):
+    if unknown or len(set(names)) < len(names):
         do = "Name each once."
         raise ContractError(expected("indenters", " | ".join(HEIGHTS), unknown or config.indenters, do))
     return names
@@ -168,8 +164,9 @@ def _check(config: RecordPairsConfig) -> tuple[str, ...]:
 @command(RecordPairsConfig)
 def main(config: RecordPairsConfig) -> int:
     """Entry of ``uniforce pairs``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    import datasets
+
+    one_thread()
     datasets.disable_progress_bars()  # LeRobot's own, one per saved chunk, would tear ours apart
     content = record_pairs(config)
     print(f"{sum(content['pairs'].values())} pairs in {content['dataset']} and {content['layout']}")

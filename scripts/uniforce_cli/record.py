@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Level, Sensor
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import (
     Count,
     Dataset,
@@ -70,8 +71,8 @@ class RecordConfig:
     keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
     prompts: Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
     episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
-    operator: Literal["keys", "unattended"] = "keys"  # who begins and judges
-    # unattended: what every episode is called
+    operator: Literal["keys", "unattended"] = "keys"  # keys | unattended: what begins and judges an episode
+    # operator=unattended: what every episode is called
     verdict: Literal["success", "residual", "failed_grasp"] = "success"
     quick_notes: Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
@@ -80,7 +81,7 @@ class RecordConfig:
     keep_raw: bool = True  # robot: raw tactile frames beside the dataset
     window: Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
     reserve_MB: NotNegative = 500.0  # MB that have to stay free on the disk
-    unwell_s: NotNegative = 10.0  # s, how long an unattended session waits for a sensor to become well
+    unwell_s: NotNegative = 10.0  # s, operator=unattended: how long to wait for a sensor to become well
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
 
@@ -108,24 +109,13 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
 
     robot, steering = read_devices(device_flags, config.robot == "franka", config.teleop, config.rig)
     teleop = make_teleoperator(steering)
-    return run_session(
-        _rig(config, robot, teleop),
-        teleop,
-        _operator(config, teleop),
-        StoreSettings(Path(config.root), config.repo_id, config.reserve_MB),
-        SessionSettings(
-            config.episodes,
-            tuple(config.prompts),
-            config.episode_s,
-            config.drive_between,
-            config.unwell_s,
-            config.keep_aborted,
-            config.late_share,
-            {**asdict(config), "devices": list(device_flags)},
-        ),
-        config.seed,
-        sys.stdout,
-    )
+    operator = _operator(config, teleop)
+    store = StoreSettings(Path(config.root), config.repo_id, config.reserve_MB)
+    limits = config.drive_between, config.unwell_s, config.keep_aborted, config.late_share
+    facts = {**asdict(config), "devices": list(device_flags)}
+    settings = SessionSettings(config.episodes, tuple(config.prompts), config.episode_s, *limits, facts)
+    rig = _rig(config, robot, teleop)
+    return run_session(rig, teleop, operator, store, settings, config.seed, sys.stdout)
 
 
 def _record_expert(config: RecordConfig) -> SessionEnd:
@@ -171,6 +161,8 @@ def _check(config: RecordConfig) -> None:
     if config.robot == "franka" and not config.prompts:
         do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'
         raise ContractError(expected("prompts", "an instruction or more", "none", do))
+    if config.resume:  # a damaged dataset is named before anything is logged
+        read_object(Path(config.resume) / "meta" / "info.json", DatasetError)
     config.root = config.resume or config.root
 
 
@@ -189,9 +181,11 @@ IGNORED = {  # by how it records: settings that would change nothing
 
 def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Collection[str]) -> None:
     """Refuse what was set and would change nothing."""
-    mode = "robot=franka" if config.robot == "franka" else "robot=sim, steered by hand"
-    if (config.robot, config.teleop) == ("sim", "expert"):
-        mode = "robot=sim teleop=expert"
+    parts: tuple[str, ...] = ()
+    scripted, mode = (config.robot, config.teleop) == ("sim", "expert"), "robot=franka"
+    if config.robot == "sim":
+        mode = "robot=sim teleop=expert" if scripted else "robot=sim, steered by hand"
+        parts = ("--robot.", "--teleop.") if scripted else ("--robot.",)
     operator = "" if config.teleop == "expert" else f"operator={config.operator}"
     plain = RecordConfig()
     ignored = [
@@ -199,15 +193,10 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Co
         for name in (*IGNORED[mode], *IGNORED.get(operator, ()))
         if name in given or getattr(config, name) != getattr(plain, name)
     ]
-    parts = (
-        () if config.robot == "franka" else ("robot",) if config.teleop != "expert" else ("robot", "teleop")
-    )
-    flags = [
-        flag for flag in device_flags if flag.removeprefix("--").startswith(tuple(f"{p}." for p in parts))
-    ]
-    if ignored or (parts and flags):
-        came, mode = ", ".join([*ignored, *flags]), f"{mode} {operator}".strip()
-        raise ContractError(expected(f"settings with {mode}", "those it uses", came, "Leave them out."))
+    ignored += [flag for flag in device_flags if flag.startswith(parts)]
+    if ignored:
+        settings = f"settings with {mode} {operator}".strip()
+        raise ContractError(expected(settings, "those it uses", ", ".join(ignored), "Leave them out."))
 
 
 @command(RecordConfig, others=("robot.", "teleop."))

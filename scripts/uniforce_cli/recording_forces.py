@@ -1,4 +1,4 @@
-"""What the fingers of a recorded episode felt: newtons frame after frame, and latents for the curious."""
+"""Newtons of a recorded episode's fingers, frame after frame, and how their latents change."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
@@ -57,12 +56,8 @@ class EpisodeForces:
         return found, estimate_events(self.time_s, self.true_force_N, self.tool_z_m, pad_friction)
 
 
-class ForceReader(Protocol):
-    """Newtons of one finger over an episode."""
-
-    def __call__(self, source: Source, episode: Episode, finger: Finger) -> np.ndarray:
-        """Return (n, 3) N in the canonical frame."""
-        ...
+# newtons of one finger over an episode: (n, 3) in the canonical frame
+ForceReader = Callable[[Source, Episode, Finger], np.ndarray]
 
 
 class RecordingForces:
@@ -86,8 +81,8 @@ class RecordingForces:
         self._heights_m = self.source.columns((STATE,))[STATE][:, HEIGHT].astype(np.float64)  # (N,)
         self._true_N = _true_forces(self.source)
 
-    def feel(self, episode: Episode) -> EpisodeForces:
-        """Return what an episode's fingers felt; raise DatasetError where its videos can't be read."""
+    def read(self, episode: Episode) -> EpisodeForces:
+        """Return an episode's forces; raise DatasetError where its videos can't be read."""
         rows = slice(episode.start, episode.start + episode.length)
         return EpisodeForces(
             np.arange(episode.length) / self.source.fps,
@@ -107,8 +102,8 @@ def descriptor_heads(folder: str = "") -> ForceReader:
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
         reference, current = marker_images(source, episode, finger)
-        felt = [descriptors(reference, image[None], finger)[0] for image in current()]
-        return load(worn(source, episode, finger)).read(np.stack(felt))
+        described = [descriptors(reference, image[None], finger)[0] for image in current()]
+        return load(worn(source, episode, finger)).read(np.stack(described))
 
     return read
 
@@ -124,8 +119,8 @@ def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
         reference, current = marker_images(source, episode, finger)
         stream = StreamingEncoder(tokenizer, finger, head)
         stream.set_reference(reference)
-        said = [stream.step(image).force_N for image in current()]
-        return np.stack([force for force in said if force is not None]).astype(np.float64)
+        read_N = [stream.step(image).force_N for image in current()]
+        return np.stack([force for force in read_N if force is not None]).astype(np.float64)
 
     return read
 

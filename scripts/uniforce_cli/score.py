@@ -7,149 +7,199 @@ import json
 import logging
 import re
 import time
-from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict
-from multiprocessing import get_context
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from tqdm import tqdm
-
-from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from lerobot_policy_pi05_uniforce.controller import stored_config
 from uniforce_cli.boundary import command
-from uniforce_cli.score_config import SCRIPTS, ScoreConfig, mounted_sensors
-from uniforce_cli.score_worker import Job, score_job, video_path
+from uniforce_cli.option_types import Level, Sensor
+from uniforce_vtla.arguments import names_in
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.evaluation.arms import (
-    ArmReport,
-    EpisodeRow,
-    read_rows,
-    summarise,
-    table,
-    write_row,
+from uniforce_vtla.options import (
+    Count,
+    CountOrZero,
+    OutFolder,
+    Pattern,
+    Policies,
+    Seed,
+    Seeds,
+    Slots,
+    Workers,
 )
-from uniforce_vtla.evaluation.comparison import paired_clean
-from uniforce_vtla.evaluation.pictures import draw_arms
-from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.results_file import provenance, write_json
 
+if TYPE_CHECKING:
+    from uniforce_cli.score_worker import Job
+    from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
+
+SCRIPTS = ("expert", "blind")  # the scene's own: one regulates by both pads' true wrench, one uses no touch
 ROWS = "episodes.jsonl"
+ArmName = Annotated[str, Pattern("a name", r"[^/\\]{1,100}", "V+T")]
+
+
+@dataclass
+class ScoreConfig:
+    """Roll a checkpoint out and score it from simulator truth.
+
+    Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
+    """
+
+    # checkpoint folder; shipped = the tiny V+T policy in the package; or expert | blind. Several (comma between them,
+    # e.g. two training seeds) take turns, scene by scene
+    policy: Policies = "shipped"
+    arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
+    level: Level = "paper"  # easy | paper (what the shipped policy learnt at) | touch | hard
+    left_sensor: Sensor = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
+    right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
+    swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
+    # masked = touch taken away, shuffled = another scene's touch of the same phase
+    control: Literal["", "masked", "shuffled"] = ""
+    rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
+    first_seed: Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
+    workers: Workers = 2  # processes, one torch thread each
+    videos: CountOrZero = 1  # episodes filmed, the first ones
+    film: Seeds = field(default_factory=list)  # seeds filmed besides; rolled out again where scored unfilmed
+    resume: bool = True  # keep episodes already scored in `out`
+    out: OutFolder = "outputs/score"  # rows, table, picture and videos go here
+
+    def __post_init__(self) -> None:
+        """Name the arm."""
+        self.arm = self.arm or (self.policy if self.policy in SCRIPTS else "V+T")
+
+    @property
+    def policies(self) -> list[str]:
+        """Policies that take turns."""
+        return names_in(self.policy) or [self.policy]
+
+    def policy_of(self, seed: int) -> str:
+        """Return which policy acts in the scene of that seed."""
+        from uniforce_vtla.evaluation.arms import whose_turn
+
+        return whose_turn(seed - self.first_seed, self.policies)
+
+    @property
+    def seeds(self) -> range:
+        """Scenes that are scored."""
+        return range(self.first_seed, self.first_seed + self.rollouts)
+
+    @property
+    def mounted(self) -> dict[Finger, str]:
+        """Finger → sensor of the scene scored; the usual rig where none is named."""
+        return {"left": self.left_sensor or "gelsight", "right": self.right_sensor or "tactip"}
+
+    @property
+    def folder(self) -> Path:
+        """Where this arm's rows, sheets and videos go."""
+        swap = f"_{self.swap.replace(':', '-')}" if self.swap else ""
+        arm = re.sub(r"\W+", "-", self.arm.replace("+", "")).strip("-")
+        control = f"_{self.control}" if self.control else ""
+        return Path(self.out) / f"{arm}_{'+'.join(self.mounted.values())}_{self.level}{swap}{control}"
+
+    def video(self, seed: int) -> Path:
+        """Return where an episode's video lies, once it is filmed."""
+        return self.folder / f"seed_{seed}.mp4"
 
 
 def score(config: ScoreConfig) -> ArmReport:
     """Score ``config.rollouts`` seeds; finished episodes survive a kill and are not repeated."""
-    for policy in {*config.policies} - {"shipped", *SCRIPTS}:
-        stored_config(Path(policy))  # refuses a damaged one before processes start
+    check_policies(config)
     return score_arms([config], config.workers)[0]
+
+
+def check_policies(config: ScoreConfig) -> None:
+    """Refuse a damaged checkpoint and a slot it lacks, before processes start."""
+    from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
+
+    for policy in {*config.policies} - {*SCRIPTS}:
+        settings = stored_config(shipped_checkpoint() if policy == "shipped" else Path(policy))
+        settings.swap = config.swap or settings.swap
+        settings.finger_by_slot()
+
+
+def check_film(film: Sequence[int], seeds: range) -> None:
+    """Refuse to film what isn't scored."""
+    unscored = sorted(set(film) - set(seeds))
+    if unscored:
+        do = "Film what is scored: set first_seed and rollouts."
+        raise ContractError(expected("film", f"seeds {seeds[0]}…{seeds[-1]}", unscored, do))
 
 
 def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     """Score several arms in turns, seed by seed, so that a killed run has paired seeds of all of them.
 
-    Each episode is forced to disk when it ends; the next call goes on with what is missing.
+    Each episode is forced to disk when it ends; the next call goes on with what is missing. Rollouts run on joblib's
+    active backend, its own processes unless ``joblib.parallel_config`` names another.
     """
+    from joblib import Parallel, delayed
+    from tqdm import tqdm
+
+    from uniforce_cli.score_worker import score_job
+    from uniforce_vtla.evaluation.arms import summarise, write_row
+
+    for config in configs:
+        check_film(config.film, config.seeds)
     done = [_start(config) for config in configs]
     jobs = _missing(configs, done)
     label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"
-    for index, row in tqdm(_episodes(jobs, workers), total=len(jobs), desc=label, unit="episode"):
-        write_row(_folder(configs[index]) / ROWS, row)
+    pool = Parallel(max(1, min(workers, len(jobs))), return_as="generator_unordered", batch_size=1)
+    episodes = pool(delayed(score_job)(job) for job in jobs)
+    for index, row in tqdm(episodes, total=len(jobs), desc=label, unit="episode", disable=None):
+        write_row(configs[index].folder / ROWS, row)
         done[index][row.seed] = row
     return [
-        summarise(config.arm, [rows[seed] for seed in _seeds(config)])
+        summarise(config.arm, [rows[seed] for seed in config.seeds])
         for config, rows in zip(configs, done, strict=True)
     ]
 
 
 def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
     """Write the arm's settings and return the episodes it has already."""
-    folder = _folder(config)
-    write_json(folder / "config.json", asdict(config) | {"provenance": provenance()})
+    from uniforce_vtla.evaluation.arms import read_rows
+
+    write_json(config.folder / "config.json", asdict(config) | {"provenance": provenance()})
     if not config.resume:
-        (folder / ROWS).unlink(missing_ok=True)
-    return read_rows(folder / ROWS)
-
-
-def _seeds(config: ScoreConfig) -> range:
-    return range(config.first_seed, config.first_seed + config.rollouts)
-
-
-def _to_film(config: ScoreConfig) -> set[int]:
-    """Return the seeds asked for by number whose video isn't there."""
-    strangers = sorted(set(config.film) - set(_seeds(config)))
-    if strangers:
-        seeds = _seeds(config)
-        do = "Film what is scored: set first_seed and rollouts."
-        raise ContractError(expected("film", f"seeds {seeds[0]}…{seeds[-1]}", strangers, do))
-    return {seed for seed in config.film if not video_path(_folder(config), seed).exists()}
+        (config.folder / ROWS).unlink(missing_ok=True)
+    return read_rows(config.folder / ROWS)
 
 
 def _missing(configs: Sequence[ScoreConfig], done: Sequence[dict[int, EpisodeRow]]) -> list[Job]:
     """Return what is left to do, all arms' first seeds first."""
-    to_film = [_to_film(config) for config in configs]
+    from uniforce_cli.score_worker import Job
+
     jobs = [
         (seed, index)
         for index, (config, rows) in enumerate(zip(configs, done, strict=True))
-        for seed in _seeds(config)
-        if seed not in rows or seed in to_film[index]
+        for seed in config.seeds
+        if seed not in rows or (seed in config.film and not config.video(seed).exists())
     ]
-    return [Job(index, configs[index], _folder(configs[index]), seed) for seed, index in sorted(jobs)]
+    return [Job(index, configs[index], seed) for seed, index in sorted(jobs)]
 
 
-def _episodes(jobs: list[Job], workers: int) -> Iterable[tuple[int, EpisodeRow]]:
-    workers = max(1, min(workers, len(jobs)))
-    if workers == 1:
-        yield from map(score_job, jobs)
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        pending = [pool.submit(score_job, job) for job in jobs]
-        try:
-            for finished in as_completed(pending):
-                yield finished.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+def write_report(config: ScoreConfig) -> list[ArmReport]:
+    """Write ``wiping.json`` and ``wiping.png`` over all arms scored into ``config.out`` at its level; return them.
 
+    For every two arms: the exact McNemar test of clean success on the seeds they share.
+    """
+    from lerobot_env_uniforce_wiping import LEVELS, level_hash
+    from uniforce_vtla.evaluation.arms import read_rows, summarise
+    from uniforce_vtla.evaluation.comparison import paired_clean
+    from uniforce_vtla.evaluation.pictures import draw_arms
+    from uniforce_vtla.evaluation.statistics import mcnemar
 
-def _rig(config: ScoreConfig) -> str:
-    return "+".join(mounted_sensors(config.left_sensor, config.right_sensor).values())
-
-
-def _folder(config: ScoreConfig) -> Path:
-    swap = f"_{config.swap.replace(':', '-')}" if config.swap else ""
-    arm = re.sub(r"\W+", "-", config.arm.replace("+", "")).strip("-")
-    control = f"_{config.control}" if config.control else ""
-    return Path(config.out) / f"{arm}_{_rig(config)}_{config.level}{swap}{control}"
-
-
-def scored_arms(out: Path, level: str) -> list[ArmReport]:
-    """Return every arm scored so far into ``out`` at ``level``, in the order of their folders."""
-    reports = []
+    out, reports, tests = Path(config.out), [], []
     for file in sorted(out.glob("*/config.json")):
-        settings = json.loads(file.read_text())
-        rows = read_rows(file.parent / ROWS)
-        if settings["level"] == level and rows:
+        settings, rows = json.loads(file.read_text()), read_rows(file.parent / ROWS)
+        if settings["level"] == config.level and rows:
             reports.append(summarise(settings["arm"], [rows[seed] for seed in sorted(rows)]))
-    return reports
-
-
-def paired_tests(reports: Sequence[ArmReport]) -> list[dict[str, Any]]:
-    """Return the exact McNemar test of clean success for every two arms, on the seeds they share."""
-    tests = []
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first, second)
         if one:
             tests.append({"arms": [first.arm, second.arm], "n": len(one), **asdict(mcnemar(one, two))})
-    return tests
-
-
-def write_report(config: ScoreConfig) -> list[ArmReport]:
-    """Write ``wiping.json`` and ``wiping.png`` over all arms scored into ``config.out``; return them."""
-    out = Path(config.out)
-    reports = scored_arms(out, config.level)
-    arms = {report.arm: report.as_dict() for report in reports}
-    content = {"level": config.level, "level_hash": level_hash(LEVELS[config.level]), "arms": arms}
-    write_json(out / "wiping.json", content | {"tests": paired_tests(reports)} | provenance())
+    content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
+    content |= {"arms": {report.arm: report.as_dict() for report in reports}, "tests": tests}
+    write_json(out / "wiping.json", content | provenance())
     draw_arms(reports, out / "wiping.png", title=f"wiping, level {config.level}, simulated")
     return reports
 
@@ -157,6 +207,8 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
 @command(ScoreConfig)
 def main(config: ScoreConfig) -> int:
     """Entry of ``uniforce score``."""
+    from uniforce_vtla.evaluation.arms import table
+
     logging.basicConfig(level=logging.WARNING)
     start = time.perf_counter()
     score(config)

@@ -1,4 +1,8 @@
-"""One process of the scorer: builds each arm's environment and controller once, then scores seeds."""
+"""One process of the scorer: builds each arm's environment and controller once, then scores seeds.
+
+Two controls ask whether the policy uses touch: masked touch carries nothing, shuffled touch is plausible for the task's
+phase but of another scene.
+"""
 
 from __future__ import annotations
 
@@ -12,20 +16,28 @@ import cv2
 import numpy as np
 import torch
 from lerobot.utils.io_utils import write_video
+from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.blind import BlindScript
-from lerobot_env_uniforce_wiping.episodes import Script
+from lerobot_env_uniforce_wiping.episodes import Script, walk
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
-from uniforce_cli.score_config import ScoreConfig, mounted_sensors
-from uniforce_cli.score_controls import controlled
+from uniforce_cli.boundary import one_thread
+from uniforce_cli.score import ScoreConfig
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
+from uniforce_vtla.keys import TACTILE_NAMES
 from uniforce_vtla.results_file import write_json
 
 SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert, "blind": BlindScript}
+
+DONOR_SEED = 50_000  # scenes that are neither trained on nor scored
+DONORS = 6  # expert episodes that lend their touch
+EVERY = 5  # steps between two frames kept of a donor
+
+Donated = dict[str, np.ndarray]  # stream → (H, W) bool, packed along the last axis
 
 
 class ScriptController:
@@ -51,82 +63,115 @@ class ScriptController:
 
 @dataclass(frozen=True)
 class Job:
-    """One episode of one arm; ``index`` tells whose answer it is."""
+    """One episode of one arm; ``index`` is the arm's number."""
 
     index: int
     config: ScoreConfig
-    folder: Path
     seed: int
 
 
 def score_job(job: Job) -> tuple[int, EpisodeRow]:
     """Roll one episode out and return its row."""
-    torch.set_num_threads(1)  # processes share the cores; more threads each only fight
-    cv2.setNumThreads(1)
+    one_thread()  # processes share the cores
     config, seed = job.config, job.seed
-    env, controller = _build(_Setup.of(config, seed), job.folder)
+    rig = config.left_sensor, config.right_sensor, config.swap
+    env, controller = _build(config.policy_of(seed), config.level, *rig, config.control, config.folder)
     film = seed < config.first_seed + config.videos or seed in config.film
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
     rollout = roll_out(env, controller, seed, keep_frames=film)
     if film:
-        _keep(rollout, job.folder, config.arm)
+        _keep(rollout, config)
     return job.index, row_of(rollout)
 
 
-@dataclass(frozen=True)
-class _Setup:
-    """What decides environment and controller."""
-
-    policy: str
-    level: str
-    left: str
-    right: str
-    swap: str
-    control: str
-
-    @classmethod
-    def of(cls, config: ScoreConfig, seed: int) -> _Setup:
-        sensors = config.left_sensor, config.right_sensor
-        return cls(config.policy_of(seed), config.level, *sensors, config.swap, config.control)
-
-
 @functools.lru_cache(maxsize=64)  # arms take turns, and training seeds within them
-def _build(setup: _Setup, out: Path) -> tuple[WipeEnv, Controller]:
+def _build(
+    policy: str, level: str, left: str, right: str, swap: str, control: str, out: Path
+) -> tuple[WipeEnv, Controller]:
     """Build both once per process and store which sensors they run on."""
-    env, controller = _make(setup)
+    controller: Controller
+    if policy in SCRIPTS:
+        if control:
+            do = "Controls are for policies."
+            raise ContractError(expected(f"control of the {policy}", "none", control, do))
+        mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
+        env = WipeEnv(level, mounted["left"], mounted["right"])
+        controller = ScriptController(SCRIPTS[policy]())
+    else:
+        env, plain = policy_on_rig(policy, level, left, right, swap)
+        controller = controlled(plain, control, env)
     write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     return env, controller
 
 
-def _make(setup: _Setup) -> tuple[WipeEnv, Controller]:
-    if setup.policy in SCRIPTS:
-        if setup.control:
-            do = "Controls are for policies."
-            raise ContractError(expected(f"control of the {setup.policy}", "none", setup.control, do))
-        mounted = mounted_sensors(setup.left, setup.right)
-        env = WipeEnv(setup.level, mounted["left"], mounted["right"])
-        return env, ScriptController(SCRIPTS[setup.policy]())
-    env, controller = policy_on_rig(setup.policy, setup.level, setup.left, setup.right, setup.swap)
-    return env, controlled(controller, setup.control, env)
+def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Controller:
+    """Return the controller under a control, ``masked`` or ``shuffled``; "" leaves it as it is.
+
+    Raises:
+        ContractError: an unknown control.
+    """
+    if control == "shuffled":
+        return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors))
+    if control not in ("", "masked"):
+        raise ContractError(expected("control", "masked | shuffled", repr(control), "Name one."))
+    controller.policy.touch.masked |= control == "masked"
+    return controller
+
+
+def donated_touch(level: str, sensors: dict[str, str], donors: int = DONORS) -> dict[int, list[Donated]]:
+    """Return marker images of expert episodes on other scenes, by phase of the task."""
+    env, expert = WipeEnv(level, sensors["left"], sensors["right"]), WipeExpert()
+    bank: dict[int, list[Donated]] = {}
+    for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch", disable=None):
+        for step, _ in enumerate(walk(env, expert, seed), start=1):
+            if step % EVERY == 0 or env.phase not in bank:
+                pixels = env.observe()["pixels"]
+                packed = {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in TACTILE_NAMES}
+                bank.setdefault(env.phase, []).append(packed)
+    return bank
+
+
+class ShuffledTouch:
+    """A controller that gets, at every look, the touch of a random moment of another scene in the same phase."""
+
+    def __init__(self, inner: Controller, bank: dict[int, list[Donated]]) -> None:
+        self._inner, self._bank = inner, bank
+        self._env: Any = None
+
+    def reset(self, env: Any) -> None:
+        """Start an episode; the scene's seed decides which touch it gets."""
+        self._env = env
+        self._rng = np.random.default_rng([env.scene.seed, 31])
+        self._inner.reset(env)
+
+    def facts(self) -> dict[str, float]:
+        """Return the inner controller's facts."""
+        return self._inner.facts()
+
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        """Return the inner controller's chunk for this observation with touch exchanged."""
+        bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]
+        donated = bank[int(self._rng.integers(len(bank)))]
+        grey = {name: np.unpackbits(image, axis=-1) * np.uint8(255) for name, image in donated.items()}
+        exchanged = {
+            name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()
+        }  # (H, W, 3)
+        return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
 
 
 def policy_on_rig(
     policy: str, level: str, left: str, right: str, swap: str
 ) -> tuple[WipeEnv, PolicyController]:
     """Return a scene and the checkpoint that acts in it; "shipped" is the package's own, "" the usual sensor."""
-    mounted = mounted_sensors(left, right)
+    mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
     truth = controller.needs_true_wrench
     return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=truth), controller
 
 
-def _keep(rollout: Rollout, out: Path, arm: str) -> None:
+def _keep(rollout: Rollout, config: ScoreConfig) -> None:
     frames = [cv2.resize(f, None, fx=2, fy=2) for f in rollout.frames]
-    write_trace_sheet(out / f"seed_{rollout.seed}.png", rollout, title=f"{arm}, seed {rollout.seed}")
-    write_video(video_path(out, rollout.seed), frames, fps=5)
-
-
-def video_path(out: Path, seed: int) -> Path:
-    """Return where an episode's video lies, once it is filmed."""
-    return out / f"seed_{seed}.mp4"
+    sheet = config.folder / f"seed_{rollout.seed}.png"
+    write_trace_sheet(sheet, rollout, title=f"{config.arm}, seed {rollout.seed}")
+    write_video(config.video(rollout.seed), frames, fps=5)

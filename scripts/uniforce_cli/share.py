@@ -1,30 +1,25 @@
-"""Put everything a stranger needs of a policy into one folder, and on request onto the hub."""
+"""Put everything another person needs of a policy into one folder, and on request onto the hub."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import torch
-from huggingface_hub import HfApi
-from lerobot.configs import PreTrainedConfig
-from lerobot.policies.factory import make_pre_post_processors
-
-from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
-from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
-from uniforce_cli.boundary import command
-from uniforce_datasets.lossless import open_dataset
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.evaluation.arms import scores_of
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import Dataset, Existing, FilePath, HubName, OutFolder, Text
 from uniforce_vtla.results_file import write_json
 
+if TYPE_CHECKING:
+    from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
 TOKENIZER = "model.tactile_encoder."
+CARD = "README.md"
 UPLOADED = ["*.safetensors", "*.json", CARD]
 
 
@@ -47,9 +42,8 @@ class ShareConfig:
     scored_as: Text = ""
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
-    dataset: Dataset = (
-        ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
-    )
+    # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    dataset: Dataset = ""
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 
@@ -60,15 +54,22 @@ def share(config: ShareConfig) -> Path:
         CheckpointError: files that are missing, damaged or don't fit.
         ContractError: scores that aren't.
     """
+    from lerobot.policies.factory import make_pre_post_processors
+
+    from lerobot_policy_pi05_uniforce.model_card import model_card
+
     source, out = Path(config.checkpoint), Path(config.out)
+    scores = _scores(config)
     policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
-    _forget_this_machine(policy.config)
+    policy.config.touch.tokenizer_path = policy.config.pretrained_path = None  # paths of this machine
+    if policy.config.text_tokenizer_name and Path(policy.config.text_tokenizer_name).exists():
+        policy.config.text_tokenizer_name = None
     policy.config.repo_id = config.push or policy.config.repo_id
-    training, scores = _read(source / TRAIN_CONFIG), _scores(config.scores, config.scored_as)
-    card = model_card(policy.config, training, scores)
-    if config.half:
-        _halve(policy)
+    card = model_card(policy.config, _read(source / TRAIN_CONFIG), scores)
+    if config.half:  # the frozen tokenizer's weights stay, since its hash is of every bit
+        for name, weight in policy.named_parameters():
+            weight.data = weight.data if name.startswith(TOKENIZER) else weight.data.half()
     for part in (policy, *processors):
         part.save_pretrained(out)
     card.save(out / CARD)
@@ -80,6 +81,9 @@ def share(config: ShareConfig) -> Path:
 
 def _load(source: Path) -> PI05UniforcePolicy:
     """Return the policy, LoRA merged into its weights, without what only training needs."""
+    from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+
+    read_object(source / "config.json", CheckpointError)  # a damaged one is named before anything is logged
     adapter = _read(source / ADAPTER)
     if adapter is None:
         policy = PI05UniforcePolicy.from_pretrained(source)
@@ -89,19 +93,14 @@ def _load(source: Path) -> PI05UniforcePolicy:
     return policy
 
 
-def _halve(policy: PI05UniforcePolicy) -> None:
-    """Round trained weights to float16; the frozen tokenizer's stay, since its hash is of every bit."""
-    for name, weight in policy.named_parameters():
-        if not name.startswith(TOKENIZER):
-            weight.data = weight.data.half()
-
-
 def _merged(source: Path, base: str) -> PI05UniforcePolicy:
     if find_spec("peft") is None:
-        raise CheckpointError(
-            expected(str(source), "the package peft", "none", "pip install 'lerobot[peft]'")
-        )
-    from peft import PeftModel  # an extra: only who trains adapters has it
+        do = "pip install 'lerobot[peft]'"
+        raise CheckpointError(expected(str(source), "the package peft", "none", do))
+    from lerobot.configs import PreTrainedConfig
+    from peft import PeftModel  # an extra, for those who train adapters
+
+    from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
 
     weights.check_files(source, "full", None, local_files_only=True)
     policy = PeftModel.from_pretrained(PI05UniforcePolicy.from_pretrained(base), source).merge_and_unload()
@@ -112,6 +111,8 @@ def _merged(source: Path, base: str) -> PI05UniforcePolicy:
 
 def push(folder: Path, config: ShareConfig) -> str:
     """Upload the folder in one commit; return the repository's address."""
+    from huggingface_hub import HfApi
+
     api = HfApi()
     repository = api.create_repo(repo_id=config.push, private=config.private, exist_ok=True)
     api.upload_folder(repo_id=repository.repo_id, folder_path=folder, allow_patterns=UPLOADED)
@@ -124,6 +125,8 @@ def share_dataset(config: ShareConfig) -> str:
     Raises:
         DatasetError: it isn't what was saved; nothing is pushed.
     """
+    from uniforce_datasets.lossless import open_dataset
+
     dataset = open_dataset(config.dataset, config.push or "local/dataset", verify="full")
     if not config.push:
         return f"{config.dataset} is whole: {dataset.num_episodes} episodes; push=name/dataset uploads it"
@@ -131,18 +134,11 @@ def share_dataset(config: ShareConfig) -> str:
     return f"pushed {dataset.num_episodes} episodes to {config.push}"
 
 
-def _forget_this_machine(config: Any) -> None:
-    """Drop paths nobody else has: both tokenizers are in the folder."""
-    config.touch.tokenizer_path = config.pretrained_path = None
-    if config.text_tokenizer_name and Path(config.text_tokenizer_name).exists():
-        config.text_tokenizer_name = None
+def _scores(config: ShareConfig) -> dict[str, Any] | None:
+    from uniforce_vtla.evaluation.arms import scores_of
 
-
-def _scores(path: str, scored_as: str) -> dict[str, Any] | None:
-    found = _read(Path(path)) if path else None
-    if path and found is None:
-        raise CheckpointError(expected("scores", "a JSON file", path, "Run uniforce score first."))
-    return scores_of(found, scored_as) if found and scored_as else found
+    found = _read(Path(config.scores)) if config.scores else None
+    return scores_of(found, config.scored_as) if found and config.scored_as else found
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -152,7 +148,8 @@ def _read(path: Path) -> dict[str, Any] | None:
 @command(ShareConfig)
 def main(config: ShareConfig) -> int:
     """Entry of ``uniforce share``."""
-    torch.set_num_threads(1)
+    one_thread()
+    _scores(config)  # a damaged file is named first
     if bool(config.dataset) == bool(config.checkpoint):
         came = "both" if config.dataset else "neither"
         raise ContractError(expected("share", "checkpoint=… or dataset=…", came, "Name one."))

@@ -4,32 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import cv2
-import torch
-from tqdm import tqdm
-
-from uniforce_cli.boundary import command
-from uniforce_cli.dataset_rerun import write_recording
-from uniforce_cli.dataset_sheet import write_sheet
-from uniforce_cli.dataset_story import tell
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Verify
-from uniforce_cli.recording_forces import ForceReader, RecordingForces, descriptor_heads, force_head, worn
 from uniforce_cli.rerun_viewer import import_rerun, open_viewer
-from uniforce_datasets.source import Episode, Source
 from uniforce_vtla.arguments import names_in, numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
 from uniforce_vtla.options import Dataset, Existing, FolderPath, Numbers, OutFolder, Pattern, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import list_sensors
-from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
-WITHOUT_RERUN = "form=sheet"
-
+if TYPE_CHECKING:
+    from uniforce_cli.recording_forces import ForceReader
+    from uniforce_datasets.source import Episode, Source
+    from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
+    from uniforce_vtla.tokenizer import Tokenizer
 
 Episodes = Annotated[str, Pattern("all, or numbers", r"all|\d{1,9}(\s*,\s*\d{1,9})*", "0,3")]
 Head = Annotated[str, Existing("a force head's folder", "config.json", words=list_sensors())]
@@ -37,7 +29,7 @@ Head = Annotated[str, Existing("a force head's folder", "config.json", words=lis
 
 @dataclass
 class ShowDatasetConfig:
-    """Show what recorded episodes saw and felt: cameras, markers, latents, forces and events on one time line.
+    """Show what recorded episodes saw and measured: cameras, markers, latents, forces and events on one time line.
 
     Example: uniforce show root=outputs/demos episode=0,3 out=outputs/show form=sheet
     """
@@ -51,9 +43,8 @@ class ShowDatasetConfig:
     pad_friction: Numbers = ""
     # newtons from the latents: a shipped force head or a folder; empty = descriptor heads, as for scores
     head: Head = ""
-    heads: FolderPath = (
-        ""  # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
-    )
+    # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
+    heads: FolderPath = ""
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
 
@@ -66,26 +57,36 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
         DatasetError: a dataset that can't be read, lacks a finger, or is truncated.
         CheckpointError: a tokenizer or head that can't be loaded.
     """
-    rerun = import_rerun("form=rerun", WITHOUT_RERUN) if config.form == "rerun" else None
+    from tqdm import tqdm
+
+    from uniforce_cli.dataset_rerun import write_recording
+    from uniforce_cli.dataset_sheet import write_sheet
+    from uniforce_cli.recorded_episode import summarise_episode
+    from uniforce_cli.recording_forces import RecordingForces
+    from uniforce_vtla.tokenizer import Tokenizer
+
+    rerun = import_rerun("form=rerun", "form=sheet") if config.form == "rerun" else None
     friction = _friction(config.pad_friction)
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     recording = RecordingForces(config.root, _forces(config, tokenizer), config.verify)
-    written = []
+    written, out = [], Path(config.out)
     for episode in tqdm(_chosen(recording.source, config.episode), desc="episodes", unit="episode"):
         title, stem = f"{Path(config.root).name}, episode {episode.index}", f"episode_{episode.index}"
-        story = tell(recording, tokenizer, episode, friction, title)
+        summary = summarise_episode(recording, tokenizer, episode, friction, title)
         facts = _facts(recording.source, episode, config)
         if rerun is None:
-            written.append(write_sheet(story, facts, Path(config.out), stem))
+            written.append(write_sheet(summary, facts, out, stem))
         else:
-            path = Path(config.out) / f"{stem}.rrd"
-            written.append(write_recording(rerun, story, recording.source, episode, path))
-        content = _numbers(story, facts) | {"tokenizer_hash": tokenizer.hash}
-        write_json(Path(config.out) / f"{stem}.json", content | provenance())
+            written.append(write_recording(rerun, summary, recording.source, episode, out / f"{stem}.rrd"))
+        content = _numbers(summary, facts) | {"tokenizer_hash": tokenizer.hash}
+        write_json(out / f"{stem}.json", content | provenance())
     return written
 
 
 def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
+    from uniforce_cli.recording_forces import descriptor_heads, force_head
+    from uniforce_vtla.tokenizer import ForceHead
+
     if not config.head:
         return descriptor_heads(config.heads)
     folder = Path(config.head)
@@ -113,31 +114,33 @@ def _chosen(source: Source, text: str) -> list[Episode]:
 
 def _facts(source: Source, episode: Episode, config: ShowDatasetConfig) -> dict[str, str]:
     """Return the lines at the top of a page."""
+    from uniforce_cli.recording_forces import worn
+
     facts = {"task": episode.task, "length": f"{episode.length} frames at {source.fps} Hz"}
     facts |= {f"{f} sensor": worn(source, episode, f) for f in FINGERS if sensor_key(f) in source.features}
     if {OUTCOME, SEED} <= source.features.keys():
         columns = source.columns((OUTCOME, SEED))
         outcome, seed = (int(columns[key][episode.start]) for key in (OUTCOME, SEED))
-        said = OUTCOME_NAMES[outcome] if 0 <= outcome < len(OUTCOME_NAMES) else f"unknown ({outcome})"
-        facts |= {"recorded outcome": said.replace("_", " "), "seed": str(seed)}
+        name = OUTCOME_NAMES[outcome] if 0 <= outcome < len(OUTCOME_NAMES) else f"unknown ({outcome})"
+        facts |= {"recorded outcome": name.replace("_", " "), "seed": str(seed)}
     read_by = f"force head {config.head}, from latents" if config.head else "heads, from hand descriptors"
     return facts | {"forces read by": read_by}
 
 
-def _numbers(story: EpisodeSummary, facts: dict[str, str]) -> dict[str, object]:
+def _numbers(summary: EpisodeSummary, facts: dict[str, str]) -> dict[str, object]:
     """Return what the pictures show, as numbers."""
     content: dict[str, object] = {
         "what": "estimates from marker images and the robot's own height",
         "facts": facts,
-        "verdict": story.verdict,
-        "verdict_from_true_forces": story.true_verdict,
-        "moments": {k.name: round(float(story.time_s[k.frame]), 3) for k in story.key_frames},
-        "strongest_N": dict(zip(FINGERS, abs(story.force_N).max(axis=0).tolist(), strict=True)),
+        "verdict": summary.verdict,
+        "verdict_from_true_forces": summary.true_verdict,
+        "moments": {k.name: round(float(summary.time_s[k.frame]), 3) for k in summary.key_frames},
+        "strongest_N": dict(zip(FINGERS, abs(summary.force_N).max(axis=0).tolist(), strict=True)),
     }
-    if story.found is not None:
-        content["press_max_N"] = float(story.found.press_N.max())
-    if story.true_force_N is not None:
-        error = abs(story.force_N - story.true_force_N).mean(axis=0)
+    if summary.found is not None:
+        content["press_max_N"] = float(summary.found.press_N.max())
+    if summary.true_force_N is not None:
+        error = abs(summary.force_N - summary.true_force_N).mean(axis=0)
         content["force_mae_N"] = dict(zip(FINGERS, error.tolist(), strict=True))
     return content
 
@@ -145,8 +148,7 @@ def _numbers(story: EpisodeSummary, facts: dict[str, str]) -> dict[str, object]:
 @command(ShowDatasetConfig)
 def main(config: ShowDatasetConfig) -> int:
     """Entry of ``uniforce show``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     written = show_dataset(config)
     print("\n".join(f"written to {path}" for path in written))
     if config.form == "rerun" and config.spawn:

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
 
+from uniforce_cli.touch import QUARTERS
 from uniforce_robots.sensors.finger import TactileFinger
 from uniforce_robots.sensors.orientation import TURNS
 from uniforce_vtla.errors import ContractError, expected
 
-QUARTERS = {
-    "top-left": (-1, 1),
-    "top-right": (1, 1),
-    "bottom-left": (-1, -1),
-    "bottom-right": (1, -1),
-}  # x, y up
 WAIT_MS = 1000.0
 PRESSED_COUNTS = 400.0  # summed over a quarter's taxels; a light touch gives 300 on one
 PRESSED_SHARE = 0.01  # of a quarter's pixels that changed
@@ -26,29 +20,12 @@ RELEASED = 0.5  # of those: the finger is off again
 POLL_S = 0.004
 
 
-@dataclass(frozen=True)
-class RateReport:
-    """What a rate check measured; ages at random moments, beside those of an idle loop's wake-ups."""
+def check_rate(finger: TactileFinger, seconds: float) -> int:
+    """Print rate, losses, and ages at random moments beside an idle loop's lateness; 1 if anything was lost or bad.
 
-    rate_hz: float
-    age_p50_ms: float
-    age_p99_ms: float
-    samples: int
-    lost: int
-    bad: int
-    idle_p50_ms: float
-    idle_p99_ms: float
-
-    def __str__(self) -> str:
-        return (
-            f"rate {self.rate_hz:.1f} Hz over {self.samples} samples, lost {self.lost}, bad {self.bad}\n"
-            f"age p50 {self.age_p50_ms:.2f} ms, p99 {self.age_p99_ms:.2f} ms "
-            f"(an idle loop here wakes late by p50 {self.idle_p50_ms:.2f}, p99 {self.idle_p99_ms:.2f} ms)"
-        )
-
-
-def measure_rate(finger: TactileFinger, seconds: float) -> RateReport:
-    """Return rate, ages and losses over ``seconds``; raises SensorError where the sensor dies meanwhile."""
+    Raises:
+        SensorError: the sensor died meanwhile.
+    """
     before, first = finger.counts, finger.latest(WAIT_MS).index
     rng, start_s = np.random.default_rng(0), time.monotonic()
     ages_ms, late_ms = [], []
@@ -59,53 +36,44 @@ def measure_rate(finger: TactileFinger, seconds: float) -> RateReport:
         late_ms.append(1e3 * (time.perf_counter() - asleep_s - pause_s))
         ages_ms.append(finger.latest(WAIT_MS).age_ms)
     spent_s, after = time.monotonic() - start_s, finger.counts
-    age_ms, idle_ms = (np.percentile(values, [50, 99]).tolist() for values in (ages_ms, late_ms))
+    (age_p50, age_p99), (idle_p50, idle_p99) = (np.percentile(ms, [50, 99]) for ms in (ages_ms, late_ms))
     samples = finger.latest(WAIT_MS).index - first
-    return RateReport(
-        rate_hz=samples / spent_s,
-        age_p50_ms=age_ms[0],
-        age_p99_ms=age_ms[1],
-        samples=samples,
-        lost=after.lost - before.lost,
-        bad=after.bad - before.bad,
-        idle_p50_ms=idle_ms[0],
-        idle_p99_ms=idle_ms[1],
+    lost, bad = after.lost - before.lost, after.bad - before.bad
+    print(
+        f"{finger.config.label}\nrate {samples / spent_s:.1f} Hz over {samples} samples, lost {lost}, bad {bad}"
     )
-
-
-def check_rate(finger: TactileFinger, seconds: float) -> int:
-    """Print what was measured; return 1 if anything was lost or unreadable."""
-    report = measure_rate(finger, seconds)
-    print(f"{finger.config.label}\n{report}")
+    print(
+        f"age p50 {age_p50:.2f} ms, p99 {age_p99:.2f} ms "
+        f"(an idle loop here wakes late by p50 {idle_p50:.2f}, p99 {idle_p99:.2f} ms)"
+    )
     settings = finger.settings_read_back
     if settings:
         print("settings, read back: " + ", ".join(f"{name} {value:g}" for name, value in settings.items()))
-    return int(report.lost + report.bad > 0)
+    return int(lost + bad > 0)
 
 
-def check_orientation(finger: TactileFinger, told: Sequence[str], seconds: float) -> int:
-    """Have each quarter in ``told`` pressed, within ``seconds`` each; say which one moved. 0 if all agree.
+def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: float) -> int:
+    """Have each quarter in ``asked`` pressed, within ``seconds`` each; print which one moved. 0 if all agree.
 
     Raises:
         ContractError: a quarter with another name.
         SensorError: the sensor died.
     """
-    unknown = sorted(set(told) - set(QUARTERS))
+    unknown = sorted(set(asked) - set(QUARTERS))
     if unknown:
         raise ContractError(expected("quarters", " | ".join(QUARTERS), unknown, "Name them as listed."))
-    print("Look at the pad with the fingertip up, and press where told, alone and gently.")
+    print("Look at the pad with the fingertip up, and press where asked, alone and gently.")
     seen: dict[str, str] = {}
-    for quarter in told:
+    for quarter in asked:
         print(f"press the {quarter} of the pad …", flush=True)
         pressed = wait_for_press(finger, seconds)
         if pressed is None:
-            print(f"  nothing felt within {seconds:g} s")
+            print(f"  nothing measured within {seconds:g} s")
             return 1
         seen[quarter] = pressed
-        print(
-            f"  felt at the {pressed}{_strongest_taxel(finger)}: {'as told' if pressed == quarter else 'NOT as told'}"
-        )
-        _wait_for_release(finger, seconds)
+        verdict = "as asked" if pressed == quarter else "NOT as asked"
+        print(f"  measured at the {pressed}{_strongest_taxel(finger)}: {verdict}")
+        _next_response(finger, seconds, lambda response: response.max() < RELEASED)
     if all(quarter == moved for quarter, moved in seen.items()):
         print("orientation agrees")
         return 0
@@ -115,12 +83,20 @@ def check_orientation(finger: TactileFinger, told: Sequence[str], seconds: float
 
 def wait_for_press(finger: TactileFinger, seconds: float) -> str | None:
     """Return the quarter that moved most once one is pressed; None if none was within ``seconds``."""
+    response = _next_response(finger, seconds, lambda response: response.max() >= 1)
+    return None if response is None else list(QUARTERS)[int(response.argmax())]
+
+
+def _next_response(
+    finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]
+) -> np.ndarray | None:
+    """Return the first (4,) response of the quarters that is ``wanted``; None where none came in time."""
     index, end_s = -1, time.monotonic() + seconds
     while time.monotonic() < end_s:
         touch = finger.next_touch(index, WAIT_MS)
         index, response = touch.index, quarter_response(finger, touch.raw)
-        if response.max() >= 1:
-            return list(QUARTERS)[int(response.argmax())]
+        if wanted(response):
+            return response
     return None
 
 
@@ -140,15 +116,15 @@ def quarter_response(finger: TactileFinger, raw: np.ndarray) -> np.ndarray:
 
 
 def advice(seen: dict[str, str], rotation_deg: int, flip: bool) -> str:
-    """Return what to set, given told → felt quarters seen under the present orientation."""
+    """Return what to set, given asked → measured quarters under the present orientation."""
     fits = [
         (turn, mirror)
         for mirror in (False, True)
         for turn in TURNS
-        if all(_moved(QUARTERS[felt], turn, mirror) == QUARTERS[told] for told, felt in seen.items())
+        if all(_moved(QUARTERS[found], turn, mirror) == QUARTERS[asked] for asked, found in seen.items())
     ]
     if rotation_deg or flip:
-        return "orientation does not agree: run this check again with rotation_deg=0 flip=false to be told what to set"
+        return "orientation does not agree: run this check again with rotation_deg=0 flip=false to learn what to set"
     if len(fits) != 1:
         came = "no turn explains this" if not fits else "several turns explain this: press all four quarters"
         return f"orientation does not agree, and {came}"
@@ -170,12 +146,3 @@ def _strongest_taxel(finger: TactileFinger) -> str:
         return ""
     rise = (raw.astype(np.int64) - finger.reference_raw)[:, 2]
     return f", most at taxel {int(rise.argmax()) + 1} ({int(rise.max()):+d} counts)"
-
-
-def _wait_for_release(finger: TactileFinger, seconds: float) -> None:
-    index, end_s = -1, time.monotonic() + seconds
-    while time.monotonic() < end_s:
-        touch = finger.next_touch(index, WAIT_MS)
-        index = touch.index
-        if quarter_response(finger, touch.raw).max() < RELEASED:
-            return

@@ -7,10 +7,6 @@ from pathlib import Path
 
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Verify
-from uniforce_datasets.hashes import check_hashes
-from uniforce_datasets.lossless import check_dataset
-from uniforce_datasets.rehash import rehash
-from uniforce_datasets.view_plan import read_marker
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import FolderPath
@@ -25,9 +21,8 @@ class VerifyConfig:
     """
 
     root: FolderPath = "outputs/demos"  # recorded dataset, or a training view
-    verify: Verify = (
-        "full"  # full: every byte and frame | quick: sizes, small files, some frames of every episode
-    )
+    # full: every byte and frame | quick: sizes, small files, some frames of every episode
+    verify: Verify = "full"
     rehash: bool = False  # check the content only, then write the hashes of the files that are there now
 
 
@@ -38,21 +33,22 @@ def verify(config: VerifyConfig) -> str:
         DatasetError: something isn't as it was saved, or its content can't be trusted.
         ContractError: another ``verify``; a view, which is built again instead of hashed again.
     """
+    from uniforce_datasets.hashes import check_hashes
+    from uniforce_datasets.lossless import check_dataset
+    from uniforce_datasets.rehash import rehash
+    from uniforce_datasets.view_plan import read_marker
+
     root = Path(config.root)
     if (root / VIEW_MARKER).is_file():
-        return _verify_view(root, config)
+        if config.rehash:
+            do = "Build the view again with uniforce view."
+            raise ContractError(expected("rehash", "false for a training view", "true", do))
+        marker = read_marker(root)
+        check_hashes(root)
+        return f"{root}: view of {len(marker['episodes'])} episodes, as it was built"
     source = (rehash if config.rehash else check_dataset)(root, config.verify)
     done = "content checked, hashes written" if config.rehash else "as it was saved"
     return f"{root}: {len(source.episodes)} episodes, {source.num_frames} frames, {done} ({config.verify})"
-
-
-def _verify_view(root: Path, config: VerifyConfig) -> str:
-    if config.rehash:
-        do = "Build the view again with uniforce view."
-        raise ContractError(expected("rehash", "false for a training view", "true", do))
-    marker = read_marker(root)
-    check_hashes(root)
-    return f"{root}: view of {len(marker['episodes'])} episodes, as it was built"
 
 
 @command(VerifyConfig)

@@ -7,10 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import cv2
-import torch
-
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Verify
 from uniforce_vtla.options import Datasets, OutFolder, Pixels, Range, Slots, TokenizerFolder, Workers
 
@@ -60,15 +57,13 @@ def make_view(config: ViewConfig) -> Path:
 
 def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
     """Return whether an episode is taken: clean successes always."""
-    wiped = facts.outcome == "success"
-    return facts.success or config.keep_failures or (config.keep_events and wiped)
+    return facts.success or config.keep_failures or (config.keep_events and facts.outcome == "success")
 
 
 @command(ViewConfig)
 def main(config: ViewConfig) -> int:
     """Entry of ``uniforce view``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     out = make_view(config)
     facts = json.loads((out / "uniforce_view.json").read_text())
     print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")

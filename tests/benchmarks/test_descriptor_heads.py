@@ -1,11 +1,11 @@
-"""Gauges of a scene: made-up wipes they can read, and one real wipe through the scene."""
+"""Heads of a scene: made-up wipes they can read, and one real wipe through the scene."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from benchmarks.descriptor_heads import EpisodeForces, errors, felt_episodes, judge, worn
+from benchmarks.descriptor_heads import EpisodeForces, described_episodes, errors, judge, worn
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode import EpisodeTrace
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
@@ -23,23 +23,11 @@ def made_up(seed: int) -> EpisodeForces:
     grip = np.where(t > 0.5, rng.uniform(8, 12), 0.0)
     force = np.stack([0.3 * np.sin(3 * t), up, grip], axis=1).astype(np.float32)
     flat = np.zeros(FRAMES)
-    trace = EpisodeTrace(
-        t,
-        press,
-        grip,
-        grip,
-        flat,
-        flat,
-        flat,
-        flat,
-        flat,
-        flat,
-        np.digitize(t, [1.2, 2.0]),
-        rated_depth_mm=(1.5, 5.0),
-    )
-    told = np.concatenate([force, force], axis=1) * NATURAL_UNITS
+    phase = np.digitize(t, [1.2, 2.0])
+    trace = EpisodeTrace(t, press, grip, grip, *[flat] * 6, phase, rated_depth_mm=(1.5, 5.0))
+    true = np.concatenate([force, force], axis=1) * NATURAL_UNITS
     noisy = {
-        f: (told + 0.01 * rng.standard_normal(told.shape) * NATURAL_UNITS).astype(np.float32) for f in FINGERS
+        f: (true + 0.01 * rng.standard_normal(true.shape) * NATURAL_UNITS).astype(np.float32) for f in FINGERS
     }
     sensors = {"left": "gelsight", "right": "tactip"}
     height = np.interp(t, [0.8, 1.5], [0.1, 0.2])
@@ -53,7 +41,7 @@ def heads() -> dict[str, DescriptorHead]:
     }
 
 
-def test_gauges_read_what_the_descriptors_tell_and_judge_by_it() -> None:
+def test_heads_read_what_the_descriptors_hold_and_judge_by_it() -> None:
     found = heads()
     assert set(found) == {"gelsight", "tactip"}
     cell = errors(found["tactip"], worn([made_up(100), made_up(101)])["tactip"])
@@ -64,13 +52,13 @@ def test_gauges_read_what_the_descriptors_tell_and_judge_by_it() -> None:
 
 
 @pytest.mark.slow
-def test_a_felt_episode_is_a_whole_wipe_of_both_fingers() -> None:
+def test_a_described_episode_is_a_whole_wipe_of_both_fingers() -> None:
     """One short look: the scene's own frames described, forces beside them."""
-    episode = next(felt_episodes("paper", range(70_500, 70_501)))
+    episode = next(described_episodes("paper", range(70_500, 70_501)))
     n = len(episode.trace.time_s)
     assert episode.sensors == {"left": "gelsight", "right": "tactip"}
     for finger in FINGERS:
-        felt, force = episode.felt[finger] / NATURAL_UNITS, episode.force_N[finger]
-        assert felt.shape == (n, 6) and force.shape == (n, 3)
-        moved = np.abs(felt - felt[force[:, 2] < 0.02].mean(axis=0)).mean(axis=1)
+        described, force = episode.described[finger] / NATURAL_UNITS, episode.force_N[finger]
+        assert described.shape == (n, 6) and force.shape == (n, 3)
+        moved = np.abs(described - described[force[:, 2] < 0.02].mean(axis=0)).mean(axis=1)
         assert moved[force[:, 2] > 3.0].mean() > 3 * moved[force[:, 2] < 0.02].mean()

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.wiping_figures import draw_z_profiles
+from benchmarks.wiping import draw_z_profiles
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, RECIPES
-from uniforce_cli.score_config import SCRIPTS
+from uniforce_cli.score import SCRIPTS
 from uniforce_vtla.evaluation.arms import EpisodeRow, scores_of, summarise
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.keys import OUTCOME_NAMES

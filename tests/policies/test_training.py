@@ -12,13 +12,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
-from accelerate import PartialState
 from lerobot.datasets import factory
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from safetensors.torch import load_file
 
-from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-from uniforce_cli import share, train
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
+from uniforce_cli import lerobot_training, share, train
 from uniforce_vtla.errors import ContractError, DatasetError
 
 AXES = ["x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos"]
@@ -70,7 +69,7 @@ def run_settings(dataset: Path, out: Path, steps: int = 2) -> list[str]:
 def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     out = tmp_path / "run"
-    train.train([*policy_settings(tokenizer_path), *run_settings(dataset, out, steps=20)])
+    lerobot_training.train([*policy_settings(tokenizer_path), *run_settings(dataset, out, steps=20)])
     last = out / "checkpoints" / "last" / "pretrained_model"
     early = load_file(out / "checkpoints" / "000010" / "pretrained_model" / "model.safetensors")
     late = load_file(last / "model.safetensors")
@@ -88,11 +87,11 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
     assert standardised.square().mean() == pytest.approx(1.0, rel=0.01)
     assert policy.config.push_to_hub is False
 
-    train.train(["resume=true", f"config_path={last / 'train_config.json'}", "steps=24"])
+    lerobot_training.train(["resume=true", f"config_path={last / 'train_config.json'}", "steps=24"])
     assert json.loads((out / "checkpoints/last/training_state/training_step.json").read_text())["step"] == 24
 
     tuned = tmp_path / "tuned"  # from a checkpoint, on new data statistics: LeRobot rebuilds the normaliser
-    train.train([f"policy.path={last}", "policy.device=cpu", *run_settings(dataset, tuned)])
+    lerobot_training.train([f"policy.path={last}", "policy.device=cpu", *run_settings(dataset, tuned)])
     saved = load_file(
         next((tuned / "checkpoints/last/pretrained_model").glob("*normalizer_processor.safetensors"))
     )
@@ -105,8 +104,8 @@ def test_a_training_view_is_read_through_its_own_reader(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "uniforce_datasets.training_view", module)
     stock = factory.make_dataset
     cfg = SimpleNamespace(dataset=SimpleNamespace(root=tmp_path, eval_split=0.0))
-    (tmp_path / train.VIEW_MARKER).write_text("{}")
-    with train.training_views():
+    (tmp_path / lerobot_training.VIEW_MARKER).write_text("{}")
+    with lerobot_training.training_views():
         assert factory.make_dataset(cfg) == ("view", stock)
         cfg.dataset.eval_split = 0.1
         with pytest.raises(ContractError, match="eval_split"):
@@ -119,18 +118,20 @@ def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, mon
     monkeypatch.setattr(factory, "make_dataset", lambda cfg: SimpleNamespace(root=root))
     local = SimpleNamespace(root=root, repo_id="local/wipe", streaming=False, episodes=None)
     shared = SimpleNamespace(root=None, repo_id="somebody/wipe", streaming=False, episodes=None)
-    with train.training_views():
+    with lerobot_training.training_views():
         assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
         next((root / "data").rglob("*.parquet")).unlink()
         for given in (local, shared):
             with pytest.raises(DatasetError, match="parquet"):
                 factory.make_dataset(SimpleNamespace(dataset=given))
-    with train.training_views("off"):
+    with lerobot_training.training_views("off"):
         assert factory.make_dataset(SimpleNamespace(dataset=local)).root == root
 
 
 def test_command_line_becomes_lerobots():
-    flags = train.to_lerobot(["policy=pi05_uniforce", "steps=5", "--policy.size=tiny", "wandb.enable=true"])
+    flags = lerobot_training.to_lerobot(
+        ["policy=pi05_uniforce", "steps=5", "--policy.size=tiny", "wandb.enable=true"]
+    )
     assert flags[:4] == [
         "--policy.type=pi05_uniforce",
         "--steps=5",
@@ -138,9 +139,9 @@ def test_command_line_becomes_lerobots():
         "--wandb.enable=true",
     ]
     assert flags[4:] == ["--policy.push_to_hub=false"]
-    assert train.take_verify(["steps=5", "verify=off"]) == ("off", ["steps=5"])
-    assert train.take_verify(["steps=5"]) == ("", ["steps=5"])
-    assert train.to_lerobot(["resume=true", "config_path=a=b.json"]) == [
+    assert lerobot_training.take_verify(["steps=5", "verify=off"]) == ("off", ["steps=5"])
+    assert lerobot_training.take_verify(["steps=5"]) == ("", ["steps=5"])
+    assert lerobot_training.to_lerobot(["resume=true", "config_path=a=b.json"]) == [
         "--resume=true",
         "--config_path=a=b.json",
     ]
@@ -155,10 +156,10 @@ def test_help_teaches_with_an_example(capsys):
 def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_path, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     gated = [*policy_settings(tokenizer_path), "policy.touch.start_at_base=true"]
-    train.train([*gated, *run_settings(dataset, tmp_path / "start")])
+    lerobot_training.train([*gated, *run_settings(dataset, tmp_path / "start")])
     start = tmp_path / "start/checkpoints/last/pretrained_model"
     more = [f"policy.path={start}", "policy.device=cpu", "--peft.method_type=LORA", "--peft.r=2"]
-    train.train([*more, *run_settings(dataset, tmp_path / "lora")])
+    lerobot_training.train([*more, *run_settings(dataset, tmp_path / "lora")])
     trained = tmp_path / "lora/checkpoints/last/pretrained_model"
     assert (trained / "adapter_model.safetensors").exists() and not (trained / "model.safetensors").exists()
     assert share.main([f"checkpoint={trained}", f"out={tmp_path / 'shared'}"]) == 0
@@ -188,28 +189,12 @@ def test_two_processes_train_without_a_search_for_unused_parameters(
 
 def test_the_process_group_outlives_the_trainer(monkeypatch):
     """PyTorch deadlocks where the trainer's last frame is the last to hold the group: here it is not."""
-    monkeypatch.setattr(train, "KEPT_GROUPS", [])
+    monkeypatch.setattr(lerobot_training, "KEPT_GROUPS", [])
     monkeypatch.setenv("GLOO_SOCKET_IFNAME", "lo")
+    accelerator = lerobot_training.TrainingAccelerator(PI05UniforceConfig(size="tiny", device="cpu"))
+    assert accelerator.ddp_handler.find_unused_parameters is False
     dist = torch.distributed
-    stock = PartialState.destroy_process_group
     dist.init_process_group("gloo", store=dist.HashStore(), rank=0, world_size=1)
     group = torch.nn.parallel.DistributedDataParallel(torch.nn.Linear(2, 2)).process_group
-    with train.process_group_kept():
-        PartialState.destroy_process_group(SimpleNamespace(fork_launched=False))
-    (kept,) = train.KEPT_GROUPS
-    assert kept is group and not dist.is_initialized()
-    assert PartialState.destroy_process_group is stock
-
-
-def test_only_our_policy_skips_the_search(tmp_path):
-    from accelerate import utils
-
-    stock = utils.DistributedDataParallelKwargs
-    with train.every_weight_used(["--policy.type=act"]):
-        assert utils.DistributedDataParallelKwargs is stock
-    (tmp_path / "config.json").write_text('{"type": "pi05_uniforce"}')
-    for flags in (["--policy.type=pi05_uniforce"], [f"--policy.path={tmp_path}"]):
-        with train.every_weight_used(flags):
-            handler = utils.DistributedDataParallelKwargs(find_unused_parameters=True)
-            assert handler.find_unused_parameters is False
-    assert utils.DistributedDataParallelKwargs is stock
+    accelerator.end_training()
+    assert [group] == lerobot_training.KEPT_GROUPS and not dist.is_initialized()

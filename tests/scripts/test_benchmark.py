@@ -4,18 +4,39 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 
+import joblib
 import pytest
 
 from benchmarks.wiping import BenchmarkConfig, configs, main, report
 from benchmarks.wiping_plan import ARMS
 from lerobot_env_uniforce_wiping.blind import BEST
 from uniforce_cli import score_worker
-from uniforce_cli.score import score_arms
-from uniforce_cli.score_config import SCRIPTS, ScoreConfig
+from uniforce_cli.score import SCRIPTS, ScoreConfig, score, score_arms
 from uniforce_vtla.errors import ContractError, DatasetError
-from uniforce_vtla.evaluation.arms import read_rows
+from uniforce_vtla.evaluation.arms import EpisodeRow, read_rows
+
+RolledOut = Callable[[Callable[[score_worker.Job], bool]], list[score_worker.Job]]
+
+
+@pytest.fixture
+def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
+    """Let a rule say whether an episode is clean, instead of rolling it out; return what was asked for."""
+
+    def stand_in(clean: Callable[[score_worker.Job], bool]) -> list[score_worker.Job]:
+        jobs: list[score_worker.Job] = []
+
+        def fake(job: score_worker.Job) -> tuple[int, EpisodeRow]:
+            jobs.append(job)
+            return job.index, EpisodeRow(job.seed, "success", clean(job), False, False, 0, 0, 0, 0, 0, 0)
+
+        monkeypatch.setattr(score_worker, "score_job", fake)
+        return jobs
+
+    return stand_in
+
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
@@ -38,21 +59,11 @@ def test_arms_without_a_checkpoint_are_named_and_left_out(
         configs(BenchmarkConfig(checkpoints=str(tmp_path), only="V"), rollouts=3)
 
 
-def test_training_seeds_take_turns_from_scene_to_scene(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from uniforce_cli import score as module
-    from uniforce_vtla.evaluation.arms import EpisodeRow
-
+def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_out: RolledOut) -> None:
     for folder in (tmp_path / "seed0" / "v", tmp_path / "seed1" / "v", tmp_path / "seed0" / "vt"):
         folder.mkdir(parents=True)
         (folder / "config.json").write_text("{}")
-
-    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
-        clean = "seed0" in job.config.policy_of(job.seed)
-        return job.index, EpisodeRow(job.seed, "success", clean, False, False, 0, 0, 0, 0, 0, 0)
-
-    monkeypatch.setattr(module, "score_job", fake)
+    rolled_out(lambda job: "seed0" in job.config.policy_of(job.seed))
     both = f"{tmp_path / 'seed0'}, {tmp_path / 'seed1'}"
     command = BenchmarkConfig(checkpoints=both, rollouts=5, out=str(tmp_path / "out"), results=str(tmp_path))
     with pytest.raises(DatasetError, match="Train the arms"):
@@ -64,49 +75,55 @@ def test_training_seeds_take_turns_from_scene_to_scene(
     assert table["arms"]["V"]["clean_by_checkpoint"] == ["3/3", "0/2"]
 
 
-def test_arms_take_turns_and_a_second_run_does_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from uniforce_cli import score as module
-    from uniforce_vtla.evaluation.arms import EpisodeRow
-
-    order = []
-
-    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
-        order.append((job.seed, job.config.arm))
-        return job.index, EpisodeRow(job.seed, "success", True, False, False, 0, 0, 0, 0, 0, 0)
-
-    monkeypatch.setattr(module, "score_job", fake)
+def test_arms_take_turns_and_a_second_run_does_nothing(tmp_path: Path, rolled_out: RolledOut) -> None:
+    jobs = rolled_out(lambda job: True)
     arms = [ScoreConfig(arm=name, rollouts=2, first_seed=5, out=str(tmp_path)) for name in ("V", "V+T")]
-    reports = score_arms(arms, workers=1)
-    assert order == [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
+    for _ in range(2):
+        reports = score_arms(arms, workers=1)
+        assert [(job.seed, job.config.arm) for job in jobs] == [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
     assert [r.count("clean") for r in reports] == [2, 2]
-    score_arms(arms, workers=1)
-    assert len(order) == 4
 
 
 def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, rolled_out: RolledOut
 ) -> None:
-    from uniforce_cli import score as module
-    from uniforce_vtla.evaluation.arms import EpisodeRow
-
-    rolled = []
-
-    def fake(job: module.Job) -> tuple[int, EpisodeRow]:
-        rolled.append(job.seed)
+    def filmed(job: score_worker.Job) -> bool:
         if job.seed in job.config.film:
-            score_worker.video_path(job.folder, job.seed).touch()
-        return job.index, EpisodeRow(job.seed, "success", True, False, False, 0, 0, 0, 0, 0, 0)
+            job.config.video(job.seed).touch()
+        return True
 
-    monkeypatch.setattr(module, "score_job", fake)
-    plain = {"arm": "V", "rollouts": 3, "first_seed": 5, "out": str(tmp_path)}
-    score_arms([ScoreConfig(**plain)], workers=1)  # type: ignore[arg-type]
+    jobs = rolled_out(filmed)
+    plain = ScoreConfig(arm="V", rollouts=3, first_seed=5, out=str(tmp_path))
+    score_arms([plain], workers=1)
     for _ in range(2):
-        reports = score_arms([ScoreConfig(**plain, film=[6])], workers=1)  # type: ignore[arg-type]
-        assert rolled == [5, 6, 7, 6] and reports[0].n == 3
+        reports = score_arms([dataclasses.replace(plain, film=[6])], workers=1)
+        assert [job.seed for job in jobs] == [5, 6, 7, 6] and reports[0].n == 3
     with pytest.raises(ContractError, match="5…7"):
-        score_arms([ScoreConfig(**plain, film=[8])], workers=1)  # type: ignore[arg-type]
+        score_arms([dataclasses.replace(plain, film=[8])], workers=1)
+
+
+def test_a_slot_the_policy_lacks_is_refused_before_processes_start(
+    tmp_path: Path, rolled_out: RolledOut
+) -> None:
+    jobs = rolled_out(lambda job: True)
+    with pytest.raises(ContractError, match="touch0"):
+        score(ScoreConfig(swap="nose:left", workers=1, out=str(tmp_path)))
+    assert not jobs
+
+
+@pytest.mark.slow
+def test_two_dask_workers_score_as_one_process_does(tmp_path: Path) -> None:
+    """An extra: joblib's Dask back-end carries rollouts over a cluster."""
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is optional")
+    plain = ScoreConfig(policy="blind", level="easy", rollouts=2, videos=0, out=str(tmp_path / "one"))
+    one = score_arms([plain], workers=1)
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster),
+        joblib.parallel_config(backend="dask"),
+    ):
+        two = score_arms([dataclasses.replace(plain, out=str(tmp_path / "two"))], workers=2)
+    assert [report.as_dict() for report in one] == [report.as_dict() for report in two]
 
 
 @pytest.mark.slow

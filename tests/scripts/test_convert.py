@@ -15,7 +15,7 @@ from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.weights import EMBEDDING, FRESH, HEADS, no_weights, own_names
-from uniforce_cli import train
+from uniforce_cli import lerobot_training
 from uniforce_cli.convert import main
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
@@ -71,11 +71,7 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("published")
     config = PI05UniforceConfig(
-        size="tiny",
-        device="cpu",
-        touch=TouchSettings(input="none"),
-        image_resolution=(28, 28),
-        tiny=SMALL,
+        size="tiny", device="cpu", touch=TouchSettings(input="none"), image_resolution=(28, 28), tiny=SMALL
     )
     camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
     config.input_features = {f"observation.images.{name}": camera for name in ("front", "wrist")}
@@ -103,7 +99,7 @@ def test_a_conversion_keeps_every_weight_and_trains_on(published: Path, view: Pa
     assert json.loads((out / "config.json").read_text())["touch"]["site"] == "suffix"
     data = ["dataset.repo_id=local/view", f"dataset.root={view}", f"output_dir={tmp_path / 'run'}"]
     run = ["steps=2", "batch_size=2", "num_workers=0", "save_freq=2", "policy.device=cpu"]
-    train.train([f"policy.path={out}", *data, *run])
+    lerobot_training.train([f"policy.path={out}", *data, *run])
     assert (tmp_path / "run" / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").exists()
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
+import resource
 import subprocess
 import sys
-import time
 import tomllib
 from pathlib import Path
 
@@ -36,10 +36,20 @@ def test_one_command_is_installed_and_names_all_its_verbs(capsys: pytest.Capture
     assert command.main(["scoer"]) == 2 and "Did you mean score?" in capsys.readouterr().err
 
 
-def test_the_overview_takes_less_than_a_second() -> None:
-    start = time.perf_counter()
-    subprocess.run([sys.executable, "-m", "uniforce_cli.main", "--help"], check=True, capture_output=True)
-    assert time.perf_counter() - start < 1.0
+@pytest.mark.parametrize(("verb", "most_s"), [((), 1.0), *(((verb,), 2.0) for verb in command.VERBS)])
+def test_help_is_quick(verb: tuple[str, ...], most_s: float) -> None:
+    """Processor time, since the machine may be busy; the two verbs whose options live beside torch import it."""
+    heavy = "import sys; from uniforce_cli.main import main; from contextlib import suppress\n"
+    heavy += f"with suppress(SystemExit): main([*{verb!r}, '--help'])\n"
+    heavy += "sys.stderr.write(' '.join({'torch', 'lerobot'} & sys.modules.keys()))"
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([sys.executable, "-c", heavy], check=True, capture_output=True, text=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if verb in (("calibrate",), ("pretrain",)):
+        assert done.stderr == "torch"
+        return
+    assert not done.stderr
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < most_s
 
 
 def test_scripts_hold_no_logic_and_shadow_no_library() -> None:
@@ -49,11 +59,3 @@ def test_scripts_hold_no_logic_and_shadow_no_library() -> None:
         assert len(script.read_text().splitlines()) <= 12, script.name
         found_at = importlib.util.find_spec(script.stem)
         assert found_at is None or found_at.origin == str(script), f"{script.name} would shadow a library"
-
-
-def test_key_value_reaches_the_config() -> None:
-    from uniforce_cli.score_config import ScoreConfig
-    from uniforce_vtla.arguments import parse
-
-    config = parse(ScoreConfig, ["rollouts=3", "--level=paper", "swap=touch0:left"])
-    assert (config.rollouts, config.level, config.swap) == (3, "paper", "touch0:left")

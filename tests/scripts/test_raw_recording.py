@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from uniforce_cli.raw_recording import raw_touch
+from uniforce_cli.recorded_episode import raw_touch
 from uniforce_cli.show import main
 from uniforce_datasets.features import flat_column
 from uniforce_datasets.raw_video import raw_path

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
-from uniforce_cli import score_controls
-from uniforce_cli.score_config import ScoreConfig
-from uniforce_cli.score_controls import ShuffledTouch, controlled, donated_touch
-from uniforce_cli.score_worker import Job, score_job
+from uniforce_cli.score import ScoreConfig
+from uniforce_cli.score_worker import Job, ShuffledTouch, controlled, donated_touch, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.keys import TACTILE_NAMES
 
@@ -47,7 +45,7 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
         seen = watching.seen[0]
         images = {name: seen["pixels"][name] for name in TACTILE_NAMES}
         assert all(i.shape == (480, 640, 3) and set(np.unique(i)) <= {0, 255} for i in images.values())
-        packed = score_controls._packed(images)
+        packed = {n: np.packbits(image[..., 0] > 0, axis=-1) for n, image in images.items()}
         assert any(all(np.array_equal(packed[n], donor[n]) for n in TACTILE_NAMES) for donor in bank[phase])
         assert np.array_equal(seen["pixels"]["front"], observation["pixels"]["front"])
         assert np.array_equal(seen["agent_pos"], observation["agent_pos"])
@@ -58,6 +56,6 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
 def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
     with pytest.raises(ContractError, match="masked"):
         controlled(None, "asleep", WipeEnv("easy"))  # type: ignore[arg-type]
-    job = Job(0, ScoreConfig(policy="expert", control="masked"), tmp_path, 1)
+    job = Job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(job)

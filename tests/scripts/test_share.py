@@ -1,4 +1,4 @@
-"""A shared policy: everything a stranger needs, and nothing of the machine it was made on."""
+"""A shared policy: everything another person needs, and nothing of the machine it was made on."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySetting
 from uniforce_cli import share
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
-STRANGER = """
+ELSEWHERE = """
 import sys, torch
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
@@ -92,7 +92,7 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
 
 
 @pytest.mark.slow  # a fresh process imports LeRobot: 10 s
-def test_a_stranger_gets_the_same_action(
+def test_another_machine_gets_the_same_action(
     trained: tuple[Path, torch.Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checkpoint, action = trained
@@ -106,7 +106,7 @@ def test_a_stranger_gets_the_same_action(
         shutil.rmtree(tmp_path / gone)
     torch.save(raw_observation(), elsewhere / "raw.pt")
     env = os.environ | {"HF_HUB_OFFLINE": "1", "HF_HOME": str(elsewhere / "no_cache")}
-    call = [sys.executable, "-c", STRANGER, str(elsewhere / "moved")]
+    call = [sys.executable, "-c", ELSEWHERE, str(elsewhere / "moved")]
     subprocess.run(call, cwd=elsewhere, env=env, check=True, timeout=240, capture_output=True)
     assert torch.equal(torch.load(elsewhere / "action.pt"), action)
     for file in (elsewhere / "moved").glob("*.json"):
@@ -124,7 +124,7 @@ def test_what_is_pushed_is_the_whole_folder(
         create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id),
         upload_folder=lambda **given: pushed.append(given),
     )
-    monkeypatch.setattr(share, "HfApi", lambda: hub)
+    monkeypatch.setattr("huggingface_hub.HfApi", lambda: hub)
     given = [f"checkpoint={trained[0]}", f"out={tmp_path / 'shared'}", "push=somebody/pi05-wipe"]
     assert share.main(given) == 0
     assert pushed[0]["repo_id"] == "somebody/pi05-wipe" and pushed[0]["folder_path"] == tmp_path / "shared"

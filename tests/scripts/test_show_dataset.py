@@ -15,7 +15,7 @@ import pytest
 
 from uniforce_cli.dataset_rerun import traces
 from uniforce_cli.dataset_sheet import write_sheet
-from uniforce_cli.dataset_story import tell
+from uniforce_cli.recorded_episode import summarise_episode
 from uniforce_cli.recording_forces import EpisodeForces, RecordingForces, descriptor_heads, latent_change
 from uniforce_cli.show import main
 from uniforce_datasets.source import read_source
@@ -69,12 +69,17 @@ def test_latents_are_zero_in_free_air_and_seen_from_the_sensor(recorded: Path) -
     assert not np.allclose(left, right, atol=1e-3)
 
 
-def test_a_force_head_reads_the_latents_instead_of_the_gauges(recorded: Path, tmp_path: Path) -> None:
+def test_a_force_head_reads_the_latents_instead_of_the_descriptors(recorded: Path, tmp_path: Path) -> None:
     assert main([f"root={recorded}", f"out={tmp_path}", "head=tactip"]) == 0
     page, content = (tmp_path / f"episode_0.{kind}" for kind in ("html", "json"))
     assert "force head tactip, from latents" in page.read_text()
-    by_gauge = RecordingForces(recorded, descriptor_heads()).feel(read_source(recorded).episodes[0]).force_N
-    assert json.loads(content.read_text())["strongest_N"]["left"] != np.abs(by_gauge).max(axis=0)[0].tolist()
+    by_descriptor = (
+        RecordingForces(recorded, descriptor_heads()).read(read_source(recorded).episodes[0]).force_N
+    )
+    assert (
+        json.loads(content.read_text())["strongest_N"]["left"]
+        != np.abs(by_descriptor).max(axis=0)[0].tolist()
+    )
 
 
 def test_unknown_episodes_and_forms_are_refused(
@@ -92,18 +97,15 @@ def test_unknown_episodes_and_forms_are_refused(
 
 
 def test_without_rerun_its_form_is_refused_before_any_work(
-    recorded: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 2
     assert "[rerun]" in capsys.readouterr().err
 
 
-class Told:
-    """Stands in for rerun: keeps what it was told."""
+class Received:
+    """Stands in for rerun: keeps what it receives."""
 
     def __init__(self) -> None:
         self.columns: dict[str, int] = {}
@@ -116,10 +118,10 @@ class Told:
         self.TextDocument = self.TextLog = lambda text, **how: text
         self.TimeColumn = lambda name, duration: len(duration)
 
-    def RecordingStream(self, *_: object, **__: object) -> Told:  # noqa: N802 (rerun's name)
+    def RecordingStream(self, *_: object, **__: object) -> Received:  # noqa: N802 (rerun's name)
         return self
 
-    def __enter__(self) -> Told:
+    def __enter__(self) -> Received:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -139,18 +141,18 @@ class Told:
         self.columns[path] = columns
 
 
-def test_rerun_is_told_everything_on_one_time_line(
+def test_rerun_receives_everything_on_one_time_line(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = Told()
-    monkeypatch.setitem(sys.modules, "rerun", told)  # type: ignore[arg-type]
+    received = Received()
+    monkeypatch.setitem(sys.modules, "rerun", received)  # type: ignore[arg-type]
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 0
     assert (tmp_path / "episode_0.rrd").is_file()
     wanted = {"camera/front", "camera/wrist", "markers/left", "markers/right", "latent/left", "latent/right"}
     wanted |= {"force_N/left/fz_estimate", "force_N/right/fx_true"}
-    assert wanted <= told.columns.keys() and set(told.columns.values()) == {FRAMES}
-    assert traces(story_of()).keys() >= {"press_N/estimate", "friction_used/estimate"}
-    assert "start" in told.logged and any(text.startswith("estimated:") for text in told.logged)
+    assert wanted <= received.columns.keys() and set(received.columns.values()) == {FRAMES}
+    assert traces(summary_of()).keys() >= {"press_N/estimate", "friction_used/estimate"}
+    assert "start" in received.logged and any(text.startswith("estimated:") for text in received.logged)
 
 
 def test_the_real_rerun_writes_a_file(recorded: Path, tmp_path: Path) -> None:
@@ -168,7 +170,7 @@ def wiped() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return time_s, np.stack([finger, finger], axis=1), np.where(time_s >= 2, 0.2, 0.1)
 
 
-def story_of(title: str = "made up") -> EpisodeSummary:
+def summary_of(title: str = "made up") -> EpisodeSummary:
     time_s, force, height = wiped()
     grey = np.full((24, 24, 3), 90, np.uint8)
     named = find_key_frames(force, height)
@@ -191,17 +193,17 @@ def story_of(title: str = "made up") -> EpisodeSummary:
 
 
 def test_key_frames_and_stretches_are_where_things_happen() -> None:
-    story = story_of()
-    at_s = {key_frame.name: story.time_s[key_frame.frame] for key_frame in story.key_frames}
+    summary = summary_of()
+    at_s = {key_frame.name: summary.time_s[key_frame.frame] for key_frame in summary.key_frames}
     assert at_s["grasped"] == 1.0 and at_s["lifted"] == 2.0 and at_s["strongest push"] == 4.0
     assert list(at_s.values()) == sorted(at_s.values())
-    stretch = next(s for s in story.stretches if s.name.startswith("press"))
-    assert (story.time_s[stretch.first], story.time_s[stretch.end]) == (4.0, 5.0)
-    assert "mean press > 10 N" in story.verdict and not story.true_verdict
+    stretch = next(s for s in summary.stretches if s.name.startswith("press"))
+    assert (summary.time_s[stretch.first], summary.time_s[stretch.end]) == (4.0, 5.0)
+    assert "mean press > 10 N" in summary.verdict and not summary.true_verdict
 
 
 def test_what_a_dataset_says_of_itself_is_text_never_html(tmp_path: Path) -> None:
-    page = write_sheet(story_of("<script>x</script>"), {"task": "<img src=http://x>"}, tmp_path, "e")
+    page = write_sheet(summary_of("<script>x</script>"), {"task": "<img src=http://x>"}, tmp_path, "e")
     parser = Sources()
     parser.feed(page.read_text())
     assert all("/" not in name for name in parser.found) and "<script>" not in page.read_text()
@@ -214,8 +216,8 @@ def test_an_episode_too_short_to_judge_is_shown_all_the_same(
     episode, tokenizer = recording.source.episodes[0], Tokenizer.from_pretrained()
     grip = np.tile([0.0, 0.0, 9.0], (FRAMES, 2, 1))
     height = np.where(np.arange(FRAMES) > 5, 0.2, 0.1)  # lifted for two frames: too short to weigh anything
-    felt = EpisodeForces(np.arange(FRAMES) / RATE, height, grip, None)
-    monkeypatch.setattr(recording, "feel", lambda _: felt)
-    story = tell(recording, tokenizer, episode, None, "short")
-    assert story.found is None and "time after the lift" in story.verdict[0]
-    assert "time after the lift" in write_sheet(story, {}, tmp_path, "e").read_text()
+    forces = EpisodeForces(np.arange(FRAMES) / RATE, height, grip, None)
+    monkeypatch.setattr(recording, "read", lambda _: forces)
+    summary = summarise_episode(recording, tokenizer, episode, None, "short")
+    assert summary.found is None and "time after the lift" in summary.verdict[0]
+    assert "time after the lift" in write_sheet(summary, {}, tmp_path, "e").read_text()

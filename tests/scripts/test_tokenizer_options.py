@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.probes.hard_sets import HETERO_HARD, draw_hard
-from benchmarks.probes.options_figure import draw_options
 from benchmarks.probes.zero_shot import Table
-from benchmarks.tokenizer_options import VARIANTS, OptionsCommand, _short, main, measure_variant
+from benchmarks.tokenizer_options import VARIANTS, OptionsCommand, _short, draw_options, main, measure_variant
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import tokenizer_report
-from benchmarks.baselines import rows as peer_rows
+from benchmarks.baselines import rows as baseline_rows
 from benchmarks.probes.hard_sets import HETERO_HARD, draw_hard
 from benchmarks.probes.report_sets import get_report_set
 from benchmarks.probes.zero_shot import Table, set_facts_of
@@ -23,11 +23,7 @@ from uniforce_vtla.tokenizer.model import TokenizerConfig
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
-    [
-        (["set=easy"], "hetero_hard_v1"),
-        (["question=why"], "reconstructions"),
-        (["data=/nowhere"], "nowhere"),
-    ],
+    [(["set=easy"], "hetero_hard_v1"), (["question=why"], "hardness"), (["data=/nowhere"], "nowhere")],
 )
 def test_bad_input_is_a_plain_message(
     arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -45,7 +41,7 @@ def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_every_row_can_be_named_on_the_command_line() -> None:
     tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
-    makers = peer_rows.trained(Table({}, {}), tokenizer, 1, 1)
+    makers = baseline_rows.trained(Table({}, {}), tokenizer, 1)
     for name in makers:
         assert list(choose(makers, name)) == [name]  # and no comma
         assert parse(TokenizerReportCommand, [f"only=mean,{name}"]).only == f"mean,{name}"

@@ -10,7 +10,7 @@ import pytest
 from benchmarks import train_arm as module
 from benchmarks.train_arm import TrainArmConfig, arguments, main, train_arm
 from benchmarks.wiping_plan import ARMS, RECIPES
-from uniforce_cli.score_config import SCRIPTS
+from uniforce_cli.score import SCRIPTS
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.keys import VIEW_MARKER
 
@@ -59,7 +59,7 @@ def test_a_run_is_resumed_and_a_finished_one_left_alone(
         if len(calls) == 1:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(module.train, "train", fake)
+    monkeypatch.setattr(module.lerobot_training, "train", fake)
     config = TrainArmConfig(view=str(view), seed=1, out=str(tmp_path))
     with pytest.raises(KeyboardInterrupt):
         train_arm(config)

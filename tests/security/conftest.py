@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import tomllib
 from pathlib import Path
 
 import pytest
+
+from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
+from uniforce_vtla.file_hashes import drop_hashes
 
 ROOT = Path(__file__).parents[2]
 
@@ -16,3 +20,11 @@ def source_files() -> list[Path]:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     packages = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
     return [file for folder in (*packages, "scripts") for file in (ROOT / folder).rglob("*.py")]
+
+
+@pytest.fixture
+def policy_copy(tmp_path: Path) -> Path:
+    """Return a copy of the shipped policy without hashes: they would refuse whatever a test does to it."""
+    shutil.copytree(shipped_checkpoint(), tmp_path / "policy")
+    drop_hashes(tmp_path / "policy")
+    return tmp_path / "policy"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import time
 import zipfile
 from pathlib import Path
@@ -15,7 +14,7 @@ import torch
 from fci_client import RawHand
 
 from benchmarks.baselines.checkpoint import read_tensors
-from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
+from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_datasets.synthetic import record_synthetic
@@ -32,13 +31,6 @@ from uniforce_vtla.tokenizer.training_state import is_there, load_state
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
     return record_synthetic(tmp_path / "data", 1, 3)
-
-
-def copy_of_shipped(folder: Path) -> Path:
-    """Return a copy of the shipped policy without hashes: they would refuse whatever a test does to it."""
-    shutil.copytree(shipped_checkpoint(), folder)
-    drop_hashes(folder)
-    return folder
 
 
 def set_in(file: Path, **changes: Any) -> None:
@@ -102,12 +94,11 @@ def test_a_foreign_file_of_unknown_endianness(tmp_path: Path) -> None:
         read_tensors(tmp_path / "peer.pth")
 
 
-def test_a_processors_state_that_is_damaged(tmp_path: Path) -> None:
-    folder = copy_of_shipped(tmp_path / "policy")
-    state = next(folder.glob("policy_preprocessor_*.safetensors"))
+def test_a_processors_state_that_is_damaged(policy_copy: Path) -> None:
+    state = next(policy_copy.glob("policy_preprocessor_*.safetensors"))
     state.write_bytes(b"\xff" * 64)
     with pytest.raises(CheckpointError, match="a whole safetensors file"):
-        PolicyController(folder, {})
+        PolicyController(policy_copy, {})
 
 
 @pytest.mark.parametrize(
@@ -124,11 +115,10 @@ def test_a_processors_state_that_is_damaged(tmp_path: Path) -> None:
         {"swap": 5},
     ],
 )
-def test_a_policy_that_cannot_be(tmp_path: Path, changes: dict[str, Any]) -> None:
-    folder = copy_of_shipped(tmp_path / "policy")
-    set_in(folder / "config.json", **changes)
+def test_a_policy_that_cannot_be(policy_copy: Path, changes: dict[str, Any]) -> None:
+    set_in(policy_copy / "config.json", **changes)
     with pytest.raises((CheckpointError, ContractError)):
-        PolicyController(folder, {})
+        PolicyController(policy_copy, {})
 
 
 def test_sizes_beyond_any_machine_cost_nothing(tmp_path: Path) -> None:

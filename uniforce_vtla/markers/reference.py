@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import median_abs_deviation
 
 from uniforce_vtla.contracts import TAXEL_SHAPE
 from uniforce_vtla.errors import ContractError, SensorError, expected
@@ -57,7 +56,8 @@ def capture_taxel_reference(
     counts = np.stack([check_counts(np.asarray(scan), "uSkin reference") for scan in scans])  # (N, 16, 3)
     for scan in counts:
         check_alive(scan, "uSkin reference")
-    moved = float(1.4826 * median_abs_deviation(counts, axis=0).max())  # one garbled scan isn't a touch
+    spread = np.median(np.abs(counts - np.median(counts, axis=0)), axis=0)
+    moved = float(1.4826 * spread.max())  # one garbled scan isn't a touch
     if moved > limits.max_taxel_std:
         _refuse(f"taxels steady within {limits.max_taxel_std:g} counts", f"a spread of {moved:.0f}")
     reference = np.rint(np.median(counts, axis=0)).astype(np.int64)

@@ -11,7 +11,6 @@ from benchmarks.probes.zero_shot import Table
 from uniforce_vtla.tokenizer.force_head import HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
 from uniforce_vtla.tokenizer.model import TokenizerConfig
-from uniforce_vtla.tokenizer.pair_cache import Pairs
 
 torch.set_num_threads(1)
 SIDE = 32
@@ -38,22 +37,6 @@ def draw_set(sensor: str, seed: int, sequences: int = 24, length: int = 4) -> La
     reference = np.repeat(dots(PITCH_PX[sensor], np.zeros(3))[None], sequences, axis=0)
     descriptor = np.zeros((sequences, length, 6), np.float32)
     return LabelledSet(reference, frames, descriptor, force.astype(np.float32), f"{sensor} {seed}")
-
-
-class ToyPairs:
-    """Stands in for a pair cache: both toy sensors under one force."""
-
-    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
-        force = rng.uniform((-3, -3, 0), (3, 3, 10), (units * pairs, 3))
-        left = [np.stack([dots(8, f) for f in force]), np.stack([dots(8, np.zeros(3))] * units)]
-        right = [np.stack([dots(10, f) for f in force]), np.stack([dots(10, np.zeros(3))] * units)]
-        ready = [torch.from_numpy(a)[:, None].float() / 255 for a in (left[1], right[1], left[0], right[0])]
-        return Pairs(*ready)
-
-
-@pytest.fixture
-def pairs() -> ToyPairs:
-    return ToyPairs()
 
 
 @pytest.fixture(scope="session")

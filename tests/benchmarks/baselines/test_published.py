@@ -16,8 +16,8 @@ from benchmarks.baselines.frozen import (
     MEASURED,
     NOT_PRESENT,
     Brightness,
-    PeerEncoder,
-    PeerRow,
+    PublishedEncoder,
+    PublishedRow,
     brightness_of,
     features,
     measured_row,
@@ -158,7 +158,7 @@ def unit_file(tmp_path: Path) -> Path:
     return tmp_path / "unit.ckpt"
 
 
-Loader = Callable[[], PeerEncoder]
+Loader = Callable[[], PublishedEncoder]
 
 
 @pytest.fixture(params=["t3", "anytouch", "unit"])
@@ -174,13 +174,13 @@ def loader(request: pytest.FixtureRequest) -> Loader:
 
 
 def test_a_file_of_the_official_layout_loads_and_encodes(loader: Loader, table: Table) -> None:
-    peer, labelled = loader(), table.frozen["tactip"]
-    z = features(peer, labelled)
+    encoder, labelled = loader(), table.frozen["tactip"]
+    z = features(encoder, labelled)
     assert z.shape[:3] == (8, 4, 16) and bool(z.isfinite().all())
     assert z.flatten(0, 1).std(dim=0).max() > 1e-4  # frames differ
     assert torch.equal(features(loader(), labelled), z)
     blind = replace(labelled, force_N=np.full_like(labelled.force_N, np.nan))
-    assert torch.equal(features(peer, blind), z)
+    assert torch.equal(features(encoder, blind), z)
 
 
 def test_a_loaded_encoder_makes_a_row(t3_folder: Path, table: Table) -> None:
@@ -203,7 +203,7 @@ def test_a_loaded_encoder_makes_a_row(t3_folder: Path, table: Table) -> None:
     ],
 )
 def test_without_weights_a_row_says_so_and_gives_its_full_size(
-    make: Callable[[Table], PeerRow], params: int, gflops: tuple[int, int], table: Table
+    make: Callable[[Table], PublishedRow], params: int, gflops: tuple[int, int], table: Table
 ) -> None:
     row = make(table)
     assert row.status == NOT_PRESENT and row.cells is None and row.facts["weights"] is None
@@ -269,12 +269,12 @@ def test_files_that_would_run_code_or_hold_no_weights_are_refused(
 
 def test_anytouch_takes_the_video_patch_embedding_and_the_named_sensor(anytouch_file: Path) -> None:
     tensors = anytouch_layout(ANYTOUCH_TINY)
-    peer = load_anytouch(anytouch_file, "gelsight_mini", ANYTOUCH_TINY)
-    kept = peer.state_dict()["touch_model.embeddings.patch_embedding.weight"]
+    encoder = load_anytouch(anytouch_file, "gelsight_mini", ANYTOUCH_TINY)
+    kept = encoder.state_dict()["touch_model.embeddings.patch_embedding.weight"]
     assert torch.equal(kept, tensors["touch_mae_model.video_patch_embedding.weight"])
     image = torch.rand(1, 32, 32)
     other = load_anytouch(anytouch_file, "universal", ANYTOUCH_TINY)
-    assert not torch.allclose(peer(image, Brightness(0, 1)), other(image, Brightness(0, 1)))
+    assert not torch.allclose(encoder(image, Brightness(0, 1)), other(image, Brightness(0, 1)))
     with pytest.raises(CheckpointError, match="AnyTouch sensor: expected"):
         load_anytouch(anytouch_file, "tactip", ANYTOUCH_TINY)
 
@@ -322,6 +322,6 @@ def test_t3s_block_is_the_standard_transformer_block() -> None:
 
 def test_a_meta_model_has_no_features(table: Table) -> None:
     with torch.device("meta"):
-        peer = UniTEncoder(UNIT_TINY)
+        encoder = UniTEncoder(UNIT_TINY)
     with pytest.raises(ContractError, match="loaded weights"):
-        features(peer, table.frozen["tactip"])
+        features(encoder, table.frozen["tactip"])

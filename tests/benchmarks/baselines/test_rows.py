@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from benchmarks.baselines.end_to_end import EndToEndConfig, train_end_to_end
-from benchmarks.baselines.finetuned import FineTuneConfig, finetuned_row
+from benchmarks.baselines.finetuned import FineTuneConfig, TokenizerEncoder, finetuned_row, fit_finetuned
 from benchmarks.baselines.genforce_style import (
     TranslationConfig,
     genforce_style_row,
@@ -18,7 +19,7 @@ from benchmarks.baselines.genforce_style import (
 )
 from benchmarks.baselines.pictures import labels, pictures
 from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, resnet_row
-from benchmarks.probes.zero_shot import Cells, Table, score
+from benchmarks.probes.zero_shot import Cells, Table, encode_set, score
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import TokenizerConfig
@@ -130,3 +131,33 @@ def test_translation_needs_paired_sets_of_a_fitting_size(table: Table) -> None:
     with pytest.raises(ContractError, match="training pictures of tactip"):
         one = replace(table, training={"gelsight": table.training["gelsight"]})
         genforce_style_row(one, 1, TRANSLATION)
+
+
+def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(
+    table: Table, tiny: TokenizerConfig
+) -> None:
+    tokenizer = Tokenizer.random(tiny)
+    before = {k: v.clone() for k, v in tokenizer.model.state_dict().items()}
+    encoder = TokenizerEncoder(tokenizer)
+    reference, frames = pictures(table.frozen["tactip"]).tensors(slice(0, 3))
+    same = encode_set(tokenizer, table.frozen["tactip"])[:3]
+    torch.testing.assert_close(encoder(reference, frames), same, atol=1e-5, rtol=1e-4)
+    finetuned_row(table, tokenizer, 1, FineTuneConfig(SHORT))
+    assert all(torch.equal(before[k], v) for k, v in tokenizer.model.state_dict().items())
+    assert not any(p.requires_grad for p in tokenizer.model.parameters())
+
+
+def test_fine_tuning_improves_on_the_frozen_head(table: Table, tiny: TokenizerConfig) -> None:
+    source, tokenizer, unseen = table.training["gelsight"], Tokenizer.random(tiny), table.frozen["gelsight"]
+    r2 = []
+    for steps in (1, 80):
+        training = EndToEndConfig(steps=steps, frames_per_step=32, learning_rate=1e-3, encoder_rate=1.0)
+        predict = fit_finetuned(source, tokenizer, table.head, FineTuneConfig(training), seed=0)
+        r2.append(np.mean(score(unseen.force_N, predict(pictures(unseen)))["r2"]))
+    assert r2[1] > r2[0] and r2[1] > 0.3
+
+
+def test_fine_tuning_refuses_pictures_of_another_size(table: Table, tiny: TokenizerConfig) -> None:
+    other = Tokenizer.random(replace(tiny, side=64))
+    with pytest.raises(ContractError, match="side 64"):
+        finetuned_row(table, other, 1, FineTuneConfig(SHORT))

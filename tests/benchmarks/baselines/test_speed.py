@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from benchmarks.baselines import speed
-from benchmarks.baselines.frozen import PeerEncoder
+from benchmarks.baselines.frozen import PublishedEncoder
 from benchmarks.baselines.speed import SpeedConfig, interleaved, one_thread, our_size, speed_report
 from benchmarks.baselines.t3 import T3Config, T3Encoder
 from uniforce_vtla.errors import ContractError
@@ -14,13 +14,13 @@ from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.model import TokenizerConfig
 
 
-def t3(depth: int) -> PeerEncoder:
+def t3(depth: int) -> PublishedEncoder:
     return T3Encoder(T3Config(image=64, patch=8, width=96, heads=2, encoder_depth=1, trunk_depth=depth))
 
 
 def test_report_is_plain_data_and_ranks_by_work(tiny: TokenizerConfig) -> None:
-    peers = {"small": t3(1), "large": t3(24)}
-    report = speed_report(Tokenizer.random(tiny), SpeedConfig(repeats=3, ours_per_round=2), peers)
+    encoders = {"small": t3(1), "large": t3(24)}
+    report = speed_report(Tokenizer.random(tiny), SpeedConfig(repeats=3, ours_per_round=2), encoders)
     encoders = json.loads(json.dumps(report))["encoders"]
     assert set(encoders) == {"UniForce", "small", "large"}
     assert encoders["UniForce"]["times_ours"] == 1
@@ -70,10 +70,10 @@ def test_nothing_to_repeat_is_refused(tiny: TokenizerConfig) -> None:
         speed_report(Tokenizer.random(tiny), SpeedConfig(repeats=0), {})
 
 
-def test_every_peer_is_measured_at_its_published_size() -> None:
+def test_every_encoder_is_measured_at_its_published_size() -> None:
     with torch.device("meta"):
-        peers = {name: build() for name, build in speed.PEERS.items()}
-    assert {name: sum(p.numel() for p in peer.parameters()) for name, peer in peers.items()} == {
+        encoders = {name: build() for name, build in speed.PUBLISHED.items()}
+    assert {name: sum(p.numel() for p in encoder.parameters()) for name, encoder in encoders.items()} == {
         "UniT": 25_179_663,
         "T3-medium": 85_798_656,
         "AnyTouch": 305_221_632,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.probes.hard_sets import HETERO_HARD, HardSettings, draw_hard
-from benchmarks.probes.hardness import hardness, oracle, variants
+from benchmarks.probes.hardness import draw_hardness, hardness, oracle, variants
 from benchmarks.probes.labelled_set import LabelledSet
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -34,7 +35,7 @@ def test_oracle_knows_all_but_gain_and_creep() -> None:
     assert known["r2"] == pytest.approx([1, 1, 1], abs=1e-6)
 
 
-def test_chart_has_transfers_and_self_for_every_variant() -> None:
+def test_chart_has_transfers_and_self_for_every_variant_and_is_drawn(tmp_path: Path) -> None:
     tokenizer = Tokenizer.random(TokenizerConfig(side=64, width=16, depth=1, heads=2, embed_hidden=0))
     easy = replace(
         HETERO_HARD, sequences=3, length=4, canonicalise=False, sequences_per_unit=3, unit_strength=0.5
@@ -48,3 +49,4 @@ def test_chart_has_transfers_and_self_for_every_variant() -> None:
     assert set(content["without"]) == set(variants())
     for found in content["without"].values():
         assert np.isfinite(found["transfers"]["mae_N"]).all() and len(found["self"]["r2"]) == 3
+    assert draw_hardness(content, tmp_path / "new" / "chart.png").stat().st_size > 10_000

@@ -3,14 +3,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.probes.latent_correlation import Rotation
-from benchmarks.probes.real_balance import balance
-from benchmarks.probes.real_slip import real_slip
-from benchmarks.probes.real_trials import SlipConfig, feel, read_trials
+from benchmarks.probes.latent_rotation import Rotation
+from benchmarks.probes.real_slip import balance, real_slip
+from benchmarks.probes.real_slip_figure import draw_real_slip
+from benchmarks.probes.real_trials import SlipConfig, encode_trial, read_trials
 from benchmarks.probes.slip_detector import auroc, change_energy, leave_one_out, starts
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.sensors.uskin_csv import COLUMNS
@@ -68,7 +69,7 @@ def test_references_are_own_where_the_object_fell_and_else_borrowed_and_labelled
 
 def test_signals_start_from_free_air_and_are_mirrored(recordings: Path, tokenizer: Tokenizer) -> None:
     trial = read_trials(recordings, HERE)[1]
-    felt = feel(tokenizer, trial, replace(HERE, pool=2))
+    felt = encode_trial(tokenizer, trial, replace(HERE, pool=2))
     assert felt.latent.shape == (2, T, 4, 6) and felt.descriptor.shape == (2, T, 6)
     free, held = np.abs(felt.latent[:, 45:]).mean(), np.abs(felt.latent[:, :20]).mean()
     assert free < 0.3 * held
@@ -77,25 +78,27 @@ def test_signals_start_from_free_air_and_are_mirrored(recordings: Path, tokenize
 
 
 def test_whole_report_finds_a_shake_that_speed_and_time_dont_know(
-    recordings: Path, tokenizer: Tokenizer
+    recordings: Path, tokenizer: Tokenizer, tmp_path: Path
 ) -> None:
     trials = read_trials(recordings, HERE)
-    report, _, scores = real_slip(tokenizer, trials, Rotation("uskin", np.eye(6)), HERE)
+    rotation = Rotation("uskin", np.eye(6))
+    report, signals, scores = real_slip(tokenizer, trials, rotation, HERE)
     found = report["slip"]["detectors"]
     assert found["raw counts"]["auroc"] > 0.95 and found["latent"]["auroc"] > 0.9
     assert found["control: joint speed"]["auroc"] < 0.75
     assert set(found["latent"]["auroc_by_trial"]) == {"a", "b", "d"}
-    assert (report["slip"]["slipping_trials"], report["slip"]["onsets"], report["slip"]["trials"]) == (
-        3,
-        3,
-        4,
-    )
+    assert [report["slip"][what] for what in ("slipping_trials", "onsets", "trials")] == [3, 3, 4]
     assert report["slip"]["frames"] == 3 * T + 40  # what follows the drop is left out
     assert report["balance"]["trials"] == ["b"]
     assert report["balance"]["median"]["raw counts"]["normal"]["r_whole"] > 0.99
     assert [len(score) for score in scores["latent"]] == [T] * 4
     with pytest.raises(ContractError, match="rotation"):
         real_slip(tokenizer, trials, Rotation("uskin", np.eye(5)), HERE)
+    picture = cv2.imread(
+        str(draw_real_slip(report, trials, signals, scores, rotation, tmp_path / "real.png"))
+    )
+    blue = (picture[..., 0].astype(int) - picture[..., 2] > 80).any(axis=1)
+    assert all(rows.any() for rows in np.array_split(blue, 4))  # something is drawn in each of its four rows
 
 
 def test_a_trial_never_scores_itself() -> None:
@@ -172,7 +175,7 @@ def test_real_trials_are_what_the_report_says(tokenizer: Tokenizer) -> None:
     assert sum(bool(t.slip.any()) for t in trials) == 3 and sum(len(starts(t.slip)) for t in trials) == 4
     assert sum(t.load_range_counts > SlipConfig().load_change_counts for t in trials) == 4
     short = replace(trials[-1], counts=trials[-1].counts[:, 100:160])
-    felt = feel(tokenizer, short)
+    felt = encode_trial(tokenizer, short)
     assert felt.saturated_frames == 0 and np.isfinite(felt.latent).all()
     total = felt.counts[..., 2].sum(axis=2)
     assert balance(*total, np.ones(60, bool))["r_whole"] > 0.9

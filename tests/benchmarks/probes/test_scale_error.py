@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.probes.hard_sets import HETERO_HARD, draw_hard
-from benchmarks.probes.scale_error import STATED, rescaled, scale_error
-from benchmarks.probes.scale_error_figure import draw_scale_error
+from benchmarks.probes.scale_error import STATED, draw_scale_error, rescaled, scale_error
 from benchmarks.probes.zero_shot import Table
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.tokenizer.api import Tokenizer

@@ -1,0 +1,247 @@
+"""LeRobot's trainer behind ``uniforce train``: settings checked first, training views, hashed checkpoints."""
+
+from __future__ import annotations
+
+import difflib
+import io
+import logging
+import sys
+from argparse import ArgumentError
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from accelerate import Accelerator
+from accelerate.utils import DistributedDataParallelKwargs
+from lerobot.configs import parser
+from lerobot.configs.train import TrainPipelineConfig
+from lerobot.datasets import factory
+from lerobot.scripts import lerobot_train
+from lerobot.utils.constants import PRETRAINED_MODEL_DIR
+from lerobot.utils.import_utils import register_third_party_plugins
+
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig
+from uniforce_vtla.arguments import Option, check, options_of, read_value, split_words
+from uniforce_vtla.errors import CheckpointError, ContractError, UniForceError, expected
+from uniforce_vtla.file_hashes import write_hashes
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.keys import VIEW_MARKER
+from uniforce_vtla.options import Range, Writable, check_text, shortened
+
+VERIFY = "verify="
+CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
+OURS = "pi05_uniforce"
+DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
+RANGES = {  # of LeRobot's own settings, which it does not check
+    "steps": Range(1, 10_000_000),
+    "batch_size": Range(1, 65_536),
+    "num_workers": Range(0, 256),
+    "prefetch_factor": Range(1, 1024),
+    "log_freq": Range(0, 10_000_000),
+    "seed": Range(0, 2**32 - 1),
+}
+ARGUMENTS = (ArgumentError, ValueError, TypeError, KeyError, AttributeError, NotImplementedError)
+LEROBOTS_ERRORS = (OSError, *ARGUMENTS)  # what its parser and its checks raise over a setting
+KEPT_GROUPS: list[Any] = []  # process groups of trainings that ended, see ``TrainingAccelerator``
+MIXED_PRECISION = {"bfloat16": "bf16", "float16": "fp16", "float32": "no"}  # LeRobot's, by the policy's dtype
+
+
+def to_lerobot(argv: Sequence[str]) -> list[str]:
+    """Turn ``policy=NAME k=v`` into ``--policy.type=NAME --k=v`` and add the defaults not given."""
+    flags = [_flag(argument) for argument in argv]
+    given = {flag[2:].partition("=")[0] for flag in flags if flag.startswith("--")}
+    if "resume" in given:  # a resumed run brings its own settings
+        return flags
+    return flags + [f"--{key}={value}" for key, value in DEFAULTS.items() if key not in given]
+
+
+def _flag(argument: str) -> str:
+    if argument.startswith("-") or "=" not in argument:
+        return argument
+    key, _, value = argument.partition("=")
+    return f"--{key}.type={value}" if key in CHOICES else f"--{key}={value}"
+
+
+def take_verify(argv: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the last ``verify=…`` ("" where there is none), which LeRobot doesn't know, and the other arguments."""
+    given = [argument.removeprefix(VERIFY) for argument in argv if argument.startswith(VERIFY)]
+    return (given or [""])[-1], [argument for argument in argv if not argument.startswith(VERIFY)]
+
+
+class TrainingAccelerator(Accelerator):
+    """LeRobot's accelerator for our policy, but for two things.
+
+    It skips the search for unused parameters, a walk over the graph in every step: ours has none left
+    (``training.py``, and a test per training option).
+
+    It lets the process group live as long as the process. LeRobot's trainer drops the group with its last frame,
+    microseconds after a barrier. The thread that drops it holds Python's lock and waits for gloo's; gloo's may still be
+    releasing the barrier's tensors, for which it wants the lock: a deadlock inside PyTorch (``~Reducer`` →
+    ``~ProcessGroupGloo`` → ``join``), seen once.
+    """
+
+    def __init__(self, config: PI05UniforceConfig) -> None:
+        super().__init__(
+            step_scheduler_with_optimizer=False,
+            mixed_precision=MIXED_PRECISION[config.dtype],
+            kwargs_handlers=[DistributedDataParallelKwargs(find_unused_parameters=False)],
+            cpu=config.device == "cpu",
+        )
+
+    def end_training(self) -> None:
+        """Keep the group's last reference, then end as usual."""
+        if torch.distributed.is_initialized():
+            KEPT_GROUPS.append(torch.distributed.group.WORLD)
+        super().end_training()
+
+
+@contextmanager
+def replaced(owner: Any, name: str, stand_in: Callable[..., Any]) -> Iterator[None]:
+    """Let ``stand_in(stock, …)`` answer for a function of LeRobot's that takes no argument and has no class for it."""
+    stock = getattr(owner, name)
+    setattr(owner, name, partial(stand_in, stock))
+    try:
+        yield
+    finally:
+        setattr(owner, name, stock)
+
+
+@contextmanager
+def training_views(verify: str = "") -> Iterator[None]:
+    """Let LeRobot's trainer read a training view where the dataset root holds one, and no dataset unchecked."""
+
+    def make_dataset(stock: Any, cfg: Any) -> Any:
+        from uniforce_datasets.training_view import make_training_dataset  # pulls in the recorder's libraries
+
+        root = cfg.dataset.root
+        if root is None or not (Path(root) / VIEW_MARKER).is_file():
+            return make_training_dataset(cfg, partial(_stock_dataset, stock), verify)
+        if cfg.dataset.eval_split:
+            do = "Make a view of the held-out episodes instead."
+            came = cfg.dataset.eval_split
+            raise ContractError(expected("dataset.eval_split", "0 with a training view", came, do))
+        return make_training_dataset(cfg, stock, verify)
+
+    with replaced(factory, "make_dataset", make_dataset):
+        yield
+
+
+def _stock_dataset(stock: Any, cfg: Any) -> Any:
+    """Return what LeRobot reads.
+
+    Raises:
+        ContractError: it can't, from the folder or from the hub.
+    """
+    where = cfg.dataset.root or cfg.dataset.repo_id
+    try:
+        return stock(cfg)
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        do = "Look at it, or record it again."
+        raise ContractError(expected("dataset", f"a whole dataset in {where}", _said(error), do)) from error
+
+
+def _save_hashed(stock: Any, checkpoint_dir: Path, **given: Any) -> None:
+    """Save a checkpoint and end it with ``hashes.json``: LeRobot saves the processors after the policy."""
+    stock(checkpoint_dir=checkpoint_dir, **given)
+    write_hashes(checkpoint_dir / PRETRAINED_MODEL_DIR)
+
+
+def trains_ours(flags: Sequence[str]) -> bool:
+    """Return whether these flags name a pi05_uniforce, by type or by the folder it starts or goes on from."""
+    given = dict(flag[2:].split("=", 1) for flag in flags if flag.startswith("--") and "=" in flag)
+    started = Path(given.get("policy.path", "")) / "config.json"
+    resumed = Path(given.get("config_path", "")).parent / "config.json"
+    for key, config in (("policy.path", started), ("config_path", resumed)):
+        if key in given and config.is_file():
+            return read_object(config, CheckpointError).get("type") == OURS
+    return given.get("policy.type") == OURS
+
+
+def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
+    """Return LeRobot's settings as its own parser reads them from ``sys.argv``, checked before the work begins.
+
+    Raises:
+        ContractError: a setting LeRobot doesn't have, of a wrong type or out of range, a path that can't be used.
+    """
+    said = io.StringIO()
+    logging.disable(logging.WARNING)  # what LeRobot warns of here, it does again when the work begins
+    try:
+        _check(split_words(flags), trains_ours(flags))
+        with redirect_stderr(said):
+            settings: TrainPipelineConfig = parser.wrap()(_settings)()
+        settings.validate()
+    except UniForceError as error:
+        raise _with_nearest(error) from error
+    except SystemExit as error:  # LeRobot's way to end after a wrong type; it printed why
+        raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
+    except LEROBOTS_ERRORS as error:
+        came = _said(error)
+        raise ContractError(expected("settings", "what LeRobot takes", came, "See --help.")) from error
+    finally:
+        logging.disable(logging.NOTSET)
+    return settings
+
+
+def _settings(cfg: TrainPipelineConfig) -> TrainPipelineConfig:
+    return cfg
+
+
+_settings.__annotations__["cfg"] = TrainPipelineConfig  # LeRobot's parser reads the class, not its name
+
+
+def settings_known() -> dict[str, Option]:
+    """Return LeRobot's settings and our policy's, with the ranges that we add."""
+    known = options_of(TrainPipelineConfig) | options_of(PI05UniforceConfig, "policy.")
+    return known | {name: replace(known[name], rule=allowed) for name, allowed in RANGES.items()}
+
+
+def _check(given: Mapping[str, str], ours: bool) -> None:
+    known = settings_known()
+    for name, text in given.items():
+        check_text(name, text)
+        if name in known and (ours or not name.startswith("policy.")):
+            check(known[name], read_value(known[name], text))
+    root, out = given.get("dataset.root"), given.get("output_dir")
+    if root is not None and not any(
+        (Path(root) / name).is_file() for name in (VIEW_MARKER, "meta/info.json")
+    ):
+        raise ContractError(expected("dataset.root", "a dataset or a training view", root, "Check the path."))
+    if out is not None:
+        Writable().check("output_dir", out)
+
+
+def _with_nearest(error: UniForceError) -> UniForceError:
+    """Add the nearest known name to what argparse says of an unknown one."""
+    _, unknown, words = str(error).partition("unrecognized arguments: ")
+    near = difflib.get_close_matches(words.partition("=")[0].removeprefix("--"), settings_known(), 1)
+    return ContractError(f"{error} Did you mean {near[0]}=…?") if unknown and near else error
+
+
+def _said(error: object) -> str:
+    return shortened(f"{type(error).__name__}: {error}" if isinstance(error, Exception) else str(error), 300)
+
+
+def train(argv: Sequence[str]) -> None:
+    """Run ``lerobot-train`` on the given arguments.
+
+    Raises:
+        UniForceError: settings, a dataset or a checkpoint that can't be used.
+    """
+    register_third_party_plugins()
+    verify, settings = take_verify(argv)
+    flags = to_lerobot(settings)
+    before, sys.argv = sys.argv, [sys.argv[0], *flags]  # LeRobot's parser reads sys.argv itself
+    try:
+        if "--help" in flags:
+            lerobot_train.main()
+        config = read_settings(flags)
+        ours = isinstance(config.policy, PI05UniforceConfig) and not config.job.is_remote
+        accelerator = TrainingAccelerator(config.policy) if ours else None
+        with training_views(verify), replaced(lerobot_train, "save_checkpoint", _save_hashed):
+            lerobot_train.train(accelerator=accelerator)
+    finally:
+        sys.argv = before

@@ -1,0 +1,211 @@
+"""One look at a finger, newest sample through canonicaliser, tokenizer and force head; and where it is shown."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from uniforce_cli.rerun_viewer import import_rerun, open_viewer
+from uniforce_robots.sensors.finger import TactileFinger
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.mirror import to_canonical, to_finger_frame
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.streaming import StreamingEncoder
+
+WAIT_MS = 1000.0
+SHADES = " .:-=+*#%@"
+TEXT_SIDE = 7  # the terminal's map has 7×7 characters
+FULL_NORM = 3.0  # a latent that far from free air is drawn at full brightness
+FULL_COUNTS = 4000  # normal counts of a taxel at full brightness: a few newtons on it
+PANEL_PX = 480
+
+
+@dataclass(frozen=True)
+class TouchView:
+    """What is shown.
+
+    Attributes:
+        label: which sensor on which finger.
+        raw: (H, W, 3) uint8 RGB, or (16, 3) int64 counts above the reference.
+        markers: (480, 640) uint8 marker image, as the sensor sees it.
+        norms: (g, g) float32, length of each patch's latent minus its free-air latent; as the sensor sees it.
+        force_N: (3,) in the finger's own frame, image axes; None without a head.
+        age_ms: how old the sample was when it was looked at.
+        rate_hz: measured.
+        lost: samples lost so far.
+    """
+
+    label: str
+    raw: np.ndarray
+    markers: np.ndarray
+    norms: np.ndarray
+    force_N: np.ndarray | None
+    age_ms: float
+    rate_hz: float
+    lost: int
+
+
+class LiveTouch:
+    """Looks at a connected finger that has its reference.
+
+    Args:
+        finger: the device.
+        side: the finger of the gripper that wears it.
+        tokenizer: makes latents.
+        head: reads newtons; None shows none.
+        label: what to call it.
+
+    Raises:
+        CheckpointError: a head of another tokenizer.
+        ContractError: a finger without reference.
+    """
+
+    def __init__(
+        self, finger: TactileFinger, side: Finger, tokenizer: Tokenizer, head: ForceHead | None, label: str
+    ) -> None:
+        self._finger, self._side, self._label = finger, side, label
+        self._encoder = StreamingEncoder(tokenizer, side, head)
+        reference = finger.reference_image()[..., 0]
+        self._encoder.set_reference(reference)
+        self._free = self._encoder.step(reference).latent
+        self._encoder.set_reference(reference)  # the head forgets that look
+        self._grid = math.isqrt(tokenizer.num_patches)
+        self._index = -1
+
+    def look(self) -> TouchView:
+        """Return the next new sample's view; raises SensorError where there is none."""
+        touch = self._finger.next_touch(self._index, WAIT_MS)
+        self._index = touch.index
+        markers = self._finger.marker_image(touch.raw)
+        step = self._encoder.step(markers)
+        norms = (step.latent - self._free).norm(dim=-1).numpy().reshape(self._grid, self._grid)
+        raw = touch.raw
+        if raw.ndim == 2:  # counts mean little without their rest
+            raw = raw.astype(np.int64) - self._finger.reference_raw
+        return TouchView(
+            label=self._label,
+            raw=raw,
+            markers=markers,
+            norms=to_canonical(norms, self._side),  # undoes the encoder's mirror: its own inverse
+            force_N=None if step.force_N is None else to_finger_frame(step.force_N, self._side),
+            age_ms=touch.age_ms,
+            rate_hz=self._finger.rate_hz,
+            lost=self._finger.counts.lost,
+        )
+
+
+def make_output(name: str) -> Callable[[TouchView], None]:
+    """Return what shows one view after another: ``terminal`` or ``rerun``.
+
+    Raises:
+        ContractError: unknown, or rerun isn't installed.
+    """
+    if name == "terminal":
+        return _terminal()
+    if name == "rerun":
+        return _rerun()
+    raise ContractError(expected("output", "terminal | rerun", name, "Choose one."))
+
+
+def _terminal() -> Callable[[TouchView], None]:
+    """Print numbers and a small map in characters; on a real terminal each view replaces the last."""
+    lines = 0
+
+    def show(view: TouchView) -> None:
+        nonlocal lines
+        text = as_text(view)
+        back = (
+            f"\x1b[{lines}F\x1b[J" if sys.stdout.isatty() and lines else ""
+        )  # to the last one's top, and clear
+        print(back + text, flush=True)
+        lines = text.count("\n") + 1
+
+    return show
+
+
+def _rerun() -> Callable[[TouchView], None]:
+    """Log into the rerun viewer, if the user has it; it isn't among the project's dependencies."""
+    rerun = import_rerun("output=rerun", "output=terminal")
+    rerun.init("uniforce touch")
+    open_viewer()
+    rerun.connect_grpc()
+
+    def show(view: TouchView) -> None:
+        rerun.log("markers", rerun.Image(view.markers))
+        rerun.log("latent_norm", rerun.Image(_grey(view.norms)))
+        rerun.log("raw", rerun.Image(raw_picture(view)))
+        for name, newtons in zip("xyz", () if view.force_N is None else view.force_N, strict=False):
+            rerun.log(f"force_N/{name}", rerun.Scalars(float(newtons)))
+        rerun.log("age_ms", rerun.Scalars(view.age_ms))
+
+    return show
+
+
+def as_text(view: TouchView) -> str:
+    """Return a view as text: rate, age, force, what the sensor shows, and the map of latent lengths."""
+    force = "no head" if view.force_N is None else " ".join(f"{f:+6.2f}" for f in view.force_N) + " N"
+    head = (
+        f"{view.label}: {view.rate_hz:6.1f} Hz, age {view.age_ms:6.1f} ms, lost {view.lost}\n"
+        f"force x y z {force}   latent up to {view.norms.max():.2f}"
+    )
+    raw = [f"mean grey {view.raw.mean():.0f}"]
+    if view.raw.ndim == 2:  # normal counts as the pad shows them: the first taxel is at the bottom left
+        grid = view.raw[:, 2].reshape(4, 4)[::-1]
+        raw = ["z counts", *(" ".join(f"{z:6d}" for z in row) for row in grid)]
+    small = cv2.resize(view.norms.astype(np.float32), (TEXT_SIDE, TEXT_SIDE), interpolation=cv2.INTER_AREA)
+    shade = np.clip(small / FULL_NORM * (len(SHADES) - 1), 0, len(SHADES) - 1).round().astype(int)
+    rows = ["|" + "".join(SHADES[s] * 2 for s in row) + "|" for row in shade]
+    beside = [*raw, *[""] * (TEXT_SIDE - len(raw))]
+    return "\n".join([head, *(f"{row}   {extra}" for row, extra in zip(rows, beside, strict=True))])
+
+
+def panel(view: TouchView) -> np.ndarray:
+    """Return (480, W, 3) uint8 BGR: raw, markers and latent lengths side by side, with the numbers above."""
+    raw = cv2.cvtColor(raw_picture(view), cv2.COLOR_RGB2BGR)
+    raw = cv2.resize(raw, (raw.shape[1] * PANEL_PX // raw.shape[0], PANEL_PX))
+    markers = cv2.cvtColor(view.markers, cv2.COLOR_GRAY2BGR)
+    grey = cv2.resize(_grey(view.norms), (PANEL_PX, PANEL_PX), interpolation=cv2.INTER_NEAREST)
+    picture = np.concatenate([raw, markers, cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)], axis=1)
+    for i, line in enumerate(as_text(view).splitlines()[:2]):
+        cv2.putText(picture, line, (10, 20 + 20 * i), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 200, 255), 1)
+    return picture
+
+
+def raw_picture(view: TouchView) -> np.ndarray:
+    """Return the raw signal as (H, W, 3) uint8 RGB; taxels as a 4×4 picture of their normal counts."""
+    return view.raw if view.raw.ndim == 3 else counts_picture(view.raw)
+
+
+def counts_picture(change: np.ndarray) -> np.ndarray:
+    """Return (120, 160, 3) uint8 RGB of (16, 3) counts above the reference: normal counts, upright."""
+    z = np.clip(change[:, 2].reshape(4, 4)[::-1] / FULL_COUNTS * 255, 0, 255).astype(np.uint8)
+    return np.repeat(cv2.resize(z, (160, 120), interpolation=cv2.INTER_NEAREST)[..., None], 3, axis=2)
+
+
+def save_panel(view: TouchView, path: str) -> Path:
+    """Write the panel as a picture file; return its path.
+
+    Raises:
+        ContractError: OpenCV can't write there, or not that kind of file.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        written = cv2.imwrite(str(target), panel(view))
+    except cv2.error:
+        written = False
+    if not written:
+        raise ContractError(expected("save", "a writable .png or .jpg", path, "Name another file."))
+    return target
+
+
+def _grey(norms: np.ndarray) -> np.ndarray:
+    return np.clip(norms / FULL_NORM * 255, 0, 255).astype(np.uint8)

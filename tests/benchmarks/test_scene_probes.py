@@ -1,0 +1,125 @@
+"""What the scene asks of touch: blind scripts, a leak check with known answers, and what a policy looks at."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.blind import main
+from benchmarks.leak_check import FRAMES, TOUCHING_N, LeakConfig, Samples, collect, verdict
+from benchmarks.leak_check import measure as measure_leak
+from benchmarks.sensitivity import Look, measure
+from uniforce_vtla.keys import CAMERAS, tactile_name
+from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE
+
+ONE = ["level=easy", "episodes=1", "workers=1"]
+NO_BLIND = ["press_N=[]", "grip_open_N=[]", "grip_relative_N=[]"]
+
+
+def test_the_best_blind_script_is_named(tmp_path: Path) -> None:
+    given = [*ONE, "experts=[]", "press_N=[5.0]", "grip_open_N=[]", "grip_relative_N=[6.5]"]
+    assert main([*given, f"out={tmp_path / 'blind.json'}"]) == 0
+    written = json.loads((tmp_path / "blind.json").read_text())
+    assert list(written["scripts"]) == [written["best_blind"]] == ["measured_relative_press5_grip6.5"]
+
+
+def test_experts_alone_have_no_best_blind_script(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*ONE, *NO_BLIND, "experts=[both]", f"out={tmp_path / 'blind.json'}"]) == 0
+    written = json.loads((tmp_path / "blind.json").read_text())
+    assert written["best_blind"] is None and written["scripts"]["expert_both"]["clean"] == 1
+    assert "best blind: none asked for" in capsys.readouterr().out
+
+
+def made_up(leaky: bool) -> Samples:
+    """Forty scenes whose touch tells the press; the state does only where the scene leaks."""
+    rng = np.random.default_rng(0)
+    n = 600
+    press = rng.uniform(3, 12, n)
+    state = rng.standard_normal((n, 5 * FRAMES))
+    if leaky:
+        state[:, 2] = press + 0.1 * rng.standard_normal(n)
+    touch = rng.standard_normal((n, 2 * DESCRIPTOR_SIZE))
+    touch[:, 1] = press + 0.1 * rng.standard_normal(n)
+    cameras = rng.integers(0, 255, (n, 18, 8, 8)).astype(np.uint8)
+    return Samples(state, state.copy(), touch, cameras, press, np.arange(n) % 40)
+
+
+def test_a_leak_is_found_and_no_leak_is_not() -> None:
+    leak, tight = (measure_leak(made_up(leaky), cnn_steps=5) for leaky in (True, False))
+    assert leak["state"] > 0.9 and verdict(leak).startswith("LEAK")
+    assert tight["state"] < 0.1 < 0.9 < tight["touch"] and verdict(tight).startswith("no leak")
+
+
+def test_a_check_that_touch_fails_too_proves_nothing() -> None:
+    blind = dict.fromkeys(("state", "state and own moves", "cameras and state"), 0.0)
+    assert verdict(blind | {"touch and state": 0.5}).startswith("proves nothing")
+
+
+def test_moves_are_changes_of_the_targets_and_count_as_blind() -> None:
+    samples = made_up(leaky=False)
+    samples.command[:, 2] = samples.command[:, 7] - samples.press_N  # z of the first frame against the second
+    assert np.allclose(samples.moves[:, 2], samples.press_N)
+    found = measure_leak(samples, cnn_steps=5)
+    assert found["state"] < 0.1 < 0.9 < found["state and own moves"] and verdict(found).startswith("LEAK")
+
+
+@pytest.mark.slow
+def test_samples_are_moments_of_wiping_with_their_past() -> None:
+    samples = collect(LeakConfig(level="easy", scenes=3, image_side=28))
+    n = len(samples.press_N)
+    assert n > 10 and set(samples.scene) == {0, 1, 2}
+    assert samples.state.shape == (n, 5 * FRAMES) and samples.cameras.shape == (n, 6 * FRAMES, 28, 28)
+    assert (samples.press_N > TOUCHING_N).all()  # wiping, not leaving the board
+    moved = samples.state[:, 1] - samples.state[:, -4]  # y, first frame against the last
+    assert np.abs(moved).max() > 0.005
+
+
+class Reader:
+    """Its chunk is the brightness of the streams it reads, and a little noise."""
+
+    needs_true_wrench = False
+    config = SimpleNamespace(action=SimpleNamespace(delta_scale=[1.0] * 5), chunk_size=4, max_action_dim=8)
+
+    def __init__(self, *streams: str) -> None:
+        self.streams = streams
+
+    def reset(self, env: object) -> None:
+        pass
+
+    def predict(self, observation: dict[str, Any], task: str, noise: torch.Tensor) -> np.ndarray:
+        read = sum(float(observation["pixels"][name].mean()) for name in self.streams)
+        return np.full((4, 5), read) + 0.01 * noise[0, :, :5].numpy()
+
+
+def moment(contact: bool, seed: int) -> Look:
+    rng = np.random.default_rng(seed)
+    pixels = {name: rng.random((4, 4, 3)) + 1 for name in CAMERAS}
+    for finger in ("left", "right"):
+        free = rng.random((4, 4, 3))
+        pixels[tactile_name(finger, reference=True)] = free
+        pixels[tactile_name(finger)] = free + (0.5 * rng.random() + 0.5 if contact else 0.0)
+    return Look({"pixels": pixels}, "wipe", contact)
+
+
+@pytest.mark.parametrize(
+    ("read", "moves"),
+    [
+        (tactile_name("left"), {"touch as in free air", "touch of another moment"}),
+        ("front", {"front camera black"}),
+        ("wrist", {"wrist camera black"}),
+    ],
+)
+def test_only_what_is_read_moves_the_chunk(read: str, moves: set[str]) -> None:
+    found = measure(Reader(read), [moment(i % 2 == 0, i) for i in range(12)])  # type: ignore[arg-type]
+    noise = found.pop("other noise")
+    assert 0 < noise["contact"] < 0.02
+    for name, change in found.items():
+        assert (change["contact"] > 5 * noise["contact"]) == (name in moves)
+    if "touch as in free air" in moves:
+        assert found["touch as in free air"]["no contact"] == pytest.approx(0.0)
