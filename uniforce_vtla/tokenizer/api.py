@@ -103,10 +103,12 @@ class Tokenizer:
             wanted, came = "a MarkerPair alone, or reference and current", f"current {type(current).__name__}"
             raise ContractError(expected("encode", wanted, came, "Pass the pair, or both images."))
         if isinstance(reference, MarkerPair):
-            reference, current, finger = reference.reference, reference.current[None], reference.finger
-        after = prepare(current, check_finger(finger), self.config.side, "current")
-        before = self._reference(reference, finger, len(after))
-        _same("current", reference.shape[-2:], current.shape[-2:], "Use one camera setting for both.")
+            images, contact, finger = reference.reference, reference.current[None], reference.finger
+        else:
+            images, contact = reference, np.asarray(current)
+        after = prepare(contact, check_finger(finger), self.config.side, "current")
+        before = self._reference(images, finger, len(after))
+        _same("current", images.shape[-2:], contact.shape[-2:], "Use one camera setting for both.")
         z = self.model.encoder.encode_current(before, after).mean
         return Latent.of(z, self.hash)
 
