@@ -333,7 +333,7 @@ def test_only_who_loads_chooses_how_files_are_verified(make_policy, tmp_path):
     assert stored["verify"] == "full"
     write_hashes(tmp_path)
     (tmp_path / "config.json").write_text(json.dumps(stored | {"verify": "off"}))
-    with pytest.raises(CheckpointError, match=r"config\.json of"):
+    with pytest.raises(CheckpointError, match=r"got config\.json: "):
         PI05UniforcePolicy.from_pretrained(tmp_path)
     config = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--verify=off"])
     with pytest.raises(CheckpointError, match="Only who loads"):
@@ -356,5 +356,5 @@ def test_files_of_a_hub_repository_are_fetched_and_verified(checkpoint, monkeypa
     weights.check_files("somebody/policy", "full", None, False)
     assert {"hashes.json", "model.safetensors", "README.md"} <= set(fetched)
     (checkpoint / "config.json").write_text("{}")
-    with pytest.raises(CheckpointError, match=r"config\.json of 2 bytes"):
+    with pytest.raises(CheckpointError, match=r"config\.json: 2 bytes"):
         weights.check_files("somebody/policy", "full", None, False)

@@ -68,7 +68,7 @@ def call_breaches(call: ast.Call, name: str) -> Iterator[str]:
 
 
 def test_no_module_can_run_what_a_file_brings_along(source_files) -> None:
-    assert len(source_files) > 300
+    assert len(source_files) > 200
     found = {
         str(file.relative_to(ROOT)): list(breaches(file.read_text(), str(file.relative_to(ROOT))))
         for file in source_files

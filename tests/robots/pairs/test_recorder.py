@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.pairs.evaluation import is_bad, precision_recall, score_session
+from benchmarks.pairs.evaluation import precision_recall, score_session
 from benchmarks.pairs.training import ForceTraining, save_finger_force, train_finger_force, training_contacts
 from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
 from uniforce_robots.pairs.finger_force import FingerForce
 from uniforce_robots.pairs.guided_grasp import GraspSettings
 from uniforce_robots.pairs.recorder import KEPT, PairRecorder, RecordingPlan, SessionReport, Status
-from uniforce_robots.pairs.rehearsal import Rehearsal, SimulatedRig
+from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig
 from uniforce_robots.pairs.rig import RigFrame
 from uniforce_robots.pairs.storage import PairStore
 from uniforce_vtla.errors import CheckpointError, DatasetError, SensorError
@@ -88,9 +88,9 @@ def test_flags_are_right_where_the_fault_is_plain() -> None:
     """Not the bar, which `benchmarks.pair_quality` measures on thousands of pairs: that flags mean something at all."""
     settings = GraspSettings(faults=("free", "one_finger"), frames=30)
     scored = score_session(Rehearsal("uskin", "tactip", seed=11, grasps=settings), NAMES, 6)
-    found = precision_recall(scored.flagged, is_bad(scored))
+    found = precision_recall(scored.flagged, scored.error > LIMIT)
     assert found["bad"] > 30 and found["precision"] > 0.8 and found["recall"] > 0.8
-    turned = precision_recall(scored.flagged[::-1], is_bad(scored))
+    turned = precision_recall(scored.flagged[::-1], scored.error > LIMIT)
     assert turned["precision"] < found["precision"]  # the test can fail
 
 
