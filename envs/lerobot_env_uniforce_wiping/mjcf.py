@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lerobot_env_uniforce_wiping.hidden import BOARD_HALF_m
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
 from uniforce_vtla.sensors import get_sensor
@@ -166,8 +167,8 @@ def _board(scene: SceneParams) -> str:
     soft = 'solref="-20000 -250" solimp="0.5 0.5 0.001"'  # felt: some tenths of a mm at wiping force
     return (
         f'<body name="board" pos="{x} {y} {scene.board_height_m}" euler="{tilt_x} {tilt_y} {scene.board_turn_rad}">'
-        f'<geom name="board" type="box" size="0.085 0.115 0.005" pos="0 0 -0.005" contype="0" conaffinity="2"'
-        f' {friction} {soft} condim="3" rgba=".96 .97 .96 1"/></body>'
+        f'<geom name="board" type="box" size="{_text((*BOARD_HALF_m, 0.005))}" pos="0 0 -0.005"'
+        f' contype="0" conaffinity="2" {friction} {soft} condim="3" rgba=".96 .97 .96 1"/></body>'
         f'<geom name="table" type="box" size="0.40 0.50 0.01" pos="0.5 0 -0.01" contype="0" conaffinity="2"'
         f' friction="0.5 0.005 0.0001" priority="1" {soft} condim="3" rgba=".62 .50 .38 1"/>'
     )
