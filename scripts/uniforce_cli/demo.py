@@ -90,11 +90,12 @@ def logged(path: Path) -> Iterator[Callable[[str], None]]:
         try:
             with contextlib.redirect_stdout(log), contextlib.redirect_stderr(errors):  # type: ignore[type-var]
                 yield lambda text: print(text, file=out, flush=True)
-        except Exception:
-            tail = path.read_text().splitlines()[-TAIL:]
-            print("\n".join([*tail, f"the step failed; all it printed is in {path}"]), file=out, flush=True)
-            raise
         finally:
+            if isinstance(sys.exception(), Exception):  # Ctrl-C needs no explanation
+                tail = path.read_text().splitlines()[-TAIL:]
+                print(
+                    "\n".join([*tail, f"the step failed; all it printed is in {path}"]), file=out, flush=True
+                )
             for number, copy in enumerate(kept, start=1):
                 os.dup2(copy, number)
                 os.close(copy)

@@ -7,12 +7,10 @@ import resource
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import torch
-
 import uniforce_vtla.tokenizer
 from uniforce_cli.boundary import command
 from uniforce_vtla.options import FileName, OutFolder, Workers
-from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source, starting_model
+from uniforce_vtla.tokenizer.settings import PretrainSettings
 
 PRESETS = Path(uniforce_vtla.tokenizer.__file__).parent / "presets"  # one YAML file each
 
@@ -37,6 +35,10 @@ class PretrainCommand:
 @command(PretrainCommand, presets=PRESETS)
 def main(settings: PretrainCommand) -> int:
     """Entry of ``uniforce pretrain``."""
+    import torch
+
+    from uniforce_vtla.tokenizer.pretrain import Pretraining, open_source, starting_model
+
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(settings.threads)
     starting_model(settings.run)  # refuses what does not fit before pairs are drawn

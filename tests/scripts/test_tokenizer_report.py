@@ -18,7 +18,7 @@ from uniforce_vtla.arguments import choose, parse
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from uniforce_vtla.contracts import FINGERS, Finger, MarkerPair
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
 

@@ -7,10 +7,10 @@ import torch
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.attention import CausalPairAttention
-from uniforce_vtla.tokenizer.losses import LossConfig
-from uniforce_vtla.tokenizer.model import TokenizerConfig, build_model, mean_of_others, warped
+from uniforce_vtla.tokenizer.model import build_model, mean_of_others, warped
 from uniforce_vtla.tokenizer.pair_cache import Pairs
 from uniforce_vtla.tokenizer.pretrain import pair_loss
+from uniforce_vtla.tokenizer.settings import LossConfig, TokenizerConfig
 
 
 def images(count: int, seed: int = 0) -> torch.Tensor:

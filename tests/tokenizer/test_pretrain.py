@@ -16,7 +16,6 @@ from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import (
-    LossConfig,
     Side,
     equilibrium,
     gradient_pyramid,
@@ -25,15 +24,10 @@ from uniforce_vtla.tokenizer.losses import (
     quality_weights,
     reconstruction,
 )
-from uniforce_vtla.tokenizer.model import Posterior, TokenizerConfig, build_model
-from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, build_cache, draw_finger
-from uniforce_vtla.tokenizer.pretrain import (
-    Pretraining,
-    PretrainSettings,
-    learning_rate,
-    open_source,
-    pair_loss,
-)
+from uniforce_vtla.tokenizer.model import Posterior, build_model
+from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, build_cache, draw_finger
+from uniforce_vtla.tokenizer.pretrain import Pretraining, learning_rate, open_source, pair_loss
+from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings, TokenizerConfig
 
 SMALL_DATA = PairCacheConfig(side=32, units=2, pairs_per_unit=4, units_per_shard=1)
 

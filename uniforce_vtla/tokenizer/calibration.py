@@ -16,26 +16,11 @@ from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.options import Count, CountOrZero, NotNegative, Rate, Seed, Share
 from uniforce_vtla.tokenizer.latent import Latent, as_map, own_latent
+from uniforce_vtla.tokenizer.settings import CalibrationConfig
 from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
 
 MAX_SIZE = 16384  # of an adapter's latent and hidden units, see model.LIMITS
-
-
-@dataclass(frozen=True)
-class CalibrationConfig:
-    """How an adapter is fitted."""
-
-    hidden: CountOrZero = 32  # units that bend the latent; 0 leaves it an affine map
-    steps: Count = 800  # of Adam, cosine to zero; seconds on one core
-    batch: Count = 64  # pairs per step
-    learning_rate: Rate = 5e-3  # peak
-    # keeps weights the grasps don't decide where they started: at the identity
-    identity_pull: NotNegative = 1e-3
-    held_out: Share = 0.2  # share of the grasps that only judge
-    min_pairs: Count = 50  # fewer can't decide some hundred numbers
-    seed: Seed = 0  # split and batches
 
 
 class LatentAdapter(nn.Module):

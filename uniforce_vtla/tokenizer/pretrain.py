@@ -9,9 +9,8 @@ from __future__ import annotations
 import csv
 import math
 import time
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -21,41 +20,17 @@ from tqdm import tqdm
 
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import Count, CountOrZero, NotNegative, Positive, Rate, Seed, TokenizerFolder
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
-from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, TokenizerConfig, build_model
-from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs, PairSource
+from uniforce_vtla.tokenizer.losses import Side, objective
+from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, build_model
+from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, Pairs, PairSource
+from uniforce_vtla.tokenizer.settings import LossConfig, PretrainSettings
 from uniforce_vtla.tokenizer.training_state import is_there, load_state, save_state
 
 RECIPE = "recipe.json"  # every setting of the run, beside its state
 MAY_CHANGE = ("steps", "save_every", "strips_every", "tracker")  # between a run and its continuation
 WITHHELD_SHARE = 0.25  # of units whose material variables are withheld in a step
-
-
-@dataclass(frozen=True)
-class PretrainSettings:
-    """Everything a pretraining run depends on."""
-
-    model: TokenizerConfig = field(default_factory=TokenizerConfig)
-    loss: LossConfig = field(default_factory=LossConfig)
-    data: PairCacheConfig = field(default_factory=PairCacheConfig)
-    steps: Count = 2600  # optimiser steps
-    units_per_batch: Count = 4  # units (references) in a batch
-    pairs_per_unit: Count = 8  # contacts of each: 4 × 8 = 32 pairs
-    learning_rate: Rate = 1e-3  # peak, AdamW
-    weight_decay: NotNegative = 0.01  # AdamW
-    warmup_steps: CountOrZero = 100  # linear to the peak, then cosine to a fiftieth
-    clip_norm: Positive = 1.0  # of the gradient
-    seed: Seed = 0  # weights, batches, latent noise
-    save_every: Count = 100  # steps between checkpoints a killed run continues from
-    init: TokenizerFolder = ""  # tokenizer folder whose weights it starts from; empty = drawn from the seed
-    source: Literal["cache", "live"] = "cache"  # pairs from disk, or every batch drawn anew
-    mixed_precision: Literal["no", "bf16", "fp16"] = "no"  # accelerate's; float32 is fastest on most CPUs
-    # accelerate's, beside log.csv; tensorboard: not installed
-    tracker: Literal["", "wandb", "tensorboard"] = ""
-    strips_every: CountOrZero = 500  # steps between pictures of reconstructions (strips/); 0 = none
 
 
 def open_source(settings: PretrainSettings, cache: Path) -> PairSource:

@@ -22,7 +22,7 @@ from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, 
 from benchmarks.probes.zero_shot import Cells, Table, encode_set, score
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 SHORT = EndToEndConfig(steps=3, frames_per_step=16)
 RESNET = ResNetConfig(width=8, blocks=(1, 1, 1), training=replace(SHORT, steps=80))

@@ -11,7 +11,7 @@ from benchmarks.baselines.speed import SpeedConfig, interleaved, one_thread, our
 from benchmarks.baselines.t3 import T3Config, T3Encoder
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 
 def t3(depth: int) -> PublishedEncoder:

@@ -14,7 +14,7 @@ from benchmarks.probes.labelled_set import LabelledSet
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 
 def test_variants_take_one_thing_away() -> None:

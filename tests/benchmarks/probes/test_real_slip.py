@@ -16,7 +16,7 @@ from benchmarks.probes.slip_detector import auroc, change_energy, leave_one_out,
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.sensors.uskin_csv import COLUMNS
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 FOLDER = Path(__file__).parents[3].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"
 HERE = SlipConfig(lender="b")

@@ -13,7 +13,7 @@ from benchmarks.probes.zero_shot import Table
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 RECIPE = replace(HETERO_HARD, sequences=2, length=3, canonicalise=False)
 

@@ -22,8 +22,8 @@ from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.model import TokenizerConfig
 from uniforce_vtla.tokenizer.pair_cache import shrink
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 SIDE = 32
 TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)
