@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
-import torch
 from tqdm import tqdm
 
 from benchmarks.probes.zero_shot import score
@@ -23,7 +21,7 @@ from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Level
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.evaluation.episode import (
@@ -167,8 +165,7 @@ def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
 @command(DescriptorHeadsConfig)
 def main(config: DescriptorHeadsConfig) -> int:
     """Entry of ``python -m benchmarks.descriptor_heads``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     report = make_heads(config)
     path = write_json(Path(config.results), report | provenance())
     for sensor, cell in report["sensors"].items():

@@ -25,7 +25,7 @@ from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Level
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, tactile_name
@@ -196,8 +196,7 @@ def verdict(found: dict[str, float]) -> str:
 @command(LeakConfig)
 def main(config: LeakConfig) -> int:
     """Entry of ``python -m benchmarks.leak_check``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     samples = collect(config)
     found = measure(samples, config.cnn_steps)
     content = {

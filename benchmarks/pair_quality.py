@@ -7,11 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import cv2
-import torch
 from tqdm import tqdm
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN, SEEN
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed
@@ -114,8 +112,7 @@ def _line(row: dict[str, Any]) -> str:
 @command(PairQualityConfig)
 def main(config: PairQualityConfig) -> int:
     """Entry of ``python -m benchmarks.pair_quality``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     content = measure(config)
     path = write_json(Path(config.out), content | provenance())
     for name in ("goal_faults", "all_faults"):

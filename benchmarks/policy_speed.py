@@ -54,11 +54,7 @@ class BenchPolicyConfig:
 
 
 def measure(config: BenchPolicyConfig) -> dict[str, Any]:
-    """Return the chosen cases' reports.
-
-    Raises:
-        ContractError: an unknown case, or cuda where there is none.
-    """
+    """Return the chosen cases' reports; raises ContractError: an unknown case, or cuda where there is none."""
     if config.device.startswith("cuda") and not torch.cuda.is_available():
         raise ContractError(expected("device", "a CUDA device", "none here", "Use device=cpu."))
     on_gpu = config.device.startswith("cuda")

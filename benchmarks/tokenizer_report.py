@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import cv2
-import torch
 from tqdm import tqdm
 
 from benchmarks import tokenizer_questions as questions
@@ -34,7 +32,7 @@ from benchmarks.probes.zero_shot import (
     transfer_name,
 )
 from benchmarks.probes.zero_shot_figure import draw_table
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.options import (
@@ -74,8 +72,7 @@ class TokenizerReportCommand:
     Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v1 seeds=3
     """
 
-    # force (Q3) | slip (real) | charts: hardness, scale
-    question: Literal["force", "slip", "hardness", "scale"] = "force"
+    question: Literal["force", "slip"] = "force"  # force (Q3) | slip (real)
     # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     data: FolderPath = ""
     recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
@@ -286,25 +283,14 @@ def _report(command: TokenizerReportCommand) -> str:
         return f"replay of {command.replay} cells {verdict} {path}: largest difference {worst:.4f}"
     if command.data:
         return questions.user_data(tokenizer, command.data, command.seeds, results)
-    if command.question != "force":
-        return _other_question(command, report_set, tokenizer)
+    if command.question == "slip":
+        table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+        return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
     content = measure(command, report_set, tokenizer)
     path = write_json(_table_path(command, report_set), content)
     draw_table(content, path.with_suffix(".png"))
     lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
     return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])
-
-
-def _other_question(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
-    results = Path(command.results)
-    if command.question == "hardness":
-        cache = Path(command.cache)
-        training = report_set.draw(report_set.training, report_set.sources(), tokenizer.config.side, cache)
-        return questions.hardness_chart(tokenizer, report_set, training, command.seeds, cache, results)
-    table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
-    if command.question == "scale":
-        return questions.scale_chart(tokenizer, report_set, table, command.seeds, results)
-    return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
 
 
 def _numbers(values: dict[str, float]) -> str:
@@ -315,8 +301,7 @@ def _numbers(values: dict[str, float]) -> str:
 def main(command: TokenizerReportCommand) -> int:
     """Entry of ``python -m benchmarks.tokenizer_report``."""
     logging.basicConfig(level=logging.INFO)
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     print(_report(command))
     return 0
 

@@ -97,11 +97,7 @@ class Session:
         os.write(self._master, keys.encode())
 
     def wait_end(self, timeout_s: float) -> int:
-        """Return the exit code, -9 where it was killed.
-
-        Raises:
-            TrialError: it hangs; it is killed then.
-        """
+        """Return the exit code, -9 where it was killed; raises TrialError: it hangs; it is killed then."""
         code = self._program.exit_code(timeout_s * self._patience)
         if code is None:
             self._kill()

@@ -8,10 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
-import torch
-
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.options import Names, OutFolder, Positive
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -50,8 +47,7 @@ def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
 
 def run(config: BenchConfig) -> dict[str, Any]:
     """Run the chosen benches one after another; anchors of all of them end up under ``anchors``."""
-    cv2.setNumThreads(1)
-    torch.set_num_threads(1)
+    one_thread()
     results: dict[str, Any] = {"anchors": {}}
     for name, bench in _benches().items():
         if config.only in ("", name):

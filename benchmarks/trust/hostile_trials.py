@@ -79,26 +79,22 @@ AT_NEXT_ANSWER = ("arm_garbage_reply",)
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of one fault.
-
-    Attributes:
-        named: the fault the caller was given, "" for none.
-        hold_s: robot's own clock, from the first moment at which the fault could be known until the arm was at rest.
-        learnt_s: robot's own clock, from then until the caller knew; the wall's, where the robot is dead or the caller
-            waits for ``recover``.
-        sent_after: actions that were taken after the caller had learnt.
-        starved: how often it was begun in vain: a busy machine kept the stand-in from telling its state in time.
-    """
+    """What came of one fault."""
 
     client: str
     fault: str
-    named: str
+    named: str  # the fault the caller was given, "" for none
     message: str
+    # robot's own clock, from the first moment at which the fault could be known until the arm was at rest
     hold_s: float
+    # robot's own clock, from then until the caller knew; the wall's, where the robot is dead or the caller waits for
+    # ``recover``
     learnt_s: float
-    sent_after: int
+    sent_after: int  # actions that were taken after the caller had learnt
     ended_s: float
-    starved: int = 0
+    starved: int = (
+        0  # how often it was begun in vain: a busy machine kept the stand-in from telling its state in time
+    )
 
 
 def connect(client: str, fci: StandIn, folder: Path) -> UniforceFranka:

@@ -32,9 +32,8 @@ class CalibrateCommand:
     Example: uniforce calibrate new=gelsight_stiff anchor=tactip out=outputs/calibration
     """
 
-    # gelsight_stiff | tactip_soft | uskin_keen, or a registry sensor
-    new: VirtualSensorName = "gelsight_stiff"
-    anchor: VirtualSensorName = "tactip"  # gelsight | gelsight_d | tactip | uskin: the sensor that is known
+    new: VirtualSensorName = "gelsight_stiff"  # the sensor to fit
+    anchor: VirtualSensorName = "tactip"  # the sensor that is known
     grasps: Count = 600  # pairs: one minute at 10 Hz
     units: Count = 8  # units of the new sensor that take turns; 1 = your own sensor
     out: OutFolder = "outputs/calibration"  # the adapter's folder

@@ -156,11 +156,7 @@ def _train_arguments(config: DemoConfig, out: Path) -> list[str]:
 
 
 def _start_over(out: Path) -> None:
-    """Empty an earlier demo's folder.
-
-    Raises:
-        ContractError: a folder that holds something else.
-    """
+    """Empty an earlier demo's folder; raises ContractError: a folder that holds something else."""
     if out.exists() and any(out.iterdir()) and not (out / MARKER).is_file():
         do = f"Name a new folder, or remove it yourself: it holds no {MARKER}."
         raise ContractError(expected("out", "an empty folder or an earlier demo", str(out), do))

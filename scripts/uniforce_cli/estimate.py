@@ -34,9 +34,8 @@ class ScoreRecordingConfig:
     board_corners: Numbers = ""
     camera: FileName = "front"  # scene camera that sees the board
     episodes: CountOrZero = 0  # the first so many; 0 = all
-    # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
-    heads: FolderPath = ""
-    verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
+    heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
+    verify: Verify = "quick"  # how the dataset is checked first
     out: OutFolder = "outputs/recording_scores"  # estimates.json and a picture per episode
 
 
@@ -49,7 +48,7 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     """
     from tqdm import tqdm
 
-    from uniforce_cli.recording_forces import RecordingForces, descriptor_heads
+    from uniforce_cli.recorded_episode import RecordingForces, descriptor_heads
     from uniforce_vtla.evaluation.episode import ScoreLimits
     from uniforce_vtla.evaluation.pictures import draw_estimate
 

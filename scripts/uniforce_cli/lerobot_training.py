@@ -131,11 +131,7 @@ def training_views(verify: str = "") -> Iterator[None]:
 
 
 def _stock_dataset(stock: Any, cfg: Any) -> Any:
-    """Return what LeRobot reads.
-
-    Raises:
-        ContractError: it can't, from the folder or from the hub.
-    """
+    """Return what LeRobot reads; raises ContractError: it can't, from the folder or from the hub."""
     where = cfg.dataset.root or cfg.dataset.repo_id
     try:
         return stock(cfg)

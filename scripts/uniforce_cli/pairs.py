@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from uniforce_robots.pairs.rig import PairRig
     from uniforce_robots.pairs.storage import PairStore
 
-
 Several = Annotated[int, Range(2, 1_000_000)]
 Address = Annotated[str, Pattern("a host", r"[\w.:-]{1,253}", "172.16.0.2")]
 Mass = Annotated[float, Range(0, 20, above=True)]
@@ -40,8 +39,8 @@ class RecordPairsConfig:
     """
 
     robot: Literal["sim", "franka"] = "sim"  # sim rehearses in the simulator | franka (never run on hardware)
-    left_sensor: Sensor = "gelsight"  # gelsight | tactip | uskin
-    right_sensor: Sensor = "tactip"  # gelsight | tactip | uskin
+    left_sensor: Sensor = "gelsight"  # of the left finger
+    right_sensor: Sensor = "tactip"  # of the right one
     indenters: Text = ""  # names, in order; any words for a robot; empty = all that pretraining knows
     pairs: Several = 1000  # per indenter, earlier sessions included
     chunk: Several = 50  # pairs saved at once: what a kill may cost

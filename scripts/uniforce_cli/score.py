@@ -31,7 +31,6 @@ from uniforce_vtla.options import (
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
-    from uniforce_cli.score_worker import Job
     from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
 
 SCRIPTS = ("expert", "blind")  # the scene's own: one regulates by both pads' true wrench, one uses no touch
@@ -46,16 +45,17 @@ class ScoreConfig:
     Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    # checkpoint folder; shipped = the tiny V+T policy in the package; or expert | blind. Several (comma between them,
-    # e.g. two training seeds) take turns, scene by scene
-    policy: Policies = "shipped"
+    policy: Policies = (
+        "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
+    )
     arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
-    level: Level = "paper"  # easy | paper (what the shipped policy learnt at) | touch | hard
-    left_sensor: Sensor = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
+    level: Level = "paper"  # the shipped policy learnt at paper
+    left_sensor: Sensor = ""  # "" = gelsight, and it must be what the policy knows
     right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
-    # masked = touch taken away, shuffled = another scene's touch of the same phase
-    control: Literal["", "masked", "shuffled"] = ""
+    control: Literal["", "masked", "shuffled"] = (
+        ""  # touch taken away | another scene's touch of the same phase
+    )
     rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
     first_seed: Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
     workers: Workers = 2  # processes, one torch thread each
@@ -120,8 +120,7 @@ def check_policies(config: ScoreConfig) -> None:
 
 def check_film(film: Sequence[int], seeds: range) -> None:
     """Refuse to film what isn't scored."""
-    unscored = sorted(set(film) - set(seeds))
-    if unscored:
+    if unscored := sorted(set(film) - set(seeds)):
         do = "Film what is scored: set first_seed and rollouts."
         raise ContractError(expected("film", f"seeds {seeds[0]}…{seeds[-1]}", unscored, do))
 
@@ -135,23 +134,26 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     from joblib import Parallel, delayed
     from tqdm import tqdm
 
-    from uniforce_cli.score_worker import score_job
+    from uniforce_cli.score_worker import Job, score_job
     from uniforce_vtla.evaluation.arms import summarise, write_row
 
     for config in configs:
         check_film(config.film, config.seeds)
     done = [_start(config) for config in configs]
-    jobs = _missing(configs, done)
+    missing = [  # all arms' first seeds first
+        (seed, index)
+        for index, (config, rows) in enumerate(zip(configs, done, strict=True))
+        for seed in config.seeds
+        if seed not in rows or (seed in config.film and not config.video(seed).exists())
+    ]
+    jobs = [Job(index, configs[index], seed) for seed, index in sorted(missing)]
     label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"
     pool = Parallel(max(1, min(workers, len(jobs))), return_as="generator_unordered", batch_size=1)
     episodes = pool(delayed(score_job)(job) for job in jobs)
     for index, row in tqdm(episodes, total=len(jobs), desc=label, unit="episode", disable=None):
         write_row(configs[index].folder / ROWS, row)
         done[index][row.seed] = row
-    return [
-        summarise(config.arm, [rows[seed] for seed in config.seeds])
-        for config, rows in zip(configs, done, strict=True)
-    ]
+    return [summarise(c.arm, [rows[seed] for seed in c.seeds]) for c, rows in zip(configs, done, strict=True)]
 
 
 def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
@@ -162,19 +164,6 @@ def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
     if not config.resume:
         (config.folder / ROWS).unlink(missing_ok=True)
     return read_rows(config.folder / ROWS)
-
-
-def _missing(configs: Sequence[ScoreConfig], done: Sequence[dict[int, EpisodeRow]]) -> list[Job]:
-    """Return what is left to do, all arms' first seeds first."""
-    from uniforce_cli.score_worker import Job
-
-    jobs = [
-        (seed, index)
-        for index, (config, rows) in enumerate(zip(configs, done, strict=True))
-        for seed in config.seeds
-        if seed not in rows or (seed in config.film and not config.video(seed).exists())
-    ]
-    return [Job(index, configs[index], seed) for seed, index in sorted(jobs)]
 
 
 def write_report(config: ScoreConfig) -> list[ArmReport]:

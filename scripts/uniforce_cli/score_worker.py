@@ -94,8 +94,7 @@ def _build(
         if control:
             do = "Controls are for policies."
             raise ContractError(expected(f"control of the {policy}", "none", control, do))
-        mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
-        env = WipeEnv(level, mounted["left"], mounted["right"])
+        env = WipeEnv(level, *ScoreConfig(left_sensor=left, right_sensor=right).mounted.values())
         controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, level, left, right, swap)
@@ -153,9 +152,7 @@ class ShuffledTouch:
         bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]
         donated = bank[int(self._rng.integers(len(bank)))]
         grey = {name: np.unpackbits(image, axis=-1) * np.uint8(255) for name, image in donated.items()}
-        exchanged = {
-            name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()
-        }  # (H, W, 3)
+        exchanged = {name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()}
         return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
 
 
@@ -166,8 +163,7 @@ def policy_on_rig(
     mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
-    truth = controller.needs_true_wrench
-    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=truth), controller
+    return WipeEnv(level, *mounted.values(), expose_wrench=controller.needs_true_wrench), controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

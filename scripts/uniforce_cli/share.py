@@ -21,8 +21,6 @@ SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_con
 TOKENIZER = "model.tactile_encoder."
 CARD = "README.md"
 UPLOADED = ["*.safetensors", "*.json", CARD]
-
-
 TrainedPolicy = Annotated[str, Existing("a checkpoint's folder", "config.json")]
 
 
@@ -38,12 +36,14 @@ class ShareConfig:
     checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
     out: OutFolder = "outputs/shared"  # folder to hand on; no path of this machine is left in it
     scores: FilePath = ""  # wiping.json of uniforce score; "" = the card says "not scored"
-    # in a wiping.json of benchmarks.wiping, this checkpoint's own scores: …/seed0/vt as it was scored there; "" = all
-    scored_as: Text = ""
+    scored_as: Text = (
+        ""  # only this checkpoint's scores of benchmarks.wiping: …/seed0/vt as scored there; "" = all
+    )
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
-    # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
-    dataset: Dataset = ""
+    dataset: Dataset = (
+        ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    )
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 

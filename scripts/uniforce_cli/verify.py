@@ -21,8 +21,9 @@ class VerifyConfig:
     """
 
     root: FolderPath = "outputs/demos"  # recorded dataset, or a training view
-    # full: every byte and frame | quick: sizes, small files, some frames of every episode
-    verify: Verify = "full"
+    verify: Verify = (
+        "full"  # every byte and frame | sizes, small files, some frames of every episode | nothing
+    )
     rehash: bool = False  # check the content only, then write the hashes of the files that are there now
 
 

@@ -15,8 +15,13 @@ import pytest
 
 from uniforce_cli.dataset_rerun import traces
 from uniforce_cli.dataset_sheet import write_sheet
-from uniforce_cli.recorded_episode import summarise_episode
-from uniforce_cli.recording_forces import EpisodeForces, RecordingForces, descriptor_heads, latent_change
+from uniforce_cli.recorded_episode import (
+    EpisodeForces,
+    RecordingForces,
+    descriptor_heads,
+    latent_change,
+    summarise_episode,
+)
 from uniforce_cli.show import main
 from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import record_synthetic

@@ -23,7 +23,7 @@ from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 @pytest.mark.parametrize(
     ("arguments", "says"),
-    [(["set=easy"], "hetero_hard_v1"), (["question=why"], "hardness"), (["data=/nowhere"], "nowhere")],
+    [(["set=easy"], "hetero_hard_v1"), (["question=why"], "slip"), (["data=/nowhere"], "nowhere")],
 )
 def test_bad_input_is_a_plain_message(
     arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -84,11 +84,7 @@ PairSource = PairCache | LivePairs  # where batches come from; each depends on `
 
 
 def build_cache(folder: Path, config: PairCacheConfig) -> None:
-    """Draw the shards that are not there yet.
-
-    Raises:
-        DatasetError: the folder holds a cache of another config.
-    """
+    """Draw the shards that are not there yet; raises DatasetError: the folder holds a cache of another config."""
     folder.mkdir(parents=True, exist_ok=True)
     _check_or_write_config(folder / "config.json", config)
     for number, path in enumerate(tqdm(_shard_paths(folder, config), desc="drawing pairs")):

@@ -68,11 +68,7 @@ class SensorTransfer(nn.Module):
         self.register_buffer("disagreement", torch.ones(most))
 
     def row(self, source: str) -> int:
-        """Return the index of a source sensor.
-
-        Raises:
-            ContractError: a sensor these maps don't know.
-        """
+        """Return the index of a source sensor; raises ContractError: a sensor these maps don't know."""
         if source not in self.kinds:
             do = "Fit it with python -m benchmarks.sensor_transfer, or train with policy.augment.sensor_transfer=0."
             raise ContractError(expected("sensor of the demos", " | ".join(self.kinds), repr(source), do))
