@@ -99,15 +99,8 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     for row in rows:
         line = table.setdefault(
             f"{row['fault']} {row['client']}",
-            {
-                "trials": 0,
-                "named_right": 0,
-                "held": 0,
-                "worst_hold_s": 0.0,
-                "worst_learnt_s": 0.0,
-                "sent_after": 0,
-                "starved": 0,
-            },
+            dict.fromkeys(("trials", "named_right", "held"), 0)
+            | {"worst_hold_s": 0.0, "worst_learnt_s": 0.0, "sent_after": 0, "starved": 0},
         )
         line["trials"] += 1
         line["named_right"] += row["named"] in RIGHT_NAMES[row["fault"]]
@@ -138,11 +131,8 @@ def main(argv: list[str] | None = None) -> int:
     config = parse(HostileConfig, argv)
     rows = attack(list(choose(RIGHT_NAMES, config.only)), config.times, Path(config.rows))
     wrong = [row for row in rows if not is_right(row)]
-    path = update(
-        Path(config.out),
-        "hostile_faults",
-        {"trials": len(rows), "wrong": len(wrong), "table": summarise(rows)},
-    )
+    content = {"trials": len(rows), "wrong": len(wrong), "table": summarise(rows)}
+    path = update(Path(config.out), "hostile_faults", content)
     for row in wrong:
         came = f"{row['named'] or 'nothing'}, held after {row['hold_s']} s, known after {row['learnt_s']} s"
         print(f"{row['client']} {row['fault']}: {came}. {row['message']}")

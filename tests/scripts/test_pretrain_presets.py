@@ -7,9 +7,8 @@ from itertools import pairwise
 
 import pytest
 
-from benchmarks.tokenizer_options import VARIANTS
 from uniforce_cli.pretrain import PRESETS, PretrainCommand
-from uniforce_vtla.arguments import choose, parse, read
+from uniforce_vtla.arguments import parse, read
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.pair_cache import FAMILY
 
@@ -48,11 +47,3 @@ def test_without_a_preset_the_equilibrium_is_the_papers() -> None:
 def test_unknown_preset_names_the_known_ones() -> None:
     with pytest.raises(ContractError, match=r"nano \| small"):
         parse(PretrainCommand, ["preset=huge"], PRESETS)
-
-
-@pytest.mark.parametrize("name", sorted(VARIANTS))
-def test_every_measured_option_exists(name: str) -> None:
-    plain = parse(PretrainCommand, ["preset=nano"], PRESETS)
-    changed = parse(PretrainCommand, ["preset=nano", *VARIANTS[name]], PRESETS)
-    assert (changed == plain) is (VARIANTS[name] == ())
-    assert list(choose(VARIANTS, name)) == [name]  # no comma: only= can name it
