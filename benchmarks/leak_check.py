@@ -37,10 +37,8 @@ LEAK_LIMIT, TOUCH_FLOOR = 0.3, 0.75  # R²
 FRAMES = 3  # of history in a sample
 HISTORY_STEP = 3  # control steps between them: 0.1 s
 EVERY = 5  # looks between two samples
-PRESS_RANGE_N = (
-    3.0,
-    12.0,
-)  # wanted press, drawn per scene: an expert that always presses alike leaks nothing
+# wanted press, drawn per scene: an expert that always presses alike leaks nothing
+PRESS_RANGE_N = (3.0, 12.0)
 TOUCHING_N = 0.5  # a nudged hand is pushed off the board now and then
 
 

@@ -31,9 +31,8 @@ EVERY = 15  # control steps between two looks
 NOISE_DRAWS = 4  # per look, to know how far noise alone moves a chunk
 
 Observation = dict[str, Any]
-Exchange = Callable[
-    [Observation, Observation], Observation
-]  # this look and another one → what the policy gets
+# this look and another one → what the policy gets
+Exchange = Callable[[Observation, Observation], Observation]
 
 
 @dataclass

@@ -127,9 +127,8 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     chosen = choose(makers, command.only)
     _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
     measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
-    committed = _committed_table(
-        command, report_set, facts
-    )  # once more: another row may have come in meanwhile
+    # once more: another row may have come in meanwhile
+    committed = _committed_table(command, report_set, facts)
     rows = in_order(committed, _still_true(committed, tokenizer) | measured)
     origin = provenance()
     content = {

@@ -99,9 +99,8 @@ def features(encoder: PublishedEncoder, labelled: LabelledSet, device: str = "cp
 def brightness_of(labelled: LabelledSet) -> Brightness:
     """Return mean and spread over all current frames; no label is involved."""
     values = labelled.frames.astype("float32") / 255
-    return Brightness(
-        float(values.mean()), max(float(values.std()), 1e-3)
-    )  # a black set must not divide by 0
+    # a black set must not divide by 0
+    return Brightness(float(values.mean()), max(float(values.std()), 1e-3))
 
 
 def size_facts(encoder: PublishedEncoder) -> dict[str, Any]:

@@ -58,9 +58,8 @@ HETERO_HARD_TRAINING = HardSettings(
 )
 # Without the canonicaliser: it refuses scattered dots by design, and pressed dashes now and then (docs/design.md).
 HELDOUT_VISIBLE = replace(HETERO_HARD, name="heldout_visible_v1", seed=32_001, canonicalise=False)
-HELDOUT_VISIBLE_2 = replace(
-    HETERO_HARD, name="heldout_visible_v2", seed=32_002, canonicalise=False
-)  # for family v2
+# for family v2
+HELDOUT_VISIBLE_2 = replace(HETERO_HARD, name="heldout_visible_v2", seed=32_002, canonicalise=False)
 HELDOUT_HIDDEN = replace(HETERO_HARD, name="heldout_hidden_v1", seed=33_001)
 
 

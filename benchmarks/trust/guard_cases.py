@@ -28,12 +28,8 @@ from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 
 STEPS = 50  # actions in an episode
-MOTIONS = {
-    "follows": 1.0,
-    "lags": 0.3,
-    "blocked": 0.0,
-    "pushed": 0.5,
-}  # share of the way to a target per tick
+# share of the way to a target per tick
+MOTIONS = {"follows": 1.0, "lags": 0.3, "blocked": 0.0, "pushed": 0.5}
 LIES = {  # what an arm may say that can't be, or that forbids motion, and the names that fit
     "pose": ("bad_state",),
     "q": ("bad_state",),
@@ -111,9 +107,8 @@ class ScriptedArm:
         step *= MOTIONS[self.motion]
         if self.motion == "pushed":
             step += self.rng.normal(0, 0.003, 4)
-        self.axes = self.axes + step * 0.004 / max(
-            float(np.linalg.norm(step)), 0.004
-        )  # as fast as an arm can be
+        # as fast as an arm can be
+        self.axes = self.axes + step * 0.004 / max(float(np.linalg.norm(step)), 0.004)
 
     def recover(self) -> None:
         """Be well again."""

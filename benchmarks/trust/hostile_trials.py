@@ -256,9 +256,8 @@ def main() -> None:
         for fault in faults.split(","):
             there = sum(row["client"] == client and row["fault"] == fault for row in done)
             for _ in range(there, int(times)):
-                faulthandler.dump_traceback_later(
-                    STUCK_s
-                )  # into the log; works also where a client keeps the GIL
+                # into the log; works also where a client keeps the GIL
+                faulthandler.dump_traceback_later(STUCK_s)
                 row = begun_trial(client, fault, address, Path(folder))
                 faulthandler.cancel_dump_traceback_later()
                 with path.open("a") as file:

@@ -14,12 +14,8 @@ if TYPE_CHECKING:
     from uniforce_vtla.tokenizer.api import Tokenizer
     from uniforce_vtla.tokenizer.calibration import Calibration
 
-VIRTUAL = (
-    "gelsight_stiff",
-    "tactip_soft",
-    "uskin_keen",
-    "gelsight_d",
-)  # of contact.virtual, slow to import; tested
+# of contact.virtual, slow to import; tested
+VIRTUAL = ("gelsight_stiff", "tactip_soft", "uskin_keen", "gelsight_d")
 VirtualSensorName = Annotated[str, Names((*VIRTUAL, *list_sensors()))]
 
 

@@ -8,8 +8,7 @@ from uniforce_vtla.options import Names
 from uniforce_vtla.sensors import list_sensors
 
 Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes and samples, not at all
-Level = Literal[
-    "easy", "paper", "touch", "hard"
-]  # the environment's, which takes seconds to import; a test compares
+# the environment's, which takes seconds to import; a test compares
+Level = Literal["easy", "paper", "touch", "hard"]
 Sensor = Annotated[str, Names(list_sensors())]
 Sensors = Annotated[str, Names(list_sensors(), many=True)]

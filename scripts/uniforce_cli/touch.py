@@ -20,12 +20,8 @@ if TYPE_CHECKING:
     from uniforce_robots.sensors.finger import TactileFinger
 
 STAND_IN = "standin"
-QUARTERS = {
-    "top-left": (-1, 1),
-    "top-right": (1, 1),
-    "bottom-left": (-1, -1),
-    "bottom-right": (1, -1),
-}  # x, y up
+# x, y up
+QUARTERS = {"top-left": (-1, 1), "top-right": (1, 1), "bottom-left": (-1, -1), "bottom-right": (1, -1)}
 Controller = Annotated[int, Range(0, 15)]
 Quarters = Annotated[str, Names(tuple(QUARTERS), many=True)]
 NewtonsHead = Annotated[str, Names((*list_sensors(), "none"))]

@@ -35,9 +35,8 @@ class TouchView:
     label: str  # which sensor on which finger
     raw: np.ndarray  # (H, W, 3) uint8 RGB, or (16, 3) int64 counts above the reference
     markers: np.ndarray  # (480, 640) uint8 marker image, as the sensor sees it
-    norms: (
-        np.ndarray
-    )  # (g, g) float32, length of each patch's latent minus its free-air latent, as the sensor sees it
+    # (g, g) float32, length of each patch's latent minus its free-air latent, as the sensor sees it
+    norms: np.ndarray
     force_N: np.ndarray | None  # (3,) in the finger's own frame, image axes; None without a head
     age_ms: float  # how old the sample was when it was looked at
     rate_hz: float  # measured
@@ -64,9 +63,8 @@ def views(
         touch = finger.next_touch(index, WAIT_MS)
         index, raw, markers = touch.index, touch.raw, finger.marker_image(touch.raw)
         step = encoder.step(markers)
-        norms = to_canonical(
-            (step.latent - free).norm(dim=-1).numpy().reshape(grid, grid), side
-        )  # undoes the mirror
+        # undoes the mirror
+        norms = to_canonical((step.latent - free).norm(dim=-1).numpy().reshape(grid, grid), side)
         force_N = None if step.force_N is None else to_finger_frame(step.force_N, side)
         if raw.ndim == 2:  # counts mean little without their rest
             raw = raw.astype(np.int64) - finger.reference_raw

@@ -93,11 +93,8 @@ def test_only_training_is_mapped_and_the_checkpoint_stays_as_it_was(make_config,
     [
         ({"touch__slots": {"touch0": "left"}}, ContractError, r"gelsight\+uskin"),  # two kinds in one slot
         ({"touch__trained_sensors": {"touch0": "digit"}}, ContractError, "digit"),
-        (
-            {"touch__tokenizer_path": None},
-            DatasetError,
-            "tokenizer of",
-        ),  # the shipped one has maps, but isn't the view's
+        # the shipped one has maps, but isn't the view's
+        ({"touch__tokenizer_path": None}, DatasetError, "tokenizer of"),
     ],
 )
 def test_maps_that_do_not_fit_are_refused(settings, error, said, make_config, view):

@@ -265,10 +265,8 @@ class MaterialEncoder(nn.Module):
             z_partner: (U·n, P, latent) latents of the other finger; taken as given.
             per_unit: n.
         """
-        change, before = (
-            patches(current - reference, self.patch),
-            patches(reference, self.patch),
-        )  # (B, P, patch²)
+        # (B, P, patch²)
+        change, before = patches(current - reference, self.patch), patches(reference, self.patch)
         seen = self.look(torch.cat([change, before, z_partner.detach()], dim=2))  # (B, P, H)
         summary = torch.cat([seen.mean(dim=1), seen.amax(dim=1)], dim=1)  # (B, 2·H)
         return mean_of_others(self.tell(summary), per_unit)

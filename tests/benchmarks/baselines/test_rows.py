@@ -64,9 +64,8 @@ def test_translation_ignores_labels_of_the_targets_training_set(
     one_way = replace(table, training={"gelsight": table.training["gelsight"]}, frozen=table.frozen)
     assert one_way.transfers() == [("gelsight", "tactip")]
     blind = Table({"gelsight": table.training["gelsight"], "tactip": target}, table.frozen, table.head)
-    with pytest.raises(
-        ContractError, match="finite"
-    ):  # the way back trains on tactip's labels and must refuse
+    # the way back trains on tactip's labels and must refuse
+    with pytest.raises(ContractError, match="finite"):
         genforce_style_row(blind, 1, TRANSLATION)
     np.testing.assert_array_equal(predictions()[0], honest[0])
 

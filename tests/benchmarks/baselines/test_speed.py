@@ -35,9 +35,8 @@ def test_our_flops_are_those_of_the_current_frame_alone(tiny: TokenizerConfig) -
     attention = P * (4 * D * D) + 2 * P * P * D  # qkv and out; scores and mixing
     temporal = P * 4 * D * D  # its scores are elementwise products
     block = attention + temporal + P * 2 * 3 * D * D
-    embed = P * (64 * 16 + 16 * D) + P * (
-        9 * 4 * D + D * D
-    )  # pixels; motion channels: 3 × 3 scales, 2 × 2 cells
+    # pixels; motion channels: 3 × 3 scales, 2 × 2 cells
+    embed = P * (64 * 16 + 16 * D) + P * (9 * 4 * D + D * D)
     posterior = P * D * 12
     assert facts["flops_per_frame"] == 2 * (2 * block + embed + posterior)
     assert facts["params"] == sum(p.numel() for p in Tokenizer.random(tiny).model.encoder.parameters())

@@ -39,9 +39,8 @@ def test_images_and_forces_come_back_exactly(genforce: Path, marker_trials: Any,
         recording = found[trial.sensor, trial.indenter]
         assert np.array_equal(recording.frames, trial.frames)
         assert np.array_equal(recording.reference, trial.frames[0])
-        assert np.array_equal(
-            recording.force_N, trial.force_N
-        )  # Fz was written negative: z comes out positive
+        # Fz was written negative: z comes out positive
+        assert np.array_equal(recording.force_N, trial.force_N)
         assert (recording.trial, recording.first_frame) == ("1", 0)
     assert max(r.force_N[:, 2].max() for r in found.values()) > 0.5
 
