@@ -43,8 +43,7 @@ class BlindConfig:
     episodes: Count = 100  # seeds 0 … n − 1, the same for every script
     first_seed: Seed = 0  # where the seeds start
     press_N: Newtons = field(default_factory=lambda: [4.0, 5.0, 6.0, 7.0])  # blind press set points
-    # a nominal width: pads yield, so more
-    grip_open_N: Newtons = field(default_factory=lambda: [11.0, 13.0])
+    grip_open_N: Newtons = field(default_factory=lambda: [11.0, 13.0])  # a nominal width: pads yield, so more
     grip_relative_N: Newtons = field(default_factory=lambda: [6.5, 7.5])  # inside the measured width
     experts: Experts = field(default_factory=lambda: list(EXPERTS))  # which fingers the expert reads
     workers: Workers = 2  # processes

@@ -13,10 +13,9 @@ from tqdm import tqdm
 from benchmarks.transfer_fit import GraspLatents, SensorTransferFit, fit_transfer, two_fingers
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Sensors
-from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contact.pairs import PairSettings
 from uniforce_vtla.contact.sampling import ForceRange
-from uniforce_vtla.options import TokenizerFolder
+from uniforce_vtla.options import TokenizerFolder, split
 from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.latent import pool_latent
@@ -72,7 +71,7 @@ def draw_latents(
 
 def _run(command: SensorTransferCommand) -> str:
     tokenizer = Tokenizer.from_pretrained(command.tokenizer)
-    kinds = [get_sensor(name).name for name in names_in(command.sensors)]
+    kinds = [get_sensor(name).name for name in split(command.sensors)]
     latents = draw_latents(tokenizer, kinds or list(list_sensors()), command.fit)
     transfer, facts = fit_transfer(latents, tokenizer.hash, command.fit)
     folder = checkpoint_folder(command.tokenizer, FOLDER)

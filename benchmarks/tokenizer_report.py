@@ -55,9 +55,8 @@ from uniforce_vtla.tokenizer.weights import checkpoint_folder
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
 OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``baselines=true`` measures
-SHIPPED_HEADS_SET = (
-    "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
-)
+# its sensors are the registry's, which is what the package's heads are for
+SHIPPED_HEADS_SET = "zero_shot_v1"
 
 
 WEIGHTS_OF_BASELINES = ("anytouch", "t3", "t3_encoder", "unit")

@@ -41,9 +41,8 @@ class Damage:
 
     name: str  # in words
     do: Callable[[Path], object]  # injures the copy in a folder
-    said: str = (
-        f"episode {HIT}"  # what the error has to name: the episode, or a file that belongs to none alone
-    )
+    # what the error has to name: the episode, or a file that belongs to none alone
+    said: str = f"episode {HIT}"
     hashed: bool = True  # whether the copy still has its hashes; without them its content has to give it away
     of: str = "dataset"  # "dataset" or "view"
 

@@ -92,9 +92,8 @@ class Trial:
     learnt_s: float
     sent_after: int  # actions that were taken after the caller had learnt
     ended_s: float
-    starved: int = (
-        0  # how often it was begun in vain: a busy machine kept the stand-in from telling its state in time
-    )
+    # how often it was begun in vain: a busy machine kept the stand-in from telling its state in time
+    starved: int = 0
 
 
 def connect(client: str, fci: StandIn, folder: Path) -> UniforceFranka:

@@ -93,9 +93,8 @@ def logged(path: Path) -> Iterator[Callable[[str], None]]:
         finally:
             if isinstance(sys.exception(), Exception):  # Ctrl-C needs no explanation
                 tail = path.read_text().splitlines()[-TAIL:]
-                print(
-                    "\n".join([*tail, f"the step failed; all it printed is in {path}"]), file=out, flush=True
-                )
+                tail.append(f"the step failed; all it printed is in {path}")
+                print("\n".join(tail), file=out, flush=True)
             for number, copy in enumerate(kept, start=1):
                 os.dup2(copy, number)
                 os.close(copy)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Sensor
-from uniforce_vtla.arguments import names_in
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Share, Text
+from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Share, Text, split
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
@@ -152,7 +151,7 @@ def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
 def _check(config: RecordPairsConfig) -> tuple[str, ...]:
     from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
 
-    names = tuple(names_in(config.indenters)) or PRETRAIN
+    names = tuple(split(config.indenters)) or PRETRAIN
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
     if unknown or len(set(names)) < len(names):
         do = "Name each once."

@@ -24,9 +24,8 @@ class PretrainCommand:
     Example: uniforce pretrain preset=nano out=outputs/mine run.steps=3000
     """
 
-    preset: FileName = (
-        ""  # nano | small_draw and then small: the shipped checkpoints; what else you give wins
-    )
+    # nano | small_draw and then small: the shipped checkpoints; what else you give wins
+    preset: FileName = ""
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
     cache: OutFolder = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
     out: OutFolder = "outputs/pretrain"  # state.safetensors to resume from, log.csv, tokenizer/ to load
@@ -46,8 +45,6 @@ def main(settings: PretrainCommand) -> int:
     data = open_source(settings.run, Path(settings.cache))
     tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
-    print(
-        f"tokenizer {tokenizer.hash[:12]} in {settings.out}/tokenizer, log in {settings.out}/log.csv; "
-        f"peak memory {peak_GB:.1f} GB"
-    )
+    where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"
+    print(f"tokenizer {tokenizer.hash[:12]} {where}; peak memory {peak_GB:.1f} GB")
     return 0

@@ -89,9 +89,8 @@ class RecordingForces:
         truth = truth if set(truth) <= self.source.features.keys() else ()
         columns = self.source.columns((STATE, *truth))
         self._heights_m = columns[STATE][:, HEIGHT].astype(np.float64)  # (N,)
-        self._true_N = (
-            np.stack([columns[key][:, :3] for key in truth], axis=1).astype(np.float64) if truth else None
-        )
+        forces_N = [columns[key][:, :3].astype(np.float64) for key in truth]
+        self._true_N = np.stack(forces_N, axis=1) if truth else None  # (N, 2, 3)
 
     def read(self, episode: Episode) -> EpisodeForces:
         """Return an episode's forces; raise DatasetError where its videos can't be read."""
@@ -152,14 +151,13 @@ def marker_images(
     source: Source, episode: Episode, finger: Finger
 ) -> tuple[np.ndarray, Iterator[np.ndarray]]:
     """Return an episode's reference (H, W), and its marker images (H, W) one by one."""
-    reference, current = (
-        (
-            np.ascontiguousarray(image[..., 0])
-            for image in frames(source, episode, tactile_key(finger, reference=r))
-        )
-        for r in (True, False)
-    )
+    keys = (tactile_key(finger, reference=True), tactile_key(finger))
+    reference, current = (map(_grey, frames(source, episode, key)) for key in keys)
     return next(reference), current
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image[..., 0])
 
 
 def frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
@@ -221,6 +219,12 @@ def summarise_episode(
     seen = {n: _chosen(frames(source, episode, key), {*shown, *film}) for n, key in cameras(source).items()}
     markers = {finger: _overlays(source, episode, finger, shown) for finger in FINGERS}
     raw = {finger: _chosen(kept, shown) for finger in FINGERS if (kept := raw_touch(source, episode, finger))}
+
+    def moment(name: str, frame: int) -> KeyFrame:
+        return KeyFrame(
+            name, frame, *({k: p[frame] for k, p in kind.items()} for kind in (seen, markers, raw))
+        )
+
     return EpisodeSummary(
         title=title,
         time_s=forces.time_s,
@@ -228,12 +232,7 @@ def summarise_episode(
         force_N=forces.force_N,
         true_force_N=forces.true_force_N,
         change={f: latent_change(tokenizer, source, episode, f) for f in FINGERS},
-        key_frames=tuple(
-            KeyFrame(
-                name, frame, *({key: p[frame] for key, p in kind.items()} for kind in (seen, markers, raw))
-            )
-            for name, frame in named.items()
-        ),
+        key_frames=tuple(moment(name, frame) for name, frame in named.items()),
         found=found,
         truth=truth,
         judges_slip=friction is not None,

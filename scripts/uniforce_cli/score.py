@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from uniforce_cli.boundary import command
 from uniforce_cli.option_types import Level, Sensor
-from uniforce_vtla.arguments import names_in
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
@@ -27,6 +26,7 @@ from uniforce_vtla.options import (
     Seeds,
     Slots,
     Workers,
+    split,
 )
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -45,17 +45,15 @@ class ScoreConfig:
     Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    policy: Policies = (
-        "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
-    )
+    # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
+    policy: Policies = "shipped"
     arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
     level: Level = "paper"  # the shipped policy learnt at paper
     left_sensor: Sensor = ""  # "" = gelsight, and it must be what the policy knows
     right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
-    control: Literal["", "masked", "shuffled"] = (
-        ""  # touch taken away | another scene's touch of the same phase
-    )
+    # touch taken away | another scene's touch of the same phase
+    control: Literal["", "masked", "shuffled"] = ""
     rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
     first_seed: Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
     workers: Workers = 2  # processes, one torch thread each
@@ -71,7 +69,7 @@ class ScoreConfig:
     @property
     def policies(self) -> list[str]:
         """Policies that take turns."""
-        return names_in(self.policy) or [self.policy]
+        return split(self.policy) or [self.policy]
 
     def policy_of(self, seed: int) -> str:
         """Return which policy acts in the scene of that seed."""

@@ -36,14 +36,12 @@ class ShareConfig:
     checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
     out: OutFolder = "outputs/shared"  # folder to hand on; no path of this machine is left in it
     scores: FilePath = ""  # wiping.json of uniforce score; "" = the card says "not scored"
-    scored_as: Text = (
-        ""  # only this checkpoint's scores of benchmarks.wiping: …/seed0/vt as scored there; "" = all
-    )
+    # only this checkpoint's scores of benchmarks.wiping: …/seed0/vt as scored there; "" = all
+    scored_as: Text = ""
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
-    dataset: Dataset = (
-        ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
-    )
+    # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    dataset: Dataset = ""
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 

@@ -9,11 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Verify
 from uniforce_cli.rerun_viewer import import_rerun, open_viewer
-from uniforce_vtla.arguments import names_in, numbers
+from uniforce_vtla.arguments import numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
-from uniforce_vtla.options import Dataset, Existing, FolderPath, Numbers, OutFolder, Pattern, TokenizerFolder
+from uniforce_vtla.options import (
+    Dataset,
+    Existing,
+    FolderPath,
+    Numbers,
+    OutFolder,
+    Pattern,
+    TokenizerFolder,
+    split,
+)
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import list_sensors
 
@@ -39,9 +48,8 @@ class ShowDatasetConfig:
     out: OutFolder = "outputs/show"  # a page with its pictures, or an .rrd file, for each episode
     form: Literal["sheet", "rerun"] = "sheet"  # sheet = HTML and PNG | rerun = .rrd (needs rerun-sdk)
     spawn: bool = False  # open the rerun viewer on what was written (it listens on loopback only)
-    pad_friction: Numbers = (
-        ""  # left,right: pull slowly until the object slides; empty = slippage isn't judged
-    )
+    # left,right: pull slowly until the object slides; empty = slippage isn't judged
+    pad_friction: Numbers = ""
     head: Head = ""  # reads newtons from the latents; empty = descriptor heads, as for scores
     heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
     tokenizer: TokenizerFolder = ""  # empty = shipped
@@ -97,7 +105,7 @@ def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
 def _chosen(source: Source, text: str) -> list[Episode]:
     if text == "all":
         return list(source.episodes)
-    words, known = names_in(text), {str(episode.index): episode for episode in source.episodes}
+    words, known = split(text), {str(episode.index): episode for episode in source.episodes}
     if not words or set(words) - set(known):
         wanted = f"all, or numbers from 0 to {len(known) - 1}"
         raise ContractError(expected("episode", wanted, repr(text), "Commas between them."))

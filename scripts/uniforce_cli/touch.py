@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from uniforce_cli.boundary import command, one_thread
 from uniforce_cli.option_types import Sensor
-from uniforce_vtla.arguments import names_in
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder
+from uniforce_vtla.options import Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder, split
 from uniforce_vtla.sensors import get_sensor, list_sensors
 
 if TYPE_CHECKING:
@@ -40,18 +39,16 @@ class TouchConfig:
     source: Text = ""  # camera: device or http://…; uskin: serial port or ws://host:port; or standin
     finger: Literal["left", "right"] = "left"  # that wears it; forces are in that finger's own frame
     output: Literal["terminal", "rerun"] = "terminal"  # rerun needs rerun-sdk
-    check: Literal["", "rate", "orientation"] = (
-        ""  # rate, ages, losses | press where asked; empty = live view
-    )
+    # rate, ages, losses | press where asked; empty = live view
+    check: Literal["", "rate", "orientation"] = ""
     seconds: NotNegative = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
     refresh_hz: Positive = 10.0  # pictures per second
     rotation_deg: Literal[0, 90, 180, 270] = 0  # how the sensor is turned on its finger
     flip: bool = False  # uskin: columns run the other way
     controller: Controller = 0  # uskin: microcontroller id in the low bits of its CAN ids
     lock_camera: bool = True  # lock exposure, white balance and gain; false leaves the camera's automatics
-    quarters: Quarters = (
-        "top-left,top-right,bottom-left,bottom-right"  # orientation: where to press, in order
-    )
+    # orientation: where to press, in order
+    quarters: Quarters = "top-left,top-right,bottom-left,bottom-right"
     tokenizer: TokenizerFolder = "nano"  # makes the latents
     head: NewtonsHead = "tactip"  # the sensor whose shipped force head reads the latents; none = no newtons
     save: OutFile = ""  # write the last picture of the live view to this file
@@ -127,7 +124,7 @@ def run(config: TouchConfig) -> int:
     with opened(config) as finger:
         if config.check == "rate":
             return check_rate(finger, config.seconds or 5.0)
-        return check_orientation(finger, names_in(config.quarters), config.seconds or 60.0)
+        return check_orientation(finger, split(config.quarters), config.seconds or 60.0)
 
 
 @command(TouchConfig)

@@ -36,11 +36,8 @@ def check_rate(finger: TactileFinger, seconds: float) -> int:
         ages_ms.append(finger.latest(WAIT_MS).age_ms)
     spent_s, after = time.monotonic() - start_s, finger.counts
     (age_p50, age_p99), (idle_p50, idle_p99) = (np.percentile(ms, [50, 99]) for ms in (ages_ms, late_ms))
-    samples, lost, bad = (
-        finger.latest(WAIT_MS).index - first,
-        after.lost - before.lost,
-        after.bad - before.bad,
-    )
+    lost, bad = after.lost - before.lost, after.bad - before.bad
+    samples = finger.latest(WAIT_MS).index - first
     idle = f"an idle loop here wakes late by p50 {idle_p50:.2f}, p99 {idle_p99:.2f} ms"
     print(finger.config.label)
     print(f"rate {samples / spent_s:.1f} Hz over {samples} samples, lost {lost}, bad {bad}")

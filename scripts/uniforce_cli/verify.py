@@ -21,9 +21,8 @@ class VerifyConfig:
     """
 
     root: FolderPath = "outputs/demos"  # recorded dataset, or a training view
-    verify: Verify = (
-        "full"  # every byte and frame | sizes, small files, some frames of every episode | nothing
-    )
+    # every byte and frame | sizes, small files, some frames of every episode | nothing
+    verify: Verify = "full"
     rehash: bool = False  # check the content only, then write the hashes of the files that are there now
 
 

@@ -40,14 +40,8 @@ def tokenizer_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def stats() -> dict[str, dict[str, np.ndarray]]:
-    one = {
-        "q01": LOW,
-        "q99": HIGH,
-        "mean": (LOW + HIGH) / 2,
-        "std": (HIGH - LOW) / 4,
-        "min": LOW,
-        "max": HIGH,
-    }
+    one = {"q01": LOW, "q99": HIGH, "min": LOW, "max": HIGH}
+    one |= {"mean": (LOW + HIGH) / 2, "std": (HIGH - LOW) / 4}
     return {"observation.state": one, "action": one}
 
 
@@ -59,13 +53,8 @@ def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
             for name in ("front", "wrist", "tactile_left", "tactile_right")
         }
         state = {"observation.state": PolicyFeature(FeatureType.STATE, (5,))}
-        given = {
-            "size": "tiny",
-            "touch__slots": BOTH,
-            "touch__tokenizer_path": str(tokenizer_path),
-            **SMALL,
-            **settings,
-        }
+        touch = {"touch__slots": BOTH, "touch__tokenizer_path": str(tokenizer_path)}
+        given = {"size": "tiny", **touch, **SMALL, **settings}
         return PI05UniforceConfig(
             device="cpu",
             input_features=cameras | state,
@@ -125,7 +114,6 @@ def _between(share: torch.Tensor) -> torch.Tensor:
 
 @pytest.fixture(scope="session")
 def run_to_the_end() -> Callable[[list[str], dict[str, str], Path, float], str]:
-    """Run a program and its children; one that hangs or fails shows what it said."""
     return _run_to_the_end
 
 

@@ -65,11 +65,8 @@ def view(tokenizer_path, tmp_path):
 
 
 def trained(make_config, view, **settings):
-    given = {
-        "touch__tokenizer_path": view.tokenizer,
-        "touch__slots": {"touch0": "right"},
-        "augment__sensor_transfer": 1.0,
-    }
+    given = {"touch__tokenizer_path": view.tokenizer, "touch__slots": {"touch0": "right"}}
+    given |= {"augment__sensor_transfer": 1.0}
     return PI05UniforcePolicy(make_config(**{**given, **settings}), dataset_meta=view)
 
 

@@ -21,17 +21,6 @@ from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [(["set=easy"], "hetero_hard_v1"), (["question=why"], "slip"), (["data=/nowhere"], "nowhere")],
-)
-def test_bad_input_is_a_plain_message(
-    arguments: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*arguments, f"results={tmp_path}", f"cache={tmp_path}"]) == 2
-    assert says in capsys.readouterr().err
-
-
 def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert (
         main(["set=hetero_hard_v1", *(f"{name}={tmp_path}" for name in ("results", "facts", "cache"))]) == 2

@@ -20,19 +20,8 @@ from uniforce_vtla.errors import CheckpointError, DatasetError
 
 ROOT = Path(__file__).parents[2]
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
-NEVER = {
-    "eval",
-    "exec",
-    "compile",
-    "os.system",
-    "yaml.load",
-    "yaml.unsafe_load",
-    "yaml.full_load",
-    "pd.read_pickle",
-    "pandas.read_pickle",
-    "torch.package.PackageImporter",
-    "torch.jit.load",
-}
+NEVER = {"eval", "exec", "compile", "os.system", "yaml.load", "yaml.unsafe_load", "yaml.full_load"}
+NEVER |= {"pd.read_pickle", "pandas.read_pickle", "torch.package.PackageImporter", "torch.jit.load"}
 PROCESSES = {"Parallel", "delayed"}  # of joblib: its loader is what unpickles files
 # Foreign encoders exist as torch.save files only: tensors and plain containers alone are let through (weights_only).
 FOREIGN = "benchmarks/baselines/checkpoint.py"

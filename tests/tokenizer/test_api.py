@@ -46,20 +46,6 @@ def test_decode_has_the_models_size(tokenizer: Tokenizer, dots: np.ndarray) -> N
     assert image.shape == (3, 32, 32) and image.min() >= 0 and image.max() <= 1
 
 
-def test_bad_calls_raise(tokenizer: Tokenizer, dots: np.ndarray) -> None:
-    calls = (
-        lambda: tokenizer.encode(dots[:1]),  # type: ignore[call-overload]
-        lambda: tokenizer.encode(dots[:2], dots),
-        lambda: tokenizer.encode(dots[:1], dots, finger="middle"),  # type: ignore[call-overload]
-        lambda: tokenizer.encode(np.zeros_like(dots[:1]), dots),
-        lambda: tokenizer.encode(dots[:1], dots.astype(np.float32)),
-        lambda: tokenizer.encode("reference", dots),  # type: ignore[call-overload]
-    )
-    for call in calls:
-        with pytest.raises(ContractError, match="expected"):
-            call()
-
-
 @pytest.fixture
 def head(tokenizer: Tokenizer) -> ForceHead:
     torch.manual_seed(0)

@@ -24,9 +24,8 @@ from uniforce_vtla.tokenizer.weights import (
     save_checkpoint,
 )
 
-STORED_KEY = (
-    "canonicaliser"  # of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
-)
+# of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
+STORED_KEY = "canonicaliser"
 CACHED_REFERENCES = 8  # two slots, a few swaps; each costs about 0.5 MB
 
 

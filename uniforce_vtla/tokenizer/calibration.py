@@ -85,8 +85,7 @@ class Calibration:
         """
         folder = Path(path)
         facts = read_config(folder)
-        if facts.get("tokenizer_hash") != tokenizer_hash:
-            came = facts.get("tokenizer_hash")
+        if (came := facts.get("tokenizer_hash")) != tokenizer_hash:
             do = "Calibrate again with this tokenizer."
             raise CheckpointError(expected(f"tokenizer of {folder}", tokenizer_hash, came, do))
         try:
@@ -146,9 +145,8 @@ def imbalance(z_new: torch.Tensor, z_anchor: torch.Tensor) -> float:
 def _fit(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfig) -> LatentAdapter:
     adapter = LatentAdapter(z_new.shape[-1], config.hidden)
     adapter.spread.copy_(z_anchor.flatten(0, 1).std(dim=0).clamp_min(1e-6))
-    optimizer = torch.optim.AdamW(
-        adapter.parameters(), lr=config.learning_rate, weight_decay=config.identity_pull
-    )
+    rates = {"lr": config.learning_rate, "weight_decay": config.identity_pull}
+    optimizer = torch.optim.AdamW(adapter.parameters(), **rates)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
     for _ in range(config.steps):
         rows = torch.randint(len(z_new), (config.batch,))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch.nn import functional as F  # noqa: N812
 
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 from uniforce_vtla.tokenizer.model import Decoder, Posterior
 from uniforce_vtla.tokenizer.settings import LossConfig
@@ -126,21 +126,12 @@ def perceptual(config: LossConfig) -> Perceptual:
 
     Raises:
         CheckpointError: ``lpips`` without its package or backbone weights.
-        ContractError: no such distance.
     """
-    if config.perceptual == "gradient_pyramid":
-        return lambda drawn, truth: gradient_pyramid(drawn, truth, config.pyramid_levels)
     if config.perceptual == "lpips":
-        raise CheckpointError(
-            expected(
-                "perceptual=lpips",
-                "the lpips package and its backbone weights",
-                "neither is part of this installation",
-                "Install them and register the distance here, or use perceptual=gradient_pyramid.",
-            )
-        )
-    do = "Choose one."
-    raise ContractError(expected("perceptual", "gradient_pyramid or lpips", repr(config.perceptual), do))
+        wanted, came = "the lpips package and its backbone weights", "neither is part of this installation"
+        do = "Install them and register the distance here, or use perceptual=gradient_pyramid."
+        raise CheckpointError(expected("perceptual=lpips", wanted, came, do))
+    return lambda drawn, truth: gradient_pyramid(drawn, truth, config.pyramid_levels)
 
 
 def gradient_pyramid(drawn: torch.Tensor, truth: torch.Tensor, levels: int) -> torch.Tensor:

@@ -40,11 +40,9 @@ FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, m
 class Pairs:
     """A batch of pairs in the canonical frame, ready for the model."""
 
-    # left_reference, right_reference: (U, 1, S, S) float32 in [0, 1], one per unit
-    left_reference: torch.Tensor
+    left_reference: torch.Tensor  # (U, 1, S, S) float32 in [0, 1], one per unit
     right_reference: torch.Tensor
-    # left_current, right_current: (U·n, 1, S, S), unit by unit
-    left_current: torch.Tensor
+    left_current: torch.Tensor  # (U·n, 1, S, S), unit by unit
     right_current: torch.Tensor
 
 

@@ -23,10 +23,10 @@ from uniforce_vtla.json_file import read_object
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import Side, objective
-from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, build_model
+from uniforce_vtla.tokenizer.model import ForceAutoencoder, Posterior, build_model
 from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, Pairs, PairSource
 from uniforce_vtla.tokenizer.settings import LossConfig, PretrainSettings
-from uniforce_vtla.tokenizer.training_state import is_there, load_state, save_state
+from uniforce_vtla.tokenizer.training_state import STATE, load_state, save_state
 
 RECIPE = "recipe.json"  # every setting of the run, beside its state
 MAY_CHANGE = ("steps", "save_every", "strips_every", "tracker")  # between a run and its continuation
@@ -79,7 +79,7 @@ class Pretraining:
         )
         if settings.tracker:
             self.accelerator.init_trackers("uniforce_tokenizer")
-        resumes = is_there(folder)  # then ``init`` is history, and may be gone
+        resumes = (folder / STATE).exists()  # then ``init`` is history, and may be gone
         model = starting_model(replace(settings, init="") if resumes else settings)
         optimizer = torch.optim.AdamW(
             model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
@@ -95,9 +95,8 @@ class Pretraining:
         """Train up to ``until`` (or to the end) and return the tokenizer so far."""
         last = self.settings.steps if until is None else min(until, self.settings.steps)
         start = time.monotonic()
-        bar = tqdm(
-            total=last, initial=self.step, desc="pretraining", disable=not self.accelerator.is_main_process
-        )
+        quiet = not self.accelerator.is_main_process
+        bar = tqdm(total=last, initial=self.step, desc="pretraining", disable=quiet)
         while self.step < last:
             report = self.train_step()
             bar.update()
@@ -105,13 +104,12 @@ class Pretraining:
             self._log(report | {"seconds": time.monotonic() - start})
             if self.step % self.settings.save_every == 0 or self.step == last:
                 self.save()
-            strips = self.settings.strips_every if self.accelerator.is_main_process else 0
+            strips = 0 if quiet else self.settings.strips_every
             if strips and self.step % strips == 0:
                 # the same few pairs each time: what the decoder makes of them shows whether it learns
                 pairs = self.data.draw(np.random.default_rng([self.settings.seed, 2**31]), 4, 2)
-                draw_strips(
-                    self.tokenizer().model, pairs, self.folder / "strips" / f"step_{self.step:06d}.png"
-                )
+                picture = self.folder / "strips" / f"step_{self.step:06d}.png"
+                draw_strips(self.tokenizer().model, pairs, picture)
         return self.tokenizer()
 
     def train_step(self) -> dict[str, float]:
@@ -192,7 +190,8 @@ def pair_loss(
     per_unit = len(pairs.left_current) // units
     reference = torch.cat([pairs.left_reference, pairs.right_reference])  # (2U, 1, S, S)
     current = torch.cat([pairs.left_current, pairs.right_current])  # (2U·n, 1, S, S)
-    posterior = encode_by_unit(model.encoder, reference, current, per_unit)
+    cache = model.encoder.encode_reference(reference).repeat(per_unit)  # each reference is encoded once
+    posterior = model.encoder.encode_current(cache, current)
     spread = posterior.mean.std(dim=0).mean()
     references = reference.repeat_interleave(per_unit, dim=0)
     material = _material(model, references, current, posterior.mean, per_unit)
@@ -228,13 +227,6 @@ def _material(
     material = model.material(references, current, partner, per_unit)
     kept = torch.rand(len(material) // per_unit, device=material.device) >= WITHHELD_SHARE
     return material * kept.repeat_interleave(per_unit)[:, None]
-
-
-def encode_by_unit(
-    encoder: Encoder, reference: torch.Tensor, current: torch.Tensor, per_unit: int
-) -> Posterior:
-    """Encode each reference once and its ``per_unit`` current images with it."""
-    return encoder.encode_current(encoder.encode_reference(reference).repeat(per_unit), current)
 
 
 @torch.no_grad()
