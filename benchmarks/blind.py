@@ -121,7 +121,7 @@ def run_all(config: BlindConfig) -> dict[str, dict[str, Any]]:
 
 
 @command(BlindConfig)
-def main(config: BlindConfig) -> int:
+def main(config: BlindConfig) -> None:
     """Entry of ``python -m benchmarks.blind``: run the sweep, print a table, write the result file."""
     scripts = run_all(config)
     blind = {name: s for name, s in scripts.items() if not name.startswith("expert_")}
@@ -138,7 +138,6 @@ def main(config: BlindConfig) -> int:
     for name, s in scripts.items():
         print(f"{name:42s} clean {s['clean']:3d}/{s['n']}  {s['outcomes']}  {s['reasons']}")
     print(f"best blind: {best or 'none asked for'}; written to {path}")
-    return 0
 
 
 if __name__ == "__main__":

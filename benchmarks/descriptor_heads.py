@@ -79,10 +79,10 @@ def described_episodes(level: str, seeds: range) -> Iterator[EpisodeForces]:
     """Yield wipes by experts whose grip and press are drawn per scene, the rigs in turns."""
     envs = [WipeEnv(level, left) for left in LEFT_SENSORS]
     for number, seed in enumerate(tqdm(seeds, desc=f"wiping from {seeds.start}", unit="scene")):
-        yield _felt_episode(envs[number % len(envs)], seed)
+        yield _described_episode(envs[number % len(envs)], seed)
 
 
-def _felt_episode(env: WipeEnv, seed: int) -> EpisodeForces:
+def _described_episode(env: WipeEnv, seed: int) -> EpisodeForces:
     rng = np.random.default_rng([seed, 9])
     wanted = TouchSettings(float(rng.uniform(*PRESS_RANGE_N)), float(rng.uniform(*GRIP_RANGE_N)))
     expert, nudge = WipeExpert(settings=wanted), Nudge(seed)
@@ -163,7 +163,7 @@ def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
 
 
 @command(DescriptorHeadsConfig)
-def main(config: DescriptorHeadsConfig) -> int:
+def main(config: DescriptorHeadsConfig) -> None:
     """Entry of ``python -m benchmarks.descriptor_heads``."""
     one_thread()
     report = make_heads(config)
@@ -174,7 +174,6 @@ def main(config: DescriptorHeadsConfig) -> int:
         agree = sum(truth == said for truth, said in (episode[event] for episode in report["episodes"]))
         print(f"{event}: estimate and truth agree in {agree} of {len(report['episodes'])} episodes")
     print(f"heads in {report['heads']}; report in {path}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -192,7 +192,7 @@ def verdict(found: dict[str, float]) -> str:
 
 
 @command(LeakConfig)
-def main(config: LeakConfig) -> int:
+def main(config: LeakConfig) -> None:
     """Entry of ``python -m benchmarks.leak_check``."""
     one_thread()
     samples = collect(config)
@@ -211,7 +211,6 @@ def main(config: LeakConfig) -> int:
     for name, value in found.items():
         print(f"{name:24s} R² {value:.2f}")
     print(f"{content['verdict']}; written to {path}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -110,7 +110,7 @@ def _line(row: dict[str, Any]) -> str:
 
 
 @command(PairQualityConfig)
-def main(config: PairQualityConfig) -> int:
+def main(config: PairQualityConfig) -> None:
     """Entry of ``python -m benchmarks.pair_quality``."""
     one_thread()
     content = measure(config)
@@ -119,7 +119,6 @@ def main(config: PairQualityConfig) -> int:
         row = content[name]
         print(f"{name}: {_line(row)}, {row['bad']} of {row['pairs']} pairs out of balance")
     print(f"written to {path} and {path.with_suffix('.png')}")
-    return 0
 
 
 if __name__ == "__main__":

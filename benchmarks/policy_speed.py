@@ -95,7 +95,7 @@ def draw(content: dict[str, Any], path: Path) -> Path:
 
 
 @command(BenchPolicyConfig)
-def main(config: BenchPolicyConfig) -> int:
+def main(config: BenchPolicyConfig) -> None:
     """Entry of ``python -m benchmarks.policy_speed``."""
     torch.set_num_threads(1)
     content = measure(config)
@@ -110,7 +110,6 @@ def main(config: BenchPolicyConfig) -> int:
         if name in content:
             print(f"{name}: {json.dumps(content[name])}")
     print(f"written to {path}")
-    return 0
 
 
 if __name__ == "__main__":

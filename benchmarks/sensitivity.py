@@ -160,11 +160,10 @@ def _run(config: SensitivityConfig) -> str:
 
 
 @command(SensitivityConfig)
-def main(config: SensitivityConfig) -> int:
+def main(config: SensitivityConfig) -> None:
     """Entry of ``python -m benchmarks.sensitivity``."""
     torch.set_num_threads(1)
     print(_run(config))
-    return 0
 
 
 if __name__ == "__main__":

@@ -84,11 +84,10 @@ def _run(command: SensorTransferCommand) -> str:
 
 
 @command(SensorTransferCommand)
-def main(command: SensorTransferCommand) -> int:
+def main(command: SensorTransferCommand) -> None:
     """Entry of ``python -m benchmarks.sensor_transfer``."""
     torch.set_num_threads(1)
     print(_run(command))
-    return 0
 
 
 if __name__ == "__main__":

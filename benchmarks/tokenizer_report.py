@@ -296,12 +296,11 @@ def _numbers(values: dict[str, float]) -> str:
 
 
 @command(TokenizerReportCommand)
-def main(command: TokenizerReportCommand) -> int:
+def main(command: TokenizerReportCommand) -> None:
     """Entry of ``python -m benchmarks.tokenizer_report``."""
     logging.basicConfig(level=logging.INFO)
     one_thread()
     print(_report(command))
-    return 0
 
 
 if __name__ == "__main__":

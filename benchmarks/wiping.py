@@ -213,11 +213,10 @@ def _run(command: BenchmarkConfig) -> str:
 
 
 @command(BenchmarkConfig)
-def main(config: BenchmarkConfig) -> int:
+def main(config: BenchmarkConfig) -> None:
     """Entry of ``python -m benchmarks.wiping``."""
     logging.basicConfig(level=logging.WARNING)
     print(_run(config))
-    return 0
 
 
 if __name__ == "__main__":

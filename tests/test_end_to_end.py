@@ -53,9 +53,8 @@ def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint: Path, tmp_path
 
 
 def test_a_finished_episode_is_not_scored_again(checkpoint: Path, tmp_path: Path) -> None:
-    config = ScoreConfig(
-        policy=str(checkpoint), arm="again", rollouts=1, workers=1, videos=0, out=str(tmp_path)
-    )
+    once = {"rollouts": 1, "workers": 1, "videos": 0, "out": str(tmp_path)}
+    config = ScoreConfig(str(checkpoint), "again", **once)
     first = score(config)
     rows = next(tmp_path.glob("*/episodes.jsonl"))
     before = rows.read_text()

@@ -1,6 +1,6 @@
 """Force-labelled sequences for heads and for the frozen zero-shot set; the latter is named by its hash.
 
-Every sensor feels the *same* contacts (one seed): what differs between cells of the table is the sensor alone.
+Every sensor gets the *same* contacts (one seed): what differs between cells of the table is the sensor alone.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ logger = logging.getLogger(__name__)
 
 TYPE = "pi05_uniforce"
 PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
-# of whole numbers in config.json: far beyond what anybody trains, far below what fills a machine
+# of whole numbers in config.json: far beyond what is ever trained, far below what fills a machine
 COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")
 LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}

@@ -57,7 +57,7 @@ def lora_targets(network: stock.PI05Pytorch) -> dict[str, Any]:
     """Return PEFT's settings: which layers get adapters, and which modules, that start random, train whole.
 
     The action expert and the action and time projections get adapters everywhere, the VLM on queries and values where
-    somebody reads them. LeRobot's own list names modules π0.5 doesn't have and leaves out its time MLP.
+    they are read. LeRobot's own list names modules π0.5 doesn't have and leaves out its time MLP.
     """
     depth = len(network.paligemma_with_expert.paligemma.model.language_model.layers)
     read = "|".join(str(n) for n in range(depth - 1))

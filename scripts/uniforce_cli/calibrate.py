@@ -68,8 +68,7 @@ def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, 
 
 
 @command(CalibrateCommand)
-def main(command: CalibrateCommand) -> int:
-    """Entry of ``uniforce calibrate``."""
+def main(command: CalibrateCommand) -> None:
     from uniforce_vtla.tokenizer.api import Tokenizer
 
     one_thread()
@@ -77,4 +76,3 @@ def main(command: CalibrateCommand) -> int:
     found = calibrate_sensor(command, tokenizer, command.new, command.anchor)
     change = f"imbalance on held-out grasps {found.imbalance_before:.3f} → {found.imbalance_after:.3f}"
     print(f"{command.new} against {command.anchor}: {change}; adapter in {found.save(command.out)}")
-    return 0

@@ -109,12 +109,10 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
 
 
 @command(ConvertConfig)
-def main(config: ConvertConfig) -> int:
-    """Entry of ``uniforce convert``."""
+def main(config: ConvertConfig) -> None:
     from lerobot_policy_pi05_uniforce import weights
 
     one_thread()
     out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(weights.FRESH)}")
     print(f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")
-    return 0

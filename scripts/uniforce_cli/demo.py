@@ -164,9 +164,7 @@ def _start_over(out: Path) -> None:
 
 
 @command(DemoConfig)
-def main(config: DemoConfig) -> int:
-    """Entry of ``uniforce demo``."""
+def main(config: DemoConfig) -> None:
     logging.basicConfig(level=logging.WARNING)
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     run(config)
-    return 0

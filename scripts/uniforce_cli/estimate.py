@@ -114,10 +114,8 @@ def _line(row: dict[str, Any]) -> str:
 
 
 @command(ScoreRecordingConfig)
-def main(config: ScoreRecordingConfig) -> int:
-    """Entry of ``uniforce estimate``."""
+def main(config: ScoreRecordingConfig) -> None:
     one_thread()
     content = score_recording(config)
     path = write_json(Path(config.out) / "estimates.json", content | provenance())
     print("\n".join(["Estimates, not truth:", *map(_line, content["episodes"]), f"written to {path}"]))
-    return 0

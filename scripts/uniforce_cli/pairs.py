@@ -160,8 +160,7 @@ def _check(config: RecordPairsConfig) -> tuple[str, ...]:
 
 
 @command(RecordPairsConfig)
-def main(config: RecordPairsConfig) -> int:
-    """Entry of ``uniforce pairs``."""
+def main(config: RecordPairsConfig) -> None:
     import datasets
 
     one_thread()
@@ -172,4 +171,3 @@ def main(config: RecordPairsConfig) -> int:
         truth = content["truth"]
         print(f"rehearsal, by truth: {truth['out_of_balance']:.1%} of those kept now are out of balance")
     print(f"coverage in {Path(config.out) / 'coverage.png'}, session in {Path(config.out) / 'session.json'}")
-    return 0

@@ -33,8 +33,7 @@ class PretrainCommand:
 
 
 @command(PretrainCommand, presets=PRESETS)
-def main(settings: PretrainCommand) -> int:
-    """Entry of ``uniforce pretrain``."""
+def main(settings: PretrainCommand) -> None:
     import torch
 
     from uniforce_vtla.tokenizer.pretrain import Pretraining, open_source, starting_model
@@ -47,4 +46,3 @@ def main(settings: PretrainCommand) -> int:
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"
     print(f"tokenizer {tokenizer.hash[:12]} {where}; peak memory {peak_GB:.1f} GB")
-    return 0

@@ -192,7 +192,6 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Co
 
 @command(RecordConfig, others=("robot.", "teleop."))
 def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> int:
-    """Entry of ``uniforce record``."""
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     try:
         end = record(config, flags, given)

@@ -192,8 +192,7 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
 
 
 @command(ScoreConfig)
-def main(config: ScoreConfig) -> int:
-    """Entry of ``uniforce score``."""
+def main(config: ScoreConfig) -> None:
     from uniforce_vtla.evaluation.arms import table
 
     logging.basicConfig(level=logging.WARNING)
@@ -201,4 +200,3 @@ def main(config: ScoreConfig) -> int:
     score(config)
     print(table(write_report(config)))
     print(f"{config.rollouts} rollouts in {time.perf_counter() - start:.0f} s; results in {config.out}")
-    return 0

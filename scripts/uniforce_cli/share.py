@@ -145,7 +145,6 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 @command(ShareConfig)
 def main(config: ShareConfig) -> int:
-    """Entry of ``uniforce share``."""
     one_thread()
     _scores(config)  # a damaged file is named first
     if bool(config.dataset) == bool(config.checkpoint):

@@ -146,8 +146,7 @@ def _numbers(summary: EpisodeSummary, facts: dict[str, str]) -> dict[str, object
 
 
 @command(ShowDatasetConfig)
-def main(config: ShowDatasetConfig) -> int:
-    """Entry of ``uniforce show``."""
+def main(config: ShowDatasetConfig) -> None:
     one_thread()
     written = show_dataset(config)
     print("\n".join(f"written to {path}" for path in written))
@@ -155,4 +154,3 @@ def main(config: ShowDatasetConfig) -> int:
         open_viewer(*map(str, written))
     elif config.form == "rerun":
         print(f"look at it: rerun {written[0]}")
-    return 0

@@ -129,7 +129,6 @@ def run(config: TouchConfig) -> int:
 
 @command(TouchConfig)
 def main(config: TouchConfig) -> int:
-    """Entry of ``uniforce touch``."""
     one_thread()
     try:
         return run(config)

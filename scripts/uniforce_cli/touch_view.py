@@ -1,4 +1,4 @@
-"""One look at a finger, newest sample through canonicaliser, tokenizer and force head; and where it is shown."""
+"""One look at a finger, newest sample through canonicalizer, tokenizer and force head; and where it is shown."""
 
 from __future__ import annotations
 

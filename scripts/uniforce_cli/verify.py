@@ -52,7 +52,5 @@ def verify(config: VerifyConfig) -> str:
 
 
 @command(VerifyConfig)
-def main(config: VerifyConfig) -> int:
-    """Entry of ``uniforce verify``."""
+def main(config: VerifyConfig) -> None:
     print(verify(config))
-    return 0

@@ -60,11 +60,9 @@ def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
 
 
 @command(ViewConfig)
-def main(config: ViewConfig) -> int:
-    """Entry of ``uniforce view``."""
+def main(config: ViewConfig) -> None:
     one_thread()
     out = make_view(config)
     facts = json.loads((out / "uniforce_view.json").read_text())
     print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")
     print(f"next: uniforce train policy=pi05_uniforce dataset.repo_id=local/view dataset.root={out}")
-    return 0

@@ -40,9 +40,8 @@ def test_a_swap_uses_its_partners_checkpoint() -> None:
 def test_the_committed_table_adds_up() -> None:
     """Both seeds' scenes together are the arm's, for every arm of a policy."""
     for arm in (arm for arm in ARMS if arm.checkpoint not in SCRIPTS):
-        parts = [
-            scores_of(TABLE, f"{seed}/{arm.checkpoint}")["arms"][arm.name] for seed in TABLE["checkpoints"]
-        ]
+        names = [f"{seed}/{arm.checkpoint}" for seed in TABLE["checkpoints"]]
+        parts = [scores_of(TABLE, name)["arms"][arm.name] for name in names]
         whole = TABLE["arms"][arm.name]
         assert sum(part["clean"] for part in parts) == whole["clean"]
         assert sum(part["success"] for part in parts) == whole["success"]
@@ -65,9 +64,8 @@ def test_the_committed_tests_follow_from_the_committed_letters() -> None:
         (better(reports, BETTER), TABLE["tests"]),
         (as_good(reports, AS_GOOD), TABLE["as_good"]),
     ):
-        assert [{k: pytest.approx(v) for k, v in t.items() if k != "arms"} for t in now] == [
-            {k: v for k, v in t.items() if k != "arms"} for t in committed
-        ]
+        wanted = [{k: v for k, v in t.items() if k != "arms"} for t in committed]
+        assert [{k: pytest.approx(v) for k, v in t.items() if k != "arms"} for t in now] == wanted
 
 
 def test_profiles_are_drawn_also_where_an_arm_never_wiped(tmp_path: Path) -> None:

@@ -115,9 +115,8 @@ def arm(name: str, codes: str, first_seed: int = 0) -> ArmReport:
 
 
 def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_about() -> None:
-    reports = {
-        r.arm: r for r in (arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19))
-    }
+    arms = arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19)
+    reports = {report.arm: report for report in arms}
     tests = {tuple(t["arms"]): t for t in better(reports, PAIRS)}
     assert set(tests) == {("V+T", "V"), ("V+G", "V")}
     clear, none = tests["V+T", "V"], tests["V+G", "V"]

@@ -92,9 +92,8 @@ def hashes_of_dataset(folder: Path) -> FileTarget:
 
 def view(folder: Path) -> FileTarget:
     """Read a training view and two of its samples."""
-    root = build_view(
-        record_synthetic(folder / "recorded", 1, 3), folder / "data", image_side=8, encoder=BlockMeans()
-    )
+    recorded = record_synthetic(folder / "recorded", 1, 3)
+    root = build_view(recorded, folder / "data", image_side=8, encoder=BlockMeans())
     (root / HASHES).unlink()
 
     def read() -> None:
@@ -120,9 +119,9 @@ def force_head(folder: Path) -> FileTarget:
 def descriptor_head(folder: Path) -> FileTarget:
     config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
     DescriptorHead(ForceRegressor(config), "tactip").save(folder / "data")
-    felt = np.zeros((2, len(DESCRIPTOR_NAMES)))
+    seen = np.zeros((2, len(DESCRIPTOR_NAMES)))
     return FileTarget(
-        folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(felt)
+        folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen)
     )
 
 
@@ -177,8 +176,8 @@ def training_state(folder: Path) -> FileTarget:
 def foreign(folder: Path) -> FileTarget:
     root = folder / "data"
     root.mkdir()
-    torch.save({"a": torch.arange(12.0).view(3, 4), "b": torch.zeros(2)}, root / "peer.pth")
-    return FileTarget(root, lambda: read_tensors(root / "peer.pth"))
+    torch.save({"a": torch.arange(12.0).view(3, 4), "b": torch.zeros(2)}, root / "foreign.pth")
+    return FileTarget(root, lambda: read_tensors(root / "foreign.pth"))
 
 
 def hashes_of_checkpoint(folder: Path) -> FileTarget:

@@ -73,9 +73,8 @@ def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_bat
     assert torch.allclose(b, a[1] + rows * UNITS.unit, atol=1e-6)
     policy.select_action(elsewhere)
     policy.reset()
-    assert torch.allclose(
-        policy.select_action(elsewhere), elsewhere[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6
-    )
+    again = policy.select_action(elsewhere)
+    assert torch.allclose(again, elsewhere[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6)
 
 
 def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats, monkeypatch, tmp_path):
@@ -152,9 +151,8 @@ def test_a_batch_without_the_measured_state_is_refused(make_policy, make_batch):
 def test_beyond_the_knee_a_move_is_its_logarithm():
     small, large = torch.full((5,), 1e-5), torch.full((5,), 0.04)
     assert torch.allclose(BENT.to_network(small)[4], torch.tensor(1e-5 / 3e-4), rtol=1e-3)
-    assert torch.allclose(
-        BENT.to_network(large)[[2, 4]], (2 * large[[2, 4]] / BENT.unit[[2, 4]]).log(), atol=0.01
-    )
+    logarithm = (2 * large[[2, 4]] / BENT.unit[[2, 4]]).log()
+    assert torch.allclose(BENT.to_network(large)[[2, 4]], logarithm, atol=0.01)
     assert torch.equal(BENT.to_network(large)[[0, 1, 3]], UNITS.to_network(large)[[0, 1, 3]])
 
 
@@ -213,9 +211,8 @@ def test_larger_camera_frames_shrink_as_training_views_do(make_policy, make_batc
     side = policy.config.image_resolution[0]
     large = torch.rand(len(batch[key]), 3, 4 * side, 4 * side)
     shrunk = policy._shrunk({**batch, key: large})[key]
-    assert torch.allclose(
-        shrunk, large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5)), atol=1e-6
-    )
+    wanted = large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5))
+    assert torch.allclose(shrunk, wanted, atol=1e-6)
 
 
 def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
@@ -239,7 +236,7 @@ def test_evaluation_mode_reaches_a_module_that_was_set_apart(make_policy):
     modules = list(policy.modules())
     policy.eval()
     assert not any(module.training for module in modules)
-    modules[-1].train()  # somebody's own doing: asking again mends it
+    modules[-1].train()  # set by hand: asking again mends it
     policy.eval()
     assert not modules[-1].training
     policy.train()

@@ -74,9 +74,8 @@ def test_loading_needs_no_tokenizer_file(make_config, make_policy, make_batch, t
     torch.manual_seed(1)
     batch = make_batch(policy)
     start = torch.randn(2, 16, 8)
-    assert torch.equal(
-        policy.predict_action_chunk(batch, noise=start), loaded.predict_action_chunk(batch, noise=start)
-    )
+    chunks = [p.predict_action_chunk(batch, noise=start) for p in (policy, loaded)]
+    assert torch.equal(*chunks)
 
 
 def changed_tokenizer(tensors):
@@ -150,9 +149,8 @@ def test_other_sensors_must_be_asked_for(make_config):
         check_sensors(make_config(touch__trained_sensors=trained), {"left": "gelsight", "right": "tactip"})
         == []
     )
-    one = make_config(
-        touch__slots={"touch0": "right"}, touch__trained_sensors={"touch0": "tactip"}, swap="touch0:left"
-    )
+    slots = {"touch__slots": {"touch0": "right"}, "touch__trained_sensors": {"touch0": "tactip"}}
+    one = make_config(**slots, swap="touch0:left")
     assert len(check_sensors(one, mounted)) == 1
 
 

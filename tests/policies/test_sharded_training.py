@@ -25,9 +25,8 @@ def test_a_sharded_step_is_the_whole_policys_step(make_policy, make_batch, tmp_p
     launch = "torch.distributed.run --standalone --nproc-per-node=2"
     files = [tmp_path / "begun", tmp_path / "batch.safetensors", tmp_path / "sharded"]
     env = os.environ | {"OMP_NUM_THREADS": "1", "GLOO_SOCKET_IFNAME": "lo"}
-    run_to_the_end(
-        [sys.executable, "-m", *launch.split(), str(PROGRAM), *map(str, files)], env, tmp_path / "said", 200
-    )
+    call = [sys.executable, "-m", *launch.split(), str(PROGRAM), *map(str, files)]
+    run_to_the_end(call, env, tmp_path / "said", 200)
     whole = PI05UniforcePolicy.from_pretrained(tmp_path / "begun").train()
     optimizer = torch.optim.SGD([p for p in whole.parameters() if p.requires_grad], lr=1.0)
     losses = [whole({k: v.chunk(2)[i] for k, v in batch.items()})[0] for i in range(2)]

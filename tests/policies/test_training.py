@@ -92,9 +92,8 @@ def test_lerobot_trains_saves_and_resumes(dataset, tokenizer_path, tmp_path, mon
 
     tuned = tmp_path / "tuned"  # from a checkpoint, on new data statistics: LeRobot rebuilds the normaliser
     lerobot_training.train([f"policy.path={last}", "policy.device=cpu", *run_settings(dataset, tuned)])
-    saved = load_file(
-        next((tuned / "checkpoints/last/pretrained_model").glob("*normalizer_processor.safetensors"))
-    )
+    last = tuned / "checkpoints/last/pretrained_model"
+    saved = load_file(next(last.glob("*normalizer_processor.safetensors")))
     assert "observation.state.q99" in saved
 
 
@@ -129,9 +128,8 @@ def test_other_datasets_are_checked_and_stay_with_lerobot(dataset, tmp_path, mon
 
 
 def test_command_line_becomes_lerobots():
-    flags = lerobot_training.to_lerobot(
-        ["policy=pi05_uniforce", "steps=5", "--policy.size=tiny", "wandb.enable=true"]
-    )
+    given = ["policy=pi05_uniforce", "steps=5", "--policy.size=tiny", "wandb.enable=true"]
+    flags = lerobot_training.to_lerobot(given)
     given = ["--policy.type=pi05_uniforce", "--steps=5", "--policy.size=tiny", "--wandb.enable=true"]
     assert flags == [*given, "--policy.push_to_hub=false"]
     assert lerobot_training.take_verify(["steps=5", "verify=off"]) == ("off", ["steps=5"])

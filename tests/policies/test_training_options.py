@@ -90,9 +90,8 @@ def test_lora_trains_its_targets_and_the_new_modules(site, make_policy, make_bat
     start.save_pretrained(tmp_path / "start")
     policy = PI05UniforcePolicy.from_pretrained(tmp_path / "start")
     policy.config.pretrained_path = tmp_path / "start"
-    wrapped = alive(
-        policy.wrap_with_peft(peft_cli_overrides={"method_type": "LORA", "r": 2}), std=0.1
-    ).train()
+    lora = {"method_type": "LORA", "r": 2}
+    wrapped = alive(policy.wrap_with_peft(peft_cli_overrides=lora), std=0.1).train()
     for name, p in wrapped.named_parameters():
         if "lora_B" in name:  # starts as zeros: the other half would get no gradient
             torch.nn.init.normal_(p, std=0.1)

@@ -123,9 +123,8 @@ def test_directions_are_all_that_counts_and_come_back_with_the_checkpoint(make_c
 
 
 def test_noise_along_directions_is_what_fingers_of_a_grasp_disagree_by(make_config, view, tmp_path):
-    policy = trained(
-        make_config, view, augment__sensor_transfer=0.0, touch__directions=3, augment__touch_noise=0.5
-    )
+    touch = {"touch__directions": 3, "augment__touch_noise": 0.5, "augment__sensor_transfer": 0.0}
+    policy = trained(make_config, view, **touch)
     policy.save_pretrained(tmp_path / "saved")
     # training goes on with it
     tokens = PI05UniforcePolicy.from_pretrained(tmp_path / "saved").model.force_tokens

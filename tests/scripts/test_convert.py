@@ -52,16 +52,15 @@ def test_a_tied_embedding_is_found_and_openpis_names_are_understood() -> None:
     names = own_names([HEADS[0].removeprefix("model."), "action_time_mlp_in.weight", "strange"])
     assert names[HEADS[0].removeprefix("model.")] == EMBEDDING
     assert names["action_time_mlp_in.weight"] == "model.time_mlp_in.weight"
-    assert names["strange"] == "model.strange"  # nobody's: the loader will name it
+    assert names["strange"] == "model.strange"  # no known tensor: the loader will name it
 
 
 @pytest.fixture(scope="module")
 def view(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("convert")
     root = record_synthetic(folder / "data", 1, 6)
-    return build_view(
-        root, folder / "view", image_side=28, tokenizer=Tokenizer.from_pretrained("nano"), keep=bool
-    )
+    nano = Tokenizer.from_pretrained("nano")
+    return build_view(root, folder / "view", image_side=28, tokenizer=nano, keep=bool)
 
 
 @pytest.fixture(scope="module")

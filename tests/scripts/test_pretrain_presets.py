@@ -14,9 +14,8 @@ from uniforce_vtla.tokenizer.pair_cache import FAMILY
 
 
 def test_small_draws_the_family_the_peers_see_too() -> None:
-    first, second = (
-        read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in ("small_draw", "small_agree")
-    )
+    names = ("small_draw", "small_agree")
+    first, second = (read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names)
     assert first.run.data == second.run.data == FAMILY
 
 
@@ -32,9 +31,8 @@ def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
 
 
 def test_nano_is_smaller_and_what_is_given_wins() -> None:
-    small, nano = (
-        read(PretrainCommand, [f"preset={n}", "run.steps=7"], PRESETS)[0] for n in ("small", "nano")
-    )
+    given = ([f"preset={name}", "run.steps=7"] for name in ("small", "nano"))
+    small, nano = (read(PretrainCommand, words, PRESETS)[0] for words in given)
     assert nano.run.model.width < small.run.model.width
     assert nano.run.steps == small.run.steps == 7
 

@@ -39,7 +39,7 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(
     watching, env = Watching(), WipeEnv("easy")
     observation, _ = env.reset(seed=3)
     shuffled = ShuffledTouch(watching, bank)
-    for _ in range(2):  # the same scene gets the same stranger's touch
+    for _ in range(2):  # the same scene gets the same other scene's touch
         shuffled.reset(env)
         shuffled.chunk(observation, "wipe")
         seen = watching.seen[0]

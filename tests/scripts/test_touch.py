@@ -31,9 +31,8 @@ def view(taxels: bool = True) -> TouchView:
     norms = np.zeros((14, 14), np.float32)
     norms[:2, :2] = 3.0
     force_N = np.array([0.5, -1.0, 7.25], np.float32)
-    return TouchView(
-        "uskin on the left finger", raw, np.zeros((480, 640), np.uint8), norms, force_N, 3.2, 120.0, 1
-    )
+    pictures = raw, np.zeros((480, 640), np.uint8), norms
+    return TouchView("uskin on the left finger", *pictures, force_N, 3.2, 120.0, 1)
 
 
 def test_text_holds_the_numbers_and_the_map():
@@ -81,9 +80,8 @@ def test_rerun_receives_everything(monkeypatch: pytest.MonkeyPatch):
 def test_live_view_of_a_stand_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     with StandIn("slcan", "rate_hz=100", "rest_s=3", "press_s=2") as stand_in:
         save = tmp_path / "touch.png"
-        code = main(
-            ["sensor=uskin", f"source={stand_in.address}", "seconds=3", "refresh_hz=5", f"save={save}"]
-        )
+        given = ["seconds=3", "refresh_hz=5", f"save={save}"]
+        code = main(["sensor=uskin", f"source={stand_in.address}", *given])
     out = capsys.readouterr().out
     assert code == 0 and save.is_file(), out
     assert "taking the reference" in out and re.search(r"force x y z +[-+]\d", out)

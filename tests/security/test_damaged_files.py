@@ -76,13 +76,13 @@ def test_a_foreign_file_of_unknown_endianness(tmp_path: Path) -> None:
     torch.save({"a": torch.zeros(2)}, tmp_path / "whole.pth")
     with (
         zipfile.ZipFile(tmp_path / "whole.pth") as whole,
-        zipfile.ZipFile(tmp_path / "peer.pth", "w") as spoilt,
+        zipfile.ZipFile(tmp_path / "spoilt.pth", "w") as spoilt,
     ):
         for entry in whole.infolist():
             name = entry.filename
             spoilt.writestr(name, b"ZZZZZZ" if name.endswith("byteorder") else whole.read(name))
     with pytest.raises(CheckpointError, match="endianness"):
-        read_tensors(tmp_path / "peer.pth")
+        read_tensors(tmp_path / "spoilt.pth")
 
 
 def test_a_processors_state_that_is_damaged(policy_copy: Path) -> None:

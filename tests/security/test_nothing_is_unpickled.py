@@ -124,9 +124,9 @@ def test_poisoned_arrays_are_refused(tmp_path: Path, mark: Path) -> None:
 
 
 def test_a_poisoned_foreign_checkpoint_is_refused(tmp_path: Path, mark: Path) -> None:
-    torch.save({"weights": torch.zeros(2), "extra": Bomb(mark)}, tmp_path / "peer.pth")
+    torch.save({"weights": torch.zeros(2), "extra": Bomb(mark)}, tmp_path / "foreign.pth")
     with pytest.raises(CheckpointError, match="tensors only"):
-        read_tensors(tmp_path / "peer.pth")
+        read_tensors(tmp_path / "foreign.pth")
     assert not mark.exists()
 
 

@@ -98,9 +98,8 @@ def test_the_reference_is_encoded_once(
 ) -> None:
     calls = []
     original = tokenizer.model.encoder.encode_reference
-    monkeypatch.setattr(
-        tokenizer.model.encoder, "encode_reference", lambda image: calls.append(1) or original(image)
-    )
+    encoder = tokenizer.model.encoder
+    monkeypatch.setattr(encoder, "encode_reference", lambda image: calls.append(1) or original(image))
     encoder = StreamingEncoder(tokenizer, "left")
     encoder.set_reference(dots[0])
     for _ in range(5):

@@ -62,17 +62,15 @@ def test_cached_path_equals_full_path(tiny: TokenizerConfig) -> None:
     at_once = model.encoder.encode_current(cache, current).mean
     each = model(reference.expand(4, -1, -1, -1), current).mean
     torch.testing.assert_close(at_once, each, atol=1e-5, rtol=0)
-    torch.testing.assert_close(
-        model.encoder.encode_current(cache.repeat(4), current).mean, each, atol=1e-5, rtol=0
-    )
+    repeated = model.encoder.encode_current(cache.repeat(4), current).mean
+    torch.testing.assert_close(repeated, each, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("motion_scales", [0, 3])
 @pytest.mark.parametrize("embed_hidden", [0, 16])
 def test_shapes_with_and_without_options(motion_scales: int, embed_hidden: int) -> None:
-    config = TokenizerConfig(
-        side=32, patch=8, width=16, depth=1, heads=2, motion_scales=motion_scales, embed_hidden=embed_hidden
-    )
+    options = {"motion_scales": motion_scales, "embed_hidden": embed_hidden}
+    config = TokenizerConfig(side=32, patch=8, width=16, depth=1, heads=2, **options)
     model = build_model(config, 0)
     posterior = model(images(2), images(2, 1))
     assert posterior.mean.shape == posterior.log_variance.shape == (2, config.num_patches, 6)

@@ -290,18 +290,16 @@ def test_inputs_are_prepared_as_each_project_does(table: Table) -> None:
     assert seen.shape == (1, 3, 224, 224)
     assert seen[0, :, 112, 112].tolist() == [0, 0, 0] and seen[0, 0, 0, 0] == -2
     seen = anytouch.prepare(image, Brightness(0.5, 0.25))
-    assert seen[0, :, 112, 112].tolist() == pytest.approx(
-        [(0.5 - 0.485) / 0.229, 0.044 / 0.224, 0.094 / 0.225]
-    )
+    channels = [(0.5 - 0.485) / 0.229, 0.044 / 0.224, 0.094 / 0.225]
+    assert seen[0, :, 112, 112].tolist() == pytest.approx(channels)
     frames = table.frozen["tactip"].frames / 255
     assert brightness_of(table.frozen["tactip"]).mean == pytest.approx(frames.mean(), abs=1e-4)
 
 
 def test_t3s_block_is_the_standard_transformer_block() -> None:
     block = Block(T3_TINY, eps=1e-6)
-    layer = torch.nn.TransformerEncoderLayer(
-        16, 2, 64, dropout=0, activation="gelu", layer_norm_eps=1e-6, batch_first=True, norm_first=True
-    )
+    usual = {"activation": "gelu", "batch_first": True, "norm_first": True}
+    layer = torch.nn.TransformerEncoderLayer(16, 2, 64, dropout=0, layer_norm_eps=1e-6, **usual)
     names = {
         "norm1.": "norm1.",
         "attn.qkv.weight": "self_attn.in_proj_weight",

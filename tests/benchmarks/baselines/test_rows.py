@@ -26,9 +26,8 @@ from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 SHORT = EndToEndConfig(steps=3, frames_per_step=16)
 RESNET = ResNetConfig(width=8, blocks=(1, 1, 1), training=replace(SHORT, steps=80))
-TRANSLATION = TranslationConfig(
-    cell=4, widths=(16, 24), steps=3, batch=8, force=replace(RESNET, training=SHORT)
-)
+QUICK = replace(RESNET, training=SHORT)
+TRANSLATION = TranslationConfig(cell=4, widths=(16, 24), steps=3, batch=8, force=QUICK)
 
 
 def short_row(name: str, table: Table, tiny: TokenizerConfig) -> Cells:
