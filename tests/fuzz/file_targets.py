@@ -11,16 +11,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
+from policy_samples import small_config
 
 from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.speed.loader import BlockMeans
-from lerobot_policy_pi05_uniforce import (
-    PI05UniforceConfig,
-    PI05UniforcePolicy,
-    make_pi05_uniforce_pre_post_processors,
-)
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets import hashes as dataset_hashes
 from uniforce_datasets.lossless import check_dataset
@@ -141,23 +138,12 @@ def transfer(folder: Path) -> FileTarget:
 def policy(folder: Path) -> FileTarget:
     """Read config, weights and processors of a tiny policy, as the scorer does."""
     stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
-    visual = {
-        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
-        for name in ("front", "wrist", "tactile_left", "tactile_right")
-    }
-    config = PI05UniforceConfig(
-        size="tiny",
-        device="cpu",
-        tiny=TinySettings(width=64, depth=2, mlp_dim=32),
-        image_resolution=(28, 28),
-        touch=TouchSettings(tokenizer_path=str(stored)),
-        input_features=visual | {STATE: PolicyFeature(FeatureType.STATE, (5,))},
-        output_features={ACTION: PolicyFeature(FeatureType.ACTION, (5,))},
-    )
+    cameras = ("front", "wrist", "tactile_left", "tactile_right")
+    config = small_config(cameras, touch=TouchSettings(tokenizer_path=str(stored)))
     one = {name: np.full(5, value) for name, value in (("q01", -1.0), ("q99", 1.0), ("mean", 0.0))}
     stats = {key: one | {"std": np.ones(5), "min": -np.ones(5), "max": np.ones(5)} for key in (STATE, ACTION)}
     root = folder / "data"
-    parts = (PI05UniforcePolicy(config), *make_pi05_uniforce_pre_post_processors(config, stats))
+    parts = (PI05UniforcePolicy(config), *make_processors(config, stats))
     for part in parts:
         part.save_pretrained(root)
     return FileTarget(root, lambda: PolicyController(root, {}))

@@ -12,16 +12,13 @@ import numpy as np
 import psutil
 import pytest
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
+from policy_samples import small_config
 
-from lerobot_policy_pi05_uniforce import (
-    PI05UniforceConfig,
-    PI05UniforcePolicy,
-    make_pi05_uniforce_pre_post_processors,
-)
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
-SMALL = {"tiny__width": 64, "tiny__depth": 2, "tiny__mlp_dim": 32, "image_resolution": (28, 28)}
+SMALL = {"tiny__width": 64, "tiny__depth": 2, "tiny__mlp_dim": 32}
 BOTH = {"touch0": "right", "touch1": "left"}
 LOW, HIGH = np.array([0.3, -0.2, 0.0, -1.0, 0.0]), np.array([0.7, 0.2, 0.3, 1.0, 0.08])
 
@@ -48,19 +45,9 @@ def stats() -> dict[str, dict[str, np.ndarray]]:
 @pytest.fixture
 def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
     def make(**settings: Any) -> PI05UniforceConfig:
-        cameras = {
-            f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
-            for name in ("front", "wrist", "tactile_left", "tactile_right")
-        }
-        state = {"observation.state": PolicyFeature(FeatureType.STATE, (5,))}
         touch = {"touch__slots": BOTH, "touch__tokenizer_path": str(tokenizer_path)}
-        given = {"size": "tiny", **touch, **SMALL, **settings}
-        return PI05UniforceConfig(
-            device="cpu",
-            input_features=cameras | state,
-            output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
-            **in_groups(given),
-        )
+        cameras = ("front", "wrist", "tactile_left", "tactile_right")
+        return small_config(cameras, **in_groups(touch | SMALL | settings))
 
     return make
 
@@ -87,7 +74,7 @@ def make_batch(stats: dict[str, Any]) -> Callable[..., dict[str, torch.Tensor]]:
     """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text; actions on request."""
 
     def make(policy: PI05UniforcePolicy, size: int = 2, actions: bool = False) -> dict[str, torch.Tensor]:
-        before, _ = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+        before, _ = make_processors(policy.config, stats)
         batch: dict[str, Any] = {"task": ["wipe the ink off the board"] * size}
         for name in ("front", "wrist"):
             batch[f"observation.images.{name}"] = torch.rand(size, 3, 28, 28)

@@ -113,14 +113,6 @@ def test_a_trial_never_scores_itself() -> None:
     assert found is not None and 0.4 < found < 0.6  # noise tells nothing
 
 
-def test_auroc() -> None:
-    labels = np.array([False, False, True, True])
-    assert auroc(np.array([0.1, 0.2, 0.3, 0.4]), labels) == 1
-    assert auroc(np.array([0.1, 0.3, 0.2, 0.4]), labels) == 0.75
-    assert auroc(np.zeros(4), labels) == 0.5
-    assert auroc(np.zeros(4), np.zeros(4, bool)) is None
-
-
 def test_change_energy_looks_back_only() -> None:
     signal = np.zeros((2, 10, 4))
     signal[0, 5:] = 2.0
@@ -137,11 +129,6 @@ def test_balance_of_equal_scaled_and_opposite_loads() -> None:
     wanted = {"r_whole": 1, "slope_whole": 1.5, "r_held": 1, "slope_held": 1.5, "ratio_held": 1.5}
     assert found == pytest.approx(wanted)
     assert balance(left, 5 - left, held)["r_held"] == pytest.approx(-1)
-
-
-def test_starts() -> None:
-    assert starts(np.array([1, 0, 1, 1, 0, 1], bool)) == [0, 2, 5]
-    assert starts(np.zeros(3, bool)) == []
 
 
 def test_bad_recordings_raise(recordings: Path) -> None:
