@@ -19,8 +19,7 @@ from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.expert import WipeExpert
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command
 from uniforce_vtla.evaluation.episode import EpisodeResult, ScoreLimits
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, Names, Newtons, OutFile, Seed, Workers

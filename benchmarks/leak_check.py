@@ -25,8 +25,7 @@ from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, tactile_name
 from uniforce_vtla.options import Count, OutFile, Pixels, Range, Seed

@@ -18,8 +18,7 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level, Sensor
+from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_cli.score_worker import policy_on_rig
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, TACTILE_NAMES, tactile_name

@@ -11,8 +11,7 @@ import torch
 from tqdm import tqdm
 
 from benchmarks.transfer_fit import GraspLatents, SensorTransferFit, fit_transfer, two_fingers
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Sensors
+from uniforce_cli.boundary import Sensors, command
 from uniforce_vtla.contact.pairs import PairSettings
 from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.options import TokenizerFolder, split

@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command
 from uniforce_cli.score import SCRIPTS, ScoreConfig, check_film, score_arms
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected

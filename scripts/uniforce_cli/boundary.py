@@ -1,4 +1,7 @@
-"""Where a command ends: whatever it raises becomes one line and an exit code; ``--debug`` shows where it came from."""
+"""Where a command ends: whatever it raises becomes one line and an exit code; ``--debug`` shows where it came from.
+
+Here, too, are the types of options that several commands share; what they allow is in ``uniforce_vtla/options.py``.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,25 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import yaml
 from draccus.utils import DraccusException
 
 from uniforce_vtla.arguments import parse, split_words
 from uniforce_vtla.errors import ContractError, UniForceError, without_credentials
+from uniforce_vtla.options import Names
+from uniforce_vtla.sensors import list_sensors
 
 REFUSED, FAULT, STOPPED = 2, 70, 130
 DEBUG = "--debug"
 LONGEST_LINE = 600
+
+Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes and samples, not at all
+# the environment's, which takes seconds to import; a test compares
+Level = Literal["easy", "paper", "touch", "hard"]
+Sensor = Annotated[str, Names(list_sensors())]
+Sensors = Annotated[str, Names(list_sensors(), many=True)]
 
 
 class Command:

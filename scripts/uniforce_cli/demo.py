@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json

@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Verify
+from uniforce_cli.boundary import Verify, command, one_thread
 from uniforce_vtla.arguments import numbers
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import camera_key

@@ -10,8 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level, Sensor
+from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import (

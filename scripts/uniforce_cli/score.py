@@ -12,8 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level, Sensor
+from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (

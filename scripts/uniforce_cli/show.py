@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Verify
+from uniforce_cli.boundary import Verify, command, one_thread
 from uniforce_cli.rerun_viewer import import_rerun, open_viewer
 from uniforce_vtla.arguments import numbers
 from uniforce_vtla.contracts import FINGERS

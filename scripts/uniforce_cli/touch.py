@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Sensor
+from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder, split
 from uniforce_vtla.sensors import get_sensor, list_sensors

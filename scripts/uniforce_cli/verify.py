@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Verify
+from uniforce_cli.boundary import Verify, command
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import FolderPath

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Verify
+from uniforce_cli.boundary import Verify, command, one_thread
 from uniforce_vtla.options import Datasets, OutFolder, Pixels, Range, Slots, TokenizerFolder, Workers
 
 if TYPE_CHECKING:
