@@ -199,8 +199,9 @@ class Episode:
         self.poses = 0
         settings = StreamSettings(stale_s=rng.uniform(0.02, 1.0))
         with mock.patch.object(robot_module, "make_backend", lambda config: (self.arm, self.hand)):
-            place = {"id": "cases", "calibration_dir": folder}
-            config = UniforceFrankaConfig(**place, guards=self.limits, stream=settings)
+            config = UniforceFrankaConfig(
+                id="cases", calibration_dir=folder, guards=self.limits, stream=settings
+            )
             self.robot = UniforceFranka(config, self.clock)
         self.robot._hand = self.hand  # type: ignore[assignment]
         self._begin(self.robot._start_stream)

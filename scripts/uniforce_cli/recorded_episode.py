@@ -130,7 +130,7 @@ def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
         reference, current = marker_images(source, episode, finger)
         stream = StreamingEncoder(tokenizer, finger, head)
         stream.set_reference(reference)
-        return np.stack([stream.step(image).force_N for image in current]).astype(np.float64)  # type: ignore[arg-type]
+        return np.array([stream.step(image).force_N for image in current], np.float64)
 
     return read
 

@@ -94,7 +94,8 @@ def _build(
         if control:
             do = "Controls are for policies."
             raise ContractError(expected(f"control of the {policy}", "none", control, do))
-        env = WipeEnv(level, *ScoreConfig(left_sensor=left, right_sensor=right).mounted.values())
+        mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
+        env = WipeEnv(level, mounted["left"], mounted["right"])
         controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, level, left, right, swap)
@@ -157,7 +158,8 @@ def policy_on_rig(
     mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
-    return WipeEnv(level, *mounted.values(), expose_wrench=controller.needs_true_wrench), controller
+    wrench = controller.needs_true_wrench
+    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=wrench), controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

@@ -69,8 +69,8 @@ class DescriptorHead:
 
     def save(self, folder: str | Path) -> Path:
         """Write the head into a folder of heads, one folder per sensor."""
-        facts = {"sensor": self.sensor, "descriptor": list(DESCRIPTOR_NAMES)}
-        facts |= {"head": asdict(self._model.config)}
+        head = asdict(self._model.config)
+        facts = {"sensor": self.sensor, "descriptor": list(DESCRIPTOR_NAMES), "head": head}
         return save_checkpoint(Path(folder) / self.sensor, self._model, facts)
 
     @torch.no_grad()
