@@ -69,15 +69,11 @@ def test_translation_ignores_labels_of_the_targets_training_set(
     np.testing.assert_array_equal(predictions()[0], honest[0])
 
 
-@pytest.mark.parametrize("name", ["resnet", "genforce_style", "finetuned"])
-def test_no_seed_is_refused(name: str, table: Table, tiny: TokenizerConfig) -> None:
-    rows = {
-        "resnet": lambda: resnet_row(table, 0, RESNET),
-        "genforce_style": lambda: genforce_style_row(table, 0, TRANSLATION),
-        "finetuned": lambda: finetuned_row(table, Tokenizer.random(tiny), 0),
-    }
-    with pytest.raises(ContractError, match="seeds: expected"):
-        rows[name]()
+def test_no_seed_is_refused(table: Table, tiny: TokenizerConfig) -> None:
+    rows = [lambda: resnet_row(table, 0, RESNET), lambda: genforce_style_row(table, 0, TRANSLATION)]
+    for row in (*rows, lambda: finetuned_row(table, Tokenizer.random(tiny), 0)):
+        with pytest.raises(ContractError, match="seeds: expected"):
+            row()
 
 
 def test_resnet_learns_its_own_sensor(table: Table) -> None:
