@@ -132,7 +132,7 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     from tqdm import tqdm
 
     from uniforce_cli.score_worker import Job, score_job
-    from uniforce_vtla.evaluation.arms import summarise, write_row
+    from uniforce_vtla.evaluation.arms import ArmReport, write_row
 
     for config in configs:
         check_film(config.film, config.seeds)
@@ -150,7 +150,7 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     for index, row in tqdm(episodes, total=len(jobs), desc=label, unit="episode", disable=None):
         write_row(configs[index].folder / ROWS, row)
         done[index][row.seed] = row
-    return [summarise(c.arm, [rows[seed] for seed in c.seeds]) for c, rows in zip(configs, done, strict=True)]
+    return [ArmReport(c.arm, [rows[seed] for seed in c.seeds]) for c, rows in zip(configs, done, strict=True)]
 
 
 def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
@@ -169,7 +169,7 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     For every two arms: the exact McNemar test of clean success on the seeds they share.
     """
     from lerobot_env_uniforce_wiping import LEVELS, level_hash
-    from uniforce_vtla.evaluation.arms import read_rows, summarise
+    from uniforce_vtla.evaluation.arms import ArmReport, read_rows
     from uniforce_vtla.evaluation.comparison import paired_clean
     from uniforce_vtla.evaluation.pictures import draw_arms
     from uniforce_vtla.evaluation.statistics import mcnemar
@@ -178,7 +178,7 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     for file in sorted(out.glob("*/config.json")):
         settings, rows = json.loads(file.read_text()), read_rows(file.parent / ROWS)
         if settings["level"] == config.level and rows:
-            reports.append(summarise(settings["arm"], [rows[seed] for seed in sorted(rows)]))
+            reports.append(ArmReport(settings["arm"], [rows[seed] for seed in sorted(rows)]))
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first, second)
         if one:

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.wiping import draw_z_profiles
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, RECIPES
 from uniforce_cli.score import SCRIPTS
-from uniforce_vtla.evaluation.arms import EpisodeRow, scores_of, summarise
+from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, scores_of
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.keys import OUTCOME_NAMES
 from uniforce_vtla.sensors import list_sensors
@@ -51,7 +51,7 @@ def test_the_committed_table_adds_up() -> None:
 def test_the_committed_tests_follow_from_the_committed_letters() -> None:
     outcome = {name[0]: name for name in OUTCOME_NAMES} | {"C": "success"}
     reports = {
-        name: summarise(
+        name: ArmReport(
             name,
             [
                 replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C")
@@ -69,7 +69,7 @@ def test_the_committed_tests_follow_from_the_committed_letters() -> None:
 
 
 def test_profiles_are_drawn_also_where_an_arm_never_wiped(tmp_path: Path) -> None:
-    wiped = summarise("V+T", [replace(ROW, z_profile_mm=tuple(float(z) for z in range(60)))] * 3)
-    path = draw_z_profiles([wiped, summarise("V", [ROW])], tmp_path / "z.png")
+    wiped = ArmReport("V+T", [replace(ROW, z_profile_mm=tuple(float(z) for z in range(60)))] * 3)
+    path = draw_z_profiles([wiped, ArmReport("V", [ROW])], tmp_path / "z.png")
     assert path.stat().st_size > 1000
-    assert draw_z_profiles([summarise("V", [ROW])], tmp_path / "none.png").exists()
+    assert draw_z_profiles([ArmReport("V", [ROW])], tmp_path / "none.png").exists()

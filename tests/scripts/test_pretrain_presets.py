@@ -10,10 +10,12 @@ import pytest
 from uniforce_cli.pretrain import PRESETS, PretrainCommand
 from uniforce_vtla.arguments import parse, read
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.tokenizer.pair_cache import FAMILY
+from uniforce_vtla.tokenizer.settings import PairCacheConfig
+
+FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
 
 
-def test_small_draws_the_family_the_peers_see_too() -> None:
+def test_small_draws_the_whole_family_of_sensors() -> None:
     names = ("small_draw", "small_agree")
     first, second = (read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names)
     assert first.run.data == second.run.data == FAMILY

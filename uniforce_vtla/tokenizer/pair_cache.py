@@ -33,9 +33,6 @@ FAMILIES = {"gelsight": draw_flat, "tactip": draw_dome}
 NAMES = ("left_reference", "right_reference", "left_current", "right_current")
 
 
-FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
-
-
 @dataclass(frozen=True)
 class Pairs:
     """A batch of pairs in the canonical frame, ready for the model."""
