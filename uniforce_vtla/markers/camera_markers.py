@@ -153,8 +153,13 @@ def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _ring_pixels(blobs: Blobs, keep: np.ndarray) -> np.ndarray:
-    """Return (N, 2) x, y of sampled pixels in blobs refused as markers that lie outside nearly all markers."""
-    refused = np.concatenate([[False], ~keep])[blobs.labels[::STRIDE_PX, ::STRIDE_PX]]
+    """Return (N, 2) x, y of sampled pixels in refused blobs, no smaller than a marker, outside nearly all markers.
+
+    Smaller ones are crumbs of light: counted as rim, they would draw it over the outer pins.
+    """
+    area = blobs.boxes[:, 4]
+    large = ~keep & (area >= np.median(area[keep]))
+    refused = np.concatenate([[False], large])[blobs.labels[::STRIDE_PX, ::STRIDE_PX]]
     y, x = np.nonzero(refused)
     points = np.stack([x, y], axis=1).astype(float) * STRIDE_PX
     middle = np.median(blobs.centres[keep], axis=0)
