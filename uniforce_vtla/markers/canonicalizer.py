@@ -21,9 +21,7 @@ from uniforce_vtla.markers.taxel_render import (
 )
 from uniforce_vtla.sensors import get_sensor
 
-LIKELY_COUNT = (
-    4  # times more or fewer than the spec's markers: gels of one kind carry 25 to 266, domes 127 or 331
-)
+LIKELY_COUNT = 4  # times the spec's markers or a quarter: gels of one kind carry 25 to 266, domes 127 or 331
 
 
 class Canonicalizer:
