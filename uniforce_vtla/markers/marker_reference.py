@@ -54,7 +54,7 @@ class MarkerReference:
 
     def __init__(self, frame: np.ndarray, dome: bool, counts: tuple[int, int]) -> None:
         found = segment(fit_canonical(frame), dome)
-        between = between_markers(found.blobs.markers)
+        between = between_markers(found.blobs.markers, np.ones(found.blobs.keep.sum(), bool))
         self._reflections = found.blobs.markers[between]
         self._found = replace(found, blobs=found.blobs.without(between))
         points = self._found.blobs.markers
@@ -126,7 +126,8 @@ class MarkerReference:
         shared = ~extra
         shared[closest[closest >= 0]] = False
         if shared.any() and np.percentile(distance[~extra & ~shared], 98) < STILL:
-            return extra | (shared & between_markers(points))
+            extra[shared] = between_markers(points, shared)
+            return extra
         surplus = len(points) - int(extra.sum()) - self._tree.n
         if surplus > 0 and len(self._reflections):
             offset = cKDTree(self._reflections).query(points)[0] / self._spacing
@@ -134,10 +135,12 @@ class MarkerReference:
         return extra
 
 
-def between_markers(points: np.ndarray) -> np.ndarray:
-    """Return (M,) bool: which of (M, 2) points stand between those of a pattern, as reflections do.
+def between_markers(points: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Return which of the (M,) bool ``asked`` of (M, 2) points stand between others of a pattern, as reflections do.
 
     Such a point is nearer to two others than each of these is to its own second neighbour.
     """
-    distance, index = cKDTree(points).query(points, k=7)
-    return (distance[:, 1:] < BETWEEN * distance[index[:, 1:], 2]).sum(axis=1) >= 2
+    tree = cKDTree(points)
+    distance, index = tree.query(points[asked], k=7)
+    second = tree.query(points[index[:, 1:]], k=3)[0][..., 2]
+    return (distance[:, 1:] < BETWEEN * second).sum(axis=1) >= 2
