@@ -75,7 +75,7 @@ def test_saturation_is_counted(canon):
     assert canon.saturation.frames_saturated == 0
     canon.marker_image(loaded(2, z=5_901))
     canon.marker_image(loaded(2, x=-1_601, y=1_601))
-    assert canon.saturation.as_dict() == {
+    assert dataclasses.asdict(canon.saturation) == {
         "frames": 4,
         "frames_saturated": 2,
         "taxels_radius": 1,

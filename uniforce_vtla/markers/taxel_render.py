@@ -71,10 +71,6 @@ class Saturation:
         self.taxels_radius += int(discs.radius_saturated.sum())
         self.taxels_xy += int(discs.xy_saturated.sum())
 
-    def as_dict(self) -> dict[str, int]:
-        """Return the counts by name."""
-        return asdict(self)
-
 
 def check_counts(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
     """Return (16, 3) integer counts as int64.
