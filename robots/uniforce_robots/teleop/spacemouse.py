@@ -20,13 +20,7 @@ import numpy as np
 from lerobot.teleoperators import TeleoperatorConfig
 
 from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
-from uniforce_robots.sensors.reader import (
-    ReaderLimits,
-    SampleReader,
-    SampleSource,
-    Stamped,
-    now_ns,
-)
+from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource, Stamped, now_ns
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.integrator import SteeringConfig
 from uniforce_vtla.errors import TeleoperatorError, expected

@@ -167,11 +167,7 @@ class Sway(Teleoperator):
             raise self.error
         self.calls += 1
         start = self.starts[-1]
-        return {
-            **start,
-            "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5),
-            "width.pos": self.width_m,
-        }
+        return {**start, "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5), "width.pos": self.width_m}
 
 
 def sway(folder: Path) -> Sway:
