@@ -16,7 +16,6 @@ stops after 20 lost packets; the order ``miss_rule`` makes this one do so too.
 
 from __future__ import annotations
 
-import math
 import os
 import random
 import time
@@ -253,56 +252,34 @@ FAULTS = {
 
 
 class Faults:
-    """One fault at a time, on the robot's own clock: ordered, begun, lasting, ended."""
+    """One fault at a time, from one order to the next."""
 
     def __init__(self, arm: ArmService, hand: HandService, journal: Journal) -> None:
         self.arm, self.hand, self.journal = arm, hand, journal
         self.name = NONE  # the one that lasts
         self._last: dict[str, object] = {"last": NONE, "at_ms": None, "at_s": None}
-        self._ordered: str | None = None  # not begun yet
-        self._begin_ms = self._end_ms = self._duration_ms = math.inf
 
-    def order(self, name: str, after_ms: float = 0, duration_ms: float | None = None) -> None:
-        """End the fault that lasts, and begin another after some of the robot's milliseconds.
-
-        Raises:
-            ValueError: no such fault, or a time that is negative or no number.
-        """
+    def order(self, name: str) -> None:
+        """End the fault that lasts, and begin another; ValueError: no such fault."""
         if name != NONE and name not in FAULTS:
             raise ValueError(f"fault: expected {NONE} or one of {sorted(FAULTS)}, got {name!r}")
-        duration = math.inf if duration_ms is None else float(duration_ms)
-        if not (0 <= after_ms < math.inf and duration > 0):
-            raise ValueError(f"fault times: expected ≥ 0 and > 0 ms, got {after_ms} and {duration_ms}")
         self._end()
         if name != NONE:
-            self._ordered, self._duration_ms = name, duration
-            self._begin_ms = self.arm.milliseconds + after_ms
-            self._begin_if_due()
+            now_ms, self.name = self.arm.milliseconds, name
+            self._last = {"last": name, "at_ms": now_ms, "at_s": time.monotonic()}
+            self.journal.write("fault", name=name, milliseconds=now_ms)
+            FAULTS[name].begin(self.arm, self.hand)
 
     def tick(self) -> None:
-        """Do what is due in this millisecond."""
-        self._begin_if_due()
+        """Do what the fault does each millisecond."""
         if self.name != NONE:
             FAULTS[self.name].watch(self.arm, self.hand)
-            if self.arm.milliseconds >= self._end_ms:
-                self._end()
 
     def describe(self) -> dict[str, object]:
         """Return the fault that lasts, and when the last one began: the robot's time and CLOCK_MONOTONIC."""
         return {"name": self.name, **self._last}
 
-    def _begin_if_due(self) -> None:
-        now_ms = self.arm.milliseconds
-        if self._ordered is None or now_ms < self._begin_ms:
-            return
-        self.name, self._ordered = self._ordered, None
-        self._end_ms = now_ms + self._duration_ms
-        self._last = {"last": self.name, "at_ms": now_ms, "at_s": time.monotonic()}
-        self.journal.write("fault", name=self.name, milliseconds=now_ms)
-        FAULTS[self.name].begin(self.arm, self.hand)
-
     def _end(self) -> None:
-        self._ordered = None
         if self.name == NONE:
             return
         fault, self.name = FAULTS[self.name], NONE
