@@ -79,8 +79,8 @@ def feed_mjpeg(rng: np.random.Generator, data: bytes) -> None:
     reader = MultipartJpeg("fuzz")
     for chunk in chunks(rng, data):
         for got in reader.feed(chunk):
-            assert len(got.jpeg) <= MAX_JPEG_BYTES
-            decode_bgr(got.jpeg)
+            assert len(got) <= MAX_JPEG_BYTES
+            decode_bgr(got)
         assert len(reader._buffer) <= MAX_JPEG_BYTES + MAX_HEADER_BYTES + len(data)
 
 

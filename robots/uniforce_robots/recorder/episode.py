@@ -17,7 +17,7 @@ from uniforce_robots.recorder.rows import make_row, raw_frames
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.store import StoreProcess
 from uniforce_robots.recorder.ticker import Ticker, TickStats
-from uniforce_vtla.errors import TeleoperatorError, UniForceError
+from uniforce_vtla.errors import UniForceError
 
 Store = EpisodeRecorder | StoreProcess
 
@@ -113,9 +113,7 @@ class EpisodeLoop:
         except UniForceError as error:
             fault = error
         self._parts.rig.hold()
-        if isinstance(fault, TeleoperatorError) and fault.fault == "ended":  # a replay that came to its end
-            ending = {"message": str(fault)}
-        elif fault is not None:
+        if fault is not None:
             held_s = time.perf_counter() - self._tick_begun_s
             ending = {"how": "aborted", "cause": cause_of(fault), "message": str(fault), "held_s": held_s}
         return Ending(self._ticker.stats, notes=tuple(self._notes), pauses=self._pauses, **ending)

@@ -53,8 +53,7 @@ class Steering:
         """Return (5,) absolute targets for the (5,) measured axes.
 
         Raises:
-            TeleoperatorError: the device failed, or its target isn't finite. ``fault`` is ``ended`` where a recording
-                is over.
+            TeleoperatorError: the device failed, or its target isn't finite.
         """
         if self._wants_feedback:
             self._call("send_feedback", _named(axes))

@@ -25,7 +25,7 @@ from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operato
 from uniforce_robots.recorder.session import SessionEnd, SessionSettings
 from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
-from uniforce_vtla.errors import ContractError, TeleoperatorError
+from uniforce_vtla.errors import ContractError
 from uniforce_vtla.keys import (
     ABORT_CAUSES,
     ACTION,
@@ -304,21 +304,6 @@ def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
     monkeypatch.setattr(EpisodeRecorder, "save", refuse)
     end = go(fake, tmp_path / "data", Unattended("success"))
     assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
-
-
-def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
-    teleop = sway(tmp_path)
-    real = teleop.get_action
-
-    def get_action() -> dict[str, float]:
-        if teleop.calls >= 7:
-            raise TeleoperatorError("the end", "ended")
-        return real()
-
-    teleop.get_action = get_action  # type: ignore[method-assign]
-    end = go(fake, tmp_path / "data", Unattended("residual"), teleop, episode_s=5.0)
-    assert end.exit_code == 0 and labels(tmp_path / "data") == ["residual"]
-    assert read_source(tmp_path / "data").num_frames == 7
 
 
 def test_another_sensor_than_configured_is_refused_before_anything_moves(

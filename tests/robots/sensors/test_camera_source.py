@@ -11,7 +11,7 @@ from scripted import ScriptedCapture
 
 from uniforce_robots.sensors import UniforceTactileCameraConfig
 from uniforce_robots.sensors.camera_source import FAILED_READS, CameraSource, open_capture
-from uniforce_robots.sensors.faults import LostSensorError, ProtocolError, WrongSensorError
+from uniforce_robots.sensors.faults import LostSensorError, WrongSensorError
 from uniforce_robots.sensors.mjpeg import StreamSource
 from uniforce_robots.sensors.reader import now_ns
 
@@ -105,19 +105,6 @@ def test_a_frame_of_another_size(capture: ScriptedCapture, make: Callable):
     capture.frame = np.zeros((240, 320, 3), np.uint8)
     with pytest.raises(WrongSensorError, match="320×240"):
         source.read()
-
-
-def test_the_driver_may_stamp_frames_on_our_clock_only(capture: ScriptedCapture, make: Callable):
-    source = make(clock="driver")
-    source.open()
-    taken_ns = now_ns() - 20_000_000
-    capture.values[cv2.CAP_PROP_POS_MSEC] = taken_ns / 1e6
-    ((stamp_ns, _),) = source.read()
-    assert abs(stamp_ns - taken_ns) < 1000
-    for wrong in (0.0, 1.7e12):
-        capture.values[cv2.CAP_PROP_POS_MSEC] = wrong
-        with pytest.raises(ProtocolError, match="clock=host"):
-            source.read()
 
 
 def test_an_absent_device_is_named():

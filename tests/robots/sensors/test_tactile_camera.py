@@ -88,12 +88,6 @@ def test_a_dead_camera_is_a_typed_error_and_comes_back(
 
 
 @pytest.mark.slow
-def test_late_frames_are_seen_through_the_server_s_own_stamps(mjpeg: StandIn, fails_and_recovers: Callable):
-    with UniforceTactileCamera(config(mjpeg.address, clock="driver")) as camera:
-        fails_and_recovers(mjpeg, "late", StaleSensorError, camera.latest, camera.next_touch, MAX_AGE_MS)
-
-
-@pytest.mark.slow
 def test_garbage_costs_no_good_frame(mjpeg: StandIn, camera: UniforceTactileCamera):
     for _ in range(TIMES):
         mjpeg.inject("garbage")

@@ -53,9 +53,8 @@ def test_life_of_a_teleoperator(name: str, connected: Callable[[str], Any], meas
         action = device.get_action()
         assert tuple(action) == AXES and all(type(value) is float for value in action.values())
         now = np.array([action[axis] for axis in AXES])
-        if name != "uniforce_expert":  # its scene has another pose than this test's
-            assert np.all(np.abs(now - before) <= LARGEST_STEP), name
-            before = now
+        assert np.all(np.abs(now - before) <= LARGEST_STEP), name
+        before = now
 
     device.disconnect()
     device.disconnect()
