@@ -25,21 +25,8 @@ from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operato
 from uniforce_robots.recorder.session import SessionEnd, SessionSettings
 from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
+from uniforce_vtla import keys
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.keys import (
-    ABORT_CAUSES,
-    ACTION,
-    CAUSE,
-    OUTCOME,
-    OUTCOME_NAMES,
-    STAMPS,
-    STATE,
-    age_key,
-    index_key,
-    measured_key,
-    tactile_key,
-    time_key,
-)
 
 SHORT_S = 0.5
 
@@ -82,7 +69,7 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
     dataset = open_dataset(root, return_uint8=True)
     assert dataset.num_episodes == 3 and len(dataset) == 45
     assert {dataset[i]["task"] for i in (0, 15)} == {"wipe", "clean the board"}
-    reference = dataset[3][tactile_key("left", reference=True)].numpy()
+    reference = dataset[3][keys.tactile_key("left", reference=True)].numpy()
     assert set(np.unique(reference)) == {0, 255}
     for episode in range(3):
         assert stored_frames(raw_path(root, "left", episode)) == 15
@@ -91,19 +78,25 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
 
 def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
     go(fake, tmp_path / "data", Unattended("success"))
-    times = tuple(key(source) for key in (time_key, age_key, index_key) for source in ("front", "left"))
-    keys = (STATE, ACTION, STAMPS, *times)
-    columns = read_source(tmp_path / "data").columns((*keys, measured_key("wrench"), measured_key("hand")))
-    ticks = columns[STAMPS]
+    times = tuple(
+        key(source) for key in (keys.time_key, keys.age_key, keys.index_key) for source in ("front", "left")
+    )
+    wanted = (keys.STATE, keys.ACTION, keys.STAMPS, *times)
+    columns = read_source(tmp_path / "data").columns(
+        (*wanted, keys.measured_key("wrench"), keys.measured_key("hand"))
+    )
+    ticks = columns[keys.STAMPS]
     assert (np.diff(ticks, axis=1) >= 0).all() and ticks[0, 0] < 0.1
     assert (np.diff(ticks[:, 0]) > 0).all()  # how steadily, a busy machine can't say: see docs/recording.md
     for source in ("front", "left"):
-        age, taken = columns[age_key(source)], columns[time_key(source)]
+        age, taken = columns[keys.age_key(source)], columns[keys.time_key(source)]
         assert (age >= 0).all() and age.max() < 0.2
         np.testing.assert_allclose(taken + age, ticks[:, 1], atol=1e-4)
-        assert (np.diff(columns[index_key(source)]) >= 0).all() and columns[index_key(source)][-1] > 3
-    assert np.ptp(columns[ACTION][:, 0]) > 0.001, "the sway was stored"
-    np.testing.assert_allclose(columns[measured_key("hand")][:, 0], 0.08, atol=1e-6)
+        assert (np.diff(columns[keys.index_key(source)]) >= 0).all() and columns[keys.index_key(source)][
+            -1
+        ] > 3
+    assert np.ptp(columns[keys.ACTION][:, 0]) > 0.001, "the sway was stored"
+    np.testing.assert_allclose(columns[keys.measured_key("hand")][:, 0], 0.08, atol=1e-6)
 
 
 def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
@@ -127,10 +120,10 @@ def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
 
 def labels(root: Path) -> list[str]:
     source = read_source(root)
-    columns = source.columns((OUTCOME, CAUSE))
+    columns = source.columns((keys.OUTCOME, keys.CAUSE))
     starts = [episode.start for episode in source.episodes]
-    outcomes = [OUTCOME_NAMES[columns[OUTCOME][i]] for i in starts]
-    causes = [ABORT_CAUSES[columns[CAUSE][i]] for i in starts]
+    outcomes = [keys.OUTCOME_NAMES[columns[keys.OUTCOME][i]] for i in starts]
+    causes = [keys.ABORT_CAUSES[columns[keys.CAUSE][i]] for i in starts]
     return [o if c == "none" else f"{o}:{c}" for o, c in zip(outcomes, causes, strict=True)]
 
 
@@ -219,7 +212,7 @@ def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None
     assert end.endings[2].pauses == 1 and len(teleop.starts) == 4, "three episodes and one going on"
     card = read_card(tmp_path / "data", 0)
     assert card["notes"] == ["slow"] and card["prompt"] == "wipe" and card["guards"]["sensor"] == 0
-    stamps = read_source(tmp_path / "data").columns((STAMPS,))[STAMPS][:, 0]
+    stamps = read_source(tmp_path / "data").columns((keys.STAMPS,))[keys.STAMPS][:, 0]
     assert np.diff(stamps).max() > 5 / 30, "the pause shows"
 
 

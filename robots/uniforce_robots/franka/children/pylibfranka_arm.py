@@ -11,19 +11,8 @@ import sys
 import time
 from typing import Any
 
+import common
 import numpy as np
-from common import (
-    REPORT_s,
-    SILENCE_s,
-    client_errors,
-    connect,
-    orders,
-    report,
-    say,
-    say_lost,
-    say_recovered,
-    say_why,
-)
 
 TICK_s = 1e-3
 TORQUE_STEP_Nm = 0.9  # per millisecond; the robot refuses more than 1
@@ -102,7 +91,7 @@ class Loop:
             if order["do"] == "recover":
                 self.recover()
             elif order["do"] == "stop":
-                say("stopped")
+                common.say("stopped")
             else:
                 self.remember(order)
 
@@ -117,13 +106,13 @@ class Loop:
         state = self.robot.read_once()
         self.report(state)
         if text:
-            say_lost(state, text)
+            common.say_lost(state, text)
         else:
-            self.lost_control = not say_recovered(state)
+            self.lost_control = not common.say_recovered(state)
 
     def take(self) -> list[dict]:
         """Return the orders so far; a closed pipe ends the child."""
-        todo = orders()
+        todo = common.orders()
         if todo is None:
             self.ended = True
         return todo or []
@@ -141,17 +130,17 @@ class Loop:
         try:
             control = self.robot.start_torque_control()
             if self.control(control):
-                say("stopped")
+                common.say("stopped")
         except self.client.NetworkException:
             raise
-        except client_errors(self.client) as error:
+        except common.client_errors(self.client) as error:
             text = str(error)
             control = error.__traceback__ = None  # either would keep the client's lock
             self.lost_control = True
             self.robot.read_once()  # a queued one may be from before
             state = self.robot.read_once()
             self.report(state)
-            say_lost(state, text)
+            common.say_lost(state, text)
         self.target = None
 
     def control(self, control: Any) -> bool:
@@ -183,14 +172,16 @@ class Loop:
         control.writeOnce(command)
         self.report(state)
         if not is_whole(state):
-            say("error", fault="bad_state", text="arm state: expected finite numbers, got NaN or infinity.")
+            common.say(
+                "error", fault="bad_state", text="arm state: expected finite numbers, got NaN or infinity."
+            )
 
     def update(self, law: Impedance, state: Any, silence_s: float) -> None:
         """Give the law the newest target and gains."""
         if self.gains:
             law.set_gains(np.array(self.gains["stiffness"]), self.gains["clip_m"], self.gains["clip_rad"])
             self.gains = {}
-        if self.target is not None and silence_s < SILENCE_s:
+        if self.target is not None and silence_s < common.SILENCE_s:
             law.target = self.target
         elif self.target is not None:
             law.target, self.target = matrix(state.O_T_EE), matrix(state.O_T_EE)
@@ -216,13 +207,13 @@ class Loop:
 
     def report_in_time(self, state: Any) -> None:
         """Pass a state on if the parent has waited long enough for one."""
-        if time.monotonic() - self.reported_s >= REPORT_s:
+        if time.monotonic() - self.reported_s >= common.REPORT_s:
             self.report(state)
 
     def report(self, state: Any) -> None:
         """Pass a state on."""
         self.reported_s = time.monotonic()
-        report(state, list(state.O_T_EE))
+        common.report(state, list(state.O_T_EE))
 
 
 def is_whole(state: Any) -> bool:
@@ -239,20 +230,20 @@ def main() -> None:
     """Say ``loaded``, ``connected``, then states until the parent closes the pipe; ``error`` when the robot is lost."""
     import pylibfranka
 
-    say("loaded")
+    common.say("loaded")
     address, realtime = sys.argv[1:3]
     torque_Nm, force_N = map(float, sys.argv[3:5])
     modes = pylibfranka.RealtimeConfig
     try:
-        robot = connect(
+        robot = common.connect(
             pylibfranka, "Robot", address, modes.kIgnore if realtime == "ignore" else modes.kEnforce
         )
         robot.set_collision_behavior([torque_Nm] * 7, [torque_Nm] * 7, [force_N] * 6, [force_N] * 6)
         loop = Loop(pylibfranka, robot)
-        say("connected")
+        common.say("connected")
         loop.run()
-    except client_errors(pylibfranka) as error:
-        say_why(error)
+    except common.client_errors(pylibfranka) as error:
+        common.say_why(error)
 
 
 if __name__ == "__main__":

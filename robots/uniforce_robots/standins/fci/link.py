@@ -9,14 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TextIO
 
-from uniforce_robots.standins.fci.protocol import (
-    CONNECT,
-    ConnectStatus,
-    Header,
-    Message,
-    ProtocolError,
-    unpack,
-)
+from uniforce_robots.standins.fci import protocol as p
 
 DATAGRAM_BYTES = 65536
 UNREAD_s = 1.0  # how long an answer may wait for its client to read
@@ -53,7 +46,7 @@ def read_journal(path: Path, begin: int = 0) -> list[dict]:
 class Link:
     """Sockets of one device. FCI takes one client at a time: a second one is turned away."""
 
-    def __init__(self, address: str, port: int, header: Header, journal: Journal) -> None:
+    def __init__(self, address: str, port: int, header: p.Header, journal: Journal) -> None:
         self.header, self.journal = header, journal
         self.listener = socket.create_server((address, port), backlog=4)
         self.listener.setblocking(False)
@@ -100,7 +93,7 @@ class Link:
         except ConnectionError:
             return True
 
-    def receive(self) -> Iterator[Message]:
+    def receive(self) -> Iterator[p.Message]:
         """Yield the whole requests that have arrived; drop a client that is gone or sends no protocol."""
         try:
             data = self.client.recv(DATAGRAM_BYTES) if self.client else b""
@@ -112,7 +105,7 @@ class Link:
         while self.client is not None:
             try:
                 message, self._buffer = self.header.decode(self._buffer)
-            except ProtocolError as error:
+            except p.ProtocolError as error:
                 self.drop(str(error))
                 return
             if message is None:
@@ -126,24 +119,24 @@ class Link:
             self.write("dropped", why=why)
         self.client, self.states_to = None, None
 
-    def greet(self, message: Message, version: int, reply: Callable[[int, int], bytes]) -> None:
+    def greet(self, message: p.Message, version: int, reply: Callable[[int, int], bytes]) -> None:
         """Answer Connect by status and version, and send states from now on if the version fits.
 
         Raises:
             ProtocolError: no Connect.
         """
-        wanted, udp_port = unpack(CONNECT, message.payload, "Connect")
+        wanted, udp_port = p.unpack(p.CONNECT, message.payload, "Connect")
         fits = wanted == version
-        status = ConnectStatus.SUCCESS if fits else ConnectStatus.INCOMPATIBLE_VERSION
+        status = p.ConnectStatus.SUCCESS if fits else p.ConnectStatus.INCOMPATIBLE_VERSION
         self.reply(message, reply(status, version))
         if fits and self.client is not None:
             self.states_to = (self._host, udp_port)  # not getpeername(): it may have left again
 
-    def reply(self, to: Message, payload: bytes) -> None:
+    def reply(self, to: p.Message, payload: bytes) -> None:
         """Answer a request."""
         size, status = self.header.layout.size + len(payload), payload[0] if payload else None
         self.write("reply", command=to.command, command_id=to.command_id, status=status, bytes=size)
-        answer = self.header.encode(Message(to.command, to.command_id, payload))
+        answer = self.header.encode(p.Message(to.command, to.command_id, payload))
         self.send_bytes(self.garbage() if self.garbage else answer)
 
     def send_bytes(self, data: bytes) -> None:
