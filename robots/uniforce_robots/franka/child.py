@@ -40,8 +40,7 @@ class Child:
     def connect(self, deadline_s: float) -> None:
         """Start the process, wait until the client is loaded, then for the connection within the deadline.
 
-        Raises:
-            RobotError: as ``wait``; the process is gone then.
+        Raises RobotError: as ``wait``; the process is gone then.
         """
         begun = time.monotonic()
         self._answers = queue.Queue()
@@ -79,11 +78,7 @@ class Child:
         return self._process.pid if self._process else None
 
     def send(self, do: str, **details: object) -> None:
-        """Send an order.
-
-        Raises:
-            RobotError: there is no process, or no longer.
-        """
+        """Send an order; raises RobotError: there is no process, or no longer."""
         pipe = self._running().stdin
         assert pipe is not None
         try:
@@ -96,8 +91,7 @@ class Child:
     def wait(self, word: str, deadline_s: float) -> None:
         """Wait for the line that says ``word``; kill the process if it does not come in time.
 
-        Raises:
-            RobotError: an error came instead, the process ended, or the deadline passed.
+        Raises RobotError: an error came instead, the process ended, or the deadline passed.
         """
         end = time.monotonic() + deadline_s
         while True:
@@ -116,8 +110,7 @@ class Child:
     def poll(self) -> dict | None:
         """Return the next line that is no state, None when there is none.
 
-        Raises:
-            RobotError: it is an error, or the process has ended.
+        Raises RobotError: it is an error, or the process has ended.
         """
         self._running()
         try:

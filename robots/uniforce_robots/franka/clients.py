@@ -40,11 +40,7 @@ def make_backend(config: UniforceFrankaConfig) -> tuple[Arm, HandClient]:
 
 
 def require_installed(client: str) -> None:
-    """Refuse a client that is not there.
-
-    Raises:
-        RobotError: names the extra that brings it.
-    """
+    """Refuse a client that is not there; raises RobotError: names the extra that brings it."""
     if importlib.util.find_spec(client) is None:
         do = f'Install it: pip install "{DISTRIBUTION}[{EXTRAS[client]}]" (Linux x86_64 only).'
         raise RobotError(expected("Franka client", f"{client} installed", "none", do), "backend")

@@ -92,8 +92,7 @@ def next_command(target_m: float, last: HandCommand | None, settings: HandSettin
 def require_open(reading: HandReading, open_width_m: float) -> None:
     """Refuse a free-air reference while the fingers may hold something.
 
-    Raises:
-        SensorError: they hold something, or are closer than ``open_width_m``.
+    Raises SensorError: they hold something, or are closer than ``open_width_m``.
     """
     if reading.is_grasped or reading.width_m < open_width_m:
         came = "holding something" if reading.is_grasped else f"{reading.width_m * 1000:.0f} mm"
@@ -125,11 +124,7 @@ class Hand:
         self._fault: RobotError | None = None
 
     def start(self) -> None:
-        """Connect and read the hand once.
-
-        Raises:
-            RobotError: no connection, or no first reading.
-        """
+        """Connect and read the hand once; raises RobotError: no connection, or no first reading."""
         self._client.connect()
         self._take_reading()
         if self._reading is None:
@@ -140,8 +135,7 @@ class Hand:
     def reading(self) -> HandReading:
         """The newest reading, whatever its age: while a command runs some clients give none.
 
-        Raises:
-            RobotError: the hand has a fault.
+        Raises RobotError: the hand has a fault.
         """
         if self._fault is not None:
             raise self._fault
@@ -157,8 +151,7 @@ class Hand:
     def submit(self, width_m: float) -> None:
         """Want a width from now on; the newest one counts once the hand is free.
 
-        Raises:
-            RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
+        Raises RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
         """
         if self._fault is not None:
             raise self._fault
@@ -170,8 +163,7 @@ class Hand:
     def tick(self) -> None:
         """Take the newest reading and outcome, begin the next command, and check; one thread at a time.
 
-        Raises:
-            RobotError: as ``check``; a fault of the client stays until the robot connects again.
+        Raises RobotError: as ``check``; a fault of the client stays until the robot connects again.
         """
         try:
             self._take_reading()
@@ -212,11 +204,7 @@ class Hand:
             raise RobotError(expected("hand", wanted, f"{age_s:.2f} s", do), "hand_stale")
 
     def recover(self) -> None:
-        """Forget a lost grasp on an operator's word.
-
-        Raises:
-            RobotError: anything else is wrong still.
-        """
+        """Forget a lost grasp on an operator's word; raises RobotError: anything else is wrong still."""
         self._held_s = None
         self.tick()
 

@@ -109,9 +109,7 @@ class UniforceFranka(Robot):
     def require_open_hand(self) -> None:
         """Refuse a free-air reference while the fingers may hold something.
 
-        Raises:
-            SensorError: the hand is not open.
-            RobotError: a fault of the hand, or not connected.
+        Raises SensorError: the hand is not open; RobotError: a fault of the hand, or not connected.
         """
         require_open(self._parts()[1].reading, self.config.open_width_m)
 
@@ -154,8 +152,7 @@ class UniforceFranka(Robot):
     def measured(self) -> np.ndarray:
         """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
 
-        Raises:
-            RobotError: not connected, a fault of arm or hand, or a reading too old.
+        Raises RobotError: not connected, a fault of arm or hand, or a reading too old.
         """
         stream, hand = self._parts()
         pose = ToolPose.from_ee(stream.state.ee_to_base)
@@ -163,11 +160,7 @@ class UniforceFranka(Robot):
 
     @property
     def reading(self) -> tuple[ArmState, HandReading]:
-        """The newest readings of arm and hand, for a recorder. Never blocks.
-
-        Raises:
-            RobotError: as ``measured``.
-        """
+        """The newest readings of arm and hand, for a recorder. Never blocks; raises RobotError: as ``measured``."""
         stream, hand = self._parts()
         return stream.state, hand.reading
 

@@ -26,11 +26,7 @@ class SendCheck:
         self._last_s = 0.0
 
     def __call__(self, pose: ToolPose, measured: ToolPose, now_s: float) -> None:
-        """Accept a pose as sent at ``now_s``.
-
-        Raises:
-            RobotError: ``guard``: the pose must not be sent.
-        """
+        """Accept a pose as sent at ``now_s``; raises RobotError: ``guard``: the pose must not be sent."""
         target, here = _axes(pose), _axes(measured)
         last = here if self._last is None else self._last
         gap_s = self._limits.longest_gap_s

@@ -101,8 +101,7 @@ class ArmStream:
     def start(self) -> None:
         """Read the arm once, so that a state is there, and begin.
 
-        Raises:
-            RobotError: no reading, or one that can't be.
+        Raises RobotError: no reading, or one that can't be.
         """
         self.read_first()
         self._thread.start()
@@ -133,8 +132,7 @@ class ArmStream:
     def state(self) -> ArmState:
         """The newest reading. Never blocks.
 
-        Raises:
-            RobotError: the arm has a fault, or the reading is older than ``state_age_s``.
+        Raises RobotError: the arm has a fault, or the reading is older than ``state_age_s``.
         """
         self._check()
         with self._lock:
@@ -157,8 +155,7 @@ class ArmStream:
     def submit(self, target: ToolPose) -> None:
         """Go to a pose within an action's period. Never blocks.
 
-        Raises:
-            RobotError: the arm has a fault, or the stream has ended.
+        Raises RobotError: the arm has a fault, or the stream has ended.
         """
         self._check()
         if self._ending.is_set():
@@ -200,8 +197,7 @@ class ArmStream:
     def tick(self) -> None:
         """Read, check, and send the next pose; what the thread does at ``rate_hz``.
 
-        Raises:
-            RobotError: nothing may be sent any more.
+        Raises RobotError: nothing may be sent any more.
         """
         state = self._read()
         self._watch()

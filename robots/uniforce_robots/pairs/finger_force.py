@@ -100,8 +100,7 @@ class FingerForce(nn.Module):
     def from_pretrained(cls, sensor: str, folder: str | Path | None = None) -> FingerForce:
         """Load the reader of a kind of sensor, shipped or from a folder.
 
-        Raises:
-            CheckpointError: none for that sensor, or damaged.
+        Raises CheckpointError: none for that sensor, or damaged.
         """
         path = Path(folder) if folder else ASSETS / sensor
         if not path.is_dir():

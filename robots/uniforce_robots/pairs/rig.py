@@ -69,8 +69,7 @@ class HandMotion:
     def __call__(self, time_s: float, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Take a measured pose (5,) and return both; zeros before there are enough poses.
 
-        Raises:
-            ContractError: time stood still or ran backwards.
+        Raises ContractError: time stood still or ran backwards.
         """
         if self._times and time_s <= self._times[-1]:
             do = "Give each pose once, with its time."
@@ -122,17 +121,14 @@ class RobotRig:
     def references(self) -> dict[Finger, np.ndarray]:
         """Return the references taken when the fingers were opened, in free air.
 
-        Raises:
-            ContractError: none was taken.
+        Raises ContractError: none was taken.
         """
         return {f: np.ascontiguousarray(c.reference_image()[..., 0]) for f, c in self._fingers.items()}
 
     def frames(self, indenter: str) -> Iterator[RigFrame]:
         """Yield a frame whenever both fingers have a new image.
 
-        Raises:
-            SensorError: a finger is lost, frozen or stale.
-            RobotError: the robot has a fault.
+        Raises SensorError: a finger is lost, frozen or stale; RobotError: the robot has a fault.
         """
         motion = HandMotion()
         while True:

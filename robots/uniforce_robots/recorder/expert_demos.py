@@ -26,9 +26,7 @@ def record_expert(
 ) -> None:
     """Record what is missing; ``uniforce record --help`` says what each setting is.
 
-    Raises:
-        ContractError: an expert that fails too often.
-        DatasetError: see ``EpisodeRecorder``.
+    Raises ContractError: an expert that fails too often; DatasetError: see ``EpisodeRecorder``.
     """
     worn, fps = env.sensors, int(env.metadata["render_fps"])
     with EpisodeRecorder(root, repo_id, worn["left"], worn["right"], fps) as recorder:

@@ -124,8 +124,7 @@ class RowSlots:
     def write(self, slot: int, row: Mapping[str, Any], raw: Mapping[Finger, np.ndarray]) -> None:
         """Copy a row, every column but the recorder's own, and raw frames by finger into a slot.
 
-        Raises:
-            ContractError: a key missing or too many, another shape or dtype.
+        Raises ContractError: a key missing or too many, another shape or dtype.
         """
         whole = {**row, **{_raw(finger): frame for finger, frame in raw.items()}}
         places = self._slot(slot)

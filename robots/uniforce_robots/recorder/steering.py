@@ -52,8 +52,7 @@ class Steering:
     def target(self, axes: np.ndarray) -> np.ndarray:
         """Return (5,) absolute targets for the (5,) measured axes.
 
-        Raises:
-            TeleoperatorError: the device failed, or its target isn't finite.
+        Raises TeleoperatorError: the device failed, or its target isn't finite.
         """
         if self._wants_feedback:
             self._call("send_feedback", _named(axes))

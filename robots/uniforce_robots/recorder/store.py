@@ -50,8 +50,7 @@ class StoreSettings:
 def open_recorder(facts: RigFacts, settings: StoreSettings) -> EpisodeRecorder:
     """Return the recorder of a rig's columns, in this process.
 
-    Raises:
-        DatasetError: another recorder writes there, or the dataset has other features.
+    Raises DatasetError: another recorder writes there, or the dataset has other features.
     """
     return EpisodeRecorder(
         settings.root,

@@ -77,8 +77,7 @@ class SampledCamera(Camera):
     def connect(self, warmup: bool = True) -> None:
         """Open the device and wait for its first sample.
 
-        Raises:
-            SensorError: no device, no samples, another sensor than configured, or a reference taken in contact.
+        Raises SensorError: no device, no samples, another sensor than configured, or a reference taken in contact.
         """
         if self.is_connected:
             return

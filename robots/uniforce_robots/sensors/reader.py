@@ -198,8 +198,7 @@ class SampleReader:
     def wait_newer(self, index: int, max_age_ms: float, wait_ms: float | None = None) -> Sample:
         """Return the newest sample after ``index``, waiting for it as long as it may be old.
 
-        Raises:
-            SensorError: as ``newest``, where no sample comes in time.
+        Raises SensorError: as ``newest``, where no sample comes in time.
         """
         with self._changed:
             wait_s = (max_age_ms if wait_ms is None else wait_ms) / 1e3
@@ -220,9 +219,7 @@ class SampleReader:
 
         Where fewer are kept the oldest is repeated, so that nothing is made up.
 
-        Raises:
-            ContractError: a size outside 1 … capacity.
-            SensorError: as ``newest``.
+        Raises ContractError: a size outside 1 … capacity; SensorError: as ``newest``.
         """
         if not 1 <= size <= self._limits.capacity:
             do = "Ask for fewer."

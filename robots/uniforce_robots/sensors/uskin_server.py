@@ -62,8 +62,7 @@ class XelaMessages:
     def feed(self, chunk: bytes) -> list[str]:
         """Return the texts that ``chunk`` completes; empty means the end of the stream.
 
-        Raises:
-            ProtocolError: no handshake, frames the RFC forbids, or text that isn't UTF-8.
+        Raises ProtocolError: no handshake, frames the RFC forbids, or text that isn't UTF-8.
         """
         self.protocol.receive_data(chunk) if chunk else self.protocol.receive_eof()
         error = self.protocol.handshake_exc or self.protocol.parser_exc

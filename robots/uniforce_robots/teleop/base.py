@@ -104,8 +104,7 @@ class UniforceTeleoperator(Teleoperator):
     def get_action(self) -> dict[str, float]:
         """Return the five absolute target axes.
 
-        Raises:
-            TeleoperatorError: not connected, not started, or the device has a fault; see its ``fault``.
+        Raises TeleoperatorError: not connected, not started, or the device has a fault; see its ``fault``.
         """
         self._check_connected()
         if self._fault is not None:

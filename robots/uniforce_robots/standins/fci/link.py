@@ -122,8 +122,7 @@ class Link:
     def greet(self, message: p.Message, version: int, reply: Callable[[int, int], bytes]) -> None:
         """Answer Connect by status and version, and send states from now on if the version fits.
 
-        Raises:
-            ProtocolError: no Connect.
+        Raises ProtocolError: no Connect.
         """
         wanted, udp_port = p.unpack(p.CONNECT, message.payload, "Connect")
         fits = wanted == version

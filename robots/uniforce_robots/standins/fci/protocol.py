@@ -114,8 +114,7 @@ class Header:
     def decode(self, buffer: bytes) -> tuple[Message | None, bytes]:
         """Return the first whole message of a buffer (None while it is incomplete) and the bytes after it.
 
-        Raises:
-            ProtocolError: the announced size is smaller than a header or absurdly large.
+        Raises ProtocolError: the announced size is smaller than a header or absurdly large.
         """
         if len(buffer) < self.layout.size:
             return None, buffer
@@ -149,22 +148,14 @@ UPPER_TORQUE, UPPER_FORCE = slice(21, 28), slice(46, 52)
 
 
 def unpack(layout: struct.Struct, payload: bytes, what: str) -> tuple:
-    """Return a payload's values.
-
-    Raises:
-        ProtocolError: the payload has another size.
-    """
+    """Return a payload's values; raises ProtocolError: the payload has another size."""
     if len(payload) != layout.size:
         raise ProtocolError(f"{what} payload", f"{layout.size} bytes", len(payload))
     return layout.unpack(payload)
 
 
 def numbers(layout: struct.Struct, payload: bytes, what: str) -> np.ndarray:
-    """Return a payload's values as float64.
-
-    Raises:
-        ProtocolError: another size, or a number that is not finite.
-    """
+    """Return a payload's values as float64; raises ProtocolError: another size, or a number that is not finite."""
     values = np.array(unpack(layout, payload, what), float)
     if not np.isfinite(values).all():
         raise ProtocolError(what, "finite numbers", "NaN or inf")
