@@ -82,9 +82,3 @@ def posture(q_rad: np.ndarray) -> Posture:
         T = T @ local[i]
         frames[i] = T
     return Posture(T @ _FLANGE, frames[:, :3, 2], frames[:, :3, 3])
-
-
-def rotation_error(target: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """(3,) rotation vector, to first order, that turns ``current`` into ``target`` (3, 3), in the frame of both."""
-    turn = target @ current.T
-    return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2

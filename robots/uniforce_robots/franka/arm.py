@@ -28,30 +28,21 @@ CLIENT_WORDS |= dict.fromkeys(("timeout", "connection", "network", "tcp", "udp")
 
 @dataclass(frozen=True)
 class ArmState:
-    """One reading of the arm.
+    """One reading of the arm."""
 
-    Attributes:
-        time_s: host clock (``time.monotonic``) at receipt.
-        robot_time_s: the robot's own clock.
-        q_rad: (7,) joint angles.
-        dq_rad_s: (7,) joint speeds.
-        ee_to_base: (4, 4) measured pose.
-        wrench_N: (6,) the robot's estimate of the external force N and moment Nm at the hand, base frame. An estimate
-            from motor currents, poor near singularities: never the only guard.
-        mode: ``idle``, ``move``, ``guiding``, ``reflex``, ``user_stopped``, ``recovery`` or ``other``.
-        success_rate: share of the last 100 control commands that reached the robot in time; 0 without control.
-        errors: the robot's own names of what stopped it, as libfranka spells them.
-    """
-
-    time_s: float
-    robot_time_s: float
-    q_rad: np.ndarray
-    dq_rad_s: np.ndarray
-    ee_to_base: np.ndarray
+    time_s: float  # host clock (``time.monotonic``) at receipt
+    robot_time_s: float  # the robot's own clock
+    q_rad: np.ndarray  # (7,) joint angles
+    dq_rad_s: np.ndarray  # (7,) joint speeds
+    ee_to_base: np.ndarray  # (4, 4) measured pose
+    # (6,) the robot's estimate of the external force N and moment Nm at the hand, base frame: from motor currents,
+    # poor near singularities, never the only guard
     wrench_N: np.ndarray
-    mode: str
-    success_rate: float
-    errors: tuple[str, ...] = ()
+    mode: str  # idle, move, guiding, reflex, user_stopped, recovery or other
+    success_rate: (
+        float  # share of the last 100 control commands that reached the robot in time; 0 without control
+    )
+    errors: tuple[str, ...] = ()  # the robot's own names of what stopped it, as libfranka spells them
 
 
 def refuse_stopped(state: ArmState) -> None:
@@ -96,16 +87,11 @@ class Gains:
 
     The spring's force is bounded by stiffness × ``clip_m`` whatever target comes: the cheapest hard bound there is. Its
     length, over every turn of a hand that points down, stays below ``limits.FORCE_N``.
-
-    Attributes:
-        stiffness_N_m: along the hand's x, y (the fingers close along y) and z.
-        rotation_Nm_rad: about the same axes.
-        clip_m: largest position error the spring sees along the base frame's x, y, z.
-        clip_rad: largest rotation error it sees, about each axis.
     """
 
-    stiffness_N_m: tuple[float, float, float]
-    rotation_Nm_rad: tuple[float, float, float] = (60.0, 60.0, 60.0)
+    stiffness_N_m: tuple[float, float, float]  # along the hand's x, y (the fingers close along y) and z
+    rotation_Nm_rad: tuple[float, float, float] = (60.0, 60.0, 60.0)  # about the same axes
+    # largest position error the spring sees, along the base frame's x, y, z; and rotation error, about each axis
     clip_m: tuple[float, float, float] = (0.018, 0.018, 0.018)
     clip_rad: float = 0.2
 

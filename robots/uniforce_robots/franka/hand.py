@@ -57,21 +57,16 @@ class HandReading:
 
 @dataclass(frozen=True)
 class HandSettings:
-    """How widths become commands; hard limits in ``limits.HARD_LIMITS``.
+    """How widths become commands; hard limits in ``limits.HARD_LIMITS``."""
 
-    Attributes:
-        speed_m_s: of the fingers.
-        grip_force_N: of a grasp. Gels and domes are rated for about 11 N; the real hand's smallest force is unverified.
-        grasp_below_m: a closing target below this is a grasp (force-bound), above it a move (position).
-        hysteresis_m: a smaller change of the target is no new command.
-        reading_age_s: an older reading stops the arm; the hand gives about ten a second.
-    """
-
-    speed_m_s: float = 0.05
+    speed_m_s: float = 0.05  # of the fingers
+    # of a grasp; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
     grip_force_N: float = 10.0
-    grasp_below_m: float = 0.04
-    hysteresis_m: float = 0.003
-    reading_age_s: float = 0.5
+    grasp_below_m: float = (
+        0.04  # a closing target below this is a grasp (force-bound), above it a move (position)
+    )
+    hysteresis_m: float = 0.003  # a smaller change of the target is no new command
+    reading_age_s: float = 0.5  # an older reading stops the arm; the hand gives about ten a second
 
     def __post_init__(self) -> None:
         require_in_limits(self)
@@ -118,7 +113,7 @@ class Hand:
         self._reading: HandReading | None = None
         self._target_m: float | None = None
         self._last: HandCommand | None = None
-        self._in_flight = False
+        self.is_busy = False  # a command is in flight
         self._deadline_s = self._ended_s = 0.0  # of the command in flight; when the last one ended
         self._held_s: float | None = None  # when it last said that it holds something; None: nothing to lose
         self._fault: RobotError | None = None
@@ -143,11 +138,6 @@ class Hand:
             raise RobotError("hand: expected start() first, got no reading. Connect the robot.", "ended")
         return self._reading
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether a command is in flight."""
-        return self._in_flight
-
     def submit(self, width_m: float) -> None:
         """Want a width from now on; the newest one counts once the hand is free.
 
@@ -167,7 +157,7 @@ class Hand:
         """
         try:
             self._take_reading()
-            if self._in_flight:
+            if self.is_busy:
                 self._finish(self._client.poll())
             else:
                 self._begin()
@@ -185,7 +175,7 @@ class Hand:
         if self._fault is not None:
             raise self._fault
         self._client.refuse_closed()
-        if self._in_flight and self._clock() > self._deadline_s:
+        if self.is_busy and self._clock() > self._deadline_s:
             came, do = f"an answer to {self._last}", "Is something in its way? Free it, then connect again."
             raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
         self._refuse_old()
@@ -195,7 +185,7 @@ class Hand:
             raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
 
     def _refuse_old(self) -> None:
-        if self._reading is None or (self._in_flight and not self._client.reads_while_busy):
+        if self._reading is None or (self.is_busy and not self._client.reads_while_busy):
             return  # the deadline of the command bounds the time without readings
         age_s = self._clock() - max(self._reading.time_s, self._ended_s)
         if age_s > self.settings.reading_age_s:
@@ -216,7 +206,7 @@ class Hand:
         if not all(-THINNEST_m <= width <= WIDEST_m for width in widths):  # NaN is not, either
             came, do = f"{widths[0]} of {widths[1]} m", "Home the hand, then connect again."
             raise RobotError(expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state")
-        grasps = self._last is not None and self._last.force_N > 0 and not self._in_flight
+        grasps = self._last is not None and self._last.force_N > 0 and not self.is_busy
         if grasps and reading.is_grasped:
             self._held_s = reading.time_s
         self._reading = reading
@@ -225,7 +215,7 @@ class Hand:
         if outcome is None:
             return
         self._ended_s = self._clock()  # first: another thread may check in between
-        self._in_flight = False
+        self.is_busy = False
         if not outcome:
             self.failed_grasps += 1
             log.warning("hand: %s did not succeed", self._last)
@@ -238,4 +228,4 @@ class Hand:
         travel_s = abs(self._reading.width_m - end_m) / command.speed_m_s
         self._client.begin(command)
         self._deadline_s = self._clock() + travel_s + GRACE_s
-        self._held_s, self._last, self._in_flight = None, command, True
+        self._held_s, self._last, self.is_busy = None, command, True

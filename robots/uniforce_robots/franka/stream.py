@@ -29,19 +29,14 @@ GOOD_RATE = 0.9  # share of commands in time, below which someone should look at
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """Rhythm of the stream; hard limits in ``limits.HARD_LIMITS``.
+    """Rhythm of the stream; hard limits in ``limits.HARD_LIMITS``."""
 
-    Attributes:
-        rate_hz: targets per second.
-        action_period_s: how long a ramp to a new action takes; the policy's own period.
-        stale_s: an action older than this is no longer followed.
-        state_age_s: a reading older than this is not used; a robot whose clock stands still for so long is gone.
-    """
-
-    rate_hz: float = 100.0
-    action_period_s: float = 1 / 30
-    stale_s: float = 0.2
-    state_age_s: float = 0.2
+    rate_hz: float = 100.0  # targets per second
+    action_period_s: float = 1 / 30  # how long a ramp to a new action takes; the policy's own period
+    stale_s: float = 0.2  # an action older than this is no longer followed
+    state_age_s: float = (
+        0.2  # an older reading is not used; a robot whose clock stands still for so long is gone
+    )
 
     def __post_init__(self) -> None:
         require_in_limits(self)

@@ -32,9 +32,7 @@ class DiskGuard:
         reserve_MB: what has to stay free, so that a stopped episode can still be stored.
     """
 
-    def __init__(
-        self, root: Path, features: Mapping[str, dict[str, Any]], raw_pixels: int, reserve_MB: float
-    ) -> None:
+    def __init__(self, root: Path, features: Mapping[str, dict], raw_pixels: int, reserve_MB: float) -> None:
         self._root, self._reserve_MB = root, reserve_MB
         self._guess_B = sum(_frame_bytes(key, f) for key, f in features.items()) + raw_pixels * RAW_B_px
 
@@ -48,8 +46,7 @@ class DiskGuard:
     def before_episode(self, frames: int, recorded_frames: int) -> str:
         """Return the estimate in words; raise DiskFullError where an episode of ``frames`` wouldn't fit."""
         need_MB = self.estimate_MB(frames, recorded_frames)
-        why = f" (episode {need_MB:.0f} MB × {MARGIN} + reserve)"
-        free_MB = self.check(need_MB * MARGIN, why)
+        free_MB = self.check(need_MB * MARGIN, f" (episode {need_MB:.0f} MB × {MARGIN} + reserve)")
         return f"{need_MB:.0f} MB, {free_MB / 1000:.1f} GB free"
 
     def check(self, beside_MB: float = 0.0, why: str = "") -> float:

@@ -21,12 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uniforce_robots.sensors.faults import (
-    FrozenSensorError,
-    LostSensorError,
-    StaleSensorError,
-    WrongSensorError,
-)
+from uniforce_robots.sensors import faults
 from uniforce_vtla.errors import ContractError, SensorError, expected
 
 log = logging.getLogger(__name__)
@@ -110,7 +105,7 @@ class SampleSource(ABC):
             self._behind_since_s = float("inf")
             do = "Free the CPU of this machine; what waited is thrown away by opening anew."
             came = f"a queue for {behind_s:.2f} s"
-            raise StaleSensorError(expected(self.name, "a reader that keeps up", came, do))
+            raise faults.StaleSensorError(expected(self.name, "a reader that keeps up", came, do))
         return is_full
 
 
@@ -207,11 +202,13 @@ class SampleReader:
         self._check_alive()
         do = "Stop pressing; check cable, USB load and the sensor's rate."
         if not in_time:
-            raise StaleSensorError(expected(self.name, f"a sample within {max_age_ms:g} ms", "none", do))
+            raise faults.StaleSensorError(
+                expected(self.name, f"a sample within {max_age_ms:g} ms", "none", do)
+            )
         age_ms = (now_ns() - stamp_ns) / NS_PER_MS
         if age_ms > max_age_ms:
             wanted, came = f"a sample younger than {max_age_ms:g} ms", f"{age_ms:.0f} ms"
-            raise StaleSensorError(expected(self.name, wanted, came, do))
+            raise faults.StaleSensorError(expected(self.name, wanted, came, do))
         return Sample(raw.copy(), newest, stamp_ns, age_ms)
 
     def window(self, size: int, max_age_ms: float) -> tuple[np.ndarray, np.ndarray]:
@@ -257,7 +254,9 @@ class SampleReader:
             silent_s = (now_ns() - self._last_sample_ns) / NS_PER_S
             if silent_s > self._limits.silent_s:
                 do = "Opening it anew; check power, cable and bus."
-                raise StaleSensorError(expected(self.name, "samples", f"none for {silent_s:.1f} s", do))
+                raise faults.StaleSensorError(
+                    expected(self.name, "samples", f"none for {silent_s:.1f} s", do)
+                )
         except SensorError as error:
             if self._fault is None:  # once per loss, not once per attempt
                 log.warning("%s: %s", self.name, error)
@@ -288,7 +287,7 @@ class SampleReader:
                 before = self._kept[-1].raw if self._kept else sample.raw
                 if form != (before.dtype, before.shape):
                     do = "Keep one setting per connection."
-                    raise WrongSensorError(expected("sample", (before.dtype, before.shape), form, do))
+                    raise faults.WrongSensorError(expected("sample", (before.dtype, before.shape), form, do))
                 self._kept.append(sample)
                 self._received += 1
                 self._changed.notify_all()
@@ -299,11 +298,13 @@ class SampleReader:
     def _check_alive(self) -> None:
         if not self.is_running:
             came = "not connected" if self._thread is None else "its reader died"
-            raise LostSensorError(expected(self.name, "a running reader", came, "Call connect()."))
+            raise faults.LostSensorError(expected(self.name, "a running reader", came, "Call connect()."))
         fault = self._fault
         if fault is not None:
             text = str(fault)  # a socket knows its address, not whose finger it serves
             raise type(fault)(text if self.name in text else f"{self.name}: {text}") from fault
         if self._limits.frozen_after and self._repeats >= self._limits.frozen_after:
             came = f"the same content {self._repeats + 1} times in a row"
-            raise FrozenSensorError(expected(self.name, "changing samples", came, "Replug the sensor."))
+            raise faults.FrozenSensorError(
+                expected(self.name, "changing samples", came, "Replug the sensor.")
+            )

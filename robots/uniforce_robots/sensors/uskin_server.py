@@ -23,12 +23,7 @@ from websockets.frames import DATA_OPCODES, Frame
 from websockets.protocol import State
 from websockets.uri import parse_uri
 
-from uniforce_robots.sensors.faults import (
-    LostSensorError,
-    ProtocolError,
-    SimulatedSensorError,
-    WrongSensorError,
-)
+from uniforce_robots.sensors import faults
 from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
 from uniforce_vtla.contracts import TAXEL_SHAPE
 from uniforce_vtla.errors import ContractError, expected
@@ -67,7 +62,7 @@ class XelaMessages:
         self.protocol.receive_data(chunk) if chunk else self.protocol.receive_eof()
         error = self.protocol.handshake_exc or self.protocol.parser_exc
         if error is not None and not isinstance(error, EOFError):
-            raise ProtocolError(
+            raise faults.ProtocolError(
                 expected(self._name, "a WebSocket server (RFC 6455)", error, IS_IT)
             ) from error
         frames = [event for event in self.protocol.events_received() if isinstance(event, Frame)]
@@ -83,7 +78,7 @@ class XelaMessages:
         try:
             return whole.decode()
         except UnicodeDecodeError as error:
-            raise ProtocolError(expected(self._name, "UTF-8 text", error, IS_IT)) from error
+            raise faults.ProtocolError(expected(self._name, "UTF-8 text", error, IS_IT)) from error
 
 
 class ServerUSkin(SampleSource):
@@ -112,19 +107,21 @@ class ServerUSkin(SampleSource):
             self._socket = undo.enter_context(socket.create_connection(self._address, CONNECT_S))
         except OSError as error:
             do = "Is the server running, and at this address (not only on its LAN address)?"
-            raise LostSensorError(expected(self.name, "a server", error, do)) from error
+            raise faults.LostSensorError(expected(self.name, "a server", error, do)) from error
         undo.callback(self._leave)
         self._send()
         deadline_s = time.monotonic() + CONNECT_S
         while self._messages.protocol.state is State.CONNECTING:
             if time.monotonic() > deadline_s:
-                raise ProtocolError(expected(self.name, "a WebSocket handshake", "none in time", IS_IT))
+                raise faults.ProtocolError(
+                    expected(self.name, "a WebSocket handshake", "none in time", IS_IT)
+                )
             self._early += self._receive(CONNECT_S)[0]
 
     def _leave(self) -> None:
         if self._messages.protocol.state is State.OPEN:
             self._messages.protocol.send_close(1000)
-        with suppress(LostSensorError):  # the other side went first
+        with suppress(faults.LostSensorError):  # the other side went first
             self._send()
 
     def read(self) -> list[Stamped]:
@@ -163,14 +160,14 @@ class ServerUSkin(SampleSource):
         except OSError as error:
             raise self._gone(error) from error
 
-    def _gone(self, came: object) -> LostSensorError:
+    def _gone(self, came: object) -> faults.LostSensorError:
         do = "Is the server still running? Connecting again."
-        return LostSensorError(expected(self.name, "an open connection", came, do))
+        return faults.LostSensorError(expected(self.name, "an open connection", came, do))
 
     def _scan(self, text: str) -> np.ndarray | None:
         try:
             number, scan = read_message(text, self._sensor, self.name)
-        except ProtocolError:
+        except faults.ProtocolError:
             self.counts.bad += (
                 1  # one garbled message; if none makes sense, the reader finds the sensor stale
             )
@@ -197,16 +194,18 @@ def read_message(text: str, sensor: str, name: str) -> tuple[int | None, np.ndar
     try:
         message = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ProtocolError(expected(name, "JSON", error, IS_IT)) from error
+        raise faults.ProtocolError(expected(name, "JSON", error, IS_IT)) from error
     if not isinstance(message, dict):
-        raise ProtocolError(expected(name, "a JSON object", type(message).__name__, IS_IT))
+        raise faults.ProtocolError(expected(name, "a JSON object", type(message).__name__, IS_IT))
     _refuse_simulation(message, name)
     if message.get("type") != "routine":
         return None, None
     entry = message.get(sensor)
     if not isinstance(entry, dict):
         there = sorted(key for key, value in message.items() if key.isdigit() and isinstance(value, dict))
-        raise WrongSensorError(expected(name, f"sensor {sensor}", there, "Set server_sensor to one of them."))
+        raise faults.WrongSensorError(
+            expected(name, f"sensor {sensor}", there, "Set server_sensor to one of them.")
+        )
     number = message.get("message")
     return number if type(number) is int else None, _counts(entry.get("data"), f"{name}, data")
 
@@ -217,15 +216,15 @@ def _refuse_simulation(message: dict[str, Any], name: str) -> None:
     buses = [part.get(field) for part in (message, *nested) for field in _BUS_FIELDS]
     if any(isinstance(bus, str) and bus.strip().lower() == "sim" for bus in buses):
         do = "Set bustype in xServ.ini to the real adapter and restart xela_server."
-        raise SimulatedSensorError(expected(f"{name}, bustype", "a real bus", "sim", do))
+        raise faults.SimulatedSensorError(expected(f"{name}, bustype", "a real bus", "sim", do))
 
 
 def _counts(data: object, what: str) -> np.ndarray:
     words = data.split(",") if isinstance(data, str) else data
     if not isinstance(words, list):
-        raise ProtocolError(expected(what, "48 words", type(data).__name__, "Is the sensor running?"))
+        raise faults.ProtocolError(expected(what, "48 words", type(data).__name__, "Is the sensor running?"))
     if len(words) != WORDS:
-        raise WrongSensorError(expected(what, f"{WORDS} words", len(words), "Is it a 4×4 patch?"))
+        raise faults.WrongSensorError(expected(what, f"{WORDS} words", len(words), "Is it a 4×4 patch?"))
     return np.array([_word(word, what) for word in words], np.uint16).reshape(TAXEL_SHAPE)
 
 
@@ -235,7 +234,7 @@ def _word(word: object, what: str) -> int:
     if type(word) is int and 0 <= word <= FULL_SCALE:
         return word
     wanted = f"hex words or 0 … {FULL_SCALE}"
-    raise ProtocolError(expected(what, wanted, repr(word)[:40], "Is this the raw stream?"))
+    raise faults.ProtocolError(expected(what, wanted, repr(word)[:40], "Is this the raw stream?"))
 
 
 def _split(address: str) -> tuple[str, int]:

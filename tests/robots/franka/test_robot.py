@@ -18,7 +18,7 @@ from robot_fakes import START, FakeArm, FakeHand
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module
 from uniforce_robots.franka.arm import Gains
-from uniforce_robots.franka.shutdown import STRATEGIES, forbid_return_motion
+from uniforce_robots.franka.robot import STRATEGIES, forbid_return_motion
 from uniforce_robots.franka.stream import StreamSettings
 from uniforce_robots.sensors import UniforceTactileCameraConfig
 from uniforce_vtla.errors import RobotError, SensorError
@@ -258,7 +258,7 @@ def test_lerobots_rollout_does_not_lead_the_arm_back() -> None:
         strategies.RolloutStrategy._return_to_initial_position(Hardware, duration_s=0.1)
         assert not sent
         before(Hardware, duration_s=0.04)
-        assert sent, "LeRobot's own would have moved: if it no longer does, shutdown.py can go"
+        assert sent, "LeRobot's own would have moved: if it no longer does, forbid_return_motion can go"
     finally:
         strategies.RolloutStrategy._return_to_initial_position = staticmethod(before)
 

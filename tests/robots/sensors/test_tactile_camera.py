@@ -11,13 +11,7 @@ import pytest
 from lerobot.cameras.configs import CameraConfig
 from lerobot.cameras.utils import make_cameras_from_configs
 
-from uniforce_robots.sensors import UniforceTactileCamera, UniforceTactileCameraConfig
-from uniforce_robots.sensors.faults import (
-    FrozenSensorError,
-    LostSensorError,
-    StaleSensorError,
-    WrongSensorError,
-)
+from uniforce_robots.sensors import UniforceTactileCamera, UniforceTactileCameraConfig, faults
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
@@ -75,10 +69,10 @@ def test_raw_frames_if_asked(mjpeg: StandIn):
 @pytest.mark.parametrize(
     ("fault", "kind"),
     [
-        ("stall", StaleSensorError),
-        ("freeze", FrozenSensorError),
-        ("size", WrongSensorError),
-        ("stop", LostSensorError),
+        ("stall", faults.StaleSensorError),
+        ("freeze", faults.FrozenSensorError),
+        ("size", faults.WrongSensorError),
+        ("stop", faults.LostSensorError),
     ],
 )
 def test_a_dead_camera_is_a_typed_error_and_comes_back(
@@ -111,7 +105,7 @@ def test_a_reference_in_free_air(mjpeg: StandIn, camera: UniforceTactileCamera):
 
 def test_a_lost_camera_cannot_be_connected(mjpeg: StandIn):
     mjpeg.inject("stop")
-    with pytest.raises(LostSensorError, match="MJPEG server"):
+    with pytest.raises(faults.LostSensorError, match="MJPEG server"):
         UniforceTactileCamera(config(mjpeg.address)).connect()
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import select
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 REPORT_s = 0.01  # a state for the parent that often, by the host's clock: also when the loop is late
@@ -51,10 +53,15 @@ def connect(client: Any, kind: str, *arguments: Any, **options: Any) -> Any:
     return connected
 
 
-def say_why(error: Exception) -> None:
-    """Tell the parent that the connection has failed."""
-    fault = "version" if "ncompatible" in str(error) else "connection"
-    say("error", fault=fault, text=str(error))
+def serve(name: str, run: Callable[[Any], None]) -> None:
+    """Say ``loaded`` once the client is imported, then run with it; ``error`` when the connection has failed."""
+    client = importlib.import_module(name)
+    say("loaded")
+    try:
+        run(client)
+    except client_errors(client) as error:
+        fault = "version" if "ncompatible" in str(error) else "connection"
+        say("error", fault=fault, text=str(error))
 
 
 def report(state: Any, pose: list[float]) -> None:

@@ -117,24 +117,18 @@ class Loop:
         return state
 
 
-def main() -> None:
-    """Say ``loaded``, ``connected``, then states until the parent closes the pipe; ``error`` when the robot is lost."""
-    import franky
-
-    common.say("loaded")
+def run(client: Any) -> None:
+    """Say ``connected``, then states until the parent closes the pipe."""
     address, realtime, torque_Nm, force_N = sys.argv[1:5]
-    mode = franky.RealtimeConfig.Ignore if realtime == "ignore" else franky.RealtimeConfig.Enforce
-    try:
-        # 0.05: motions of franky's own, of which we use none, would be slow
-        robot = common.connect(franky, "Robot", address, relative_dynamics_factor=0.05, realtime_config=mode)
-        robot.set_collision_behavior(float(torque_Nm), float(force_N))
-        _ = robot.state  # a queued one may be from before
-        common.say("connected")
-        Loop(franky, robot).run()
-    except common.client_errors(franky) as error:
-        common.say_why(error)
+    mode = client.RealtimeConfig.Ignore if realtime == "ignore" else client.RealtimeConfig.Enforce
+    # 0.05: motions of franky's own, of which we use none, would be slow
+    robot = common.connect(client, "Robot", address, relative_dynamics_factor=0.05, realtime_config=mode)
+    robot.set_collision_behavior(float(torque_Nm), float(force_N))
+    _ = robot.state  # a queued one may be from before
+    common.say("connected")
+    Loop(client, robot).run()
 
 
 if __name__ == "__main__":
-    main()
+    common.serve("franky", run)
     os._exit(0)  # the client's destructor waits for states that may never come

@@ -42,10 +42,9 @@ class Impedance:
         self._goal_D = 2 * vectors @ np.diag(np.sqrt(np.clip(values, 0, None))) @ vectors.T
         self.clip = np.array([*clip_m, *[clip_rad] * 3])
 
-    def torques(
-        self, q: np.ndarray, dq: np.ndarray, pose: np.ndarray, J: np.ndarray, coriolis: np.ndarray
-    ) -> np.ndarray:
-        """(7,) Nm for the next millisecond."""
+    def torques(self, state: Any, J: np.ndarray, coriolis: np.ndarray) -> np.ndarray:
+        """(7,) Nm for the next millisecond, with the Jacobian (6, 7) and the Coriolis torques (7,) at a state."""
+        q, dq, pose = np.array(state.q), np.array(state.dq), matrix(state.O_T_EE)
         share = TICK_s / GAINS_TAU_s
         self.K = self.K + share * (self._goal_K - self.K)
         self.D = self.D + share * (self._goal_D - self.D)
@@ -102,13 +101,18 @@ class Loop:
             self.robot.automatic_error_recovery()
         except self.client.CommandException as error:
             text = str(error)
-        self.robot.read_once()  # a queued one may be from before
-        state = self.robot.read_once()
-        self.report(state)
+        state = self.state_of_now()
         if text:
             common.say_lost(state, text)
         else:
             self.lost_control = not common.say_recovered(state)
+
+    def state_of_now(self) -> Any:
+        """Pass a state on and return it; a queued one may be from before."""
+        self.robot.read_once()
+        state = self.robot.read_once()
+        self.report(state)
+        return state
 
     def take(self) -> list[dict]:
         """Return the orders so far; a closed pipe ends the child."""
@@ -137,10 +141,7 @@ class Loop:
             text = str(error)
             control = error.__traceback__ = None  # either would keep the client's lock
             self.lost_control = True
-            self.robot.read_once()  # a queued one may be from before
-            state = self.robot.read_once()
-            self.report(state)
-            common.say_lost(state, text)
+            common.say_lost(self.state_of_now(), text)
         self.target = None
 
     def control(self, control: Any) -> bool:
@@ -189,8 +190,7 @@ class Loop:
     def torques(self, law: Impedance, state: Any) -> np.ndarray:
         """Evaluate the law at a state."""
         J = np.array(self.model.zero_jacobian(state)).reshape(7, 6).T
-        coriolis = np.array(self.model.coriolis(state))
-        return law.torques(np.array(state.q), np.array(state.dq), matrix(state.O_T_EE), J, coriolis)
+        return law.torques(state, J, np.array(self.model.coriolis(state)))
 
     def brake(self, control: Any, law: Impedance, state: Any) -> None:
         """Damp the joints to rest, let the torques fade, and end the motion in order."""
@@ -226,25 +226,17 @@ def matrix(column_major: list[float]) -> np.ndarray:
     return np.array(column_major).reshape(4, 4).T
 
 
-def main() -> None:
-    """Say ``loaded``, ``connected``, then states until the parent closes the pipe; ``error`` when the robot is lost."""
-    import pylibfranka
-
-    common.say("loaded")
-    address, realtime = sys.argv[1:3]
-    torque_Nm, force_N = map(float, sys.argv[3:5])
-    modes = pylibfranka.RealtimeConfig
-    try:
-        robot = common.connect(
-            pylibfranka, "Robot", address, modes.kIgnore if realtime == "ignore" else modes.kEnforce
-        )
-        robot.set_collision_behavior([torque_Nm] * 7, [torque_Nm] * 7, [force_N] * 6, [force_N] * 6)
-        loop = Loop(pylibfranka, robot)
-        common.say("connected")
-        loop.run()
-    except common.client_errors(pylibfranka) as error:
-        common.say_why(error)
+def run(client: Any) -> None:
+    """Say ``connected``, then states until the parent closes the pipe."""
+    address, realtime, torque, force = sys.argv[1:5]
+    mode = client.RealtimeConfig.kIgnore if realtime == "ignore" else client.RealtimeConfig.kEnforce
+    robot = common.connect(client, "Robot", address, mode)
+    torque_Nm, force_N = [float(torque)] * 7, [float(force)] * 6
+    robot.set_collision_behavior(torque_Nm, torque_Nm, force_N, force_N)
+    loop = Loop(client, robot)
+    common.say("connected")
+    loop.run()
 
 
 if __name__ == "__main__":
-    main()
+    common.serve("pylibfranka", run)

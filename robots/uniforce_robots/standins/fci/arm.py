@@ -165,19 +165,14 @@ def broken_rules(tau_Nm: np.ndarray, before_Nm: np.ndarray | float = 0.0) -> fro
 
 @dataclass
 class Watch:
-    """Last times something happened; None: never.
+    """Last times something happened; None: never."""
 
-    Attributes:
-        last_moving_ms: the tool was faster than 2 mm/s or 0.02 rad/s.
-        last_moving_s: the same, CLOCK_MONOTONIC: a robot that waits for its client has the slower clock.
-        last_command_ms: a command of the control loop arrived.
-        last_torque_change_ms: the torque on the joints was another than before by more than 0.1 Nm.
-    """
-
-    last_moving_ms: int | None = None
-    last_moving_s: float | None = None
-    last_command_ms: int | None = None
-    last_torque_change_ms: int | None = None
+    last_moving_ms: int | None = None  # the tool was faster than 2 mm/s or 0.02 rad/s
+    last_moving_s: float | None = (
+        None  # the same, CLOCK_MONOTONIC: an arm that waits for its client is slower
+    )
+    last_command_ms: int | None = None  # a command of the control loop arrived
+    last_torque_change_ms: int | None = None  # the torque on the joints changed by more than 0.1 Nm
     _tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
 
     def look(self, arm: Arm, now_ms: int) -> None:

@@ -88,18 +88,9 @@ class ArmService:
 
     # --- requests ----------------------------------------------------------------------------------------------------
 
-    def handle(self, message: Message) -> None:
-        """Answer one request; a payload that can't be read ends the connection."""
-        name = ArmCommand(message.command).name if message.command in list(ArmCommand) else "?"
-        size = p.ARM_HEADER.layout.size + len(message.payload)
-        self.link.write("request", command=name, command_id=message.command_id, bytes=size)
-        try:
-            self._answer(message)
-        except ProtocolError as error:
-            self.client_gone()
-            self.link.drop(str(error))
-
-    def _answer(self, message: Message) -> None:
+    def answer(self, message: Message) -> None:
+        """Answer one request; ProtocolError: a payload that can't be read."""
+        self.link.write_request(message, ArmCommand)
         match message.command:
             case ArmCommand.CONNECT:
                 self.link.greet(message, self.version, struct.Struct("<BH").pack)

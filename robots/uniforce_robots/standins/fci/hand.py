@@ -18,16 +18,12 @@ MIDWAY_s = 0.05  # a command is under way for
 
 
 class Hand:
-    """Two fingers and what may stand between them. ``start`` begins a motion; ``advance`` says how it ended.
-
-    Attributes:
-        object_m: width of what stands between the fingers; 0: nothing.
-        force_N: of the last grasp that held.
-    """
+    """Two fingers and what may stand between them. ``start`` begins a motion; ``advance`` says how it ended."""
 
     def __init__(self) -> None:
         self.width_m = MAX_WIDTH_m
-        self.object_m = self.force_N = 0.0
+        self.object_m = 0.0  # width of what stands between the fingers; 0: nothing
+        self.force_N = 0.0  # of the last grasp that held
         self.is_grasped = self._homing = False
         self._goal_m: float | None = None
         self._speed_m_s = 0.0
@@ -83,14 +79,13 @@ class Hand:
         grasp = self._grasp
         self.stop()
         if grasp is None:
-            return (
-                p.HandStatus.SUCCESS if abs(goal_m - self.width_m) < ARRIVED_m else p.HandStatus.UNSUCCESSFUL
-            )
-        touches = self.object_m > 0 and self.width_m <= self.object_m + ARRIVED_m
-        inside = grasp.width_m - grasp.inner_m < self.width_m < grasp.width_m + grasp.outer_m
-        self.is_grasped = touches and inside
-        self.force_N = grasp.force_N if self.is_grasped else 0.0
-        return p.HandStatus.SUCCESS if self.is_grasped else p.HandStatus.UNSUCCESSFUL
+            succeeds = abs(goal_m - self.width_m) < ARRIVED_m
+        else:
+            touches = self.object_m > 0 and self.width_m <= self.object_m + ARRIVED_m
+            inside = grasp.width_m - grasp.inner_m < self.width_m < grasp.width_m + grasp.outer_m
+            succeeds = self.is_grasped = touches and inside
+            self.force_N = grasp.force_N if succeeds else 0.0
+        return p.HandStatus.SUCCESS if succeeds else p.HandStatus.UNSUCCESSFUL
 
 
 def whole(state: p.HandState) -> Iterable[bytes]:
@@ -125,20 +120,11 @@ class HandService:
         """Whether a command has been under way for a while and is not done."""
         return self._pending is not None and time.monotonic() - self._begun_s > MIDWAY_s
 
-    def handle(self, message: p.Message) -> None:
-        """Answer one request, or remember it until the fingers arrive."""
-        name = p.HandCommand(message.command).name if message.command in list(p.HandCommand) else "?"
-        details = {"command": name, "command_id": message.command_id, "busy": self._pending is not None}
-        self.link.write("request", bytes=p.HAND_HEADER.layout.size + len(message.payload), **details)
+    def answer(self, message: p.Message) -> None:
+        """Answer one request, or remember it until the fingers arrive; ProtocolError: it can't be read."""
+        self.link.write_request(message, p.HandCommand, busy=self._pending is not None)
         if self.hung and message.command != p.HandCommand.CONNECT:
             return
-        try:
-            self._dispatch(message)
-        except p.ProtocolError as error:
-            self.link.drop(str(error))
-            self.client_gone()
-
-    def _dispatch(self, message: p.Message) -> None:
         match message.command:
             case p.HandCommand.CONNECT:
                 self.link.greet(message, p.HAND_VERSION, struct.Struct("<HH").pack)
@@ -190,8 +176,8 @@ class HandService:
         if now_s >= self._next_state_s:
             self._next_state_s = now_s + 1 / self.state_hz
             self._states += 1
-            widths = (self.hand.width_m, MAX_WIDTH_m)
-            for datagram in self.outgoing(p.HandState(self._states, *widths, self.hand.is_grasped, REST_C)):
+            state = p.HandState(self._states, self.hand.width_m, MAX_WIDTH_m, self.hand.is_grasped, REST_C)
+            for datagram in self.outgoing(state):
                 self.link.send_state(datagram)
 
     def describe(self) -> dict[str, object]:

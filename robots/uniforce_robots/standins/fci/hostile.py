@@ -54,21 +54,13 @@ Change = Callable[[np.ndarray], None]  # of a state's floats, in place
 
 @dataclass(frozen=True)
 class Fault:
-    """One way to be broken.
+    """One way to be broken."""
 
-    Attributes:
-        does: one line.
-        source: DOCUMENTED, REPORTED or INVENTED.
-        begin: what happens at once.
-        watch: what happens each millisecond while the fault lasts.
-        end: what has to be taken back beside the wire.
-    """
-
-    does: str
-    source: str
-    begin: Act = lambda arm, hand: None
-    watch: Act = lambda arm, hand: None
-    end: Act = lambda arm, hand: None
+    does: str  # one line
+    source: str  # DOCUMENTED, REPORTED or INVENTED
+    begin: Act = lambda arm, hand: None  # what happens at once
+    watch: Act = lambda arm, hand: None  # what happens each millisecond while the fault lasts
+    end: Act = lambda arm, hand: None  # what has to be taken back beside the wire
 
 
 # --- the arm's states ------------------------------------------------------------------------------------------------
@@ -146,6 +138,11 @@ def drop(service: ArmService | HandService) -> None:
     service.client_gone()
 
 
+def lose_commands(arm: ArmService, hand: HandService) -> None:
+    """Let no command arrive."""
+    arm.takes_commands = False
+
+
 def die(arm: ArmService, hand: HandService) -> None:
     """End the process without a word to its clients."""
     arm.journal.flush()
@@ -195,6 +192,7 @@ def all_are(names: Iterable[str], value: float) -> Act:
     return corrupt(fill(dict.fromkeys(names, value)))
 
 
+TORQUE_STEP = reflex(ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY)
 FAST = corrupt(fill(dict.fromkeys(("dq", "dtheta"), BEYOND * DQ_MAX_rad_s)))
 GARBAGE = starve(lambda: [SOURCE.randbytes(STATE_BYTES)])
 WRONG_LENGTH = starve(lambda: [SOURCE.randbytes(SOURCE.choice(NO_STATE_BYTES))])
@@ -215,26 +213,15 @@ FAULTS = {
     "garbage_state": Fault("random bytes of a state's length", INVENTED, GARBAGE),
     "wrong_length_state": Fault("0 to 4000 random bytes", INVENTED, WRONG_LENGTH),
     # the arm's connection
-    "lost_commands": Fault(
-        "no command arrives; 20 in a row end a motion",
-        DOCUMENTED,
-        lambda arm, _: setattr(arm, "takes_commands", False),
-    ),
+    "lost_commands": Fault("no command arrives; 20 in a row end a motion", DOCUMENTED, lose_commands),
     "arm_garbage_reply": Fault("random bytes on the arm's TCP", INVENTED, lambda arm, _: babble(arm)),
     "arm_dropped": Fault("the arm closes its TCP connection", REPORTED, lambda arm, _: drop(arm)),
     "server_death": Fault("the process ends; every socket closes", INVENTED, die),
     # what stops a real arm
-    "user_stop": Fault(
-        "the stop button is pressed",
-        DOCUMENTED,
-        lambda arm, _: arm.user_stop(),
-        end=lambda arm, _: arm.release(),
-    ),
+    "user_stop": Fault("the user stop", DOCUMENTED, lambda a, _: a.user_stop(), end=lambda a, _: a.release()),
     "reflex": Fault("a collision at the hand", DOCUMENTED, reflex(ErrorBit.CARTESIAN_REFLEX)),
     "joint_reflex": Fault("a collision at a joint", DOCUMENTED, reflex(ErrorBit.JOINT_REFLEX)),
-    "torque_discontinuity": Fault(
-        "a torque step above 1 Nm/ms", DOCUMENTED, reflex(ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY)
-    ),
+    "torque_discontinuity": Fault("a torque step above 1 Nm/ms", DOCUMENTED, TORQUE_STEP),
     "joint_velocity": Fault("a joint too fast", DOCUMENTED, reflex(ErrorBit.JOINT_VELOCITY_VIOLATION)),
     "cartesian_velocity": Fault("a hand too fast", DOCUMENTED, reflex(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)),
     "joint_limit": Fault("a joint's end", DOCUMENTED, reflex(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)),

@@ -6,6 +6,7 @@ import json
 import socket
 import time
 from collections.abc import Callable, Iterator
+from enum import IntEnum
 from pathlib import Path
 from typing import TextIO
 
@@ -61,6 +62,12 @@ class Link:
     def write(self, what: str, **details: object) -> None:
         """Add a line about this device to the journal."""
         self.journal.write(what, device=self.header.device, **details)
+
+    def write_request(self, message: p.Message, commands: type[IntEnum], **details: object) -> None:
+        """Add a request to the journal; ``commands`` names it."""
+        name = commands(message.command).name if message.command in list(commands) else "?"
+        size = self.header.layout.size + len(message.payload)
+        self.write("request", command=name, command_id=message.command_id, bytes=size, **details)
 
     def sockets(self) -> list[socket.socket]:
         """Return what to wait on."""

@@ -207,27 +207,16 @@ STATE_BYTES = _STATE.size  # 1377
 
 @dataclass(frozen=True)
 class RobotState:
-    """What the arm says of itself, once a millisecond. 4×4 matrices are column-major.
+    """What the arm says of itself, once a millisecond. 4×4 matrices are column-major."""
 
-    Attributes:
-        message_id: the robot's milliseconds; a command echoes it.
-        floats: (320,) float32, cut by ``STATE_SLICES``.
-        generator: 0 when idle, otherwise the Move's + 1.
-        controller: the Move's.
-        errors: (41,) flags of what is wrong now.
-        reflex_reason: (41,) flags of what caused the last reflex.
-        mode: a ``RobotMode``.
-        success_rate: share of the last 100 commands that arrived in time.
-    """
-
-    message_id: int
-    floats: np.ndarray
-    generator: int = 0
-    controller: int = OTHER
-    errors: frozenset[int] = frozenset()
-    reflex_reason: frozenset[int] = frozenset()
+    message_id: int  # the robot's milliseconds; a command echoes it
+    floats: np.ndarray  # (320,) float32, cut by ``STATE_SLICES``
+    generator: int = 0  # 0 when idle, otherwise the Move's + 1
+    controller: int = OTHER  # the Move's
+    errors: frozenset[int] = frozenset()  # of the 41 flags, those of what is wrong now
+    reflex_reason: frozenset[int] = frozenset()  # those of what caused the last reflex
     mode: int = RobotMode.IDLE
-    success_rate: float = 0.0
+    success_rate: float = 0.0  # share of the last 100 commands that arrived in time
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.floats[STATE_SLICES[name]]

@@ -17,7 +17,7 @@ from uniforce_robots.standins.fci.arm_service import ArmService
 from uniforce_robots.standins.fci.hand import STATE_HZ, HandService
 from uniforce_robots.standins.fci.hostile import Faults
 from uniforce_robots.standins.fci.link import Journal
-from uniforce_robots.standins.fci.protocol import ARM_VERSION
+from uniforce_robots.standins.fci.protocol import ARM_VERSION, ProtocolError
 
 CONTROL_PORT = 1339  # ours, beside the robot's two
 CATCH_UP_s = 0.05  # a loop that lags more forgets the lag instead of racing through it
@@ -112,7 +112,10 @@ class Server:
                 service.client_gone()
         elif ready is link.client:
             for message in link.receive():
-                service.handle(message)
+                try:
+                    service.answer(message)
+                except ProtocolError as error:  # a payload that can't be read ends the connection
+                    link.drop(str(error))
             if link.client is None:
                 service.client_gone()
 
