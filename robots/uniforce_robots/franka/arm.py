@@ -110,10 +110,7 @@ class Gains:
         """Return the (6, 6) stiffness in the base frame, K = R K_ee Rᵀ for each block.
 
         A tracker takes its gains in the base frame; with the hand turned, the closing axis is stiff only through
-        off-diagonal terms.
-
-        Args:
-            rotation: (3, 3) of ``ee_to_base``.
+        off-diagonal terms. ``rotation`` is the (3, 3) of ``ee_to_base``.
         """
         K = np.zeros((6, 6))
         K[:3, :3] = rotation @ np.diag(self.stiffness_N_m) @ rotation.T

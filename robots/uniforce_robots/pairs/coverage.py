@@ -19,10 +19,7 @@ def contact_place(field: np.ndarray) -> np.ndarray:
     """Return (N, 2) where the pad is pressed, x right and y down, −1 … 1 over the image.
 
     The centre of what moves against the pad's mean motion: shear moves all markers alike, pressing drives those around
-    the contact apart and lets them grow.
-
-    Args:
-        field: (N, 192) touch fields, canonical.
+    the contact apart and lets them grow. ``field`` holds (N, 192) touch fields, canonical.
     """
     maps = field.reshape(-1, CHANNELS, GRID * GRID)
     own = maps - np.median(maps, axis=2, keepdims=True)
@@ -35,12 +32,7 @@ def contact_place(field: np.ndarray) -> np.ndarray:
 
 
 class Coverage:
-    """Counts of kept pairs; empty at first.
-
-    Attributes:
-        force: (normal, shear) counts.
-        place: (rows, columns) counts over the pad.
-    """
+    """Counts of kept pairs: ``force`` by (normal, shear), ``place`` by (row, column) over the pad; empty at first."""
 
     def __init__(self) -> None:
         self.force = np.zeros((len(NORMAL_EDGES_N) - 1, len(SHEAR_EDGES_N) - 1), int)

@@ -53,13 +53,11 @@ class GraspSignals:
 
 @dataclass(frozen=True)
 class PairQuality:
-    """The score of T pairs.
+    """The score of T pairs."""
 
-    Attributes:
-        error: (T,) estimated ‖F_left − F_right‖ over the mean of both; 2 where one finger doesn't touch.
-    """
-
-    error: np.ndarray
+    error: (
+        np.ndarray
+    )  # (T,) estimated ‖F_left − F_right‖ over the mean of both; 2 where one finger doesn't touch
 
     @property
     def flagged(self) -> np.ndarray:

@@ -58,14 +58,7 @@ class SessionReport:
 
 
 class PairRecorder:
-    """One session: references are taken once, then grasps come in.
-
-    Args:
-        rig: delivers frames.
-        store: keeps pairs.
-        plan: what to record.
-        show: called with the live status.
-    """
+    """One session: references are taken once, then grasps come in; ``show`` is called with the live status."""
 
     def __init__(
         self, rig: PairRig, store: PairStore, plan: RecordingPlan, show: Callable[[Status], None]

@@ -40,17 +40,11 @@ class RigFrame:
 
 
 class PairRig(Protocol):
-    """A hand with two tactile fingers.
+    """A hand with two tactile fingers."""
 
-    Attributes:
-        sensors: finger → registry name.
-        rate_hz: frames per second.
-        mass_kg: of the held object with what moves of its holder, as weighed.
-    """
-
-    sensors: dict[Finger, str]
-    rate_hz: float
-    mass_kg: float
+    sensors: dict[Finger, str]  # finger → registry name
+    rate_hz: float  # frames per second
+    mass_kg: float  # of the held object with what moves of its holder, as weighed
 
     def references(self) -> dict[Finger, np.ndarray]:
         """Return the session's free-air references (480, 640)."""
@@ -90,15 +84,8 @@ class HandMotion:
 class RobotRig:
     """A ``PairRig`` on a robot that is connected and soft, and fingers that are connected.
 
-    Args:
-        robot: measures poses.
-        fingers: finger → tactile camera.
-        sensors: finger → registry name.
-        rate_hz: frames per second.
-        mass_kg: of the object and what moves of its holder: weigh it.
-        grip_N: force the gripper is commanded to hold with.
-        steer: called with each measured pose (5,); lets a soft arm follow the hand that leads it.
-        clock: seconds; tests put their own.
+    The gripper is commanded to hold with ``grip_N``. ``steer`` is called with each measured pose (5,): it lets a soft
+    arm follow the hand that leads it.
     """
 
     def __init__(

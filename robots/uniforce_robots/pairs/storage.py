@@ -81,16 +81,8 @@ def pair_features() -> dict[str, dict]:
 class PairStore:
     """Appends chunks, or goes on with what is at ``root``.
 
-    Args:
-        root: folder; ``lerobot/`` and ``uniforce_pairs/`` below it.
-        left_sensor, right_sensor: registry names.
-        indenters: names, in the order of their indices.
-        rate_hz: frames per second, a whole number.
-
-    Attributes:
-        counts: saved pairs of each indenter.
-        coverage: of each indenter.
-        next_session: number of a session that begins now.
+    ``lerobot/`` and ``uniforce_pairs/`` lie below the root; sensors are registry names, indenters names in the order of
+    their indices. ``counts`` and ``coverage`` are of each indenter; ``next_session`` numbers one that begins now.
 
     Raises:
         DatasetError: another recorder writes here, or other sensors, rates or features are there.

@@ -43,12 +43,7 @@ def quasi_static(
 
     Causal, so that it can be asked anew as frames come.
 
-    Args:
-        velocity_m_s: (T, 3) of the hand.
-        acceleration_m_s2: (T, 3) of the hand.
-        contact_N: (T,) the stronger finger's normal force, estimated.
-        rate_hz: of the frames.
-        limits: what counts as slow.
+    Velocity and acceleration (T, 3) are the hand's, ``contact_N`` (T,) is the stronger finger's estimated normal force.
     """
     fast = np.linalg.norm(velocity_m_s, axis=1) > limits.speed_m_s
     jerked = np.linalg.norm(acceleration_m_s2, axis=1) > limits.acceleration_m_s2
@@ -60,12 +55,7 @@ def quasi_static(
 
 
 class FingerReaders:
-    """Both fingers of a session: marker image → touch field and force.
-
-    Args:
-        rig: whose sensors they are.
-        references: (480, 640) free-air images by finger.
-    """
+    """Both fingers of a session: marker image → touch field and force, with their (480, 640) free-air images."""
 
     def __init__(self, rig: PairRig, references: dict[Finger, np.ndarray]) -> None:
         self._fields = {f: TouchField(references[f], f) for f in FINGERS}
@@ -80,9 +70,7 @@ class FingerReaders:
 class GraspTrack:
     """Frames of one grasp with what was read off them; images stay, since the good ones are kept.
 
-    Attributes:
-        frames: so far.
-        fields, forces: of each frame by finger, (192,) and (3,) N, canonical.
+    ``fields`` and ``forces`` hold (192,) and (3,) N of each frame by finger, canonical.
     """
 
     def __init__(self, mass_kg: float, readers: FingerReaders) -> None:

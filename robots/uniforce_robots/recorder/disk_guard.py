@@ -23,13 +23,10 @@ def free_bytes(path: Path) -> int:
 
 
 class DiskGuard:
-    """Watch the disk a dataset is on.
+    """Watch the disk a dataset is on; its folder exists.
 
-    Args:
-        root: the dataset's folder; it exists.
-        features: LeRobot's, for the first estimate.
-        raw_pixels: of all raw tactile frames of a tick.
-        reserve_MB: what has to stay free, so that a stopped episode can still be stored.
+    ``features`` (LeRobot's) and the ``raw_pixels`` of a tick give the first estimate. ``reserve_MB`` has to stay free,
+    so that a stopped episode can still be stored.
     """
 
     def __init__(self, root: Path, features: Mapping[str, dict], raw_pixels: int, reserve_MB: float) -> None:

@@ -87,13 +87,7 @@ class _Over(Exception):  # noqa: N818  not an error: an operator's command, from
 
 
 class EpisodeLoop:
-    """Run one episode of at most ``max_frames`` rows; their storing is the session's business.
-
-    Args:
-        parts: the session's.
-        prompt: the instruction every row is stored with.
-        max_frames: the time limit.
-    """
+    """Run one episode of at most ``max_frames`` rows, each with ``prompt``; their storing is the session's business."""
 
     def __init__(self, parts: Parts, prompt: str, max_frames: int) -> None:
         self._parts, self._prompt, self._max_frames = parts, prompt, max_frames

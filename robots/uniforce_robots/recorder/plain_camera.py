@@ -22,15 +22,7 @@ STRIDE = 4  # every 4th row and column is enough to see whether a noisy picture 
 
 
 class PlainCamera:
-    """Read one camera.
-
-    Args:
-        name: how errors call it.
-        camera: any LeRobot camera with a ``latest_timestamp``.
-
-    Raises:
-        ContractError: the camera doesn't say when its frames were taken.
-    """
+    """Read any LeRobot camera with a ``latest_timestamp``; ContractError: it doesn't say when frames were taken."""
 
     def __init__(self, name: str, camera: Camera) -> None:
         if not hasattr(camera, "latest_timestamp"):

@@ -38,16 +38,12 @@ GARBAGE_MOST = (
 
 
 class RobotRig(Rig):
-    """A connected robot, read and driven through LeRobot's interface and its own readings.
+    """A robot, read and driven through LeRobot's interface and its own readings; not connected at first.
 
-    Args:
-        robot: not connected; its tactile cameras are ``tactile_left`` and ``tactile_right``, everything else looks at
-            the scene.
-        window: taxel scans kept per tick; 17 are one tick at 500 Hz.
-        keep_raw: whether raw tactile frames are kept beside the dataset.
+    Its tactile cameras are ``tactile_left`` and ``tactile_right``, everything else looks at the scene. ``window`` taxel
+    scans are kept per tick (17 are one at 500 Hz), and raw tactile frames beside the dataset if ``keep_raw``.
 
-    Raises:
-        ContractError: a finger without a tactile camera, or a camera of unknown age.
+    Raises ContractError: a finger without a tactile camera, or a camera of unknown age.
     """
 
     def __init__(self, robot: UniforceFranka, window: int = 17, keep_raw: bool = True) -> None:

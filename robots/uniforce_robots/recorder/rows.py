@@ -59,12 +59,8 @@ def make_row(
 ) -> dict[str, Any]:
     """Return a row for ``EpisodeRecorder.add``.
 
-    Args:
-        seen: what was observed.
-        requested: (5,) what the teleoperator asked for.
-        sent: (5,) what went to the robot.
-        stamps_s: one time per ``keys.STAMP_NAMES``, rig's clock.
-        begun_s: when the episode began; times are stored relative to it.
+    ``requested`` and ``sent`` are (5,) what the teleoperator asked for and what went to the robot; ``stamps_s`` has one
+    time per ``keys.STAMP_NAMES``. Times are on the rig's clock, and stored relative to ``begun_s``.
     """
     row: dict[str, Any] = {
         keys.STATE: seen.axes.astype(np.float32),
@@ -100,12 +96,9 @@ def _touch(finger: Finger, touch: FingerTouch, begun_s: float) -> dict[str, np.n
 
 
 class RowSlots:
-    """A fixed number of rows in shared memory; goes into a child process as it is.
+    """``count`` rows in shared memory, which go into a child process as they are.
 
-    Args:
-        facts: of the rig; a marker image takes one channel, since its three are equal.
-        count: rows.
-        context: of the child process.
+    A marker image takes one channel, since its three are equal.
     """
 
     def __init__(self, facts: RigFacts, count: int, context: SpawnContext) -> None:

@@ -62,11 +62,7 @@ class _End(Exception):  # noqa: N818  the way out of nested phases
 class RecordingSession:
     """Record with parts that are connected.
 
-    Args:
-        parts: connected.
-        settings: what.
-        judged: episodes in the dataset that count already.
-        seed: of the first attempt; counts up.
+    ``judged`` episodes of the dataset count already; ``seed`` is the first attempt's and counts up.
     """
 
     def __init__(self, parts: Parts, settings: SessionSettings, judged: int, seed: int) -> None:

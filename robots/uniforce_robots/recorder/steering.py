@@ -15,13 +15,7 @@ class Steering:
     """Drive by a teleoperator; TeleoperatorError where it fails.
 
     Beyond LeRobot's interface it uses what is there: ``start_from(axes)`` at each start, ``send_feedback(axes)`` where
-    ``feedback_features`` lists the five axes.
-
-    Args:
-        teleop: not connected.
-
-    Raises:
-        ContractError: its actions aren't the five axes.
+    ``feedback_features`` lists the five axes. Not connected at first; ContractError: its actions aren't the five axes.
     """
 
     def __init__(self, teleop: Teleoperator) -> None:

@@ -31,13 +31,7 @@ class TickStats:
 
 
 class Ticker:
-    """Wait for the beats of ``rate_hz``; the first one is now.
-
-    Args:
-        rate_hz: beats per second.
-        paced: False never waits: for a scene that steps as fast as it can.
-        clock, sleep: seconds; tests put their own.
-    """
+    """Wait for the beats of ``rate_hz``; the first one is now. Not ``paced``, for a scene, it never waits."""
 
     def __init__(
         self,

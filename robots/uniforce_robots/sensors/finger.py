@@ -103,10 +103,7 @@ class SampledCamera(Camera):
         return self._image(sample.raw)
 
     def read_latest(self, max_age_ms: float | None = None) -> np.ndarray:
-        """Return the newest sample's image at once.
-
-        Args:
-            max_age_ms: the oldest that is good enough; None takes the config's.
+        """Return the newest sample's image at once; None takes the config's ``max_age_ms``.
 
         Raises:
             StaleSensorError: older than that, or none yet (also a TimeoutError).

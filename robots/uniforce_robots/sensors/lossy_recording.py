@@ -19,9 +19,7 @@ LOSSLESS = "--dataset.rgb_encoder.vcodec=h264 --dataset.rgb_encoder.crf=0 --data
 def refuse_lossy_recording(label: str, only_markers: bool) -> None:
     """Raise where the caller is one of LeRobot's recorders and would store a tactile sensor's images with loss.
 
-    Args:
-        label: names the sensor.
-        only_markers: its images hold 0 and 255 alone; raw frames survive no video that LeRobot writes.
+    With ``only_markers`` its images hold 0 and 255 alone; raw frames survive no video that LeRobot writes.
 
     Raises:
         DatasetError: saying which flags store the images exactly.

@@ -37,11 +37,7 @@ _BOUNDARY = re.compile(rb'boundary\s*=\s*"?([^"\s;]{1,200})"?', re.IGNORECASE)
 
 
 class MultipartJpeg:
-    """Collects the parts of one answer; no I/O.
-
-    Args:
-        name: how errors call the sensor.
-    """
+    """Collects the parts of one answer; no I/O. Errors call the sensor ``name``."""
 
     def __init__(self, name: str) -> None:
         self._name = name

@@ -50,18 +50,13 @@ class SourceCounts:
 
 
 class SampleSource(ABC):
-    """One device, used by one thread.
+    """One device, used by one thread; errors call it ``name``."""
 
-    Attributes:
-        name: how errors call it.
-        settings_read_back: what a camera's driver said each setting was, for the dataset; empty for other devices.
-    """
-
-    def __init__(self, name: str, max_behind_s: float = MAX_BEHIND_S) -> None:
+    def __init__(self, name: str) -> None:
         self.name, self.counts = name, SourceCounts()
-        self.settings_read_back: dict[str, float] = {}
+        self.settings_read_back: dict[str, float] = {}  # what a camera's driver said each setting was
         self._closing = ExitStack()
-        self._max_behind_s, self._behind_since_s = max_behind_s, float("inf")
+        self._behind_since_s = float("inf")
 
     def open(self) -> None:
         """Connect anew; raise SensorError where that fails, within seconds, with nothing left open."""
@@ -101,7 +96,7 @@ class SampleSource(ABC):
         now_s = time.monotonic()
         self._behind_since_s = min(self._behind_since_s, now_s) if is_full else float("inf")
         behind_s = now_s - self._behind_since_s
-        if behind_s > self._max_behind_s:
+        if behind_s > MAX_BEHIND_S:
             self._behind_since_s = float("inf")
             do = "Free the CPU of this machine; what waited is thrown away by opening anew."
             came = f"a queue for {behind_s:.2f} s"

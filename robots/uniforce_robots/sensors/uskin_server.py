@@ -82,12 +82,9 @@ class XelaMessages:
 
 
 class ServerUSkin(SampleSource):
-    """Whole scans, (16, 3) uint16 raw counts each, from xela_server.
+    """Whole scans, (16, 3) uint16 raw counts each, of one sensor of xela_server's messages.
 
-    Args:
-        address: ``host`` or ``host:port``; ContractError where it has no such form.
-        sensor: which sensor of the server's message.
-        name: how errors call it.
+    Its address is ``host`` or ``host:port``; ContractError where it has no such form.
     """
 
     _socket: socket.socket

@@ -37,16 +37,12 @@ def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
 
 
 class UniforceTeleoperator(Teleoperator):
-    """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame.
+    """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame."""
 
-    Attributes:
-        wants_gains: stiffness the robot needs while this one steers; None for the robot's own.
-        clock: seconds; tests put their own.
-        device: what is read, with ``start``, ``stop`` and ``is_running``.
-    """
-
-    wants_gains: ClassVar[Gains | None] = None
-    device: Any = None
+    wants_gains: ClassVar[Gains | None] = (
+        None  # stiffness the robot needs meanwhile; None for the robot's own
+    )
+    device: Any = None  # what is read, with ``start``, ``stop`` and ``is_running``
     is_calibrated = True  # there is nothing to calibrate
     action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
@@ -79,10 +75,7 @@ class UniforceTeleoperator(Teleoperator):
         self._close()
 
     def start_from(self, measured: Mapping[str, Any] | np.ndarray) -> None:
-        """Begin an episode with the target on the measured pose; forget an earlier fault.
-
-        Args:
-            measured: (5,) or a dict, axes as in ``keys.AXES``.
+        """Begin an episode with the target on the measured pose, (5,) or by ``keys.AXES``; forget an earlier fault.
 
         Raises:
             TeleoperatorError: not connected, the device has a fault, or it stands too far from the robot (``far``).

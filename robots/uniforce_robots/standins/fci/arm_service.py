@@ -52,14 +52,9 @@ def whole(state: RobotState) -> Iterable[bytes]:
 class ArmService:
     """An arm behind its port; torque control is the only motion it knows.
 
-    Args:
-        address: to serve on.
-        version: what the server says it is; another than 10 refuses every client of version 10.
-        journal: what the wire saw.
-
-    Attributes:
-        miss_rule: end a motion after 20 missed commands, as the real arm does. Off at first: a test machine without
-            a real-time kernel would be tested, not the client. On, a tick waits 1 ms only.
+    The server says that it is of ``version``; another than 10 refuses every client of version 10. ``miss_rule`` ends a
+    motion after 20 missed commands, as the real arm does. Off at first: a test machine without a real-time kernel would
+    be tested, not the client. On, a tick waits 1 ms only.
     """
 
     def __init__(self, address: str, version: int, journal: Journal) -> None:
