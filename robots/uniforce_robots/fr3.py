@@ -4,8 +4,6 @@ Source: Franka documentation, "Robot and interface specifications" (Craig's modi
 driver's checks, the GELLO and the stand-in; imports numpy alone, so that the stand-in starts without torch.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -194,7 +194,7 @@ BYTE_TARGETS = {
         + frame(Opcode.CONT, JSON[300:]),
     ),
     "json": ByteTarget(feed_json, JSON),
-    "mjpeg": ByteTarget(feed_mjpeg, HTTP + part(JPEG, 1.5) + part(JPEG, 2.5) + part(JPEG, 3.5)),
+    "mjpeg": ByteTarget(feed_mjpeg, HTTP + 3 * part(JPEG)),
     "dynamixel": ByteTarget(
         feed_dynamixel,
         b"".join(status(i, bytes([i, 255, 255, 253]), 0) for i in range(1, 9)),

@@ -1,7 +1,5 @@
 """Stand-ins that tests of sensors and teleoperators share: a process each, started once, whole for every test."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

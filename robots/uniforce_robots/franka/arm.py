@@ -4,8 +4,6 @@ Poses are (4, 4) ``ee_to_base``: the frame between the finger tips in the robot'
 the fingers close along that frame's y axis and z points out of the hand.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

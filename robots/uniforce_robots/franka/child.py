@@ -1,7 +1,5 @@
 """A child process that talks JSON lines: what may hang or hold the GIL lives there, and can be killed."""
 
-from __future__ import annotations
-
 import json
 import logging
 import queue

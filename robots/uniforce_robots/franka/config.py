@@ -1,7 +1,5 @@
 """Settings of the robot ``uniforce_franka``; nested ones are set as ``--robot.guards.step_m=0.03``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

@@ -4,8 +4,6 @@ Behind it stand the check of what is sent (``send_check``), the tracker's clip (
 the robot's own reflex.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 

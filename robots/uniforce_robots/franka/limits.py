@@ -4,8 +4,6 @@ A setting says what its owner wants, within these. They are chosen so that a Fra
 slow and soft, whatever a file or a command line says. Nothing here has been tried on hardware.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Real
 

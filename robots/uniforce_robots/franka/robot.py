@@ -1,7 +1,5 @@
 """The LeRobot robot: five axes and cameras in, five guarded axes out."""
 
-from __future__ import annotations
-
 import logging
 import math
 import reprlib

@@ -1,7 +1,5 @@
 """The last check of a pose that is about to be sent, whatever computed it. It corrects nothing: it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uniforce_robots.franka.guards import GuardLimits

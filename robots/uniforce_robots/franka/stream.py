@@ -5,8 +5,6 @@ pressed lets go; a fault ends the stream and nothing moves until the arm is reco
 before it is used, and each pose before it is sent.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

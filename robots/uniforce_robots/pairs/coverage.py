@@ -3,8 +3,6 @@
 Forces and places are estimates of the same readers that score the pairs: the map steers an operator, it labels nothing.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uniforce_robots.pairs.finger_force import CHANNELS, GRID

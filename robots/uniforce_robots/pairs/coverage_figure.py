@@ -1,7 +1,5 @@
 """Draw what was covered: pairs over force, and over the pad, per indenter."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -12,8 +12,6 @@ object is in equilibrium with what holds it from outside, unless one of the faul
 Magnitudes are plausible, not measured. Nothing here knows sensors or images.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ How two units' normals compare depends on what is held and where, so every grasp
 fingers close with the hand at rest, both pads carry the same growing force.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Yields what a rig would deliver. The truth beside it is for judging the score, n
 canonical (the left finger's frame), so that in equilibrium both are equal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

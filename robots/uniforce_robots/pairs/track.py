@@ -5,8 +5,6 @@ are equal only where nothing is accelerated. A fast hand also smears a camera's 
 different delays apart, so speed is limited beside acceleration.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Connect the parts, run a session, and take everything apart again in order, whatever happens."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Room on the disk: an estimate before each episode, and a stop at the next tick where it runs out."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Mapping

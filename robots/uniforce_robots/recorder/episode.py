@@ -1,7 +1,5 @@
 """One episode: tick by tick observe, steer, act, store. Whatever ends it, the rig holds before anything is said."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass

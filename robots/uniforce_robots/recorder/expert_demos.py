@@ -1,7 +1,5 @@
 """The scripted expert's demonstrations in the simulated scene: nothing waits, seeds repeat exactly."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every fault of a recording by one name, the ``<cause>`` of ``aborted:<cause>``; Ctrl-C is one too."""
 
-from __future__ import annotations
-
 import logging
 import signal
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """What the operator sees while it records: force against its limits, the age of the oldest sensor, what to press."""
 
-from __future__ import annotations
-
 import time
 from typing import TextIO
 

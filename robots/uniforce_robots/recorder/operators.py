@@ -1,7 +1,5 @@
 """What begins an episode and judges it: a person at the keys, or a fixed rule."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ LeRobot's cameras keep the newest frame and when it came (``latest_timestamp``, 
 see is a picture that stopped changing, and a camera whose thread has died still calls itself connected.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

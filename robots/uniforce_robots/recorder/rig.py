@@ -3,8 +3,6 @@
 All times of one rig are seconds on one clock: the host's monotonic one on a robot, the scene's own in simulation.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 

@@ -1,7 +1,5 @@
 """The Franka with its fingers and cameras as a rig. Never run on hardware."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections import deque

@@ -3,8 +3,6 @@
 Rows go to the storing process through memory that both share: nothing is pickled.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Mapping
 from multiprocessing.context import SpawnContext

@@ -1,7 +1,5 @@
 """Episodes until the dataset holds as many as wanted: wait, take references, record, judge, store, and go on."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The simulated wiping scene as a rig."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Any LeRobot teleoperator whose actions are the five absolute axes, as a function of the measured ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ dies the pipe ends: what was ordered is finished, the running episode is dropped
 session. That is why this is no ``ProcessPoolExecutor``, whose workers outlive a killed parent.
 """
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os

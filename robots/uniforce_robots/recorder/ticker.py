@@ -1,7 +1,5 @@
 """A steady beat with absolute deadlines, and how well it was kept."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

@@ -6,8 +6,6 @@ exist; size, rate, buffer; then the automatics off before the values they would 
 never tried on hardware here: what a camera refuses is an error that names the control, and None leaves it alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path

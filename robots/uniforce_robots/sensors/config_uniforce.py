@@ -1,7 +1,5 @@
 """Settings of the tactile fingers, as LeRobot camera configs: a robot lists them like any other camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from lerobot.cameras.configs import CameraConfig

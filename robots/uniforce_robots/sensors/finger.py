@@ -5,8 +5,6 @@ here: the marker image as the sensor sees it (never mirrored), the raw signal be
 age.  A sensor that is lost, stale or frozen is an error, never an old or empty image.
 """
 
-from __future__ import annotations
-
 import threading
 from abc import abstractmethod
 from contextlib import ExitStack

@@ -4,8 +4,6 @@ LeRobot has one codec for all cameras, with loss unless its flags say otherwise,
 are in the frame of the function that connects the robot and its cameras, so they are read there.
 """
 
-from __future__ import annotations
-
 import inspect
 
 from lerobot.configs.dataset import DatasetRecordConfig

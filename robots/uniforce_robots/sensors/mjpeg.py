@@ -8,8 +8,6 @@ httpx: its stream is over after one read that timed out, and the parts would sti
 takes a second to open and waits 30 s for a silent server.
 """
 
-from __future__ import annotations
-
 import base64
 import re
 import socket

@@ -7,8 +7,6 @@ Stamps are int64 nanoseconds of ``time.perf_counter_ns``: on Linux CLOCK_MONOTON
 with, so that camera, taxels and arm can be laid side by side.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -8,8 +8,6 @@ First comes ``{"message": "Welcome", …}``, then messages of ``type`` "routine"
 null and not used: newtons are read from latents.  Source: XELA uSPa manual, 2023, and clients published by users.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import socket

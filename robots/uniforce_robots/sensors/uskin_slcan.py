@@ -10,8 +10,6 @@ Not ``python-can``: it reads byte by byte (1,860 µs of CPU per scan against 130
 refusing adapter for an open one, ends at the first garbage, and is LGPL.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import termios

@@ -1,7 +1,5 @@
 """What every stand-in shares: it keeps a rate, breaks on command, and obeys lines on its standard input."""
 
-from __future__ import annotations
-
 import os
 import select
 import stat

@@ -1,7 +1,5 @@
 """A GELLO: eight Dynamixel motors that speak protocol 2.0 on a pseudo-terminal; see ``--help``."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import time

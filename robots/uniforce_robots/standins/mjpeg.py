@@ -1,7 +1,5 @@
 """A tactile camera behind HTTP: multipart MJPEG on loopback: ``python -m uniforce_robots.standins.mjpeg --help``."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Signals come from the project's contact simulator, so that the chain device → canonicalizer → tokenizer can be checked.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A uSkin behind an SLCAN adapter, on a pseudo-terminal: ``python -m uniforce_robots.standins.slcan --help``."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """xela_server with one uSkin patch: JSON over a WebSocket (RFC 6455, server side) on loopback; see ``--help``."""
 
-from __future__ import annotations
-
 import json
 import socket
 import sys

@@ -4,8 +4,6 @@ The order of an episode: ``start_from(measured)``, then per tick ``send_feedback
 fault stays until the next ``start_from``: an arm must not go on by itself because a plug found its socket again.
 """
 
-from __future__ import annotations
-
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping

@@ -4,8 +4,6 @@ Every teleoperator that does not simply repeat measured poses moves its target t
 target on the measured pose; from then on it moves by at most speed × time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -4,8 +4,6 @@ Not pyspacemouse or hidapi: they open nothing but a real HID node, so none of th
 (pyspacemouse also needs easyhid, which has no wheel).
 """
 
-from __future__ import annotations
-
 import os
 import re
 import select

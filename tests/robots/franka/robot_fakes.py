@@ -1,7 +1,5 @@
 """An arm and a hand that do what they are asked at once, and fail when they are asked to."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

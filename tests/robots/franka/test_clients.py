@@ -1,7 +1,5 @@
 """Arm and hand through both real clients, against the stand-in."""
 
-from __future__ import annotations
-
 import importlib.util
 import logging
 import time

@@ -1,7 +1,5 @@
 """What is asked of the hand and when it is at fault, on a fake client and a clock that is set."""
 
-from __future__ import annotations
-
 import os
 import socket
 import time

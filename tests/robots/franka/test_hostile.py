@@ -1,7 +1,5 @@
 """Every named fault of the stand-in against both real clients, once; ``make faults`` runs each ten times."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import psutil

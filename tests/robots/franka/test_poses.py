@@ -1,7 +1,5 @@
 """The project's axes against the hand's pose and the stiffness in the base frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

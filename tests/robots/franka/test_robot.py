@@ -1,7 +1,5 @@
 """The LeRobot robot on a fake arm and hand: features, guarded actions, faults, and no motion after the end."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

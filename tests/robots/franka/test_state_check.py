@@ -1,7 +1,5 @@
 """What no robot can report is named for what it is; what one does report passes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The 100 Hz stream on a fake arm: ramps, watchdog, faults, and that every thread ends."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

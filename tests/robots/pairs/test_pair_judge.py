@@ -1,7 +1,5 @@
 """The score, on forces made by hand: what it must flag, and what it must leave alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole recorder in simulation: keeps what is good, goes on, gives up; and its flags mean something."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

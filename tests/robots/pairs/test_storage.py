@@ -1,7 +1,5 @@
 """Kept pairs: both forms hold the same images, and survive whatever stops the recorder."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

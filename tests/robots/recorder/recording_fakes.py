@@ -1,7 +1,5 @@
 """A whole rig without hardware or processes: fake arm and hand, captures that break on command, a scripted person."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

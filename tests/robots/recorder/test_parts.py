@@ -1,7 +1,5 @@
 """Disk guard, steering, live view, faults' names, and what is built from a command line."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path

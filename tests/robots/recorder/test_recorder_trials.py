@@ -3,8 +3,6 @@
 Outcomes are asserted, timings aren't: those are what ``python -m benchmarks.recorder`` is for, on a machine with time.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """A whole session on a fake robot: episodes, labels, faults, resume."""
 
-from __future__ import annotations
-
 import io
 import signal
 import threading

@@ -1,7 +1,5 @@
 """The same session in the simulated scene: steered by hand or by script, judged by the scene's truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The recorder in its own process: the same dataset, errors that come back, an end that comes whatever happens."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """What the trials measure with, on cases whose answer is known."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

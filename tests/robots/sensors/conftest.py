@@ -1,7 +1,5 @@
 """How much of a core this machine gives us: deadlines scale with it."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Camera settings and failures, with a scripted capture: order, read-back, sizes, time stamps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

@@ -1,7 +1,5 @@
 """Stock ``lerobot-record`` with our camera, from its entry on: exact tactile video, or no episode at all."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The reader: what goes in comes out, in order, whole; a dead sensor never looks alive, and comes back by itself."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

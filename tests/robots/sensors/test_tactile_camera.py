@@ -1,7 +1,5 @@
 """The tactile camera as LeRobot sees it, against the MJPEG stand-in: markers, reference, every fault ten times."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import cv2
@@ -114,7 +112,6 @@ def test_a_lost_camera_cannot_be_connected(mjpeg: StandIn):
     [
         ({"sensor": "uskin"}, "uniforce_uskin"),
         ({"source": ""}, "source"),
-        ({"clock": "wall"}, "host | driver"),
         ({"delivers": "both"}, "markers | raw"),
         ({"delivers": "raw", "capture_width": None}, "capture_width"),
         ({"finger": "thumb"}, "left or right"),

@@ -1,7 +1,5 @@
 """uSkin through xela_server: every form its messages take, every fault ten times."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import socket

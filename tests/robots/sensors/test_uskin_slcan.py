@@ -1,7 +1,5 @@
 """uSkin over SLCAN against the stand-in on a pseudo-terminal: exact data, every fault ten times, the full rate."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import warnings

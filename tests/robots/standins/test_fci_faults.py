@@ -1,7 +1,5 @@
 """When a fault begins and ends, in the robot's own milliseconds, and what is said of the arm after it."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

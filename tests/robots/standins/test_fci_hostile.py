@@ -1,7 +1,5 @@
 """Every fault of the registry, on the wire, through a client of plain sockets; and what is said of it afterwards."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

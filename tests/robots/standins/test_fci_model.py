@@ -1,7 +1,5 @@
 """The stand-in's kinematics and dynamics, without sockets: in the robot's own milliseconds."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

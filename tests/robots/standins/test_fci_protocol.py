@@ -1,7 +1,5 @@
 """Sizes and round trips of the FCI codecs, and that garbage is refused by name."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

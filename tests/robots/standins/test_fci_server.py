@@ -3,8 +3,6 @@
 Times are asserted in the robot's own milliseconds: a busy machine is slow, and the server waits for its client.
 """
 
-from __future__ import annotations
-
 import random
 import socket
 

@@ -1,7 +1,5 @@
 """Stand-ins as processes: ready lines, help, control, and clients that aren't our own drivers."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

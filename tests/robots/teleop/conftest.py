@@ -1,7 +1,5 @@
 """Each teleoperator, connected to a stand-in or a fake, so that one contract test serves all."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

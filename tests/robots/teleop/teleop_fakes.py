@@ -1,7 +1,5 @@
 """How each teleoperator is made for a test."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

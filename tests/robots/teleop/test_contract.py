@@ -1,7 +1,5 @@
 """What every registered teleoperator promises."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """GELLO on a pseudo-terminal that speaks Dynamixel 2.0."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The one place that moves a target: never a jump, never out of the box, never far ahead of the robot."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

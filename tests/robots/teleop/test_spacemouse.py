@@ -1,7 +1,5 @@
 """SpaceMouse: reports, the drained device, and how it fails."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Keys of a terminal: pulses of speed, hand guiding's width, and a terminal that goes away."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """What the children share: JSON lines to and from the parent. A plain module: our package would load torch."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -3,8 +3,6 @@
 The client's tracker runs the torque loop at 1 kHz in a C++ thread of this process; targets and gains are passed on.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -3,8 +3,6 @@
 franky's commands are futures, and states go on while the fingers move. pylibfranka's hold this process until they end.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import time

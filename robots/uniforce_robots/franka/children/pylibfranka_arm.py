@@ -5,8 +5,6 @@ Without a target it reads states; with one it runs a Cartesian impedance control
 and the target replaced by the measured pose when the parent falls silent.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from typing import Any

@@ -1,7 +1,5 @@
 """``python -m uniforce_robots.standins.fci 127.0.0.2 [--mute] [--server-version 9] …``."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import ipaddress

@@ -4,8 +4,6 @@ Gravity and Coriolis forces are taken as compensated, as the real controller pre
 enough that commanded targets are reached and that pressing on the wall gives stiffness × distance; no dynamics model.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field
 

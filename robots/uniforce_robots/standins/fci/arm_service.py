@@ -1,7 +1,5 @@
 """The arm's side of the wire: requests by TCP, a Move under way, a millisecond driven and sent; and what stops it."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections import deque

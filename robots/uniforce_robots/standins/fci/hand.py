@@ -1,7 +1,5 @@
 """The hand: how its fingers move, and its side of the wire: requests answered when they have arrived, slow states."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Callable, Iterable

@@ -14,8 +14,6 @@ can't answer (``starve``), the stand-in doesn't wait for it and drives the arm b
 stops after 20 lost packets; the order ``miss_rule`` makes this one do so too.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import time

@@ -1,7 +1,5 @@
 """One device's sockets: a TCP listener, its one client, and the UDP socket its states leave from; and the journal."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

@@ -1,7 +1,5 @@
 """Arm, hand and control socket in one single-threaded loop."""
 
-from __future__ import annotations
-
 import json
 import select
 import socket
