@@ -59,7 +59,8 @@ def refuse_stopped(state: ArmState) -> None:
 
 def fault_of_errors(errors: Iterable[str]) -> str:
     """Return the ``RobotError.fault`` of the robot's own error names."""
-    return _first(ERROR_WORDS, " ".join(errors), "reflex")
+    text = " ".join(errors)
+    return next((fault for word, fault in ERROR_WORDS.items() if word in text), "reflex")
 
 
 def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
@@ -70,13 +71,9 @@ def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
         text: the client's message.
         errors: the robot's own error names.
     """
-    fault = _first(CLIENT_WORDS, text.lower(), "other") if fault == "other" else fault
+    if fault == "other":
+        fault = next((named for word, named in CLIENT_WORDS.items() if word in text.lower()), "other")
     return fault_of_errors((*errors, text)) if fault == "reflex" else fault
-
-
-def _first(words: dict[str, str], text: str, otherwise: str) -> str:
-    """Return what the first word that stands in a text means."""
-    return next((fault for word, fault in words.items() if word in text), otherwise)
 
 
 @dataclass(frozen=True)

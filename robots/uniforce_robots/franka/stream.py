@@ -92,10 +92,7 @@ class ArmStream:
         self._thread = threading.Thread(target=self._run, name="arm-stream")
 
     def start(self) -> None:
-        """Read the arm once, so that a state is there, and begin.
-
-        Raises RobotError: no reading, or one that can't be.
-        """
+        """Read the arm once, so that a state is there, and begin; RobotError: no reading, or one that can't be."""
         self.read_first()
         self._thread.start()
 

@@ -106,10 +106,7 @@ class RobotRig:
         self._is_open, self._turning_m = True, 0.0  # widest since they opened, or narrowest since they closed
 
     def references(self) -> dict[Finger, np.ndarray]:
-        """Return the references taken when the fingers were opened, in free air.
-
-        Raises ContractError: none was taken.
-        """
+        """Return the references taken when the fingers were opened, in free air; ContractError: none was taken."""
         return {f: np.ascontiguousarray(c.reference_image()[..., 0]) for f, c in self._fingers.items()}
 
     def frames(self, indenter: str) -> Iterator[RigFrame]:

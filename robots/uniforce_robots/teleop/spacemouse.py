@@ -48,12 +48,7 @@ class UniforceSpaceMouseConfig(SteeringConfig):
 
     device: str = ""  # e.g. /dev/hidraw3, or a local packet socket; empty looks for the only one plugged in
     deadband: float = 0.08  # share of full deflection that is rest; a cap never comes back to zero exactly
-    signs: tuple[int, int, int, int] = (
-        1,
-        -1,
-        -1,
-        -1,
-    )  # of right, forward, up, counter-clockwise in its counts
+    signs: tuple[int, int, int, int] = (1, -1, -1, -1)  # of right, forward, up, counter-clockwise in counts
     operator_yaw_rad: float = 0.0  # which way "forward" is in the base frame; 0: the operator looks along +x
 
 
