@@ -11,7 +11,6 @@ import pytest
 from fci_client import RawArm, RawHand, hand_request, pull_to
 
 from uniforce_robots.standins.fci import protocol as p
-from uniforce_robots.standins.fci.__main__ import parse
 from uniforce_robots.standins.fci.process import StandIn, wait_until
 from uniforce_robots.standins.fci.server import CONTROL_PORT
 
@@ -291,10 +290,3 @@ def test_orders_that_make_no_sense_are_refused(fci: StandIn) -> None:
     for order in ({"what": "fly"}, {"what": "wrench", "newtons": [1]}, {"what": "wall"}):
         with pytest.raises(ValueError, match="Error"):
             fci.do(**order)
-
-
-def test_only_loopback_unless_asked_otherwise(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        parse(["192.168.1.5"])
-    assert "not a loopback address" in capsys.readouterr().err
-    assert parse(["192.168.1.5", "--anywhere"]).address == "192.168.1.5"

@@ -23,7 +23,7 @@ def test_each_is_ready_obeys_and_ends(name: str):
         )  # never beyond this machine
         stand_in.inject("stall")
         assert stand_in.stats()["sent"] == 0
-        process = stand_in._process
+        process = stand_in.process
     assert process.poll() is not None
     with pytest.raises((SensorError, ValueError)):
         stand_in.inject("stall")

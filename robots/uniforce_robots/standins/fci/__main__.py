@@ -29,8 +29,9 @@ def parse(arguments: list[str] | None = None) -> ServerOptions:
 
 
 if __name__ == "__main__":
-    server = Server(parse())
-    sys.stdout.write("ready\n")
+    options = parse()
+    server = Server(options)
+    sys.stdout.write(f"ready {options.address}\n")
     sys.stdout.flush()
     with contextlib.closing(server), contextlib.suppress(KeyboardInterrupt):
         server.run()
