@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import pairwise
 
@@ -21,12 +22,23 @@ def arm() -> FakeArm:
 
 
 @pytest.fixture
-def stream(arm: FakeArm, patient: StreamSettings) -> Iterator[ArmStream]:
-    stream = ArmStream(arm, patient)
-    stream.start()
-    yield stream
-    stream.stop()
+def started(arm: FakeArm, patient: StreamSettings) -> Iterator[Callable[..., ArmStream]]:
+    """Return a function that starts a stream with changed settings; it is stopped at the end."""
+    with ExitStack() as ending:
+
+        def start(watch: Callable[[], None] | None = None, **changes: float) -> ArmStream:
+            stream = ArmStream(arm, replace(patient, **changes), watch=watch)
+            stream.start()
+            ending.callback(stream.stop)
+            return stream
+
+        yield start
     assert not [t for t in threading.enumerate() if t.name == "arm-stream"]
+
+
+@pytest.fixture
+def stream(started: Callable[..., ArmStream]) -> ArmStream:
+    return started()
 
 
 def away(dz: float, yaw: float = 0.0) -> ToolPose:
@@ -47,10 +59,9 @@ def test_nothing_moves_before_the_first_action(arm: FakeArm, stream: ArmStream, 
 
 
 def test_an_action_is_reached_through_steps_between(
-    arm: FakeArm, patient: StreamSettings, eventually: Callable
+    arm: FakeArm, started: Callable, eventually: Callable
 ) -> None:
-    stream = ArmStream(arm, replace(patient, action_period_s=0.2))
-    stream.start()
+    stream = started(action_period_s=0.2)
     stream.submit(away(-0.02))
     eventually(lambda: bool(arm.targets) and abs(arm.targets[-1][1][2, 3] - 0.28) < 1e-9)
     stream.stop()
@@ -63,11 +74,10 @@ def test_an_action_is_reached_through_steps_between(
 
 
 def test_when_actions_stop_the_target_becomes_the_measured_pose_once(
-    arm: FakeArm, patient: StreamSettings, eventually: Callable
+    arm: FakeArm, started: Callable, eventually: Callable
 ) -> None:
     arm.follows = False  # it presses on something: measured stays above the target
-    stream = ArmStream(arm, replace(patient, stale_s=0.2))
-    stream.start()
+    stream = started(stale_s=0.2)
     stream.submit(away(-0.015))
     submitted = time.monotonic()
     eventually(lambda: stream.stale_count == 1)
@@ -80,7 +90,6 @@ def test_when_actions_stop_the_target_becomes_the_measured_pose_once(
     assert arm.targets[-1][1][2, 3] == pytest.approx(0.3) and stream.stale_count == 1
     stream.submit(away(-0.02))
     eventually(lambda: abs(arm.targets[-1][1][2, 3] - 0.28) < 1e-9)
-    stream.stop()
 
 
 @pytest.mark.parametrize(
@@ -110,11 +119,8 @@ def test_a_lost_arm_is_let_go_within_a_tick(arm: FakeArm, stream: ArmStream, eve
     assert arm.refusals <= 2, "a tick in which it was lost, and one look for a better reason"
 
 
-def test_a_robot_that_says_nothing_new_is_gone(
-    arm: FakeArm, patient: StreamSettings, eventually: Callable
-) -> None:
-    stream = ArmStream(arm, replace(patient, state_age_s=0.2))
-    stream.start()
+def test_a_robot_that_says_nothing_new_is_gone(arm: FakeArm, started: Callable, eventually: Callable) -> None:
+    stream = started(state_age_s=0.2)
     stream.submit(away(-0.01))
     begun = arm.silent_since_s = time.monotonic()
     eventually(lambda: bool(arm.stopped_at))
@@ -122,7 +128,6 @@ def test_a_robot_that_says_nothing_new_is_gone(
     with pytest.raises(RobotError, match="new states") as caught:
         _ = stream.state
     assert caught.value.fault == "connection"
-    stream.stop()
 
 
 def test_holding_takes_the_measured_pose_at_once(
@@ -160,9 +165,7 @@ def test_late_commands_are_logged_once(
     assert sum("in time" in record.message for record in caplog.records) == 1
 
 
-def test_after_the_end_nothing_is_taken(arm: FakeArm, patient: StreamSettings) -> None:
-    stream = ArmStream(arm, patient)
-    stream.start()
+def test_after_the_end_nothing_is_taken(arm: FakeArm, stream: ArmStream) -> None:
     stream.stop()
     stream.stop()
     assert arm.stopped_at
@@ -216,7 +219,7 @@ def test_a_reading_that_cannot_be_ends_the_stream_by_name(
 
 
 def test_what_else_must_be_well_ends_the_stream(
-    arm: FakeArm, patient: StreamSettings, eventually: Callable
+    arm: FakeArm, started: Callable, eventually: Callable
 ) -> None:
     faults: list[RobotError] = []
 
@@ -224,14 +227,12 @@ def test_what_else_must_be_well_ends_the_stream(
         if faults:
             raise faults[0]
 
-    stream = ArmStream(arm, patient, watch=watch)
-    stream.start()
+    stream = started(watch)
     stream.submit(away(-0.01))
     faults.append(RobotError("the hand hangs", "hand_deadline"))
     eventually(lambda: bool(arm.stopped_at))
     with pytest.raises(RobotError, match="the hand hangs"):
         stream.submit(away(0.0))
-    stream.stop()
 
 
 def test_halting_does_not_wait_for_a_client_that_blocks(arm: FakeArm, stream: ArmStream) -> None:
