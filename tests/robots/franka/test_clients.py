@@ -47,12 +47,6 @@ def config(backend: str, address: str, tmp_path: Path, patient: StreamSettings) 
 
 
 @pytest.fixture
-def fci(address: str, tmp_path: Path) -> Iterator[StandIn]:
-    with StandIn(address, log=tmp_path / "wire.jsonl") as standin:
-        yield standin
-
-
-@pytest.fixture
 def arm(config: UniforceFrankaConfig, fci: StandIn) -> Iterator[Arm]:
     arm = Arm(config)
     arm.connect()
