@@ -103,12 +103,8 @@ def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(
     fault = bench.run(TICK_s)
     assert fault == ("hand_connection" if width is None else "hand_state")
     bench.client.fault, bench.client.width_m = None, 0.08
-    for use in (
-        lambda: bench.hand.submit(0.05),
-        lambda: bench.hand.reading,
-        bench.hand.check,
-        bench.hand.recover,
-    ):
+    hand = bench.hand
+    for use in (lambda: hand.submit(0.05), lambda: hand.reading, hand.check, hand.recover):
         with pytest.raises(RobotError) as caught:
             use()
         assert caught.value.fault == fault

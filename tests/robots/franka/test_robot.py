@@ -239,9 +239,8 @@ def test_lerobots_rollout_does_not_lead_the_arm_back() -> None:
 
 def test_lerobot_finds_and_builds_it(tmp_path: Path) -> None:
     assert RobotConfig.get_choice_class("uniforce_franka") is UniforceFrankaConfig
-    built = make_robot_from_config(
-        UniforceFrankaConfig(id="a", calibration_dir=tmp_path, address="127.0.0.9")
-    )
+    config = UniforceFrankaConfig(id="a", calibration_dir=tmp_path, address="127.0.0.9")
+    built = make_robot_from_config(config)
     assert isinstance(built, UniforceFranka) and not built.is_connected
 
 
@@ -253,13 +252,8 @@ class Program:
 
 
 def test_nested_settings_are_parsed_from_the_command_line() -> None:
-    words = {
-        "type": "uniforce_franka",
-        "address": "127.0.0.9",
-        "guards.step_m": "0.03",
-        "gains.clip_m": "[0.01,0.01,0.02]",
-    }
-    words["gains.stiffness_N_m"] = "[200,200,200]"
+    words = {"type": "uniforce_franka", "address": "127.0.0.9", "guards.step_m": "0.03"}
+    words |= {"gains.clip_m": "[0.01,0.01,0.02]", "gains.stiffness_N_m": "[200,200,200]"}
     config = draccus.parse(Program, args=[f"--robot.{key}={value}" for key, value in words.items()]).robot
     assert isinstance(config, UniforceFrankaConfig)
     assert config.guards.step_m == 0.03

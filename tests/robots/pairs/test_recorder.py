@@ -37,9 +37,7 @@ def rehearse(
 def test_it_records_exactly_what_was_asked_for(tmp_path: Path) -> None:
     report, seen = rehearse(tmp_path)
     assert report.outcomes[KEPT] == len(report.kept) == 24
-    assert {recording.indenter for recording in read_uniforce_pairs(tmp_path / "uniforce_pairs")} == set(
-        NAMES
-    )
+    assert {pair.indenter for pair in read_uniforce_pairs(tmp_path / "uniforce_pairs")} == set(NAMES)
     assert seen[-1].have == 12 and seen[-1].indenter == 2 and seen[0].name == "sphere"
     again, _ = rehearse(tmp_path)
     assert not again.kept  # nothing is missing, so nothing is recorded

@@ -11,17 +11,12 @@ import numpy as np
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 from robot_fakes import FakeArm, FakeHand
 
+from uniforce_robots import sensors
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.stream import StreamSettings
 from uniforce_robots.recorder.operators import Command, Event, Operator, Phase
 from uniforce_robots.recorder.robot_rig import RobotRig
-from uniforce_robots.sensors import (
-    UniforceSceneCamera,
-    UniforceSceneCameraConfig,
-    UniforceTactileCamera,
-    UniforceTactileCameraConfig,
-)
 from uniforce_robots.standins.scene import Scene, frame_cycle
 from uniforce_vtla.keys import AXES
 
@@ -89,14 +84,12 @@ class FakeRig:
         monkeypatch.setattr(robot_module, "make_backend", lambda config: (self.arm, self.hand))
         tactile = {"capture_width": 640, "capture_height": 480, "reference_samples": 3}
         rows, columns = SMALL
+        left = {"source": "1", "finger": "left", "sensor": "gelsight"} | tactile
+        right = {"source": "2", "finger": "right", "sensor": "tactip"} | tactile
         configs = {
-            "front": UniforceSceneCameraConfig(source="0", width=columns, height=rows),
-            "tactile_left": UniforceTactileCameraConfig(
-                source="1", finger="left", sensor="gelsight", **tactile
-            ),
-            "tactile_right": UniforceTactileCameraConfig(
-                source="2", finger="right", sensor="tactip", **tactile
-            ),
+            "front": sensors.UniforceSceneCameraConfig(source="0", width=columns, height=rows),
+            "tactile_left": sensors.UniforceTactileCameraConfig(**left),
+            "tactile_right": sensors.UniforceTactileCameraConfig(**right),
         }
         self.captures = {
             "front": FakeCapture(room_frames()),
@@ -107,8 +100,12 @@ class FakeRig:
         config = UniforceFrankaConfig(id="test", calibration_dir=folder, cameras=configs, stream=patient)
         self.robot = UniforceFranka(config)
         self.robot.cameras = {
-            "front": UniforceSceneCamera(configs["front"], self._factory("front")),
-            **{n: UniforceTactileCamera(configs[n], self._factory(n)) for n in configs if n != "front"},
+            "front": sensors.UniforceSceneCamera(configs["front"], self._factory("front")),
+            **{
+                n: sensors.UniforceTactileCamera(configs[n], self._factory(n))
+                for n in configs
+                if n != "front"
+            },
         }
         self.rig = RobotRig(self.robot)
 
@@ -134,27 +131,21 @@ class Sway(Teleoperator):
         self.starts: list[dict[str, float]] = []
         self.error: Exception | None = None
         self.calls = 0
-        self._connected = False
 
-    action_features = property(lambda self: dict.fromkeys(AXES, float))
-    feedback_features = property(lambda self: {})
-    is_connected = property(lambda self: self._connected)
-    is_calibrated = property(lambda self: True)
+    action_features = dict.fromkeys(AXES, float)
+    feedback_features: dict[str, type] = {}  # noqa: RUF012
+    is_calibrated, is_connected = True, False
 
     def connect(self, calibrate: bool = True) -> None:
-        self._connected = True
+        self.is_connected = True
 
     def disconnect(self) -> None:
-        self._connected = False
+        self.is_connected = False
 
-    def calibrate(self) -> None:
+    def calibrate(self, *_: object) -> None:
         pass
 
-    def configure(self) -> None:
-        pass
-
-    def send_feedback(self, feedback: dict) -> None:
-        pass
+    configure = send_feedback = calibrate
 
     def start_from(self, axes: dict[str, float]) -> None:
         self.starts.append(axes)

@@ -93,7 +93,7 @@ def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
         steering.target(start)
 
     class Joints(Sway):
-        action_features = property(lambda self: {"joint_1.pos": float})
+        action_features = {"joint_1.pos": float}  # noqa: RUF012
 
     with pytest.raises(errors.ContractError, match=r"x\.pos"):
         Steering(Joints(SwayConfig(id="test", calibration_dir=tmp_path)))

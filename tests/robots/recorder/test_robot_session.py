@@ -80,9 +80,8 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
         key(source) for key in (keys.time_key, keys.age_key, keys.index_key) for source in ("front", "left")
     )
     wanted = (keys.STATE, keys.ACTION, keys.STAMPS, *times)
-    columns = read_source(tmp_path / "data").columns(
-        (*wanted, keys.measured_key("wrench"), keys.measured_key("hand"))
-    )
+    wanted += keys.measured_key("wrench"), keys.measured_key("hand")
+    columns = read_source(tmp_path / "data").columns(wanted)
     ticks = columns[keys.STAMPS]
     assert (np.diff(ticks, axis=1) >= 0).all() and ticks[0, 0] < 0.1
     assert (np.diff(ticks[:, 0]) > 0).all()  # how steadily, a busy machine can't say: see docs/recording.md
@@ -90,9 +89,8 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
         age, taken = columns[keys.age_key(source)], columns[keys.time_key(source)]
         assert (age >= 0).all() and age.max() < 0.2
         np.testing.assert_allclose(taken + age, ticks[:, 1], atol=1e-4)
-        assert (np.diff(columns[keys.index_key(source)]) >= 0).all() and columns[keys.index_key(source)][
-            -1
-        ] > 3
+        index = columns[keys.index_key(source)]
+        assert (np.diff(index) >= 0).all() and index[-1] > 3
     assert np.ptp(columns[keys.ACTION][:, 0]) > 0.001, "the sway was stored"
     np.testing.assert_allclose(columns[keys.measured_key("hand")][:, 0], 0.08, atol=1e-6)
 

@@ -76,27 +76,6 @@ def test_a_queue_is_drained_before_it_is_followed(
     assert mouse.device.counts.samples > 500
 
 
-@pytest.mark.parametrize(
-    ("fault", "kind"), [("unplug", "connection"), ("garbage", "garbage"), ("short", "garbage")]
-)
-def test_faults_stay_until_the_next_start(
-    mouse: Any,
-    spacemouse: StandIn,
-    fault_of: Callable[..., str],
-    starts: Callable[[Any], None],
-    fault: str,
-    kind: str,
-) -> None:
-    spacemouse.inject(fault)
-    assert fault_of(mouse.get_action) == kind
-    spacemouse.inject("none")
-    time.sleep(0.1)
-    with pytest.raises(TeleoperatorError):  # plugged in again, but no start has allowed the arm to go on
-        mouse.get_action()
-    starts(mouse)
-    assert mouse.get_action()
-
-
 def test_a_deflected_cap_that_falls_silent_is_stale(
     mouse: Any, spacemouse: StandIn, until: Callable[..., Any], fault_of: Callable[..., str]
 ) -> None:

@@ -98,9 +98,8 @@ def test_the_measured_pose_is_the_action(guide: Any, measured: np.ndarray) -> No
 
 
 def test_the_width_is_commanded_by_keys(guide: Any, measured: np.ndarray) -> None:
-    assert (
-        action_at(guide, measured - np.array([0, 0, 0, 0, 0.01]))[4] == measured[4]
-    )  # the fingers' own motion is no command
+    own = action_at(guide, measured - np.array([0, 0, 0, 0, 0.01]))
+    assert own[4] == measured[4], "the fingers' own motion is no command"
     guide.keys.press("p")
     time.sleep(0.02)
     assert action_at(guide, measured)[4] < measured[4]
