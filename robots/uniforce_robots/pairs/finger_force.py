@@ -108,8 +108,6 @@ class FingerForce(nn.Module):
             do = "Train one: python -m benchmarks.pair_quality train=true rigs=…"
             raise CheckpointError(expected(f"force reader of {sensor}", known, "none", do))
         facts = read_config(path)
-        if facts.get("sensor") != sensor:
-            raise CheckpointError(
-                expected(str(path), f"a reader of {sensor}", facts.get("sensor"), "Name another.")
-            )
+        if (came := facts.get("sensor")) != sensor:
+            raise CheckpointError(expected(str(path), f"a reader of {sensor}", came, "Name another."))
         return load_model(path, cls).eval()

@@ -64,9 +64,8 @@ class SimulatedRig:
         self.sensors: dict[Finger, str] = {"left": rehearsal.left_sensor, "right": rehearsal.right_sensor}
         self.truths: list[GraspTruth] = []  # of each grasp so far
         self._rng = np.random.default_rng([rehearsal.seed, 77])
-        self._fingers = {
-            f: draw_simulator(self._rng, sensor, UNIT_STRENGTH, OPTIONS) for f, sensor in self.sensors.items()
-        }
+        worn = self.sensors.items()
+        self._fingers = {f: draw_simulator(self._rng, name, UNIT_STRENGTH, OPTIONS) for f, name in worn}
         self._true_mass_kg = float(self._rng.uniform(*MASS_kg))
         self.mass_kg = self._true_mass_kg * (1 + MASS_KNOWN * float(self._rng.standard_normal()))
 

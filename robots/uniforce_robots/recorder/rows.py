@@ -35,10 +35,8 @@ def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
         keys.CAUSE: scalar_column("int64"),
     }
     for camera in facts.cameras:
-        columns |= {
-            keys.time_key(camera): scalar_column("float64"),
-            keys.age_key(camera): scalar_column("float32"),
-        }
+        columns[keys.time_key(camera)] = scalar_column("float64")
+        columns[keys.age_key(camera)] = scalar_column("float32")
     columns |= {keys.index_key(source): scalar_column("int64") for source in (*facts.cameras, *facts.sensors)}
     for finger, size in facts.windows.items():
         columns[keys.counts_key(finger)] = flat_column(TAXEL_NUMBERS, "int32")

@@ -77,9 +77,8 @@ class CameraSource(FrameSource):
         for name, _, value in wanted:
             if name != "buffer" and abs(is_now[name] - value) > TOLERANCE:  # few report the buffer
                 do = f"Choose a value it offers (`v4l2-ctl --list-ctrls`), or {name}=null to leave it."
-                raise WrongSensorError(
-                    expected(f"{self.name}, {name}", f"{value:g}", f"{is_now[name]:g}", do)
-                )
+                what, came = f"{self.name}, {name}", f"{is_now[name]:g}"
+                raise WrongSensorError(expected(what, f"{value:g}", came, do))
         self.settings_read_back = is_now
 
     def read(self) -> list[Stamped]:

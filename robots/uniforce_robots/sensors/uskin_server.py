@@ -60,9 +60,8 @@ class XelaMessages:
         self.protocol.receive_data(chunk) if chunk else self.protocol.receive_eof()
         error = self.protocol.handshake_exc or self.protocol.parser_exc
         if error is not None and not isinstance(error, EOFError):
-            raise faults.ProtocolError(
-                expected(self._name, "a WebSocket server (RFC 6455)", error, IS_IT)
-            ) from error
+            wanted = "a WebSocket server (RFC 6455)"
+            raise faults.ProtocolError(expected(self._name, wanted, error, IS_IT)) from error
         frames = [event for event in self.protocol.events_received() if isinstance(event, Frame)]
         texts = [self._assembled(frame) for frame in frames if frame.opcode in DATA_OPCODES]
         return [text for text in texts if text is not None]

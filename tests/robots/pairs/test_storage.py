@@ -82,7 +82,7 @@ def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
         assert all(np.array_equal(a, b) for a, b in zip(pair, found[name], strict=True))
 
 
-def test_two_sensors_of_one_kind_are_told_apart(tmp_path: Path, make_chunk: Make) -> None:
+def test_two_sensors_of_one_kind_are_kept_apart(tmp_path: Path, make_chunk: Make) -> None:
     with opened(tmp_path, left_sensor="tactip") as store:
         store.add(*make_chunk())
     assert list(layout(tmp_path)) == ["uniforce/session_000/tactip_l_tactip_r/sphere"]

@@ -54,7 +54,7 @@ def test_an_arm_that_goes_on_was_not_held() -> None:
     assert find_hold([], fault_s=1.0) is None
 
 
-def test_stored_times_tell_what_the_ticker_counted() -> None:
+def test_stored_times_show_what_the_ticker_counted() -> None:
     now_s, busy = [0.0], iter([0.0, 0.0, 0.004, 0.05, 0.08, 0.0, 0.0, 0.0])
     ticker = Ticker(
         30, clock=lambda: now_s[0], sleep=lambda seconds: now_s.__setitem__(0, now_s[0] + seconds)

@@ -79,12 +79,12 @@ def report(state: Any, pose: list[float]) -> None:
 
 
 def say_lost(state: Any, text: str) -> None:
-    """Tell the parent that control is gone, and the mode that says why."""
+    """Report to the parent that control is gone, and the mode that says why."""
     say("error", fault=STOPPED.get(mode_of(state), "other"), text=text, errors=error_names(state))
 
 
 def say_recovered(state: Any) -> bool:
-    """Tell the parent whether the arm may move again, and return it."""
+    """Report to the parent whether the arm may move again, and return it."""
     mode = mode_of(state)
     if mode in STOPPED:
         text = f"recovery: expected an arm that may move, got mode {mode}. Release the stop or the joints by hand."

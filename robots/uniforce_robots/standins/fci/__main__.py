@@ -16,7 +16,7 @@ def parse(arguments: list[str] | None = None) -> ServerOptions:
     parser.add_argument("address", help="loopback address to serve on; the ports are fixed in the clients")
     parser.add_argument("--mute", action="store_true", help="accept connections and never answer")
     parser.add_argument(
-        "--server-version", type=int, default=plain.server_version, help="what the arm claims to be"
+        "--server-version", type=int, default=plain.server_version, help="what it claims to be"
     )
     parser.add_argument("--hand-hz", type=float, default=plain.hand_hz, help="states of the hand per second")
     parser.add_argument("--log", type=Path, help="write every message to this file as JSON lines")

@@ -114,7 +114,7 @@ class Arm:
         return frozenset(found)
 
     def state_floats(self) -> np.ndarray:
-        """(320,) float32 of a state, in the order of ``STATE_FLOATS``."""
+        """(320,) float32 of a state, cut by ``STATE_SLICES``."""
         if self._floats is None:
             self._floats = np.zeros(STATE_FLOAT_COUNT, np.float32)
             for name, value in self._state_values().items():

@@ -66,9 +66,7 @@ ConnectStatus = IntEnum("ConnectStatus", "SUCCESS INCOMPATIBLE_VERSION", start=0
 # The torque control a Move asks for: controller, generator. Others exist; neither client here uses them.
 TORQUE_CONTROL = EXTERNAL, NO_GENERATOR = 2, 4
 OTHER = 3  # the controller that a state names without a motion
-RobotMode = IntEnum(
-    "RobotMode", "OTHER IDLE MOVE GUIDING REFLEX USER_STOPPED AUTOMATIC_ERROR_RECOVERY", start=0
-)
+RobotMode = IntEnum("RobotMode", "OTHER IDLE MOVE GUIDING REFLEX USER_STOPPED RECOVERY", start=0)
 
 
 class ErrorBit(IntEnum):
@@ -195,11 +193,9 @@ elbow_c 2 delbow_c 2 ddelbow_c 2 O_T_EE_c 16 O_dP_EE_c 6 O_ddP_EE_c 6 theta 7 dt
 accelerometer_top 18 accelerometer_bottom 18
 """
 _WORDS = _LAYOUT.split()
-STATE_FLOATS = {name: int(size) for name, size in zip(_WORDS[::2], _WORDS[1::2], strict=True)}
-_ENDS = np.cumsum(list(STATE_FLOATS.values())).tolist()
-STATE_SLICES = {
-    name: slice(end - size, end) for (name, size), end in zip(STATE_FLOATS.items(), _ENDS, strict=True)
-}
+_NAMES, _SIZES = _WORDS[::2], [int(size) for size in _WORDS[1::2]]
+_ENDS = np.cumsum(_SIZES).tolist()
+STATE_SLICES = {n: slice(end - size, end) for n, size, end in zip(_NAMES, _SIZES, _ENDS, strict=True)}
 STATE_FLOAT_COUNT = _ENDS[-1]  # 320
 _STATE = struct.Struct(f"<Q{4 * STATE_FLOAT_COUNT}sBB{ERRORS}s{ERRORS}sBf")
 STATE_BYTES = _STATE.size  # 1377
