@@ -224,7 +224,7 @@ class Episode:
             )
             self.robot = UniforceFranka(config, self.clock)
         self.robot._hand = self.hand  # type: ignore[assignment]
-        self._begin(lambda: self.robot._start_stream(self.robot._hand))
+        self._begin(lambda: self.robot._start_stream(self.hand))  # type: ignore[arg-type]
 
     def step(self) -> None:
         """Send one action and let the stream tick a few times; the clock may stand still or leap."""

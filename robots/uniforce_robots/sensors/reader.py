@@ -26,7 +26,6 @@ log = logging.getLogger(__name__)
 
 NS_PER_MS = 1e6
 NS_PER_S = 1e9
-MAX_BEHIND_S = 1.0
 JOIN_S = 3.0  # a driver may sit in a blocking read that long; see the capture's read time-outs
 now_ns = time.perf_counter_ns  # the clock of every stamp
 
@@ -49,6 +48,8 @@ class SourceCounts:
 
 class SampleSource(ABC):
     """One device, used by one thread; errors call it ``name``."""
+
+    max_behind_s = 1.0  # how long reading may lag behind before that is an error
 
     def __init__(self, name: str) -> None:
         self.name, self.counts = name, SourceCounts()
@@ -94,7 +95,7 @@ class SampleSource(ABC):
         now_s = time.monotonic()
         self._behind_since_s = min(self._behind_since_s, now_s) if is_full else float("inf")
         behind_s = now_s - self._behind_since_s
-        if behind_s > MAX_BEHIND_S:
+        if behind_s > self.max_behind_s:
             self._behind_since_s = float("inf")
             do = "Free the CPU of this machine; what waited is thrown away by opening anew."
             came = f"a queue for {behind_s:.2f} s"

@@ -1,12 +1,11 @@
 """Starts a stand-in as a process of its own and talks to it."""
 
-from __future__ import annotations
-
 import os
 import select
 import subprocess
 import sys
 import time
+from typing import Self
 
 from uniforce_vtla.errors import SensorError, expected
 
@@ -48,7 +47,7 @@ class StandIn:
             self.process.kill()
             self.process.communicate()
 
-    def __enter__(self) -> StandIn:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -154,7 +154,7 @@ def test_stopping_closes_the_device_and_nothing_is_delivered_after(pair):
 
 def test_a_backlog_is_an_error_only_while_it_lasts(monkeypatch: pytest.MonkeyPatch):
     clock, source = [0.0], ScriptedSource()
-    monkeypatch.setattr("uniforce_robots.sensors.reader.MAX_BEHIND_S", 0.25)
+    source.max_behind_s = 0.25
     monkeypatch.setattr("uniforce_robots.sensors.reader.time.monotonic", lambda: clock[0])
     for is_full in (True, True, False, True):  # one short read: it caught up
         assert source._more_waits(is_full) == is_full

@@ -103,8 +103,8 @@ def test_no_port_and_a_port_that_is_none(tmp_path: Path):
 def test_a_reader_that_cannot_keep_up_says_so(slcan: StandIn, monkeypatch: pytest.MonkeyPatch):
     """Scans that waited in the kernel would carry stamps that make them look new."""
     monkeypatch.setattr("uniforce_robots.sensors.uskin_slcan.FULL_BYTES", 1)  # whatever comes is a full read
-    monkeypatch.setattr("uniforce_robots.sensors.reader.MAX_BEHIND_S", 0.05)
     source = SlcanUSkin(slcan.address)
+    source.max_behind_s = 0.05
     source.open()
     with pytest.raises(StaleSensorError, match="keeps up"):
         for _ in range(10_000):

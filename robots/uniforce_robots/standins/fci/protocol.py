@@ -227,9 +227,11 @@ class RobotState:
     @classmethod
     def decode(cls, datagram: bytes) -> RobotState:
         """Return the state; raise ProtocolError for another size."""
-        message_id, body, *kind, errors, reflex, mode, rate = unpack(_STATE, datagram, "RobotState")
+        number, body, generator, controller, errors, reflex, mode, rate = unpack(
+            _STATE, datagram, "RobotState"
+        )
         floats = np.frombuffer(body, "<f4").copy()
-        return cls(message_id, floats, *kind, _bits(errors), _bits(reflex), mode, rate)
+        return cls(number, floats, generator, controller, _bits(errors), _bits(reflex), mode, rate)
 
 
 def _flags(bits: frozenset[int]) -> bytes:
