@@ -120,9 +120,7 @@ def torque_step(wire: list[dict]) -> float:
     return largest
 
 
-def test_however_far_the_target_the_press_is_stiffness_times_clip(
-    config: UniforceFrankaConfig, fci: StandIn
-) -> None:
+def test_however_far_the_target_the_press_is_stiffness_times_clip(config: UniforceFrankaConfig, fci: StandIn):
     config.gains = Gains((400.0, 400.0, 400.0), clip_m=(0.01, 0.01, 0.01))
     arm = Arm(config)
     arm.connect()
@@ -204,9 +202,7 @@ def test_under_the_stream_a_user_stop_ends_all(arm: Arm, fci: StandIn, patient: 
     stream.stop()
 
 
-def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(
-    config: UniforceFrankaConfig, fci: StandIn
-) -> None:
+def test_the_hand_opens_grasps_and_fails_to_one_command_at_a_time(config: UniforceFrankaConfig, fci: StandIn):
     client = HandClient(config)
     hand = Hand(client, config.gripper)
     hand.start()

@@ -93,9 +93,7 @@ def test_a_grasp_that_holds_nothing_is_counted_and_not_fatal() -> None:
 
 
 @pytest.mark.parametrize("width", [None, float("nan"), float("inf"), -0.1, 0.5])
-def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(
-    bench: Bench, width: float | None
-) -> None:
+def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(bench: Bench, width: float | None):
     if width is None:
         bench.client.fault = RobotError("gone", "hand_connection")
     else:

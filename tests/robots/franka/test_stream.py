@@ -58,9 +58,7 @@ def test_nothing_moves_before_the_first_action(arm: FakeArm, stream: ArmStream, 
     assert not arm.targets
 
 
-def test_an_action_is_reached_through_steps_between(
-    arm: FakeArm, started: Callable, eventually: Callable
-) -> None:
+def test_an_action_is_reached_through_steps_between(arm: FakeArm, started: Callable, eventually: Callable):
     stream = started(action_period_s=0.2)
     stream.submit(away(-0.02))
     eventually(lambda: bool(arm.targets) and abs(arm.targets[-1][1][2, 3] - 0.28) < 1e-9)
@@ -130,9 +128,7 @@ def test_a_robot_that_says_nothing_new_is_gone(arm: FakeArm, started: Callable, 
     assert caught.value.fault == "connection"
 
 
-def test_holding_takes_the_measured_pose_at_once(
-    arm: FakeArm, stream: ArmStream, eventually: Callable
-) -> None:
+def test_holding_takes_the_measured_pose_at_once(arm: FakeArm, stream: ArmStream, eventually: Callable):
     stream.hold()
     assert not arm.targets, "nothing to hold before the first action"
     arm.follows = False
@@ -145,9 +141,7 @@ def test_holding_takes_the_measured_pose_at_once(
     assert stream.stale_count == 0
 
 
-def test_a_mistake_in_a_backend_lets_the_arm_go_too(
-    arm: FakeArm, stream: ArmStream, eventually: Callable
-) -> None:
+def test_a_mistake_in_a_backend_lets_the_arm_go_too(arm: FakeArm, stream: ArmStream, eventually: Callable):
     arm.set_target = lambda pose: 1 / 0  # type: ignore[method-assign]
     stream.submit(away(-0.01))
     eventually(lambda: bool(arm.stopped_at))
@@ -218,9 +212,7 @@ def test_a_reading_that_cannot_be_ends_the_stream_by_name(
     assert all(np.isfinite(target).all() for _, target in arm.targets)
 
 
-def test_what_else_must_be_well_ends_the_stream(
-    arm: FakeArm, started: Callable, eventually: Callable
-) -> None:
+def test_what_else_must_be_well_ends_the_stream(arm: FakeArm, started: Callable, eventually: Callable):
     faults: list[RobotError] = []
 
     def watch() -> None:

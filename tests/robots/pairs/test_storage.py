@@ -61,9 +61,7 @@ def test_it_goes_on_where_it_stopped(tmp_path: Path, make_chunk: Make) -> None:
 
 
 @pytest.mark.parametrize("damage", ["behind", "half a pair", "ahead", "gone"])
-def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
-    tmp_path: Path, make_chunk: Make, damage: str
-) -> None:
+def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(tmp_path: Path, make_chunk: Make, damage: str):
     with opened(tmp_path) as store:
         store.add(*make_chunk(n=3))
         store.add(*make_chunk(n=3, seed=7))

@@ -186,9 +186,7 @@ def test_file_and_flags_make_devices(tmp_path: Path) -> None:
         ([], "recording_test", "no.yaml", "rig"),
     ],
 )
-def test_unknown_devices_and_settings_are_refused(
-    flags: list[str], teleop: str, file: str, reason: str
-) -> None:
+def test_unknown_devices_and_settings_are_refused(flags: list[str], teleop: str, file: str, reason: str):
     with pytest.raises(errors.ContractError, match=reason):
         read_devices(flags, True, teleop, file)
 

@@ -295,9 +295,7 @@ def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
     assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
 
 
-def test_another_sensor_than_configured_is_refused_before_anything_moves(
-    fake: FakeRig, tmp_path: Path
-) -> None:
+def test_another_sensor_than_configured_is_refused_before_anything_moves(fake: FakeRig, tmp_path: Path):
     captures = fake.captures
     captures["tactile_left"], captures["tactile_right"] = captures["tactile_right"], captures["tactile_left"]
     with pytest.raises(WrongSensorError, match="Another sensor answers"):

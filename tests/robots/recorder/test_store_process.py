@@ -79,9 +79,7 @@ def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path:
 
 
 @pytest.mark.slow
-def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(
-    store: StoreProcess, tmp_path: Path
-) -> None:
+def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store: StoreProcess, tmp_path: Path):
     record(store)
     store.add(row(0), "wipe")
     os.kill(store.pid, signal.SIGKILL)

@@ -62,9 +62,7 @@ def test_what_is_harmless_is_lived_with(leader: Any, gello: StandIn, fault: str)
     assert leader.device.counts.samples >= before + 20
 
 
-def test_a_mute_chain_is_no_connection(
-    gello: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mute_chain_is_no_connection(gello: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     gello.inject("mute")
     monkeypatch.setattr("uniforce_robots.teleop.gello.LIMITS", replace(LIMITS, first_ms=200.0))
     device = ours.UniforceGello(ours.UniforceGelloConfig(port=gello.address, calibration_dir=tmp_path))

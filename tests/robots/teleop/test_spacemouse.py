@@ -58,16 +58,12 @@ def test_a_push_moves_and_letting_go_stops(
     assert here["y.pos"] == measured[1] and here["yaw.pos"] == measured[3]
 
 
-def test_the_left_button_closes(
-    mouse: Any, spacemouse: StandIn, measured: np.ndarray, until: Callable[..., Any]
-) -> None:
+def test_the_left_button_closes(mouse: Any, spacemouse: StandIn, measured: np.ndarray, until: Callable):
     spacemouse.inject("close")
     until(lambda: mouse.get_action()["width.pos"], lambda width: width < measured[4] - 0.005)
 
 
-def test_a_queue_is_drained_before_it_is_followed(
-    mouse: Any, spacemouse: StandIn, until: Callable[..., Any]
-) -> None:
+def test_a_queue_is_drained_before_it_is_followed(mouse: Any, spacemouse: StandIn, until: Callable) -> None:
     """Forty reports per beat and no question: once the cap is let go, the very next answer is rest."""
     spacemouse.inject("burst")
     time.sleep(0.5)

@@ -61,9 +61,7 @@ def test_a_press_before_the_start_moves_nothing(keyboard: Any, measured: np.ndar
     assert not keyboard.keys.rates().any()
 
 
-def test_a_terminal_that_hangs_up_is_a_fault(
-    keyboard: Any, terminal: Type, fault_of: Callable[..., str]
-) -> None:
+def test_a_terminal_that_hangs_up_is_a_fault(keyboard: Any, terminal: Type, fault_of: Callable) -> None:
     terminal(b"")
     assert fault_of(keyboard.get_action) == "connection"
 
