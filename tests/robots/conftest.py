@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import pytest
 from uniforce_robots.standins.fci.process import StandIn as ArmStandIn
 from uniforce_robots.standins.process import StandIn
 
+# importlib mode gives test folders no package: their fakes are found here
+sys.path[:0] = [str(Path(__file__).parent / name) for name in ("franka", "recorder", "sensors", "teleop")]
 RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
 # name → how errors call the sensor, and options
 STANDINS = {

@@ -1,15 +1,11 @@
-import sys
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 from uniforce_robots.franka.limits import HARD_LIMITS, Range
 from uniforce_robots.franka.stream import StreamSettings
 from uniforce_robots.standins.fci.process import wait_until
-
-sys.path.insert(0, str(Path(__file__).parent))  # robot_fakes.py: importlib mode gives test folders no package
 
 
 @pytest.fixture

@@ -78,9 +78,8 @@ def reach(arm: Arm, fci: StandIn, goal: np.ndarray, tolerance_m: float = 2e-3) -
 def assert_still(fci: StandIn) -> None:
     """Assert that the arm rests a fifth of a second of its own time after now; it brakes within a tenth."""
     begun = fci.do("look")["arm"]["milliseconds"]
-    wait_until(
-        lambda: fci.do("look")["arm"]["milliseconds"] >= begun + 200, PATIENCE_s, "a fifth of a second"
-    )
+    later_ms = begun + 200
+    wait_until(lambda: fci.do("look")["arm"]["milliseconds"] >= later_ms, PATIENCE_s, "a fifth of a second")
     assert fci.do("look")["arm"]["speed_rad_s"] < 1e-3, "the arm still moves"
 
 

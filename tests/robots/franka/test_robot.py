@@ -42,9 +42,7 @@ def robot(
     robot = UniforceFranka(UniforceFrankaConfig(id="test", calibration_dir=tmp_path, stream=patient))
     yield robot
     robot.disconnect()
-    assert not [t for t in threading.enumerate() if t.name in ("arm-stream", "hand")], (
-        "a thread was left behind"
-    )
+    assert not [t for t in threading.enumerate() if t.name in ("arm-stream", "hand")], "a thread is left"
 
 
 def action(dx: float = 0.0, width: float = 0.08) -> dict[str, float]:

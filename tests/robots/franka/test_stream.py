@@ -1,11 +1,14 @@
 """The 100 Hz stream on a fake arm: ramps, watchdog, faults, and that every thread ends."""
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -180,10 +183,6 @@ def test_an_old_reading_is_not_given_out(arm: FakeArm) -> None:
 
 @pytest.mark.slow
 def test_a_program_that_forgets_to_disconnect_still_ends(tmp_path) -> None:
-    import subprocess
-    import sys
-    from pathlib import Path
-
     program = tmp_path / "forgetful.py"
     program.write_text(
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"

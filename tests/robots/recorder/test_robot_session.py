@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TextIO
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,25 +35,13 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
 
 
 def go(
-    fake: FakeRig,
-    root: Path,
-    operator: Operator,
-    teleop: Sway | None = None,
-    out: TextIO | None = None,
-    **settings: object,
+    fake: FakeRig, root: Path, operator: Operator, teleop: Any = None, out: Any = None, **settings: Any
 ) -> SessionEnd:
     plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
     teleop = teleop or sway(root.parent)
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
-    end = run_session(
-        fake.rig,
-        teleop,
-        operator,
-        store,
-        SessionSettings(**(plain | settings)),  # type: ignore[arg-type]
-        out=out,
-        open_store=open_recorder,
-    )
+    wanted = SessionSettings(**(plain | settings))  # type: ignore[arg-type]
+    end = run_session(fake.rig, teleop, operator, store, wanted, out=out, open_store=open_recorder)
     assert not fake.robot.is_connected and not teleop.is_connected
     assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
     return end
@@ -100,12 +88,7 @@ def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
 ) -> None:
     teleop = sway(tmp_path)
     quick = teleop.get_action
-
-    def slow() -> dict[str, float]:
-        time.sleep(2.5 / 30)
-        return quick()
-
-    monkeypatch.setattr(teleop, "get_action", slow)
+    monkeypatch.setattr(teleop, "get_action", lambda: time.sleep(2.5 / 30) or quick())
     console = io.StringIO()
     end = go(fake, tmp_path / "data", Unattended("success"), teleop, out=console, late_share=0.1)
     assert end.exit_code == 3 and "missed" in end.message
@@ -148,13 +131,12 @@ BREAKS: dict[str, tuple[str, str, str]] = {  # what breaks, how, the cause that 
 
 
 def break_it(fake: FakeRig, teleop: Sway, what: str, how: str) -> None:
-    match what:
-        case "arm":
-            fake.arm.mode = how
-        case "teleop":
-            teleop.error = RuntimeError(how)
-        case _:
-            fake.captures[what].fault = how
+    if what == "arm":
+        fake.arm.mode = how
+    elif what == "teleop":
+        teleop.error = RuntimeError(how)
+    else:
+        fake.captures[what].fault = how
 
 
 @pytest.mark.parametrize("name", BREAKS)

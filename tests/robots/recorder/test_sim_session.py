@@ -22,9 +22,8 @@ def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
     rig, root = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False), tmp_path / "data"
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
     settings = SessionSettings(episodes=2, episode_s=10.0)
-    end = run_session(
-        rig, sway(tmp_path), Unattended("success"), store, settings, 5, open_store=open_recorder
-    )
+    parts = rig, sway(tmp_path), Unattended("success"), store, settings
+    end = run_session(*parts, 5, open_store=open_recorder)
     assert end.exit_code == 0 and [e.label for e in end.endings] == ["failed_grasp"] * 2, "the scene judges"
     wanted = (keys.STATE, keys.ACTION, keys.OUTCOME, keys.SUCCESS, keys.SEED, keys.truth_wrench_key("left"))
     columns = read_source(root).columns(wanted)
@@ -36,6 +35,5 @@ def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
     observation, _ = env.reset(seed=6)
     first = dataset[STEPS]
     assert first["task"] == env.task
-    assert np.array_equal(
-        first[keys.tactile_key("left")].permute(1, 2, 0).numpy(), observation["pixels"]["tactile_left"]
-    )
+    image = first[keys.tactile_key("left")].permute(1, 2, 0).numpy()
+    assert np.array_equal(image, observation["pixels"]["tactile_left"])

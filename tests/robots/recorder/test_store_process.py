@@ -21,9 +21,8 @@ from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import STATE, camera_key, tactile_key
 
-FACTS = RigFacts(
-    "test", 30, {"left": "uskin", "right": "tactip"}, {"front": (48, 64, 3)}, windows={"left": 3}, paced=False
-)
+WORN, CAMERAS = {"left": "uskin", "right": "tactip"}, {"front": (48, 64, 3)}
+FACTS = RigFacts("test", 30, WORN, CAMERAS, windows={"left": 3}, paced=False)
 REFERENCE = dots(0)
 
 

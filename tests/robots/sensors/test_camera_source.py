@@ -43,16 +43,11 @@ def test_settings_are_asked_in_the_order_drivers_accept(capture: ScriptedCapture
     assert len(source.settings_read_back) == len(capture.asked) == 10
 
 
-@pytest.mark.parametrize(
-    ("prop", "name"),
-    [
-        (cv2.CAP_PROP_FOURCC, "fourcc"),
-        (cv2.CAP_PROP_FRAME_WIDTH, "width"),
-        (cv2.CAP_PROP_FPS, "fps"),
-        (cv2.CAP_PROP_AUTO_EXPOSURE, "auto_exposure"),
-        (cv2.CAP_PROP_WB_TEMPERATURE, "white_balance_K"),
-    ],
-)
+REFUSED = {cv2.CAP_PROP_FOURCC: "fourcc", cv2.CAP_PROP_FRAME_WIDTH: "width", cv2.CAP_PROP_FPS: "fps"}
+REFUSED |= {cv2.CAP_PROP_AUTO_EXPOSURE: "auto_exposure", cv2.CAP_PROP_WB_TEMPERATURE: "white_balance_K"}
+
+
+@pytest.mark.parametrize(("prop", "name"), REFUSED.items())
 def test_a_refused_setting_is_an_error_that_names_it(
     capture: ScriptedCapture, make: Callable, prop: int, name: str
 ):

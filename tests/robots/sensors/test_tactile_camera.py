@@ -1,5 +1,6 @@
 """The tactile camera as LeRobot sees it, against the MJPEG stand-in: markers, reference, every fault ten times."""
 
+import re
 from collections.abc import Callable, Iterator
 
 import cv2
@@ -63,16 +64,12 @@ def test_raw_frames_if_asked(mjpeg: StandIn):
         assert len(np.unique(camera.read_latest(60_000))) > 50
 
 
+DEAD = {"stall": faults.StaleSensorError, "freeze": faults.FrozenSensorError}
+DEAD |= {"size": faults.WrongSensorError, "stop": faults.LostSensorError}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("fault", "kind"),
-    [
-        ("stall", faults.StaleSensorError),
-        ("freeze", faults.FrozenSensorError),
-        ("size", faults.WrongSensorError),
-        ("stop", faults.LostSensorError),
-    ],
-)
+@pytest.mark.parametrize(("fault", "kind"), DEAD.items())
 def test_a_dead_camera_is_a_typed_error_and_comes_back(
     mjpeg: StandIn, camera: UniforceTactileCamera, fails_and_recovers: Callable, fault: str, kind: type
 ):
@@ -119,8 +116,6 @@ def test_a_lost_camera_cannot_be_connected(mjpeg: StandIn):
     ],
 )
 def test_configs_that_cannot_be(options: dict, says: str):
-    import re
-
     with pytest.raises(ContractError, match=re.escape(says)):
         config("http://127.0.0.1:1/", **options) if "source" not in options else config("")
 

@@ -45,20 +45,14 @@ def test_scans_are_those_of_the_contact_simulator(reader: SampleReader):
     assert all(scan.tobytes() in truth for scan in scans) and reader.counts.lost == 0
 
 
+DEAD = dict.fromkeys(("welcome", "stall"), faults.StaleSensorError)
+DEAD |= {"freeze": faults.FrozenSensorError, "stop": faults.LostSensorError}
+WRONG = {"sim": faults.SimulatedSensorError, "badframe": faults.ProtocolError}
+WRONG |= dict.fromkeys(("short", "absent"), faults.WrongSensorError)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("fault", "kind"),
-    [
-        ("welcome", faults.StaleSensorError),
-        ("stall", faults.StaleSensorError),
-        ("freeze", faults.FrozenSensorError),
-        ("stop", faults.LostSensorError),
-        ("sim", faults.SimulatedSensorError),
-        ("short", faults.WrongSensorError),
-        ("absent", faults.WrongSensorError),
-        ("badframe", faults.ProtocolError),
-    ],
-)
+@pytest.mark.parametrize(("fault", "kind"), (DEAD | WRONG).items())
 def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
     xela: StandIn, reader: SampleReader, fails_and_recovers: Callable, fault: str, kind: type
 ):

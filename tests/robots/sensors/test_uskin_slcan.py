@@ -50,17 +50,12 @@ def test_scans_are_those_of_the_contact_simulator_in_order(reader: SampleReader)
     assert np.all(np.diff(stamps_ns) >= 0)
 
 
+DEAD = dict.fromkeys(("stall", "missing", "duplicate"), StaleSensorError)
+DEAD |= {"freeze": FrozenSensorError, "unplug": LostSensorError}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("fault", "kind"),
-    [
-        ("stall", StaleSensorError),
-        ("missing", StaleSensorError),
-        ("duplicate", StaleSensorError),
-        ("freeze", FrozenSensorError),
-        ("unplug", LostSensorError),
-    ],
-)
+@pytest.mark.parametrize(("fault", "kind"), DEAD.items())
 def test_a_dead_patch_is_a_typed_error_and_comes_back(
     slcan: StandIn, reader: SampleReader, fails_and_recovers: Callable, fault: str, kind: type
 ):

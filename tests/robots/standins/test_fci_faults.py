@@ -53,14 +53,5 @@ def test_no_fault_of_the_states_reaches_what_is_said_beside_them(fci: StandIn) -
         before = fci.do("look")["arm"]
         for name in ("nan_state", "inf_state", "pose_jump", "velocity_beyond_physics", "garbage_state"):
             shown = fci.do("fault", name=name)["arm"]
-            assert {k: shown[k] for k in ("q_rad", "position_m", "speed_rad_s", "errors")} == {
-                k: before[k] for k in ("q_rad", "position_m", "speed_rad_s", "errors")
-            }
-
-
-@pytest.mark.slow
-def test_orders_of_faults_that_make_no_sense_are_refused(fci: StandIn) -> None:
-    for details in ({"name": "earthquake"}, {"name": ["nan_state"]}, {}):
-        with pytest.raises(ValueError, match="Error"):
-            fci.do("fault", **details)
-    assert fci.do("look")["fault"] == {"name": NONE, "last": NONE, "at_ms": None, "at_s": None}
+            for key in ("q_rad", "position_m", "speed_rad_s", "errors"):
+                assert shown[key] == before[key]

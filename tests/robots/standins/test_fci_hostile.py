@@ -117,9 +117,8 @@ def pose_jump(bench: Bench) -> None:
     before = bench.arm.newest()
     states = [bench.state(), bench.arm.state()]
     for state in states:
-        assert np.linalg.norm(state["O_T_EE"][12:15] - before["O_T_EE"][12:15]) == pytest.approx(
-            0.1, abs=0.02
-        )
+        jump_m = np.linalg.norm(state["O_T_EE"][12:15] - before["O_T_EE"][12:15])
+        assert jump_m == pytest.approx(0.1, abs=0.02)
         np.testing.assert_allclose(state["q"] - before["q"], [0.3, 0, 0, 0, 0, 0, 0], atol=1e-6)
     np.testing.assert_allclose(bench.truth_m(), before["O_T_EE"][12:15], atol=1e-6)
 
@@ -307,8 +306,6 @@ def slip_out(bench: Bench) -> None:
     seen = p.HandState.decode(fresh(bench.hand)[-1])
     assert not seen.is_grasped and seen.width_m == 0.0
 
-
-# --- all of them -----------------------------------------------------------------------------------------------------
 
 # every other fault is shown by the function of its name
 SHOWS: dict[str, Callable[[Bench], None]] = {

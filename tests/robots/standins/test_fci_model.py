@@ -48,14 +48,6 @@ def spring(arm: Arm, goal_m: np.ndarray, stiffness: float) -> np.ndarray:
     return arm.jacobian.T @ force
 
 
-def test_a_spring_pulls_the_hand_to_its_target() -> None:
-    arm = Arm()
-    goal = arm.ee_to_base[:3, 3] + [0.02, -0.01, -0.03]
-    for _ in range(1500):
-        arm.drive(spring(arm, goal, 1000.0))
-    np.testing.assert_allclose(arm.ee_to_base[:3, 3], goal, atol=1e-3)
-
-
 def test_pressing_on_the_wall_gives_stiffness_times_depth() -> None:
     arm = Arm(wall=Wall(height_m=0.47, stiffness_N_m=50000.0))
     goal = arm.ee_to_base[:3, 3] * [1, 1, 0] + [0, 0, 0.46]

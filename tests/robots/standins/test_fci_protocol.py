@@ -11,11 +11,8 @@ from properties import examples
 
 from uniforce_robots.standins.fci import protocol as p
 
-SIZES_OF = {  # payload sizes of libfranka-common's structures
-    p.CONNECT: 4,
-    p.MOVE: 113,
-    p.SETTERS[p.ArmCommand.SET_GUIDING_MODE]: 7,
-}
+# payload sizes of libfranka-common's structures
+SIZES_OF = {p.CONNECT: 4, p.MOVE: 113, p.SETTERS[p.ArmCommand.SET_GUIDING_MODE]: 7}
 
 
 def test_requests_have_the_published_size_and_are_read() -> None:

@@ -287,6 +287,10 @@ def lives(fci: StandIn) -> None:
 
 
 def test_orders_that_make_no_sense_are_refused(fci: StandIn) -> None:
-    for order in ({"what": "fly"}, {"what": "wrench", "newtons": [1]}, {"what": "wall"}):
+    wrong_faults = (
+        {"what": "fault", **details} for details in ({"name": "earthquake"}, {"name": ["reflex"]}, {})
+    )
+    for order in ({"what": "fly"}, {"what": "wrench", "newtons": [1]}, {"what": "wall"}, *wrong_faults):
         with pytest.raises(ValueError, match="Error"):
             fci.do(**order)
+    assert fci.do("look")["fault"] == {"name": "none", "last": "none", "at_ms": None, "at_s": None}

@@ -1,7 +1,6 @@
 """Each teleoperator, connected to a stand-in or a fake, so that one contract test serves all."""
 
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -11,9 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-# teleop_fakes.py: importlib mode gives test folders no package
-sys.path.insert(0, str(Path(__file__).parent))
 
 # LeRobot's base class makes a calibration folder below its cache as soon as a teleoperator is made
 os.environ.setdefault("HF_LEROBOT_CALIBRATION", tempfile.mkdtemp(prefix="uniforce-calibration-"))

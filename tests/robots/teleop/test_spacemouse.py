@@ -98,14 +98,10 @@ def test_no_device_says_what_to_do(tmp_path: Path) -> None:
 
 
 def test_spacemice_are_found_by_their_ids(tmp_path: Path) -> None:
-    ids = {
-        "hidraw0": "0003:0000256F:0000C635",
-        "hidraw1": "0003:0000046D:0000C626",
-        "hidraw2": "0003:0000046D:0000C52B",
-    }
-    for name, hid in ids.items():
-        (tmp_path / name / "device").mkdir(parents=True)
-        (tmp_path / name / "device" / "uevent").write_text(f"DRIVER=hid\nHID_ID={hid}\n")
+    for number, hid in enumerate(("0000256F:0000C635", "0000046D:0000C626", "0000046D:0000C52B")):
+        device = tmp_path / f"hidraw{number}" / "device"
+        device.mkdir(parents=True)
+        (device / "uevent").write_text(f"DRIVER=hid\nHID_ID=0003:{hid}\n")
     (tmp_path / "hidraw3").mkdir()
     assert find_spacemice(tmp_path) == ["/dev/hidraw0", "/dev/hidraw1"]
     assert find_spacemice(tmp_path / "nothing") == []

@@ -75,9 +75,6 @@ def test_without_a_terminal_there_is_no_keyboard(tmp_path: Any, monkeypatch: pyt
     assert not device.is_connected
 
 
-# --- hand guiding ------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def guide(connected: Callable[[str], Any], measured: np.ndarray) -> Any:
     device = connected("uniforce_hand_guide")
