@@ -9,8 +9,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from uniforce_robots import fr3
-from uniforce_robots.fr3 import HAND_TO_FLANGE, JOINTS, DQ_MAX_rad_s, HOME_q_rad, TAU_MAX_Nm
+from uniforce_robots.fr3 import (
+    HAND_TO_FLANGE,
+    JOINTS,
+    DQ_MAX_rad_s,
+    HOME_q_rad,
+    Q_MAX_rad,
+    Q_MIN_rad,
+    TAU_MAX_Nm,
+    posture,
+)
 from uniforce_robots.standins.fci.protocol import STATE_FLOAT_COUNT, STATE_SLICES, ErrorBit
 
 TICK_s = 0.001
@@ -55,9 +63,9 @@ class Arm:
     def refresh(self) -> None:
         """Recompute what follows from the joint angles and from what was set from outside."""
         self._floats: np.ndarray | None = None
-        posture = fr3.posture(self.q_rad)
-        self.ee_to_base = posture.flange_to_base @ HAND_TO_FLANGE
-        self.jacobian = posture.jacobian(self.ee_to_base[:3, 3])
+        here = posture(self.q_rad)
+        self.ee_to_base = here.flange_to_base @ HAND_TO_FLANGE
+        self.jacobian = here.jacobian(self.ee_to_base[:3, 3])
         self.twist = self.jacobian @ self.dq_rad_s  # of the hand, m/s and rad/s
         self.contact_N = self._contact()
         self.tau_ext_Nm = self.jacobian.T @ self.contact_N
@@ -109,7 +117,7 @@ class Arm:
             found.add(ErrorBit.JOINT_VELOCITY_VIOLATION)
         if self.twist[:3] @ self.twist[:3] > SPEED_MAX_m_s**2:
             found.add(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)
-        if np.any((self.q_rad < fr3.Q_MIN_rad) | (self.q_rad > fr3.Q_MAX_rad)):
+        if np.any((self.q_rad < Q_MIN_rad) | (self.q_rad > Q_MAX_rad)):
             found.add(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)
         return frozenset(found)
 

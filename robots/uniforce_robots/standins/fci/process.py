@@ -6,14 +6,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from uniforce_robots.standins import process
 from uniforce_robots.standins.fci.link import read_journal
 from uniforce_robots.standins.fci.server import CONTROL_PORT
+from uniforce_robots.standins.process import StandIn as AnyStandIn
 
 ANSWER_s = 10.0
 
 
-class StandIn(process.StandIn):
+class StandIn(AnyStandIn):
     """A running stand-in. Use as a context manager; ``do`` orders a fault and returns what the arm and hand show."""
 
     def __init__(self, address: str, *options: str, log: Path | None = None) -> None:
