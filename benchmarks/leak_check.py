@@ -109,8 +109,7 @@ def _pictures(pixels: dict[str, np.ndarray], side: int) -> np.ndarray:
 
 def _touch(pixels: dict[str, np.ndarray]) -> np.ndarray:
     pairs = [
-        (pixels[tactile_name(f, reference=True)][..., 0], pixels[tactile_name(f)][None, ..., 0], f)
-        for f in FINGERS
+        (pixels[tactile_name(f, reference=True)][..., 0], pixels[tactile_name(f)][None, ..., 0], f) for f in FINGERS
     ]
     return np.concatenate([descriptors(*pair)[0] for pair in pairs])
 

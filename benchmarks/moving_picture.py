@@ -66,9 +66,7 @@ class Watched:
 
 def film(config: MovingPictureConfig) -> tuple[Watched, Rollout]:
     """Roll the scene out; return what was seen at each chunk and the scored episode."""
-    env, controller = policy_on_rig(
-        config.policy, config.level, config.left_sensor, config.right_sensor, config.swap
-    )
+    env, controller = policy_on_rig(config.policy, config.level, config.left_sensor, config.right_sensor, config.swap)
     watched = Watched(controller)
     return watched, roll_out(env, watched, config.seed)
 

@@ -138,9 +138,7 @@ def measure(controller: PolicyController, moments: list[Look], seed: int = 0) ->
     }
 
 
-def _chunk(
-    controller: PolicyController, moment: Look, observation: Observation, noise: torch.Tensor
-) -> np.ndarray:
+def _chunk(controller: PolicyController, moment: Look, observation: Observation, noise: torch.Tensor) -> np.ndarray:
     controller.reset(None)  # no issued target: both chunks start from the measured state
     return controller.predict(observation, moment.task, noise)
 

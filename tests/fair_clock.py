@@ -67,9 +67,7 @@ class Witnesses:
             self._lost = mmap.mmap(shared.fileno(), 0)
         limits = (str(NAP_S), str(LATE_S))
         self.processes = [
-            subprocess.Popen(
-                [sys.executable, "-I", "-S", "-c", WITNESS, file.name, str(place), str(core), *limits]
-            )
+            subprocess.Popen([sys.executable, "-I", "-S", "-c", WITNESS, file.name, str(place), str(core), *limits])
             for place, core in enumerate(cores)
         ]
         self._path = file.name

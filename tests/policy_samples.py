@@ -20,9 +20,7 @@ OPEN = [0.6, 1.5]  # gates of two slots
 
 def small_config(cameras=("front", "wrist"), **settings):
     """Settings of a policy of two layers with cameras of 28 px, state and action of five axes."""
-    visual = {
-        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28)) for name in cameras
-    }
+    visual = {f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28)) for name in cameras}
     small = {
         "size": "tiny",
         "image_resolution": (28, 28),

@@ -136,10 +136,7 @@ REQUESTED = "provenance.requested"
 ABORT_CAUSES = (
     "none",
     *(f"{how}_{what}" for what in ("camera", "touch") for how in ("lost", "stale", "frozen", "bad")),
-    *(
-        f"robot_{fault}"
-        for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")
-    ),
+    *(f"robot_{fault}" for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")),
     *("robot_ended", "robot_backend", "robot_other", "teleop", "disk_full", "storage", "dropped_frame"),
     *("interrupt", "other"),
     *(f"robot_{fault}" for fault in ("bad_state", "jump", "speed", "force", "frozen", "guard", "sensor")),

@@ -154,9 +154,7 @@ def translate(model: Translator, source: Pictures, target_reference: np.ndarray,
     return Pictures(target_reference, drawn)
 
 
-def _batch(
-    rng: np.random.Generator, source: Pictures, target: Pictures, size: int, device: str
-) -> list[torch.Tensor]:
+def _batch(rng: np.random.Generator, source: Pictures, target: Pictures, size: int, device: str) -> list[torch.Tensor]:
     """Return source reference, source current, target reference, target current, (B, 1, S, S) each."""
     n, length = source.frames.shape[:2]
     row, frame = rng.integers(n, size=size), rng.integers(length, size=size)

@@ -28,9 +28,7 @@ def trained(table: Table, tokenizer: Tokenizer, seeds: int) -> dict[str, Callabl
     return makers
 
 
-def published(
-    table: Table, tokenizer: Tokenizer, seeds: int, paths: dict[str, str], t3_encoder: str
-) -> dict[str, Any]:
+def published(table: Table, tokenizer: Tokenizer, seeds: int, paths: dict[str, str], t3_encoder: str) -> dict[str, Any]:
     """Return the published encoders' rows (n/a without their weights) and the speed of all."""
     found = {name: Path(path) if path else None for name, path in paths.items()}
     return {

@@ -189,9 +189,7 @@ def load_t3(folder: Path, encoder: str, config: T3Config | None = None) -> T3Enc
     return model.eval().requires_grad_(False)
 
 
-def t3_row(
-    table: Table, seeds: int, folder: Path | None, encoder: str = "", device: str = "cpu"
-) -> PublishedRow:
+def t3_row(table: Table, seeds: int, folder: Path | None, encoder: str = "", device: str = "cpu") -> PublishedRow:
     """Return T3's row; without a folder "n/a", with one the encoder must be named."""
     if folder is None:
         with torch.device("meta"):

@@ -98,12 +98,9 @@ def report(scored: Sequence[ScoredPairs]) -> dict[str, Any]:
         "by_indenter": _by(indenter, flagged & goal, bad & goal, goal),
         "by_fault": _by(fault, flagged, bad),
         "by_true_error": {
-            f"{low:g}-{high:g}": _share(flagged, (error > low) & (error <= high) & goal)
-            for low, high in BANDS
+            f"{low:g}-{high:g}": _share(flagged, (error > low) & (error <= high) & goal) for low, high in BANDS
         },
-        "by_threshold": {
-            f"{limit:g}": precision_recall((estimated > limit)[goal], bad[goal]) for limit in THRESHOLDS
-        },
+        "by_threshold": {f"{limit:g}": precision_recall((estimated > limit)[goal], bad[goal]) for limit in THRESHOLDS},
     }
 
 

@@ -65,9 +65,7 @@ def main() -> int:
     passed = passed_files(frame_to_action())
     rooms = [file.split("/")[0] for file in passed]
     changes = sum(before != after for before, after in pairwise(rooms))
-    print(
-        json.dumps({"own_files": len(set(passed)), "changes_of_room": changes, "files": sorted(set(passed))})
-    )
+    print(json.dumps({"own_files": len(set(passed)), "changes_of_room": changes, "files": sorted(set(passed))}))
     return 0
 
 

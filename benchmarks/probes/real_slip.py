@@ -76,9 +76,7 @@ def _reference_gap(trials: Sequence[Trial]) -> float | None:
 def _check_rotation(rotation: Rotation, tokenizer: Tokenizer) -> None:
     size = tokenizer.config.latent
     if rotation.matrix.shape != (size, size):
-        raise ContractError(
-            expected("rotation", (size, size), rotation.matrix.shape, "Fit it on this tokenizer.")
-        )
+        raise ContractError(expected("rotation", (size, size), rotation.matrix.shape, "Fit it on this tokenizer."))
 
 
 def loads(signals: Signals, rotation: Rotation) -> dict[str, np.ndarray]:

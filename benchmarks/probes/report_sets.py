@@ -81,9 +81,7 @@ def _registry_sensors() -> Sensors:
 
 
 REPORT_SETS = {
-    "zero_shot_v1": ReportSet(
-        FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"
-    ),
+    "zero_shot_v1": ReportSet(FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"),
     "hetero_hard_v1": ReportSet(
         HETERO_HARD, HETERO_HARD_TRAINING, hetero_sensors, hetero_sensors, "zero_shot_force_hard.json"
     ),

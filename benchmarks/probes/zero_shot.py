@@ -58,9 +58,7 @@ def check_frozen(facts: dict[str, Any], frozen: dict[str, LabelledSet]) -> None:
     drawn = set_hash({sensor: labelled.digest for sensor, labelled in frozen.items()})
     if drawn != facts["set_hash"]:
         raise DatasetError(
-            expected(
-                "frozen zero-shot set", facts["set_hash"], drawn, "The contact model changed: freeze anew."
-            )
+            expected("frozen zero-shot set", facts["set_hash"], drawn, "The contact model changed: freeze anew.")
         )
 
 

@@ -63,9 +63,7 @@ BREAKAGES: dict[str, Breakage] = {
     "uskin_stalls": _uskin("stall", "stale_touch"),
     "uskin_loses_taxels": _uskin("missing", "stale_touch"),
     "uskin_unplugged": _uskin("unplug", "lost_touch", "stale_touch"),
-    "arm_reflex": Breakage(
-        lambda rig: rig.arm.do("reflex"), lambda rig: None, ("aborted:robot_reflex",), True
-    ),
+    "arm_reflex": Breakage(lambda rig: rig.arm.do("reflex"), lambda rig: None, ("aborted:robot_reflex",), True),
 }
 
 

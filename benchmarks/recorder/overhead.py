@@ -48,9 +48,7 @@ def _read(plan: Plan) -> dict[str, Any]:
         program = [sys.executable, "-m", "benchmarks.recorder.observation_read"]
         command = [*program, rig.arm.address, str(plan.overhead_s), str(folder)]
         wait_s = (START_s + plan.overhead_s) * plan.patience
-        ended = subprocess.run(
-            command, capture_output=True, text=True, env=environment(), timeout=wait_s, check=False
-        )
+        ended = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=wait_s, check=False)
     if ended.returncode:
         raise TrialError(expected("observation_read", "exit code 0", ended.returncode, ended.stderr[-500:]))
     found: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])

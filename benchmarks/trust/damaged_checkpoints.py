@@ -167,9 +167,7 @@ def _tokenizer(name: str, damage: Damage) -> CheckpointDamage:
 
 
 def _head_of(name: str, damage: Damage) -> CheckpointDamage:
-    return CheckpointDamage(
-        f"force head: {name}", damage, ASSETS / "small" / "force_head_tactip", _read_force
-    )
+    return CheckpointDamage(f"force head: {name}", damage, ASSETS / "small" / "force_head_tactip", _read_force)
 
 
 CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (

@@ -43,9 +43,7 @@ def attack(episodes: int, seed: int) -> dict[str, Any]:
         found = drive(min(CHUNK, episodes - chunk), seed + chunk // CHUNK)
         sent, actions = sent + found["sent"], actions + found["actions"]
         violations += [f"seed {seed + chunk // CHUNK}: {what}" for what in found["violations"]]
-        faults = {
-            name: faults.get(name, 0) + found["faults"].get(name, 0) for name in faults | found["faults"]
-        }
+        faults = {name: faults.get(name, 0) + found["faults"].get(name, 0) for name in faults | found["faults"]}
     return settings | {
         "actions": actions,
         "sent_cases": sent,

@@ -31,9 +31,7 @@ def open_dataset(
         DatasetError: see ``check_dataset``.
     """
     source = check_dataset(root, verify)
-    return LeRobotDataset(
-        repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options)
-    )
+    return LeRobotDataset(repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options))
 
 
 def check_dataset(root: str | Path, verify: str = "quick", within: Path | None = None) -> Source:

@@ -34,9 +34,7 @@ class RawVideo:
         encoder: shared by all fingers.
     """
 
-    def __init__(
-        self, staged: Path, shapes: Mapping[Finger, tuple[int, ...]], encoder: PerKeyEncoder
-    ) -> None:
+    def __init__(self, staged: Path, shapes: Mapping[Finger, tuple[int, ...]], encoder: PerKeyEncoder) -> None:
         self._staged, self._shapes, self._encoder = staged, dict(shapes), encoder
         self._begun = False
 

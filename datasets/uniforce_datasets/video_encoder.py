@@ -64,9 +64,7 @@ class PerKeyEncoder(StreamingVideoEncoder):
         self._realtime = realtime
         av.logging.set_libav_level(av.logging.ERROR)  # x264 prints a page per video otherwise
 
-    def start_episode(
-        self, video_keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None = None
-    ) -> None:
+    def start_episode(self, video_keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None = None) -> None:
         """Start one encoder per key, each with its own codec."""
         self.cancel_episode()
         self._dropped_frames.clear()
@@ -95,9 +93,7 @@ class PerKeyEncoder(StreamingVideoEncoder):
         while self._frame_queues[key].full() and self._threads[key].is_alive():
             if time.monotonic() > deadline:
                 raise DatasetError(
-                    expected(
-                        key, "a video encoder that moves", f"none in {PATIENCE_s} s", "Free the machine."
-                    )
+                    expected(key, "a video encoder that moves", f"none in {PATIENCE_s} s", "Free the machine.")
                 )
             time.sleep(POLL_s)
 

@@ -30,9 +30,7 @@ TOUCH = (
     "Markers: cyan where they are in free air, red where they are now, white where both."
     " Latent: how far each patch's latent force is from free air, as the sensor sees it; one scale per finger."
 )
-CHANNELS = (
-    "Every channel of the latent where both fingers hold hardest: what a policy's force tokens are made of."
-)
+CHANNELS = "Every channel of the latent where both fingers hold hardest: what a policy's force tokens are made of."
 
 
 def write_sheet(summary: EpisodeSummary, facts: Mapping[str, str], folder: Path, stem: str) -> Path:

@@ -72,9 +72,7 @@ def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: floa
     return 1
 
 
-def _next_response(
-    finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]
-) -> np.ndarray | None:
+def _next_response(finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]) -> np.ndarray | None:
     """Return the first (4,) response of the quarters that is ``wanted``; None where none came in time."""
     index, end_s = -1, time.monotonic() + seconds
     while time.monotonic() < end_s:

@@ -53,10 +53,7 @@ def test_the_committed_tests_follow_from_the_committed_letters() -> None:
     reports = {
         name: ArmReport(
             name,
-            [
-                replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C")
-                for seed, c in enumerate(arm["by_seed"])
-            ],
+            [replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C") for seed, c in enumerate(arm["by_seed"])],
         )
         for name, arm in TABLE["arms"].items()
     }

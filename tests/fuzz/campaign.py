@@ -85,9 +85,7 @@ def byte_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
             target.feed(rng, data)
 
         calm = np.random.default_rng(0)
-        yield run(
-            name, inputs, read, lambda target=target, calm=calm: target.feed(calm, target.seed), target.typed
-        )
+        yield run(name, inputs, read, lambda target=target, calm=calm: target.feed(calm, target.seed), target.typed)
 
 
 def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str, object]]:

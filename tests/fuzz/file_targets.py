@@ -117,9 +117,7 @@ def descriptor_head(folder: Path) -> FileTarget:
     config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
     DescriptorHead(ForceRegressor(config), "tactip").save(folder / "data")
     seen = np.zeros((2, len(DESCRIPTOR_NAMES)))
-    return FileTarget(
-        folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen)
-    )
+    return FileTarget(folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen))
 
 
 def adapter(folder: Path) -> FileTarget:
@@ -130,9 +128,7 @@ def adapter(folder: Path) -> FileTarget:
 def transfer(folder: Path) -> FileTarget:
     root = folder / "data"
     SensorTransfer(["gelsight", "tactip"], 12, HASH).save(root / FOLDER, {})
-    return FileTarget(
-        root, lambda: SensorTransfer.from_pretrained(root, HASH).mapped(torch.zeros(2, 12), 0, 1)
-    )
+    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root, HASH).mapped(torch.zeros(2, 12), 0, 1))
 
 
 def policy(folder: Path) -> FileTarget:

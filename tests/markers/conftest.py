@@ -88,9 +88,7 @@ def _dome(
 
 
 def _fisheye_hexagon(rings: int) -> tuple[np.ndarray, np.ndarray]:
-    axial = [
-        (q, r) for q in range(-rings, rings + 1) for r in range(-rings, rings + 1) if abs(q + r) <= rings
-    ]
+    axial = [(q, r) for q in range(-rings, rings + 1) for r in range(-rings, rings + 1) if abs(q + r) <= rings]
     points = np.array([(q + r / 2, r * np.sqrt(3) / 2) for q, r in axial]) / rings
     radius = np.hypot(*points.T)
     squeeze = np.sin(radius * 1.15) / np.sin(1.15) / np.maximum(radius, 1e-9)

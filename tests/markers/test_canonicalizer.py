@@ -124,9 +124,7 @@ def test_all_real_trials_are_rendered(real_folder: Path, log: str, finger: str):
 
 @pytest.mark.real
 def test_free_air_and_held_scans_look_different(real_folder: Path):
-    scans = read_uskin_csv(
-        real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv"
-    )
+    scans = read_uskin_csv(real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv")
     reference = capture_taxel_reference(scans[-FREE_SCANS:])
     canon = Canonicalizer("uskin")
     canon.set_reference(reference)

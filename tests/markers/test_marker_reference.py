@@ -114,9 +114,7 @@ def test_lost_markers_are_warned_of_once_and_then_refused() -> None:
         warnings.simplefilter("error")
         canonicalizer.marker_image(half_blind(0.1))
     for share, left in ((0.5, 40), (0.75, 16)):
-        with pytest.raises(
-            SensorError, match=f"expected the 80 markers of the reference, got {left} of them"
-        ):
+        with pytest.raises(SensorError, match=f"expected the 80 markers of the reference, got {left} of them"):
             canonicalizer.marker_image(half_blind(share))
 
 

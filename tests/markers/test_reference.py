@@ -50,9 +50,7 @@ def test_dead_scans_are_no_reference():
         capture_taxel_reference([np.zeros((16, 3), np.int64)] * 5)
 
 
-@pytest.mark.parametrize(
-    "scans", [[], [FREE], [FREE, FREE], [FREE, FREE, FREE.astype(float)], [FREE[:3]] * 4]
-)
+@pytest.mark.parametrize("scans", [[], [FREE], [FREE, FREE], [FREE, FREE, FREE.astype(float)], [FREE[:3]] * 4])
 def test_too_few_or_malformed_scans(scans):
     with pytest.raises(ContractError):
         capture_taxel_reference(scans)

@@ -57,9 +57,7 @@ def test_shear_moves_right_and_up(canon, x, y, moved):
     assert np.allclose(canon.markers(loaded(5, x, y))[5] - canon.markers(BASELINE)[5], moved, atol=0.1)
 
 
-@pytest.mark.parametrize(
-    "z, diameter_px", [(0, 13.9), (900, 43.9), (3500, 83.3), (5900, 107.6), (20_000, 107.6)]
-)
+@pytest.mark.parametrize("z, diameter_px", [(0, 13.9), (900, 43.9), (3500, 83.3), (5900, 107.6), (20_000, 107.6)])
 def test_pressure_grows_the_disc_by_its_law(canon, z, diameter_px):
     grown = area(canon.marker_image(loaded(5, z=z))) - area(canon.marker_image(BASELINE)) * 15 / 16
     assert 2 * np.sqrt(grown / np.pi) == pytest.approx(diameter_px, abs=1.0)

@@ -151,9 +151,7 @@ def failing(error: BaseException) -> Callable[[], int]:
         (ContractError("http://anna:s3cret@cam"), 2, "uniforce-x: http://***@cam"),
     ],
 )
-def test_an_error_is_one_line(
-    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_is_one_line(error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert guarded("uniforce-x", failing(error)) == code
     out, err = capsys.readouterr()
     assert not out and err.startswith(line) and err.count("\n") == 1

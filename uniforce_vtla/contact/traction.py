@@ -46,9 +46,7 @@ def solve_traction(
     return _cap(ratio, p_MPa, arm, shear_N, torsion_Nmm, friction) * p_MPa[:, None]
 
 
-def transmitted(
-    p_MPa: np.ndarray, q_MPa: np.ndarray, position_mm: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def transmitted(p_MPa: np.ndarray, q_MPa: np.ndarray, position_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the force (B, 3) in N and the moment about the centre of pressure (B,) in Nmm carried by a field."""
     centre = (p_MPa @ position_mm) / np.maximum(p_MPa.sum(axis=1, keepdims=True), 1e-9)
     arm = position_mm.T[None] - centre[:, :, None]
@@ -87,8 +85,6 @@ def _cap(
         q = ratio * p[:, None]
         missing = shear_N - q.sum(axis=2) * CELL_AREA_MM2  # (B, 2)
         sticking = p * (length < friction)
-        ratio = (
-            ratio + _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm)) * (sticking > 0)[:, None]
-        )
+        ratio = ratio + _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm)) * (sticking > 0)[:, None]
     length = np.sqrt((ratio**2).sum(axis=1))
     return ratio * np.minimum(1, friction / np.maximum(length, 1e-9))[:, None]

@@ -59,9 +59,7 @@ def as_virtual(sensor: str | VirtualSensor) -> VirtualSensor:
 def hidden_sensors() -> dict[str, VirtualSensor]:
     """Return three sensors that look usual and answer unlike the family: for label-free calibration."""
     gel, dome, taxels = MATERIALS["gelsight"], MATERIALS["tactip"], MATERIALS["uskin"]
-    assert (
-        isinstance(gel, PadMaterial) and isinstance(dome, PadMaterial) and isinstance(taxels, TaxelMaterial)
-    )
+    assert isinstance(gel, PadMaterial) and isinstance(dome, PadMaterial) and isinstance(taxels, TaxelMaterial)
     stiff = replace(
         gel,
         rated_force_N=gel.rated_force_N * 1.6,

@@ -104,9 +104,7 @@ def _carry(time_s: np.ndarray, start: int) -> slice:
     return slice(start, int(np.searchsorted(time_s, end_s)))
 
 
-def _check(
-    time_s: np.ndarray, force_N: np.ndarray, tool_z_m: np.ndarray, pad_friction: tuple[float, float]
-) -> None:
+def _check(time_s: np.ndarray, force_N: np.ndarray, tool_z_m: np.ndarray, pad_friction: tuple[float, float]) -> None:
     n = len(time_s)
     if n < 2 or force_N.shape != (n, 2, 3) or tool_z_m.shape != (n,):
         came = f"{time_s.shape}, {force_N.shape}, {tool_z_m.shape}"

@@ -25,9 +25,7 @@ MIN_RING_PX = 25  # sampled pixels needed to fit a circle
 BLACK_LEVEL = 12  # grey levels: no pixel brighter means the lights or the camera are off
 
 
-type Rim = tuple[
-    np.ndarray, float
-]  # centre (2,) x, y of the bright ring, and how far from it markers lie, px
+type Rim = tuple[np.ndarray, float]  # centre (2,) x, y of the bright ring, and how far from it markers lie, px
 
 
 @dataclass(frozen=True)
@@ -52,9 +50,7 @@ class Segmentation:
         return image
 
 
-def segment(
-    working: np.ndarray, dome: bool, plan: MarkerPlan | None = None, rim: Rim | None = None
-) -> Segmentation:
+def segment(working: np.ndarray, dome: bool, plan: MarkerPlan | None = None, rim: Rim | None = None) -> Segmentation:
     """Return the markers of an (h, w, 3) uint8 RGB frame from ``fit_canonical``.
 
     Args:

@@ -73,9 +73,7 @@ def _by_promise(plans: list[MarkerPlan], scores: np.ndarray, sides: np.ndarray) 
     same = np.array([plan.polarity == best.polarity for plan in plans])
     wide = widths >= BACKGROUND_PER_SIDE * sides[np.argmax(scores)]
     favoured = same & wide & (scores >= CLOSE_SCORE * scores.max())
-    return sorted(
-        range(len(plans)), key=lambda i: (not favoured[i], widths[i] if favoured[i] else 0, -scores[i])
-    )
+    return sorted(range(len(plans)), key=lambda i: (not favoured[i], widths[i] if favoured[i] else 0, -scores[i]))
 
 
 def _judge_plan(view: np.ndarray, plan: MarkerPlan, halve: int) -> tuple[float, float]:

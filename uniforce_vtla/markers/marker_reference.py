@@ -20,9 +20,7 @@ from uniforce_vtla.markers.marker_blobs import spacing
 
 WARN_SHARE = 0.05  # of the reference's markers lost: said once
 RETRY_SHARE = 0.20  # lost: other channels are tried
-REFUSE_SHARE = (
-    0.25  # lost: refused; honest contacts at full load lose up to 12.5 % (GelSight) and 18.9 % (TacTip)
-)
+REFUSE_SHARE = 0.25  # lost: refused; honest contacts at full load lose up to 12.5 % (GelSight) and 18.9 % (TacTip)
 RETRIES = ("least", "gray", "blue", "value")  # those channels, in this order
 REACH = 2.0  # spacings: a marker's greatest motion; simulated pins move 1.7 under 16 N and 8 N of shear
 STILL = 0.3  # spacings: where 98 % moved less, a marker's nearest reference is its own
@@ -111,9 +109,7 @@ class MarkerReference:
         extra = self._extras(found.blobs.markers)
         dropped = int(extra.sum())
         matched = min(self._tree.n, len(extra) - dropped)
-        return replace(found, blobs=found.blobs.without(extra)), MarkerMatch(
-            matched, self._tree.n - matched, dropped
-        )
+        return replace(found, blobs=found.blobs.without(extra)), MarkerMatch(matched, self._tree.n - matched, dropped)
 
     def _extras(self, points: np.ndarray) -> np.ndarray:
         """Return (M,) bool: which of (M, 2) points match no marker of the reference."""

@@ -31,9 +31,7 @@ PRESSED_COUNTS = 300.0  # a taxel this far *below* its reference was pressed the
 PRESSED_TAXELS = 4  # so many of 16: one alone may be cross-talk (0.4 % of real taxels read below −30)
 
 
-def capture_taxel_reference(
-    scans: Sequence[np.ndarray], resting_level: np.ndarray | None = None
-) -> np.ndarray:
+def capture_taxel_reference(scans: Sequence[np.ndarray], resting_level: np.ndarray | None = None) -> np.ndarray:
     """Return the (16, 3) int64 median of several free-air scans of (16, 3) counts.
 
     Args:

@@ -40,9 +40,7 @@ def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
         do = "Capture it again."
         raise ContractError(expected("reference", f"at least {MIN_MATCHES} markers", len(before.area_px), do))
     reach = marker_pitch_px(before.centre_px)
-    return np.stack(
-        [_describe_one(before, find_blobs(check_marker_image(image)), reach) for image in current]
-    )
+    return np.stack([_describe_one(before, find_blobs(check_marker_image(image)), reach) for image in current])
 
 
 def find_blobs(image: np.ndarray) -> Blobs:

@@ -105,12 +105,8 @@ def _stacked(batches: list[PairBatch]) -> dict[str, np.ndarray]:
 
 def _canonical(*images: np.ndarray) -> Pairs:
     """Return a batch for the model from images (…, S, S) uint8 by ``NAMES``, as the sensors saw them."""
-    flat = [
-        torch.from_numpy(np.ascontiguousarray(i.reshape(-1, 1, *i.shape[-2:]))).float() / 255 for i in images
-    ]
-    return Pairs(
-        *(to_canonical(i, "left" if "left" in name else "right") for name, i in zip(NAMES, flat, strict=True))
-    )
+    flat = [torch.from_numpy(np.ascontiguousarray(i.reshape(-1, 1, *i.shape[-2:]))).float() / 255 for i in images]
+    return Pairs(*(to_canonical(i, "left" if "left" in name else "right") for name, i in zip(NAMES, flat, strict=True)))
 
 
 def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]) -> PairBatch:
