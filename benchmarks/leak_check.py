@@ -5,8 +5,6 @@ stiffness. Trees read three frames of state, a small CNN three frames of both ca
 trees read the press well from touch.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass

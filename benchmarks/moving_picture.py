@@ -1,7 +1,5 @@
 """The README's moving picture: one wipe, what both pads show, and the press below."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Is the scene's physics right, and what does it cost?  One page of figures and the numbers behind it."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 from collections.abc import Callable

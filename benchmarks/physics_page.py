@@ -1,7 +1,5 @@
 """The page of figures about the scene's physics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Measure how long the policy takes from an observation to a chunk, LeRobot's own loop beside ours."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ The idea of N0-VTLA's modality probe: a change of the chunk is measured against 
 separately with and without contact. A policy that ignores touch moves no further than zero.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Fit what the other finger's latent would be, whatever sensor it wears, for policies that shall swap sensors."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path

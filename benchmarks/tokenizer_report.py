@@ -1,7 +1,5 @@
 """What the tokenizer is worth: zero-shot force on frozen sets, charts, real recordings."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys

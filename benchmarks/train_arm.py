@@ -1,7 +1,5 @@
 """Train one checkpoint of the wiping benchmark as the plan says, with LeRobot's own trainer; resumable."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from dataclasses import dataclass

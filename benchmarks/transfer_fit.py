@@ -6,8 +6,6 @@ wedged between pads that stick. In the wiping scene the fingers' forces along th
 episode to episode, sideways by up to 4 N, and their torsions by 50 Nmm, as much as each of them is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The wiping benchmark: all arms on paired seeds, in turns, with the plan's tests; or a replay of its table."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys

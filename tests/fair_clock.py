@@ -7,8 +7,6 @@ they were starved runs again, a few times: a test that fails each time has faile
 machine. On a machine that is calm nothing changes: a failure is a failure the first time.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import struct

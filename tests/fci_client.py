@@ -1,7 +1,5 @@
 """A client of the stand-in arm and hand in plain sockets, so that the wire is tested without a vendor's wheel."""
 
-from __future__ import annotations
-
 import socket
 import struct
 from collections.abc import Callable

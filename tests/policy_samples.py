@@ -1,7 +1,5 @@
 """What tests of the policy's network share: its inputs, norms that do something, LeRobot's own loop beside ours."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every error a user can meet: what was expected, what came, what to do."""
 
-from __future__ import annotations
-
 import re
 
 

@@ -4,8 +4,6 @@
 ``observation.`` prefix never reaches a policy, which is what truth and provenance columns need.
 """
 
-from __future__ import annotations
-
 from uniforce_vtla.contracts import FINGERS, Finger
 
 STATE = "observation.state"

@@ -1,7 +1,5 @@
 """What an option may be, declared as the type of its field: ranges, choices, names, files to read or to write."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 Key layout from the project's code (MIT); transformers' CLIP classes are used, so the names are theirs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

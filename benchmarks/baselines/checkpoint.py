@@ -1,7 +1,5 @@
 """Foreign checkpoints: read without running their code, loaded by strict key match."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from pickle import UnpicklingError

@@ -1,7 +1,5 @@
 """UniForce (FT): our tokenizer's encoder and a head, fine-tuned together on the source's labels."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Rows of published encoders: frozen, seen through the same head; "n/a" where their weights aren't on disk."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

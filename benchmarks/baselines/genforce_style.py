@@ -5,8 +5,6 @@ a U-Net instead of latent diffusion. It is *not* zero-shot: it needs the target'
 and a model per target. It needs no label of the target.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 

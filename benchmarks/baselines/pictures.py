@@ -1,7 +1,5 @@
 """What a row may look at when it predicts: pictures, never labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The supervised row: a ResNet on reference and current image, trained end to end on the source's labels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import torch

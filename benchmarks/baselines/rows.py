@@ -1,7 +1,5 @@
 """Rows of other people's ideas in the force table: trained here, or read from official weights on disk."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Key layout from the project's code (MIT); the blocks are written here with the n
 Its own loader takes ``gs_green`` in silence for a sensor without an encoder. Here the encoder must be named.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

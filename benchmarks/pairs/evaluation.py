@@ -4,8 +4,6 @@ Sessions are judged in order, as a recorder would: the first grasps with nothing
 respect that frames of one grasp are alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

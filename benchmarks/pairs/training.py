@@ -1,7 +1,5 @@
 """Training of the pair recorder's force readers in simulation, on many units."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 

@@ -5,8 +5,6 @@ cameras, prompt and flow steps at small widths, so that neither launches nor pro
 ``base`` is the real size, for a GPU.
 """
 
-from __future__ import annotations
-
 import copy
 import statistics
 import time

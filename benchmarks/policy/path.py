@@ -1,7 +1,5 @@
 """How many of our own files one call passes, and how often it changes from one top-level room to another."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable

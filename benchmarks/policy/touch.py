@@ -6,8 +6,6 @@ LeRobot's own layers, as ``base`` does. (Through torch's fused attention, which 
 costs a third of a step on a CPU: a mask with a gradient sends torch to its slow path. ``tiny`` has no gate.)
 """
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Callable
 from typing import Any

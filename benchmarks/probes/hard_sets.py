@@ -8,8 +8,6 @@ canonicalizer; rubber creeps, so pictures lag behind their labels; six unseen in
 ``heldout_hidden_v1``: three that look usual and are stiffer, softer or more sensitive than the family: calibration.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, field, replace
 

@@ -3,8 +3,6 @@
 Every sensor gets the *same* contacts (one seed): what differs between cells of the table is the sensor alone.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import asdict, dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The axes of the latent that follow force: a rotation fitted once, on one simulated sensor's labels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ latent?  Raw counts and the hand descriptor answer the same questions by the sam
 read all of it as an indication.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

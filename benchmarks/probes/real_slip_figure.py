@@ -1,7 +1,5 @@
 """Real grasps as a picture: normal load of both fingers, slip scores over time, and AUROC beside its controls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

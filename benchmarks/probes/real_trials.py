@@ -1,7 +1,5 @@
 """Real grasps on disk: two uSkins on a Franka hand, pick-and-move trials with slip labels and no force labels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

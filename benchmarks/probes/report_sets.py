@@ -1,7 +1,5 @@
 """The frozen sets a tokenizer is reported on: which sensors, drawn how, with heads trained on what."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

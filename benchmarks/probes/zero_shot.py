@@ -3,8 +3,6 @@
 Sets are frozen: they must draw to the hash committed before the shipped checkpoint was trained.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Who used the cores: CPU seconds of groups of processes over a stretch of time."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterable

@@ -3,8 +3,6 @@
 In one attended session again and again, and once unattended.
 """
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """What recording costs: the robot's read, the recorder's processes in cores, and the taxels' rate and age."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

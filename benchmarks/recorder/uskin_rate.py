@@ -1,7 +1,5 @@
 """The taxels' full rate against the stand-in: scans per second, how old the newest is, and whether any was lost."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

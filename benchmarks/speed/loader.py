@@ -1,7 +1,5 @@
 """How fast demos reach the trainer: stock LeRobot and the training view on the same data, in the same run."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from pathlib import Path

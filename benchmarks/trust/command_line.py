@@ -3,8 +3,6 @@
 Each must end at once with one line that names what is wrong, exit code 2 and every published file as it was.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import logging

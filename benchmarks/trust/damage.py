@@ -1,7 +1,5 @@
 """Damage datasets and checkpoints in every named way, see what refuses them: ``python -m benchmarks.trust.damage``."""
 
-from __future__ import annotations
-
 import logging
 import os
 import shutil

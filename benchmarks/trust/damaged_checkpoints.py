@@ -1,7 +1,5 @@
 """Damages of shipped checkpoints, each tried on a copy: every one must be refused at load."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

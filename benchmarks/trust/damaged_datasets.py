@@ -1,7 +1,5 @@
 """Kinds of damage to a recorded dataset and to a training view, each a small function on a copy."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -6,8 +6,6 @@ measured pose. In a share of the episodes the stream's own target is replaced by
 number, so that the last check stands alone.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path

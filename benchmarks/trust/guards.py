@@ -3,8 +3,6 @@
 Tries every bad setting, then drives the whole chain with random limits, states and actions, and counts what was sent.
 """
 
-from __future__ import annotations
-
 import logging
 import sys
 from dataclasses import dataclass

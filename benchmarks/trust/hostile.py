@@ -3,8 +3,6 @@
 Each client is a program of its own, the two side by side. What is there already isn't tried again.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -4,8 +4,6 @@ A program of its own: both clients in one process fail to import. Appends one JS
 is there, so it can be begun again. Nothing here was ever run on hardware.
 """
 
-from __future__ import annotations
-
 import contextlib
 import faulthandler
 import json

@@ -1,7 +1,5 @@
 """Pooled latents of an episode's marker images, by whatever encodes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """Open a recorded dataset only if it is what was saved: its hashes, whole files, references, exact marker video."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Not a LeRobot feature, on purpose: LeRobot hands every video key to a policy as 
 training sample. These are kept so that demonstrations survive a better canonicaliser, and nothing else reads them.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

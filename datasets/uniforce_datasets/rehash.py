@@ -1,7 +1,5 @@
 """Write a dataset's hashes anew once its content is checked: after LeRobot's own tools changed it."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 

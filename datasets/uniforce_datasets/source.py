@@ -1,7 +1,5 @@
 """Read a recorded dataset file by file, without LeRobot and without the hub: whole or not at all."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A training view in the place of a LeRobotDataset: what LeRobot's trainer asks for, from arrays."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

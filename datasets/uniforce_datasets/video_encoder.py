@@ -3,8 +3,6 @@
 LeRobot 0.6.1 knows one codec per dataset and drops a frame with a log line when its queue is full.
 """
 
-from __future__ import annotations
-
 import queue
 import tempfile
 import threading

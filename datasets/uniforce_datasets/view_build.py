@@ -3,8 +3,6 @@
 Stock LeRobot decodes six videos for every training sample.  A view reads arrays instead.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import shutil

@@ -1,7 +1,5 @@
 """The two scene cameras: pinhole poses, with this episode's jitter."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

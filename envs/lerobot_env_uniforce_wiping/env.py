@@ -1,7 +1,5 @@
 """The wiping scene as a gymnasium environment."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, ClassVar
 

@@ -5,8 +5,6 @@ Preston's equation with a threshold pressure, but for the felt as a whole: its l
 middle, so that with a threshold per cell a light press would wipe with the edge alone).
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Physics of one scene: targets in, one 30 Hz step of MuJoCo, measured pose and touch truth out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

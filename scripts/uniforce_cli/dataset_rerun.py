@@ -1,7 +1,5 @@
 """A recorded episode for the rerun viewer: every stream on one time line, in one .rrd file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType

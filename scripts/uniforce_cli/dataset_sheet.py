@@ -1,7 +1,5 @@
 """A recorded episode as a page: pictures, and HTML that any browser shows without a network."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path

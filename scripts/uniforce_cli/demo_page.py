@@ -1,7 +1,5 @@
 """The demo's one picture page: what each sensor sees, how an episode went, what was scored."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """LeRobot's trainer behind ``uniforce train``: settings checked first, training views, hashed checkpoints."""
 
-from __future__ import annotations
-
 import difflib
 import io
 import logging

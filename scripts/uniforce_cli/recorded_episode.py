@@ -1,7 +1,5 @@
 """A recorded episode's pictures, raw touch, forces, latents and events: read for a page, a viewer or scores."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

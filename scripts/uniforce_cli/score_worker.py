@@ -4,8 +4,6 @@ Two controls ask whether the policy uses touch: masked touch carries nothing, sh
 phase but of another scene.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass

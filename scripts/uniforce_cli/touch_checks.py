@@ -1,7 +1,5 @@
 """Two checks of a tactile sensor: how fast and fresh it is, and which way up it sits on its finger."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """The plan is consistent, and the committed table is what its letters say."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pressure and traction: forces are conserved, depth follows force, friction caps."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

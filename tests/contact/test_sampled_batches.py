@@ -1,7 +1,5 @@
 """Equilibrium pairs and force sequences: shapes, frames, balance, seeds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

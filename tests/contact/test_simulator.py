@@ -1,7 +1,5 @@
 """What the simulated sensors show: signs, mirror, symmetry, seeds, bad input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Hashes of a dataset: one per file, followed by the recorder, written anew after LeRobot's own tools."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """A nudged expert: recoveries in the demos, corrections as labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

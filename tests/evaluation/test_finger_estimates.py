@@ -1,7 +1,5 @@
 """Events from finger forces: made-up wipes whose answer is known, and real physics with its true forces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What reads bytes from a device: each with a stream that is right, to be injured."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain

@@ -4,8 +4,6 @@ Prints a line of JSON per target when it is done with it. An unexpected error en
 leaves the input in the file ``$UNIFORCE_FUZZ_KEEP``, if that is set.
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import os

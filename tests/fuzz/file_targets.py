@@ -1,7 +1,5 @@
 """What reads files that others wrote: each with a folder that is right, to be injured file by file."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Callable

@@ -6,8 +6,6 @@ share in the suite, 100,000 and 2,000 by ``make fuzz``, which keeps the counts (
 kept before. ``UNIFORCE_FUZZ_TARGETS`` names some of the targets (comma between them) instead of all.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

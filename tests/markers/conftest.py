@@ -1,7 +1,5 @@
 """Synthetic raw frames with known markers, after how real recordings look: see the docstrings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The class: one contract for every sensor."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Later frames are held against the reference: nothing is invented, and what is lost is said."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """References: steady ones pass, touched ones are refused where that can be known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Taxels: the rendering follows its published scales, saturates visibly and refuses what isn't counts."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import cv2

@@ -1,7 +1,5 @@
 """Settings: groups on the command line and in files, what sizes and recipes set, and what doesn't go together."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 

@@ -1,7 +1,5 @@
 """The benchmark with the one arm that needs no checkpoint, and what it says where checkpoints are missing."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable

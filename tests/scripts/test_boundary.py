@@ -1,7 +1,5 @@
 """What a command raises becomes one line and an exit code; what options declare is checked before the work begins."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The demo at its smallest: every stage runs, a page of text comes out, the rest is in its log; what a view takes."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

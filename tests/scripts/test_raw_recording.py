@@ -1,7 +1,5 @@
 """Raw frames beside a recording, and taxel counts in it, are shown where they were kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Controls change the touch that a policy gets, and nothing else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

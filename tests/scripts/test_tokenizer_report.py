@@ -1,7 +1,5 @@
 """The report's questions that don't need minutes: errors that say what to do, and a user's own recordings."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

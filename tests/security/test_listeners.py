@@ -1,7 +1,5 @@
 """What listens, listens on loopback unless an option says otherwise."""
 
-from __future__ import annotations
-
 import ast
 import ipaddress
 import socket

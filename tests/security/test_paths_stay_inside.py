@@ -1,7 +1,5 @@
 """Paths that a file names never lead out of its folder, and are refused before anything else is opened."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -5,8 +5,6 @@ and gains leave no trace in free air, so an unseen sensor's force scale is only 
 (DESIGN §4); the rest is calibration's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -4,8 +4,6 @@ Names follow the 18 GenForce indenters; the shapes are our own formulas (only th
 to press a 25 mm pad. A height is how far the surface lies behind the foremost point, ``inf`` beyond the body.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Anchors: rated depth near 12 N on a full flat face (UniForce paper, section IV-A
 motion 1.4 / 3.5 mm (FOTS); uSkin counts of real grasps (95 % below 4,200, strongest 5–10 thousand).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from uniforce_vtla.errors import SensorError, expected

@@ -1,7 +1,5 @@
 """Equilibrium pairs: one contact of two fingers, as each sensor sees it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Normal load → pressure: a Winkler foundation whose indentation is solved from the force."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random contacts: objects on the pad and loads within friction, balanced over what a policy must tell apart."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A simulated sensor: contact state in, marker images, raw frames or counts out; many contacts chunk by chunk."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Shear load → tangential traction: shared in proportion to pressure, capped by friction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

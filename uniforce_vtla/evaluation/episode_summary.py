@@ -1,7 +1,5 @@
 """One recorded episode for people: its key frames, forces, latents and estimated events, and pictures of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

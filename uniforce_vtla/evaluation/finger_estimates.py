@@ -6,8 +6,6 @@ separates a slide from a firm stroke (docs/benchmark.md). These forces don't say
 pad was pressed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of scored rollouts: bars with intervals, an episode's sheet or its estimates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Intervals and paired tests for success counts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A frame of any size is scaled to fit 640×480 with its aspect kept, segmented th
 480×640 image: a 1280×720 frame fills rows 60…419. Markers are white whatever their colour was.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Raw signal of any known sensor → canonical marker image."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, check_finger

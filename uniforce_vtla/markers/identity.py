@@ -5,8 +5,6 @@ held to half and double. The outline tells a dome from a flat gel: the outermost
 middle of a disc, and 1.56 to 1.70 of a rectangle (simulated and real sensors).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uniforce_vtla.errors import expected

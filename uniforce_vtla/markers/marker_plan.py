@@ -4,8 +4,6 @@ Every candidate is tried at half resolution and scored by how much its blobs loo
 is left between them, agreement in size, and the even spacing of a pattern. Nothing assumes a grid or a count.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import cv2

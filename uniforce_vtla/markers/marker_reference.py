@@ -6,8 +6,6 @@ showed. So a marker which the reference missed stays, as does a new reflection o
 pin passes the place of its neighbour. A reflection may pass for a marker lost beside it.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, replace
 

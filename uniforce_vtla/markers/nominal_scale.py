@@ -6,8 +6,6 @@ pad is known without any recording, so marker images of flat gels and of domes c
 the TacTip that pretraining is centred on. Taxels are rendered, not seen, and keep their own.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -4,8 +4,6 @@ The picture is the one the GenForce collection rig draws (facts: canvas axes −
 column i mod 4, row i div 4 *from the bottom*. Shear counts move the disc, normal counts grow its area.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 

@@ -3,8 +3,6 @@
 Beside every learnt row stands this one, so that the tokenizer isn't credited for what it didn't need to learn.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

@@ -4,8 +4,6 @@
 of the cameras may be procedural instead (contact/family.py), always paired by equal traction.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial

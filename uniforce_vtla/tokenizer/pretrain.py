@@ -4,8 +4,6 @@ The same command runs on one CPU or, through ``accelerate launch``, on many GPUs
 one process so far).
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import time

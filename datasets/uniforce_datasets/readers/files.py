@@ -1,7 +1,5 @@
 """Opening what users bring: only inside the folder they named, never unpickled, whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -5,8 +5,6 @@ white above 50. Forces: first three columns of ft.csv, N; Fz is negative in comp
 up; none of the authors' code is used.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field

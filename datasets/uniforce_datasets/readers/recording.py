@@ -4,8 +4,6 @@ Images are as the sensor saw them, never flipped; only {0, 255}. Forces follow t
 the right, y = rows down, z = compression positive, the force of the object on the pad.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

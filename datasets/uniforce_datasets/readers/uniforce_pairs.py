@@ -5,8 +5,6 @@ its ``collection_log.txt``. The layout names no free-air reference. This project
 frames, or one for the whole sensor a level higher; where there is none, the caller names the frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime

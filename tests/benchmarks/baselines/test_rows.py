@@ -1,7 +1,5 @@
 """Every row that trains a whole network: it learns, and it never reads a target's label."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
