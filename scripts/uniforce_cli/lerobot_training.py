@@ -184,9 +184,6 @@ def _settings(cfg: TrainPipelineConfig) -> TrainPipelineConfig:
     return cfg
 
 
-_settings.__annotations__["cfg"] = TrainPipelineConfig  # LeRobot's parser reads the class, not its name
-
-
 def settings_known() -> dict[str, Option]:
     """Return LeRobot's settings and our policy's, with the ranges that we add."""
     known = options_of(TrainPipelineConfig) | options_of(PI05UniforceConfig, "policy.")

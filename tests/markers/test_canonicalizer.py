@@ -25,7 +25,7 @@ from uniforce_vtla.markers.nominal_scale import (
 )
 from uniforce_vtla.markers.reference import capture_taxel_reference
 from uniforce_vtla.sensors import get_sensor, list_sensors
-from uniforce_vtla.sensors.uskin_csv import read_uskin_csv
+from benchmarks.probes.uskin_csv import read_uskin_csv
 
 COUNTS = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 

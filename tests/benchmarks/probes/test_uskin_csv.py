@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from uniforce_vtla.errors import SensorError
-from uniforce_vtla.sensors.uskin_csv import COLUMNS, read_uskin_csv
+from benchmarks.probes.uskin_csv import COLUMNS, read_uskin_csv
 
 
 @pytest.fixture
