@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import torch
 
+from benchmarks.probes.uskin_csv import read_uskin_csv
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.markers.reference import capture_taxel_reference
-from benchmarks.probes.uskin_csv import read_uskin_csv
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS, describe
 from uniforce_vtla.tokenizer.latent import pool_latent

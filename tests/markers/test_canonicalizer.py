@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
+from benchmarks.probes.uskin_csv import read_uskin_csv
 from benchmarks.speed.canonicalizer import bench_canonicalizer, synthetic_frame
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.virtual import as_virtual
@@ -25,7 +26,6 @@ from uniforce_vtla.markers.nominal_scale import (
 )
 from uniforce_vtla.markers.reference import capture_taxel_reference
 from uniforce_vtla.sensors import get_sensor, list_sensors
-from benchmarks.probes.uskin_csv import read_uskin_csv
 
 COUNTS = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from uniforce_vtla.errors import SensorError
 from benchmarks.probes.uskin_csv import COLUMNS, read_uskin_csv
+from uniforce_vtla.errors import SensorError
 
 
 @pytest.fixture
