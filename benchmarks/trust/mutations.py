@@ -16,6 +16,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+import uniforce_robots
 from benchmarks.trust.report import update
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, expected
@@ -135,9 +136,12 @@ def notice(name: str) -> str:
         if text.count(old) != 1:
             raise ContractError(expected(name, f"{old!r} once in {file}", text.count(old), "Mend the table."))
         (copy / file).write_text(text.replace(old, new))
-        sys.path.insert(0, folder)
+        uniforce_robots.__path__.insert(0, folder)  # the copy is found before the package itself
         from benchmarks.trust.guard_cases import drive
 
+        tried = sys.modules["uniforce_robots.franka"].__file__ or ""
+        if not tried.startswith(folder):
+            raise ContractError(expected(name, f"cases on the copy in {folder}", tried, "Is it preloaded?"))
         return next((found[0] for seed in range(SEEDS) if (found := drive(EPISODES, seed)["violations"])), "")
 
 
