@@ -19,8 +19,7 @@ from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.expert import WipeExpert
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command
 from uniforce_vtla.evaluation.episode import EpisodeResult, ScoreLimits
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, Names, Newtons, OutFile, Seed, Workers
@@ -43,8 +42,7 @@ class BlindConfig:
     episodes: Count = 100  # seeds 0 … n − 1, the same for every script
     first_seed: Seed = 0  # where the seeds start
     press_N: Newtons = field(default_factory=lambda: [4.0, 5.0, 6.0, 7.0])  # blind press set points
-    # a nominal width: pads yield, so more
-    grip_open_N: Newtons = field(default_factory=lambda: [11.0, 13.0])
+    grip_open_N: Newtons = field(default_factory=lambda: [11.0, 13.0])  # a nominal width: pads yield, so more
     grip_relative_N: Newtons = field(default_factory=lambda: [6.5, 7.5])  # inside the measured width
     experts: Experts = field(default_factory=lambda: list(EXPERTS))  # which fingers the expert reads
     workers: Workers = 2  # processes
@@ -122,7 +120,7 @@ def run_all(config: BlindConfig) -> dict[str, dict[str, Any]]:
 
 
 @command(BlindConfig)
-def main(config: BlindConfig) -> int:
+def main(config: BlindConfig) -> None:
     """Entry of ``python -m benchmarks.blind``: run the sweep, print a table, write the result file."""
     scripts = run_all(config)
     blind = {name: s for name, s in scripts.items() if not name.startswith("expert_")}
@@ -139,7 +137,6 @@ def main(config: BlindConfig) -> int:
     for name, s in scripts.items():
         print(f"{name:42s} clean {s['clean']:3d}/{s['n']}  {s['outcomes']}  {s['reasons']}")
     print(f"best blind: {best or 'none asked for'}; written to {path}")
-    return 0
 
 
 if __name__ == "__main__":

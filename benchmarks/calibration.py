@@ -74,7 +74,7 @@ def _measure_one(
 
 
 @command(CalibrationReport)
-def main(config: CalibrationReport) -> int:
+def main(config: CalibrationReport) -> None:
     """Entry of ``python -m benchmarks.calibration``."""
     torch.set_num_threads(1)
     content = measure(config, Tokenizer.from_pretrained(config.tokenizer or None))
@@ -82,7 +82,6 @@ def main(config: CalibrationReport) -> int:
     for when, values in content["mean_r2"].items():
         print(f"{when}: R² Fx, Fy, Fz {np.round(values, 2)}")
     print(f"written to {path}")
-    return 0
 
 
 if __name__ == "__main__":

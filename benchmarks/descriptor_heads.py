@@ -13,9 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
-import torch
 from tqdm import tqdm
 
 from benchmarks.probes.zero_shot import score
@@ -23,8 +21,7 @@ from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.evaluation.episode import (
     WIPING_PHASE,
@@ -81,10 +78,10 @@ def described_episodes(level: str, seeds: range) -> Iterator[EpisodeForces]:
     """Yield wipes by experts whose grip and press are drawn per scene, the rigs in turns."""
     envs = [WipeEnv(level, left) for left in LEFT_SENSORS]
     for number, seed in enumerate(tqdm(seeds, desc=f"wiping from {seeds.start}", unit="scene")):
-        yield _felt_episode(envs[number % len(envs)], seed)
+        yield _described_episode(envs[number % len(envs)], seed)
 
 
-def _felt_episode(env: WipeEnv, seed: int) -> EpisodeForces:
+def _described_episode(env: WipeEnv, seed: int) -> EpisodeForces:
     rng = np.random.default_rng([seed, 9])
     wanted = TouchSettings(float(rng.uniform(*PRESS_RANGE_N)), float(rng.uniform(*GRIP_RANGE_N)))
     expert, nudge = WipeExpert(settings=wanted), Nudge(seed)
@@ -165,10 +162,9 @@ def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
 
 
 @command(DescriptorHeadsConfig)
-def main(config: DescriptorHeadsConfig) -> int:
+def main(config: DescriptorHeadsConfig) -> None:
     """Entry of ``python -m benchmarks.descriptor_heads``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     report = make_heads(config)
     path = write_json(Path(config.results), report | provenance())
     for sensor, cell in report["sensors"].items():
@@ -177,7 +173,6 @@ def main(config: DescriptorHeadsConfig) -> int:
         agree = sum(truth == said for truth, said in (episode[event] for episode in report["episodes"]))
         print(f"{event}: estimate and truth agree in {agree} of {len(report['episodes'])} episodes")
     print(f"heads in {report['heads']}; report in {path}")
-    return 0
 
 
 if __name__ == "__main__":

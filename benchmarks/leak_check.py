@@ -25,8 +25,7 @@ from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, tactile_name
 from uniforce_vtla.options import Count, OutFile, Pixels, Range, Seed
@@ -37,10 +36,8 @@ LEAK_LIMIT, TOUCH_FLOOR = 0.3, 0.75  # R²
 FRAMES = 3  # of history in a sample
 HISTORY_STEP = 3  # control steps between them: 0.1 s
 EVERY = 5  # looks between two samples
-PRESS_RANGE_N = (
-    3.0,
-    12.0,
-)  # wanted press, drawn per scene: an expert that always presses alike leaks nothing
+# wanted press, drawn per scene: an expert that always presses alike leaks nothing
+PRESS_RANGE_N = (3.0, 12.0)
 TOUCHING_N = 0.5  # a nudged hand is pushed off the board now and then
 
 
@@ -194,10 +191,9 @@ def verdict(found: dict[str, float]) -> str:
 
 
 @command(LeakConfig)
-def main(config: LeakConfig) -> int:
+def main(config: LeakConfig) -> None:
     """Entry of ``python -m benchmarks.leak_check``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     samples = collect(config)
     found = measure(samples, config.cnn_steps)
     content = {
@@ -214,7 +210,6 @@ def main(config: LeakConfig) -> int:
     for name, value in found.items():
         print(f"{name:24s} R² {value:.2f}")
     print(f"{content['verdict']}; written to {path}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -101,11 +101,7 @@ def draw_frames(watched: Watched, rollout: Rollout, every: int, titles: Sequence
 
 
 def write_gif(path: Path, frames: Sequence[Image.Image], frame_s: float) -> Path:
-    """Write the frames as an endless GIF.
-
-    Raises:
-        ContractError: more than ``MOST_BYTES``.
-    """
+    """Write the frames as an endless GIF; raises ContractError: more than ``MOST_BYTES``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     first, *rest = (frame.quantize(64) for frame in frames)
     first.save(path, save_all=True, append_images=rest, duration=round(1000 * frame_s), loop=0, optimize=True)

@@ -7,11 +7,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import cv2
-import torch
 from tqdm import tqdm
 
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN, SEEN
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed
@@ -112,17 +110,15 @@ def _line(row: dict[str, Any]) -> str:
 
 
 @command(PairQualityConfig)
-def main(config: PairQualityConfig) -> int:
+def main(config: PairQualityConfig) -> None:
     """Entry of ``python -m benchmarks.pair_quality``."""
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     content = measure(config)
     path = write_json(Path(config.out), content | provenance())
     for name in ("goal_faults", "all_faults"):
         row = content[name]
         print(f"{name}: {_line(row)}, {row['bad']} of {row['pairs']} pairs out of balance")
     print(f"written to {path} and {path.with_suffix('.png')}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -114,7 +114,7 @@ def solvers(settings: list[SolverSettings], repeats: int) -> dict[str, Any]:
 
 
 @command(PhysicsCommand)
-def main(command: PhysicsCommand) -> int:
+def main(command: PhysicsCommand) -> None:
     """Entry of ``python -m benchmarks.physics``."""
     panels = measure(command)
     what = "simulated; nothing hidden in the scene, GelSight left, TacTip right"
@@ -125,7 +125,6 @@ def main(command: PhysicsCommand) -> int:
     )
     print(f"slip load: within {100 * panels['slip']['worst_relative_error']:.1f} % of 2 μ F")
     print(f"numbers in {path}, figures in {page}")
-    return 0
 
 
 if __name__ == "__main__":

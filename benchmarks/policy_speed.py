@@ -54,11 +54,7 @@ class BenchPolicyConfig:
 
 
 def measure(config: BenchPolicyConfig) -> dict[str, Any]:
-    """Return the chosen cases' reports.
-
-    Raises:
-        ContractError: an unknown case, or cuda where there is none.
-    """
+    """Return the chosen cases' reports; raises ContractError: an unknown case, or cuda where there is none."""
     if config.device.startswith("cuda") and not torch.cuda.is_available():
         raise ContractError(expected("device", "a CUDA device", "none here", "Use device=cpu."))
     on_gpu = config.device.startswith("cuda")
@@ -99,7 +95,7 @@ def draw(content: dict[str, Any], path: Path) -> Path:
 
 
 @command(BenchPolicyConfig)
-def main(config: BenchPolicyConfig) -> int:
+def main(config: BenchPolicyConfig) -> None:
     """Entry of ``python -m benchmarks.policy_speed``."""
     torch.set_num_threads(1)
     content = measure(config)
@@ -114,7 +110,6 @@ def main(config: BenchPolicyConfig) -> int:
         if name in content:
             print(f"{name}: {json.dumps(content[name])}")
     print(f"written to {path}")
-    return 0
 
 
 if __name__ == "__main__":

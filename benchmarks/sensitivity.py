@@ -18,8 +18,7 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level, Sensor
+from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_cli.score_worker import policy_on_rig
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, TACTILE_NAMES, tactile_name
@@ -31,9 +30,8 @@ EVERY = 15  # control steps between two looks
 NOISE_DRAWS = 4  # per look, to know how far noise alone moves a chunk
 
 Observation = dict[str, Any]
-Exchange = Callable[
-    [Observation, Observation], Observation
-]  # this look and another one → what the policy gets
+# this look and another one → what the policy gets
+Exchange = Callable[[Observation, Observation], Observation]
 
 
 @dataclass
@@ -161,11 +159,10 @@ def _run(config: SensitivityConfig) -> str:
 
 
 @command(SensitivityConfig)
-def main(config: SensitivityConfig) -> int:
+def main(config: SensitivityConfig) -> None:
     """Entry of ``python -m benchmarks.sensitivity``."""
     torch.set_num_threads(1)
     print(_run(config))
-    return 0
 
 
 if __name__ == "__main__":

@@ -11,12 +11,10 @@ import torch
 from tqdm import tqdm
 
 from benchmarks.transfer_fit import GraspLatents, SensorTransferFit, fit_transfer, two_fingers
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Sensors
-from uniforce_vtla.arguments import names_in
+from uniforce_cli.boundary import Sensors, command
 from uniforce_vtla.contact.pairs import PairSettings
 from uniforce_vtla.contact.sampling import ForceRange
-from uniforce_vtla.options import TokenizerFolder
+from uniforce_vtla.options import TokenizerFolder, split
 from uniforce_vtla.sensors import get_sensor, list_sensors
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.latent import pool_latent
@@ -72,7 +70,7 @@ def draw_latents(
 
 def _run(command: SensorTransferCommand) -> str:
     tokenizer = Tokenizer.from_pretrained(command.tokenizer)
-    kinds = [get_sensor(name).name for name in names_in(command.sensors)]
+    kinds = [get_sensor(name).name for name in split(command.sensors)]
     latents = draw_latents(tokenizer, kinds or list(list_sensors()), command.fit)
     transfer, facts = fit_transfer(latents, tokenizer.hash, command.fit)
     folder = checkpoint_folder(command.tokenizer, FOLDER)
@@ -85,11 +83,10 @@ def _run(command: SensorTransferCommand) -> str:
 
 
 @command(SensorTransferCommand)
-def main(command: SensorTransferCommand) -> int:
+def main(command: SensorTransferCommand) -> None:
     """Entry of ``python -m benchmarks.sensor_transfer``."""
     torch.set_num_threads(1)
     print(_run(command))
-    return 0
 
 
 if __name__ == "__main__":

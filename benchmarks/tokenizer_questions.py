@@ -1,12 +1,10 @@
-"""What else is asked of a tokenizer: hardness and scale charts, real slip, a user's own recordings."""
+"""What else is asked of a tokenizer: real slip, a user's own recordings."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from benchmarks.probes.hard_sets import HardSettings
-from benchmarks.probes.hardness import draw_hardness, hardness
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.latent_rotation import fit_rotation, pad_latent
 from benchmarks.probes.real_slip import real_slip
@@ -19,8 +17,6 @@ from benchmarks.probes.recorded_set import (
     shear_agreement,
     to_labelled_set,
 )
-from benchmarks.probes.report_sets import ReportSet
-from benchmarks.probes.scale_error import draw_scale_error, scale_error
 from benchmarks.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
 from uniforce_datasets.readers import read_genforce
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
@@ -49,39 +45,6 @@ def slip(tokenizer: Tokenizer, uskin: LabelledSet, recordings: str, results: Pat
     content, signals, scores = real_slip(tokenizer, trials, rotation)
     path = write_json(results / "real_slip.json", content | {"tokenizer_hash": tokenizer.hash} | provenance())
     draw_real_slip(content, trials, signals, scores, rotation, path.with_suffix(".png"))
-    return f"written to {path}"
-
-
-def hardness_chart(
-    tokenizer: Tokenizer,
-    report_set: ReportSet,
-    training: dict[str, LabelledSet],
-    seeds: int,
-    cache: Path,
-    results: Path,
-) -> str:
-    """Write the chart of what each hardness of ``hetero_hard_v1`` costs, in newtons."""
-
-    def draw(recipe: HardSettings) -> dict[str, LabelledSet]:
-        return report_set.draw(recipe, report_set.targets(), tokenizer.config.side, cache)
-
-    content = hardness(tokenizer, training, draw, seeds) | {"tokenizer_hash": tokenizer.hash} | provenance()
-    path = write_json(results / "chart_hardness.json", content)
-    draw_hardness(content, path.with_suffix(".png"))
-    lines = [
-        f"without {name:14s} transfers {_short(found['transfers']['mae_N_paper_range'])} N"
-        for name, found in content["without"].items()
-    ]
-    oracle = f"oracle {_short(content['oracle']['mae_N_paper_range'])} N"
-    return "\n".join([*lines, oracle, f"written to {path}"])
-
-
-def scale_chart(tokenizer: Tokenizer, report_set: ReportSet, table: Table, seeds: int, results: Path) -> str:
-    """Write the chart of what a misstated px/mm costs on a set's sensors."""
-    content = scale_error(tokenizer, table, seeds)
-    content |= {"set": report_set.name, "tokenizer_hash": tokenizer.hash, "seeds": seeds} | provenance()
-    path = write_json(results / "chart_scale.json", content)
-    draw_scale_error(content, path.with_suffix(".png"))
     return f"written to {path}"
 
 

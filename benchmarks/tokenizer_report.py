@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import cv2
-import torch
 from tqdm import tqdm
 
 from benchmarks import tokenizer_questions as questions
@@ -34,7 +32,7 @@ from benchmarks.probes.zero_shot import (
     transfer_name,
 )
 from benchmarks.probes.zero_shot_figure import draw_table
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.options import (
@@ -57,9 +55,8 @@ from uniforce_vtla.tokenizer.weights import checkpoint_folder
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
 OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``baselines=true`` measures
-SHIPPED_HEADS_SET = (
-    "zero_shot_v1"  # its sensors are the registry's, which is what the package's heads are for
-)
+# its sensors are the registry's, which is what the package's heads are for
+SHIPPED_HEADS_SET = "zero_shot_v1"
 
 
 WEIGHTS_OF_BASELINES = ("anytouch", "t3", "t3_encoder", "unit")
@@ -74,8 +71,7 @@ class TokenizerReportCommand:
     Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v1 seeds=3
     """
 
-    # force (Q3) | slip (real) | charts: hardness, scale
-    question: Literal["force", "slip", "hardness", "scale"] = "force"
+    question: Literal["force", "slip"] = "force"  # force (Q3) | slip (real)
     # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     data: FolderPath = ""
     recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
@@ -130,9 +126,8 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     chosen = choose(makers, command.only)
     _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
     measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
-    committed = _committed_table(
-        command, report_set, facts
-    )  # once more: another row may have come in meanwhile
+    # once more: another row may have come in meanwhile
+    committed = _committed_table(command, report_set, facts)
     rows = in_order(committed, _still_true(committed, tokenizer) | measured)
     origin = provenance()
     content = {
@@ -286,8 +281,9 @@ def _report(command: TokenizerReportCommand) -> str:
         return f"replay of {command.replay} cells {verdict} {path}: largest difference {worst:.4f}"
     if command.data:
         return questions.user_data(tokenizer, command.data, command.seeds, results)
-    if command.question != "force":
-        return _other_question(command, report_set, tokenizer)
+    if command.question == "slip":
+        table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+        return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
     content = measure(command, report_set, tokenizer)
     path = write_json(_table_path(command, report_set), content)
     draw_table(content, path.with_suffix(".png"))
@@ -295,30 +291,16 @@ def _report(command: TokenizerReportCommand) -> str:
     return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])
 
 
-def _other_question(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
-    results = Path(command.results)
-    if command.question == "hardness":
-        cache = Path(command.cache)
-        training = report_set.draw(report_set.training, report_set.sources(), tokenizer.config.side, cache)
-        return questions.hardness_chart(tokenizer, report_set, training, command.seeds, cache, results)
-    table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
-    if command.question == "scale":
-        return questions.scale_chart(tokenizer, report_set, table, command.seeds, results)
-    return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
-
-
 def _numbers(values: dict[str, float]) -> str:
     return "  ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
 @command(TokenizerReportCommand)
-def main(command: TokenizerReportCommand) -> int:
+def main(command: TokenizerReportCommand) -> None:
     """Entry of ``python -m benchmarks.tokenizer_report``."""
     logging.basicConfig(level=logging.INFO)
-    torch.set_num_threads(1)
-    cv2.setNumThreads(1)
+    one_thread()
     print(_report(command))
-    return 0
 
 
 if __name__ == "__main__":

@@ -106,11 +106,10 @@ def train_arm(config: TrainArmConfig) -> Path:
 
 
 @command(TrainArmConfig)
-def main(config: TrainArmConfig) -> int:
+def main(config: TrainArmConfig) -> None:
     """Entry of ``python -m benchmarks.train_arm``."""
     logging.basicConfig(level=logging.INFO)
     print(f"checkpoint in {train_arm(config)}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -100,8 +100,7 @@ class SensorTransferFit:
     flat_share: Share = 1.0  # all held tools: what a policy meets
     # a held tool that wipes twists flat pads so much (contact/sampling.py)
     flat_torsion_arm_mm: NotNegative = 9.0
-    # a held tool covers the pad; 12–40 bent the reading of GelSight
-    flat_side_mm: Sizes = (30.0, 70.0)
+    flat_side_mm: Sizes = (30.0, 70.0)  # a held tool covers the pad; 12–40 bent the reading of GelSight
     # what parallel fingers hold lies flat on both pads but for their give (a wiped eraser leans by .01, a wedged one by
     # up to .046); a flat gel shows a leaning face as less grip: with .03 or .045 a finger that swaps to GelSight reads
     # 1.2 to 1.7 N too much grip, and no less by scene

@@ -16,16 +16,25 @@ from matplotlib.figure import Figure
 
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, Arm
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command
 from uniforce_cli.score import SCRIPTS, ScoreConfig, check_film, score_arms
-from uniforce_vtla.arguments import choose, names_in
+from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, own_scenes, table
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import PICTURE_DPI, draw_arms
 from uniforce_vtla.figure_file import save_figure
-from uniforce_vtla.options import Count, CountOrZero, FolderPaths, Names, OutFolder, Seed, Seeds, Workers
+from uniforce_vtla.options import (
+    Count,
+    CountOrZero,
+    FolderPaths,
+    Names,
+    OutFolder,
+    Seed,
+    Seeds,
+    Workers,
+    split,
+)
 from uniforce_vtla.results_file import provenance, write_json
 
 PANELS_PER_ROW = 6  # z-profiles that still fit a page
@@ -83,7 +92,7 @@ def _policy(command: BenchmarkConfig, arm: Arm) -> str:
     """Return what the scorer calls the arm's policy; empty where there is none."""
     if arm.checkpoint in SCRIPTS:
         return arm.checkpoint
-    folders = [Path(seed) / arm.checkpoint for seed in names_in(command.checkpoints)]
+    folders = [Path(seed) / arm.checkpoint for seed in split(command.checkpoints)]
     return ",".join(map(str, folders)) if all((f / "config.json").exists() for f in folders) else ""
 
 
@@ -114,7 +123,7 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
         "what": "simulated; clean success = success without slippage or excess force",
         "level": command.level,
         "level_hash": level_hash(LEVELS[command.level]),
-        "checkpoints": names_in(command.checkpoints),
+        "checkpoints": split(command.checkpoints),
         "arms": {
             r.arm: {"checkpoint": planned[r.arm]} | r.as_dict() | _by_checkpoint(r, command) for r in reports
         },
@@ -157,7 +166,7 @@ def draw_z_profiles(reports: Sequence[ArmReport], path: Path) -> Path:
 
 def _by_checkpoint(arm: ArmReport, command: BenchmarkConfig) -> dict[str, Any]:
     """Return the clean rollouts of each training seed, where they took turns."""
-    seeds = names_in(command.checkpoints)
+    seeds = split(command.checkpoints)
     if len(seeds) == 1:
         return {}
     by_seed = arm.as_dict()["by_seed"]
@@ -203,11 +212,10 @@ def _run(command: BenchmarkConfig) -> str:
 
 
 @command(BenchmarkConfig)
-def main(config: BenchmarkConfig) -> int:
+def main(config: BenchmarkConfig) -> None:
     """Entry of ``python -m benchmarks.wiping``."""
     logging.basicConfig(level=logging.WARNING)
     print(_run(config))
-    return 0
 
 
 if __name__ == "__main__":

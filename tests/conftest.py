@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 # fair_clock, properties: importlib mode gives test folders no package
 sys.path.insert(0, str(Path(__file__).parent))

@@ -51,9 +51,8 @@ def stolen_s(stat: Path = Path("/proc/stat")) -> list[float]:
     """Return for how long a hypervisor ran others on each core, as the kernel counts (proc_stat(5), 8th number)."""
     if not stat.exists():
         return [0.0]
-    cores = [
-        line.split() for line in stat.read_text().splitlines() if line.startswith("cpu") and line[3].isdigit()
-    ]
+    lines = [line for line in stat.read_text().splitlines() if line.startswith("cpu") and line[3].isdigit()]
+    cores = [line.split() for line in lines]
     return [int(core[8]) / os.sysconf("SC_CLK_TCK") for core in cores]
 
 

@@ -7,12 +7,33 @@ from typing import Any
 
 import pytest
 import torch
+from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
 
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
 from lerobot_policy_pi05_uniforce.modeling_pi05_uniforce import LANGUAGE
 
 SITES = pytest.mark.parametrize("site", ["prefix", "suffix"])
 OPEN = [0.6, 1.5]  # gates of two slots
+
+
+def small_config(cameras=("front", "wrist"), **settings):
+    """Settings of a policy of two layers with cameras of 28 px, state and action of five axes."""
+    visual = {
+        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28)) for name in cameras
+    }
+    small = {
+        "size": "tiny",
+        "image_resolution": (28, 28),
+        "tiny": TinySettings(width=64, depth=2, mlp_dim=32),
+    }
+    return PI05UniforceConfig(
+        device="cpu",
+        input_features=visual | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},
+        output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
+        **small | settings,
+    )
 
 
 def inputs(policy, batch):

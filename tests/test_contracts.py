@@ -88,6 +88,10 @@ IMAGES: dict[str, Callable[[Tokenizer, np.ndarray], Any]] = {
     "(H, W, 3) as current": lambda t, dots: t.encode(dots[:1], rgb(dots)),
     "(H, W, 3) as reference": lambda t, dots: t.encode(rgb(dots), rgb(dots)),
     "reference and current of two sizes": lambda t, dots: t.encode(dots[:1], dots[:1, :80]),
+    "no current image": lambda t, dots: t.encode(dots[:1]),
+    "two references for three images": lambda t, dots: t.encode(dots[:2], dots),
+    "no finger": lambda t, dots: t.encode(dots[:1], dots, finger="middle"),  # type: ignore[arg-type]
+    "a word for a reference": lambda t, dots: t.encode("reference", dots),  # type: ignore[arg-type]
     "no images": lambda t, dots: t.encode(dots[:1], dots[:0]),
     "uint8 of 0 and 1": lambda t, dots: t.encode(dots[:1] // 255, dots // 255),
     "booleans": lambda t, dots: t.encode(dots[:1] > 0, dots > 0),

@@ -44,15 +44,8 @@ def checkpoint(demos: Path) -> Path:
 
 def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint: Path, tmp_path: Path) -> None:
     for left, swap in (("gelsight", ""), ("uskin", "touch0:left")):
-        config = ScoreConfig(
-            policy=str(checkpoint),
-            arm="e2e",
-            left_sensor=left,
-            swap=swap,
-            rollouts=1,
-            workers=1,
-            out=str(tmp_path),
-        )
+        once = {"rollouts": 1, "workers": 1, "out": str(tmp_path)}
+        config = ScoreConfig(str(checkpoint), "e2e", left_sensor=left, swap=swap, **once)
         report = score(config)
         assert report.n == 1
         assert report.rows[0].outcome in ("success", "residual", "failed_grasp")
@@ -60,9 +53,8 @@ def test_scores_with_the_trained_and_a_swapped_sensor(checkpoint: Path, tmp_path
 
 
 def test_a_finished_episode_is_not_scored_again(checkpoint: Path, tmp_path: Path) -> None:
-    config = ScoreConfig(
-        policy=str(checkpoint), arm="again", rollouts=1, workers=1, videos=0, out=str(tmp_path)
-    )
+    once = {"rollouts": 1, "workers": 1, "videos": 0, "out": str(tmp_path)}
+    config = ScoreConfig(str(checkpoint), "again", **once)
     first = score(config)
     rows = next(tmp_path.glob("*/episodes.jsonl"))
     before = rows.read_text()
@@ -74,18 +66,10 @@ def lerobot_evaluated(
     monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, level: str, seed: int, episodes: int
 ) -> list[bool]:
     """Return which of some consecutive scenes succeed in LeRobot's own command."""
-    flags = [
-        f"--policy.path={policy}",
-        "--policy.device=cpu",
-        "--env.type=uniforce_wiping",
-        f"--env.level={level}",
-        f"--eval.n_episodes={episodes}",
-        "--eval.batch_size=1",
-        "--eval.use_async_envs=false",
-        f"--seed={seed}",
-        f"--output_dir={out}",
-    ]
-    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *flags])
+    flags = [f"policy.path={policy}", "policy.device=cpu", "env.type=uniforce_wiping", f"env.level={level}"]
+    flags += [f"eval.n_episodes={episodes}", "eval.batch_size=1", "eval.use_async_envs=false"]
+    flags += [f"seed={seed}", f"output_dir={out}"]
+    monkeypatch.setattr(sys, "argv", ["lerobot-eval", *(f"--{flag}" for flag in flags)])
     register_third_party_plugins()
     lerobot_eval.main()
     (info,) = json.loads((out / "eval_info.json").read_text())["per_task"]

@@ -44,9 +44,8 @@ def pytest_configure(config):
 
 def run(pytester: pytest.Pytester, lost: list[float], passes_at: int, mark: str = "@pytest.mark.realtime"):
     pytester.makeconftest(CONFTEST.format(lost=lost))
-    return pytester.inline_run(
-        pytester.makepyfile(FLAKY.format(mark=mark, passes_at=passes_at)), "-p", "no:cacheprovider"
-    )
+    flaky = pytester.makepyfile(FLAKY.format(mark=mark, passes_at=passes_at))
+    return pytester.inline_run(flaky, "-p", "no:cacheprovider")
 
 
 def test_a_witness_sees_a_core_taken_away():
@@ -64,9 +63,8 @@ def test_a_witness_sees_a_core_taken_away():
 
 def test_stolen_time_is_the_kernels_eighth_number(tmp_path: Path):
     ticks = os.sysconf("SC_CLK_TCK")
-    (tmp_path / "stat").write_text(
-        f"cpu 9 9 9 9 9 9 9 9 9 9\ncpu0 1 2 3 4 5 6 7 {ticks} 9 10\ncpu1 0 0 0 0 0 0 0 0 0 0\n"
-    )
+    lines = f"cpu 9 9 9 9 9 9 9 9 9 9\ncpu0 1 2 3 4 5 6 7 {ticks} 9 10\ncpu1 0 0 0 0 0 0 0 0 0 0\n"
+    (tmp_path / "stat").write_text(lines)
     assert stolen_s(tmp_path / "stat") == [1.0, 0.0]
     assert stolen_s(tmp_path / "absent") == [0.0]
 

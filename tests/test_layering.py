@@ -53,9 +53,8 @@ def foreign_imports(folder: Path, forbidden: set[str]) -> list[str]:
 
 
 def test_every_package_has_its_place() -> None:
-    found = {p.parent.relative_to(ROOT) for p in ROOT.glob("*/*/__init__.py")} | {
-        p.parent.relative_to(ROOT) for p in ROOT.glob("*/__init__.py")
-    }
+    packages = [file.parent for pattern in ("*", "*/*") for file in ROOT.glob(f"{pattern}/__init__.py")]
+    found = {package.relative_to(ROOT) for package in packages}
     inner = {path for path in found if path.parent in found}
     assert {path.name for path in found - inner} == set(PACKAGES)
 

@@ -261,18 +261,13 @@ def help_text(config_class: type) -> str:
     return "\n".join(lines)
 
 
-def names_in(text: str) -> list[str]:
-    """Return the names in a text with commas between them."""
-    return split(text)
-
-
 def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
     """Return the entries named in ``only`` (comma between them); all of them when empty.
 
     Raises:
         ContractError: an unknown name.
     """
-    names = names_in(only) or list(known)
+    names = split(only) or list(known)
     unknown = sorted(set(names) - set(known))
     if unknown:
         raise ContractError(expected("only", " | ".join(known), unknown, "Name rows of the table."))

@@ -129,9 +129,8 @@ SEED = "provenance.seed"  # the integer that rebuilds the scene; on a robot, cou
 CAUSE = "provenance.cause"  # index into ABORT_CAUSES
 STAMPS = "provenance.stamps"  # (3,) float64 s on the episode's clock, see STAMP_NAMES
 STAMP_NAMES = ("tick_begun", "observed", "acted")
-REQUESTED = (
-    "provenance.requested"  # (5,) what the teleoperator asked for; ``action`` is what the guards let through
-)
+# (5,) what the teleoperator asked for; ``action`` is what the guards let through
+REQUESTED = "provenance.requested"
 
 # Why an episode was aborted. Append only: datasets store the index.
 ABORT_CAUSES = (

@@ -51,17 +51,11 @@ class PublishedEncoder(nn.Module):
 
 @dataclass(frozen=True)
 class PublishedRow:
-    """One row and what stands beside it.
+    """One row and what stands beside it."""
 
-    Attributes:
-        status: MEASURED or NOT_PRESENT.
-        cells: the row's cells; None if there are no weights.
-        facts: weights used, parameters, FLOPs per frame, for the results file.
-    """
-
-    status: str
-    cells: Cells | None
-    facts: dict[str, Any]
+    status: str  # MEASURED or NOT_PRESENT
+    cells: Cells | None  # the row's cells; None if there are no weights
+    facts: dict[str, Any]  # weights used, parameters, FLOPs per frame, for the results file
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain data for JSON."""
@@ -105,9 +99,8 @@ def features(encoder: PublishedEncoder, labelled: LabelledSet, device: str = "cp
 def brightness_of(labelled: LabelledSet) -> Brightness:
     """Return mean and spread over all current frames; no label is involved."""
     values = labelled.frames.astype("float32") / 255
-    return Brightness(
-        float(values.mean()), max(float(values.std()), 1e-3)
-    )  # a black set must not divide by 0
+    # a black set must not divide by 0
+    return Brightness(float(values.mean()), max(float(values.std()), 1e-3))
 
 
 def size_facts(encoder: PublishedEncoder) -> dict[str, Any]:

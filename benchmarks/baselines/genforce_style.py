@@ -27,9 +27,8 @@ from uniforce_vtla.errors import ContractError, expected
 class TranslationConfig:
     """Sizes and training of the translator, and the force model behind it."""
 
-    cell: int = (
-        4  # pixels per side folded into channels: a marker's subpixel shift stays, convolutions are few
-    )
+    # pixels per side folded into channels: a marker's subpixel shift stays, convolutions are few
+    cell: int = 4
     widths: tuple[int, ...] = (48, 64, 96)  # channels per level, each half as wide as the one before
     steps: int = 600  # optimiser steps
     batch: int = 32  # frames per step

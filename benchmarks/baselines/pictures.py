@@ -14,15 +14,10 @@ from uniforce_vtla.errors import ContractError, expected
 
 @dataclass(frozen=True)
 class Pictures:
-    """The images of a labelled set, without its forces: a predictor can't read what it isn't given.
+    """The images of a labelled set, without its forces: a predictor can't read what it isn't given."""
 
-    Attributes:
-        reference: (n, S, S) uint8.
-        frames: (n, T, S, S) uint8.
-    """
-
-    reference: np.ndarray
-    frames: np.ndarray
+    reference: np.ndarray  # (n, S, S) uint8
+    frames: np.ndarray  # (n, T, S, S) uint8
 
     def tensors(
         self, rows: np.ndarray | slice, frames: slice = slice(None)

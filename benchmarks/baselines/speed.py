@@ -20,7 +20,8 @@ from benchmarks.baselines.unit import UniTEncoder
 from uniforce_vtla.contact.pairs import equilibrium_pairs
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.model import Encoder, TokenizerConfig
+from uniforce_vtla.tokenizer.model import Encoder
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 OURS = "UniForce"
 PUBLISHED: dict[str, Callable[[], PublishedEncoder]] = {

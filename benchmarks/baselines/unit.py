@@ -34,12 +34,8 @@ class UniTConfig:
 
     size: tuple[int, int] = (128, 160)  # input height, width [px]
     channels: int = 128  # of the first level
-    multipliers: tuple[int, ...] = (
-        1,
-        1,
-        2,
-        4,
-    )  # channels of a level over the first; each but the last halves
+    # channels of a level over the first; each but the last halves
+    multipliers: tuple[int, ...] = (1, 1, 2, 4)
     blocks: int = 2  # residual blocks per level
     attention_level: int = 3  # level whose blocks are followed by attention (resolution 16)
     z: int = 3  # channels of the encoder's output

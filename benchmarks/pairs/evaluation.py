@@ -25,27 +25,16 @@ DRAWS = 1000  # of the bootstrap
 
 @dataclass(frozen=True)
 class ScoredPairs:
-    """N pairs of one session.
+    """N pairs of one session."""
 
-    Attributes:
-        sensors: left and right.
-        estimated: (N,) error as scored.
-        error: (N,) true error.
-        flagged: (N,) bool.
-        gate_open: (N,) bool, whether the hand was slow.
-        fault: (N,) what went wrong in their grasp.
-        indenter: (N,) names.
-        grasp: (N,) number of the grasp within the session.
-    """
-
-    sensors: str
-    estimated: np.ndarray
-    error: np.ndarray
-    flagged: np.ndarray
-    gate_open: np.ndarray
-    fault: np.ndarray
-    indenter: np.ndarray
-    grasp: np.ndarray
+    sensors: str  # left and right
+    estimated: np.ndarray  # (N,) error as scored
+    error: np.ndarray  # (N,) true error
+    flagged: np.ndarray  # (N,) bool
+    gate_open: np.ndarray  # (N,) bool, whether the hand was slow
+    fault: np.ndarray  # (N,) what went wrong in their grasp
+    indenter: np.ndarray  # (N,) names
+    grasp: np.ndarray  # (N,) number of the grasp within the session
 
 
 def score_session(rehearsal: Rehearsal, indenters: tuple[str, ...], grasps: int) -> ScoredPairs:

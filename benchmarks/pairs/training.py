@@ -21,24 +21,17 @@ LIGHT_N = 0.7  # errors of lighter contacts count absolutely
 
 @dataclass(frozen=True)
 class ForceTraining:
-    """How a reader is trained.
+    """How a reader is trained."""
 
-    Attributes:
-        units: simulated units of the sensor.
-        contacts: per unit.
-        steps: of AdamW.
-        seed: of units, contacts and weights; no scored session uses it.
-    """
-
-    units: int = 40
-    contacts: int = 250
-    steps: int = 2500
+    units: int = 40  # simulated units of the sensor
+    contacts: int = 250  # per unit
+    steps: int = 2500  # of AdamW
     batch: int = 256
     learning_rate: float = 3e-3
     weight_decay: float = 1e-2
     dropout: float = 0.05
     loads: ForceRange = field(default_factory=lambda: ForceRange(normal_N=13.0, shear_N=6.0, friction=0.8))
-    seed: int = 0
+    seed: int = 0  # of units, contacts and weights; no scored session uses it
 
 
 def training_contacts(sensor: str, training: ForceTraining) -> tuple[np.ndarray, np.ndarray]:

@@ -13,22 +13,8 @@ from torch.utils.flop_counter import FlopCounterMode
 from lerobot_policy_pi05_uniforce.sampler.layers import AVAILABLE
 
 VIEWS = {  # operations that move no data
-    "alias",
-    "as_strided",
-    "detach",
-    "expand",
-    "permute",
-    "select",
-    "slice",
-    "split",
-    "split_with_sizes",
-    "squeeze",
-    "t",
-    "transpose",
-    "unbind",
-    "unsqueeze",
-    "view",
-    "_unsafe_view",
+    *("alias", "as_strided", "detach", "expand", "permute", "select", "slice", "split", "split_with_sizes"),
+    *("squeeze", "t", "transpose", "unbind", "unsqueeze", "view", "_unsafe_view"),
 }
 
 

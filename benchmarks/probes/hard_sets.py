@@ -2,7 +2,7 @@
 
 ``hetero_hard_v1``: GelSight-D (a pattern pretraining never saw), TacTip and uSkin; every few sequences another unit
 with another camera pose, light, marker size and missing markers; camera images go through raw frames and the real
-canonicaliser; rubber creeps, so pictures lag behind their labels; six unseen indenters.
+canonicalizer; rubber creeps, so pictures lag behind their labels; six unseen indenters.
 ``heldout_visible_v1``: three sensors that look unlike anything the pretraining family draws, of usual stiffness.
 ``heldout_visible_v2``: three others, for the wider family v2.
 ``heldout_hidden_v1``: three that look usual and are stiffer, softer or more sensitive than the family: calibration.
@@ -49,18 +49,17 @@ class HardSettings:
     marker_loss: float = 0.02  # chance per marker and frame; ViTac 2024 draws .01
     creep_share: tuple[float, float] = (0.05, 0.20)  # part of the motion that comes late; rubbers .1–.3
     rate_hz: float = 10.0  # frames of a sequence: 12 take 1.2 s
-    canonicalise: bool = True  # camera images are found in raw frames by the canonicaliser
+    canonicalize: bool = True  # camera images are found in raw frames by the canonicalizer
 
 
 HETERO_HARD = HardSettings("hetero_hard_v1", seed=31_001, sequences=120, length=12, indenters=UNSEEN)
 HETERO_HARD_TRAINING = HardSettings(
     "hetero_hard_training_v1", seed=31_002, sequences=400, length=12, indenters=SEEN
 )
-# Without the canonicaliser: it refuses scattered dots by design, and pressed dashes now and then (docs/design.md).
-HELDOUT_VISIBLE = replace(HETERO_HARD, name="heldout_visible_v1", seed=32_001, canonicalise=False)
-HELDOUT_VISIBLE_2 = replace(
-    HETERO_HARD, name="heldout_visible_v2", seed=32_002, canonicalise=False
-)  # for family v2
+# Without the canonicalizer: it refuses scattered dots by design, and pressed dashes now and then (docs/design.md).
+HELDOUT_VISIBLE = replace(HETERO_HARD, name="heldout_visible_v1", seed=32_001, canonicalize=False)
+# for family v2
+HELDOUT_VISIBLE_2 = replace(HETERO_HARD, name="heldout_visible_v2", seed=32_002, canonicalize=False)
 HELDOUT_HIDDEN = replace(HETERO_HARD, name="heldout_hidden_v1", seed=33_001)
 
 
@@ -142,7 +141,7 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     The digest is that of the sensor's own images; what is read are those at nominal scale.
 
     Raises:
-        SensorError: the canonicaliser finds no markers; nothing is skipped.
+        SensorError: the canonicalizer finds no markers; nothing is skipped.
     """
     contacts = np.random.default_rng(settings.seed)
     objects = sample_objects(contacts, settings.sequences, settings.indenters)
@@ -158,8 +157,10 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     for index, (gap, force) in enumerate(zip(objects.gap_mm, loads, strict=True)):
         if index % settings.sequences_per_unit == 0:
             unit = _Unit(settings, sensor, rng)
-        felt = lagging_force(force, unit.creep, settings.rate_hz)
-        contact = ContactState(np.repeat(gap[None], len(felt), axis=0), felt, np.zeros(len(felt), np.float32))
+        lagging = lagging_force(force, unit.creep, settings.rate_hz)
+        contact = ContactState(
+            np.repeat(gap[None], len(lagging), axis=0), lagging, np.zeros(len(lagging), np.float32)
+        )
         before, after = unit.images(contact)
         digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes())
         before, after = (to_nominal_scale(images, sensor.spec) for images in (before, after))
@@ -181,9 +182,9 @@ class _Unit:
         )
         self.creep = Creep.draw(rng, settings.creep_share)
         self.light = Light.draw(rng)
-        self._canonicalise = settings.canonicalise and sensor.spec.signal == "camera"
+        self._canonicalize = settings.canonicalize and sensor.spec.signal == "camera"
         self._canonicalizer = Canonicalizer(sensor.like)
-        if self._canonicalise:
+        if self._canonicalize:
             raw = self.light.on(self.simulator.raw_reference()[None])[0]
             self._canonicalizer.set_reference(raw)
             self.reference = self._canonicalizer.marker_image(raw)
@@ -192,7 +193,7 @@ class _Unit:
 
     def images(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
         """Return the reference (480, 640) and the marker images (T, 480, 640) of a sequence."""
-        if not self._canonicalise:
+        if not self._canonicalize:
             return self.reference, self.simulator.marker_images(contact)
         frames = self.light.on(self.simulator.raw_frames(contact))
         return self.reference, np.stack([self._canonicalizer.marker_image(frame) for frame in frames])

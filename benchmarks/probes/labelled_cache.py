@@ -1,4 +1,4 @@
-"""Labelled sets on disk: drawing one through the canonicaliser takes minutes, reading it back a second."""
+"""Labelled sets on disk: drawing one through the canonicalizer takes minutes, reading it back a second."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def cached(
     """Return ``draw()``'s set from ``folder`` if an equal recipe was drawn before, else draw and keep it.
 
     Only the recipe and the zoom to nominal scale are compared: after a change of the contact model or the
-    canonicaliser use another folder.
+    canonicalizer use another folder.
     """
     zoomed = [] if zoom == (1.0, 1.0) else [zoom]
     recipe = json.dumps([asdict(settings), sensor, side, *zoomed], sort_keys=True)

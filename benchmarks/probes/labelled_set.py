@@ -1,6 +1,6 @@
 """Force-labelled sequences for heads and for the frozen zero-shot set; the latter is named by its hash.
 
-Every sensor feels the *same* contacts (one seed): what differs between cells of the table is the sensor alone.
+Every sensor gets the *same* contacts (one seed): what differs between cells of the table is the sensor alone.
 """
 
 from __future__ import annotations
@@ -38,21 +38,13 @@ HEAD_TRAINING = SetConfig("head_training_v1", seed=7_002, sequences=400, length=
 
 @dataclass(frozen=True)
 class LabelledSet:
-    """One sensor's sequences, n × T frames.
+    """One sensor's sequences, n × T frames."""
 
-    Attributes:
-        reference: (n, S, S) uint8, area-resized.
-        frames: (n, T, S, S) uint8.
-        descriptor: (n, T, 6) float32, the hand descriptor of every frame.
-        force_N: (n, T, 3) canonical.
-        digest: sha256 over full-size images and forces.
-    """
-
-    reference: np.ndarray
-    frames: np.ndarray
-    descriptor: np.ndarray
-    force_N: np.ndarray
-    digest: str
+    reference: np.ndarray  # (n, S, S) uint8, area-resized
+    frames: np.ndarray  # (n, T, S, S) uint8
+    descriptor: np.ndarray  # (n, T, 6) float32, the hand descriptor of every frame
+    force_N: np.ndarray  # (n, T, 3) canonical
+    digest: str  # sha256 over full-size images and forces
 
 
 def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:

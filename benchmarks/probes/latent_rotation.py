@@ -18,15 +18,10 @@ CONSTANT = 1e-9  # spread below which a latent carries nothing
 
 @dataclass(frozen=True)
 class Rotation:
-    """Orthogonal change of the latent's axes: ``z @ matrix`` carries fx, fy, fz on its first three.
+    """Orthogonal change of the latent's axes: ``z @ matrix`` carries fx, fy, fz on its first three."""
 
-    Attributes:
-        source: the sensor whose labels it was fitted to.
-        matrix: (L, L) orthogonal.
-    """
-
-    source: str
-    matrix: np.ndarray
+    source: str  # the sensor whose labels it was fitted to
+    matrix: np.ndarray  # (L, L) orthogonal
 
     def __call__(self, z: np.ndarray) -> np.ndarray:
         """Return latents (..., L) on the new axes."""

@@ -40,25 +40,15 @@ class SlipConfig:
 
 @dataclass(frozen=True)
 class Trial:
-    """One recording, T frames.
+    """One recording, T frames."""
 
-    Attributes:
-        name: its folder.
-        counts: (2, T, 16, 3) int64 raw, left finger first.
-        slip: (T,) bool, labelled as slipping.
-        dropped: (T,) bool, labelled as failed: the object has left the hand.
-        joint_speed: (T,) rad/s, norm over the arm's joints.
-        reference: (2, 16, 3) int64 free air.
-        reference_from: "own" or "borrowed from …".
-    """
-
-    name: str
-    counts: np.ndarray
-    slip: np.ndarray
-    dropped: np.ndarray
-    joint_speed: np.ndarray
-    reference: np.ndarray
-    reference_from: str
+    name: str  # its folder
+    counts: np.ndarray  # (2, T, 16, 3) int64 raw, left finger first
+    slip: np.ndarray  # (T,) bool, labelled as slipping
+    dropped: np.ndarray  # (T,) bool, labelled as failed: the object has left the hand
+    joint_speed: np.ndarray  # (T,) rad/s, norm over the arm's joints
+    reference: np.ndarray  # (2, 16, 3) int64 free air
+    reference_from: str  # "own" or "borrowed from …"
 
     @property
     def load_range_counts(self) -> float:
@@ -68,19 +58,12 @@ class Trial:
 
 @dataclass(frozen=True)
 class Signals:
-    """What the fingers measured during a trial, all in the canonical frame.
+    """What the fingers measured during a trial, all in the canonical frame."""
 
-    Attributes:
-        latent: (2, T, pool², L) above its value in free air.
-        descriptor: (2, T, 6) in natural units.
-        counts: (2, T, 16, 3) above the reference; the right finger's x with its sign turned.
-        saturated_frames: frames in which a disc had to be clipped, both fingers.
-    """
-
-    latent: np.ndarray
-    descriptor: np.ndarray
-    counts: np.ndarray
-    saturated_frames: int
+    latent: np.ndarray  # (2, T, pool², L) above its value in free air
+    descriptor: np.ndarray  # (2, T, 6) in natural units
+    counts: np.ndarray  # (2, T, 16, 3) above the reference; the right finger's x with its sign turned
+    saturated_frames: int  # frames in which a disc had to be clipped, both fingers
 
 
 def read_trials(folder: Path, config: SlipConfig | None = None) -> list[Trial]:

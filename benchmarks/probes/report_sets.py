@@ -38,21 +38,13 @@ Sensors = dict[str, VirtualSensor]
 
 @dataclass(frozen=True)
 class ReportSet:
-    """A frozen set and the set that heads are trained on.
+    """A frozen set and the set that heads are trained on."""
 
-    Attributes:
-        frozen: recipe of what is scored (unseen indenters).
-        training: recipe of what heads are trained on (seen indenters).
-        sources: sensors heads are trained on, one head each.
-        targets: sensors that are scored.
-        table: file of the table, inside the results folder.
-    """
-
-    frozen: SetConfig | HardSettings
-    training: SetConfig | HardSettings
-    sources: Callable[[], Sensors]
-    targets: Callable[[], Sensors]
-    table: str
+    frozen: SetConfig | HardSettings  # recipe of what is scored (unseen indenters)
+    training: SetConfig | HardSettings  # recipe of what heads are trained on (seen indenters)
+    sources: Callable[[], Sensors]  # sensors heads are trained on, one head each
+    targets: Callable[[], Sensors]  # sensors that are scored
+    table: str  # file of the table, inside the results folder
 
     @property
     def name(self) -> str:

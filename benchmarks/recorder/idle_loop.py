@@ -1,4 +1,4 @@
-"""A 30 Hz loop that does nothing, on the recorder's own ticker: what beat this machine lets anybody keep.
+"""A 30 Hz loop that does nothing, on the recorder's own ticker: what beat this machine can keep.
 
 ``python -m benchmarks.recorder.idle_loop RATE_HZ`` ticks until its standard input ends, then prints
 ``{"time_s": […], "late_ms": […]}``.

@@ -48,36 +48,16 @@ def train_a_little(root: Path, out: Path) -> dict[str, Any]:
         return found
     run = out / f"run{len(list(out.glob('run*')))}"  # LeRobot wants a folder that isn't there
     arguments = [
-        "policy=pi05_uniforce",
-        "policy.size=tiny",
-        "policy.device=cpu",
-        SLOTS,
-        "dataset.repo_id=local/trial",
-        f"dataset.root={root}",
-        "dataset.video_backend=pyav",
-        "batch_size=2",
-        "num_workers=0",
-        "log_freq=5",
-        f"steps={STEPS}",
-        f"save_freq={STEPS}",
-        f"output_dir={run}",
-    ]
-    command = [
-        sys.executable,
-        "-c",
-        "import sys; from uniforce_cli.train import main; sys.exit(main())",
-        *arguments,
-    ]
+        "policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", SLOTS, "dataset.repo_id=local/trial",
+        f"dataset.root={root}", "dataset.video_backend=pyav", "batch_size=2", "num_workers=0", "log_freq=5",
+        f"steps={STEPS}", f"save_freq={STEPS}", f"output_dir={run}",
+    ]  # fmt: skip
+    program = "import sys; from uniforce_cli.train import main; sys.exit(main())"
+    command = [sys.executable, "-c", program, *arguments]
     out.mkdir(parents=True, exist_ok=True)
     with (out / "train.log").open("w") as log:
-        ended = subprocess.run(
-            command,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=environment(),
-            timeout=STEPS_TAKE_s,
-            check=False,
-        )
+        into: dict[str, Any] = {"stdout": log, "stderr": subprocess.STDOUT}
+        ended = subprocess.run(command, **into, env=environment(), timeout=STEPS_TAKE_s, check=False)
     losses = [float(loss) for loss in re.findall(r"loss:([\d.]+)", (out / "train.log").read_text())]
     saved = (run / "checkpoints" / "last" / "pretrained_model" / "model.safetensors").is_file()
     result = {"trained_steps": STEPS if saved and not ended.returncode else 0, "training_losses": losses}

@@ -72,9 +72,8 @@ def record_on(tty: str, argv: list[str]) -> int:
     os.closerange(3, 1024)  # the orders' socket too: a killed session must leave no one listening
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     form = "%(levelname)s %(name)s: %(message)s"
-    logging.basicConfig(
-        level=logging.INFO, stream=sys.stdout, format=form, force=True
-    )  # over what imports set up
+    # over what imports set up
+    logging.basicConfig(level=logging.INFO, stream=sys.stdout, format=form, force=True)
     return record(argv)
 
 

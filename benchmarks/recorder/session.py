@@ -97,11 +97,7 @@ class Session:
         os.write(self._master, keys.encode())
 
     def wait_end(self, timeout_s: float) -> int:
-        """Return the exit code, -9 where it was killed.
-
-        Raises:
-            TrialError: it hangs; it is killed then.
-        """
+        """Return the exit code, -9 where it was killed; raises TrialError: it hangs; it is killed then."""
         code = self._program.exit_code(timeout_s * self._patience)
         if code is None:
             self._kill()
@@ -171,19 +167,19 @@ class Program:
         self._socket = ours
         self._exit: int | None = 0
         self._pending = b""
-        self._hear("ready", LOAD_s)
+        self._receive("ready", LOAD_s)
 
     def fork(self, tty: str, argv: list[str]) -> int:
         """Start a session; return its pid."""
         self._exit = None
         self._socket.sendall(json.dumps({"tty": tty, "argv": argv}).encode() + b"\n")
-        return self._hear("pid", END_s)
+        return self._receive("pid", END_s)
 
     def exit_code(self, timeout_s: float = 0.0) -> int | None:
         """Return the session's exit code, None while it runs."""
         if self._exit is None:
             try:
-                self._exit = self._hear("exit", timeout_s)
+                self._exit = self._receive("exit", timeout_s)
             except TimeoutError:
                 return None
         return self._exit
@@ -206,7 +202,7 @@ class Program:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
-    def _hear(self, word: str, timeout_s: float) -> int:
+    def _receive(self, word: str, timeout_s: float) -> int:
         while b"\n" not in self._pending:
             self._socket.settimeout(max(timeout_s, 1e-3))
             chunk = self._socket.recv(4096)

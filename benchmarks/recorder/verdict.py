@@ -22,9 +22,8 @@ def bars(result: dict[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-Found = tuple[
-    str, str, object, bool, bool
-]  # bar, what was asked, what was seen, whether met, whether run in full
+# bar, what was asked, what was seen, whether met, whether run in full
+Found = tuple[str, str, object, bool, bool]
 
 
 def _end_to_end(seen: dict[str, Any]) -> Iterator[Found]:

@@ -8,10 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
-import torch
-
-from uniforce_cli.boundary import command
+from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.options import Names, OutFolder, Positive
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -50,8 +47,7 @@ def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
 
 def run(config: BenchConfig) -> dict[str, Any]:
     """Run the chosen benches one after another; anchors of all of them end up under ``anchors``."""
-    cv2.setNumThreads(1)
-    torch.set_num_threads(1)
+    one_thread()
     results: dict[str, Any] = {"anchors": {}}
     for name, bench in _benches().items():
         if config.only in ("", name):
@@ -62,14 +58,13 @@ def run(config: BenchConfig) -> dict[str, Any]:
 
 
 @command(BenchConfig)
-def main(config: BenchConfig) -> int:
+def main(config: BenchConfig) -> None:
     """Entry of ``python -m benchmarks.speed``."""
     results = run(config)
     path = write_json(Path(config.out) / "bench.json", results | {"config": asdict(config)} | provenance())
     for name, value in results.items():
         print(f"{name}: {value}")
     print(f"written to {path}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -118,21 +118,10 @@ def _train_trials(room: Room) -> list[Trial]:
     known = settings_known()
     rest = [name for name in known if name not in RANGES and not name.startswith("job.")]
     options = {name: known[name] for name in (*RANGES, *rest[::3])}
-    paths = {
-        "dataset.root": "nothing",
-        "policy.path": "nothing",
-        "config_path": "nothing/train_config.json",
-        "output_dir": "/proc/nothing/run",
-    }
-    data = ("dataset.repo_id=local/view", f"dataset.root={room.folder / 'view'}")
-    sound = (
-        "policy=pi05_uniforce",
-        "policy.size=tiny",
-        "policy.device=cpu",
-        *data,
-        "output_dir=run",
-        "num_workers=0",
-    )
+    paths = {"dataset.root": "nothing", "policy.path": "nothing"}
+    paths |= {"config_path": "nothing/train_config.json", "output_dir": "/proc/nothing/run"}
+    data = ("dataset.repo_id=local/view", f"dataset.root={room.folder / 'view'}", "num_workers=0")
+    sound = ("policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *data, "output_dir=run")
     named = [BadInput("path", (f"{name}={text}",), name) for name, text in paths.items()]
     return [Trial("train", bad, sound) for bad in (*bad_inputs(options, room), *named)]
 

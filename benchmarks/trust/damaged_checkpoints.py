@@ -31,19 +31,12 @@ Damage = Callable[[Path], object]
 
 @dataclass(frozen=True)
 class CheckpointDamage:
-    """One way to damage a checkpoint.
+    """One way to damage a checkpoint."""
 
-    Attributes:
-        name: what is damaged, in words.
-        damage: does it to a folder.
-        sound: the shipped folder that is copied.
-        load: loads a folder as a user would.
-    """
-
-    name: str
-    damage: Damage
-    sound: Path
-    load: Callable[[Path], object]
+    name: str  # what is damaged, in words
+    damage: Damage  # does it to a folder
+    sound: Path  # the shipped folder that is copied
+    load: Callable[[Path], object]  # loads a folder as a user would
 
     def refused(self, folder: Path) -> str | None:
         """Damage and load a copy inside ``folder``; return the error's line, None if it was accepted."""

@@ -37,21 +37,14 @@ Change = Callable[[int, np.ndarray], np.ndarray | None]
 
 @dataclass(frozen=True)
 class Damage:
-    """One kind.
+    """One kind."""
 
-    Attributes:
-        name: in words.
-        do: injures the copy in a folder.
-        said: what the error has to name: the episode, or a file that belongs to none alone.
-        hashed: whether the copy still has its hashes; without them its content has to give it away.
-        of: "dataset" or "view".
-    """
-
-    name: str
-    do: Callable[[Path], object]
+    name: str  # in words
+    do: Callable[[Path], object]  # injures the copy in a folder
+    # what the error has to name: the episode, or a file that belongs to none alone
     said: str = f"episode {HIT}"
-    hashed: bool = True
-    of: str = "dataset"
+    hashed: bool = True  # whether the copy still has its hashes; without them its content has to give it away
+    of: str = "dataset"  # "dataset" or "view"
 
     def refused(self, whole: Path, copy: Path, verify: str) -> str | None:
         """Return the error's line after damaging a copy of a whole dataset or view; None where it was accepted."""

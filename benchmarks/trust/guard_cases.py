@@ -28,12 +28,8 @@ from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 
 STEPS = 50  # actions in an episode
-MOTIONS = {
-    "follows": 1.0,
-    "lags": 0.3,
-    "blocked": 0.0,
-    "pushed": 0.5,
-}  # share of the way to a target per tick
+# share of the way to a target per tick
+MOTIONS = {"follows": 1.0, "lags": 0.3, "blocked": 0.0, "pushed": 0.5}
 LIES = {  # what an arm may say that can't be, or that forbids motion, and the names that fit
     "pose": ("bad_state",),
     "q": ("bad_state",),
@@ -50,18 +46,8 @@ LIES = {  # what an arm may say that can't be, or that forbids motion, and the n
 LATER = 5  # of them, the last ones, are none in a first reading: nothing to compare with, nothing that moves
 LIE_SHARE, SABOTAGE_SHARE = 0.004, 0.3
 GARBAGE: tuple[Any, ...] = (
-    None,
-    "0.4",
-    "nan",
-    [],
-    [1.0, 2.0],
-    {},
-    True,
-    b"0",
-    object(),
-    np.nan,
-    np.inf,
-    -np.inf,
+    *(None, "0.4", "nan", [], [1.0, 2.0], {}, True, b"0", object()),
+    *(np.nan, np.inf, -np.inf),
 )
 
 
@@ -85,9 +71,8 @@ class ScriptedArm:
     axes: np.ndarray  # (4,)
     motion: str
     lies: bool
-    sent: list[tuple[float, np.ndarray, np.ndarray]] = field(
-        default_factory=list
-    )  # time s, target, where it was
+    # time s, target, where it was
+    sent: list[tuple[float, np.ndarray, np.ndarray]] = field(default_factory=list)
     right_names: tuple[str, ...] = ()  # of the fault it has reported
     readings: int = 0
 
@@ -100,12 +85,8 @@ class ScriptedArm:
         self.readings += 1
         if lie == "jump":
             self.axes = self.axes + np.array([*self.rng.choice([-0.06, 0.06], 3), 0.0])
-        said = {
-            "pose": pose_of(self.axes),
-            "q": self.rng.normal(0, 1e-6, 7),
-            "dq": np.zeros(7),
-            "wrench": np.zeros(6),
-        }
+        said = {"pose": pose_of(self.axes), "q": self.rng.normal(0, 1e-6, 7)}
+        said |= {"dq": np.zeros(7), "wrench": np.zeros(6)}
         if lie in said:
             said[lie].flat[self.rng.integers(6)] = self.rng.choice([np.nan, np.inf, -np.inf])
         if lie == "fast":
@@ -126,9 +107,8 @@ class ScriptedArm:
         step *= MOTIONS[self.motion]
         if self.motion == "pushed":
             step += self.rng.normal(0, 0.003, 4)
-        self.axes = self.axes + step * 0.004 / max(
-            float(np.linalg.norm(step)), 0.004
-        )  # no faster than an arm can be
+        # as fast as an arm can be
+        self.axes = self.axes + step * 0.004 / max(float(np.linalg.norm(step)), 0.004)
 
     def recover(self) -> None:
         """Be well again."""
@@ -232,9 +212,8 @@ class Episode:
             if self.rng.random() < 0.9:
                 self._act()
             for _ in range(self.rng.integers(1, 5)):
-                self.clock.now_s += float(
-                    self.rng.choice([0, 1e-3, 1e-2, 0.03, 0.15], p=[0.05, 0.1, 0.6, 0.2, 0.05])
-                )
+                pauses_s = [0, 1e-3, 1e-2, 0.03, 0.15]
+                self.clock.now_s += float(self.rng.choice(pauses_s, p=[0.05, 0.1, 0.6, 0.2, 0.05]))
                 self._tick()
         except RobotError as fault:
             self._stopped(fault)
@@ -305,13 +284,8 @@ class Episode:
         elapsed_s = min(now_s - last_s, self.limits.longest_gap_s)
         speeds = np.array([self.limits.speed_m_s] * 3 + [self.limits.speed_rad_s])
         way = self.drift / [*[np.linalg.norm(self.drift[:3])] * 3, abs(self.drift[3])]
-        asked = (
-            last
-            + self.rng.choice([0.9, 0.999, 1.001, 1.1, 30.0], p=[0.8, 0.1, 0.04, 0.05, 0.01])
-            * speeds
-            * elapsed_s
-            * way
-        )
+        pace = self.rng.choice([0.9, 0.999, 1.001, 1.1, 30.0], p=[0.8, 0.1, 0.04, 0.05, 0.01])
+        asked = last + pace * speeds * elapsed_s * way
         if self.rng.random() < 0.005:
             asked[self.rng.integers(4)] = self.rng.choice([np.nan, np.inf])
         return ToolPose(asked[:3], float(asked[3]))

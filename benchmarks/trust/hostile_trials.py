@@ -79,25 +79,20 @@ AT_NEXT_ANSWER = ("arm_garbage_reply",)
 
 @dataclass(frozen=True)
 class Trial:
-    """What came of one fault.
-
-    Attributes:
-        named: the fault the caller was given, "" for none.
-        hold_s: robot's own clock, from the first moment at which the fault could be known until the arm was at rest.
-        learnt_s: robot's own clock, from then until the caller knew; the wall's, where the robot is dead or the caller
-            waits for ``recover``.
-        sent_after: actions that were taken after the caller had learnt.
-        starved: how often it was begun in vain: a busy machine kept the stand-in from telling its state in time.
-    """
+    """What came of one fault."""
 
     client: str
     fault: str
-    named: str
+    named: str  # the fault the caller was given, "" for none
     message: str
+    # robot's own clock, from the first moment at which the fault could be known until the arm was at rest
     hold_s: float
+    # robot's own clock, from then until the caller knew; the wall's, where the robot is dead or the caller waits for
+    # ``recover``
     learnt_s: float
-    sent_after: int
+    sent_after: int  # actions that were taken after the caller had learnt
     ended_s: float
+    # how often it was begun in vain: a busy machine kept the stand-in from telling its state in time
     starved: int = 0
 
 
@@ -260,9 +255,8 @@ def main() -> None:
         for fault in faults.split(","):
             there = sum(row["client"] == client and row["fault"] == fault for row in done)
             for _ in range(there, int(times)):
-                faulthandler.dump_traceback_later(
-                    STUCK_s
-                )  # into the log; works also where a client keeps the GIL
+                # into the log; works also where a client keeps the GIL
+                faulthandler.dump_traceback_later(STUCK_s)
                 row = begun_trial(client, fault, address, Path(folder))
                 faulthandler.cancel_dump_traceback_later()
                 with path.open("a") as file:

@@ -110,10 +110,7 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
     ),
     "robot: unguarded": (ROBOT, "self.guards(wanted, self.measured(), self._clock())", "wanted"),
 }
-PRELOAD = [
-    "lerobot.robots",
-    "uniforce_robots.sensors",
-]  # once, since they take seconds; never the package itself
+PRELOAD = ["lerobot.robots", "uniforce_robots.sensors"]  # once, they take seconds; never the package itself
 
 
 @dataclass

@@ -10,10 +10,11 @@ from uniforce_vtla.results_file import provenance, write_json
 
 
 def update(path: Path, key: str, content: dict[str, Any]) -> Path:
-    """Replace one key of a result file, with the command that made it; the others stay.
+    """Replace one key of a result file, and under ``made_by`` the command that made it; the others stay.
 
     Raises:
         ValueError: the file is no JSON object.
     """
     whole = json.loads(path.read_text()) if path.is_file() else {}
-    return write_json(path, whole | {key: content | {"made_by": provenance()}})
+    origin = whole.get("made_by", {}) | {key: provenance()}
+    return write_json(path, whole | {key: content, "made_by": origin})

@@ -154,29 +154,19 @@ def _project(normed: Streams, layers: Layers, name: str) -> Tensor:
     return torch.cat(parts, dim=1).transpose(1, 2)
 
 
+def _sizes(config: PI05UniforceConfig, depth: int, **others: Any) -> dict[str, Any]:
+    tiny = config.tiny
+    sizes = {"hidden_size": tiny.width, "intermediate_size": tiny.mlp_dim, "num_hidden_layers": depth}
+    return sizes | {"num_attention_heads": NUM_HEADS, **others}
+
+
 def _gemma(config: PI05UniforceConfig) -> dict[str, Any]:
-    return {
-        "hidden_size": config.tiny.width,
-        "intermediate_size": config.tiny.mlp_dim,
-        "num_hidden_layers": config.tiny.depth,
-        "num_attention_heads": NUM_HEADS,
-        "num_key_value_heads": 1,
-        "head_dim": config.tiny.width // NUM_HEADS,
-        "vocab_size": VOCABULARY,
-        "hidden_activation": "gelu_pytorch_tanh",
-        "dtype": "float32",
-    }
+    kind = {"vocab_size": VOCABULARY, "hidden_activation": "gelu_pytorch_tanh", "dtype": "float32"}
+    head = config.tiny.width // NUM_HEADS
+    return _sizes(config, config.tiny.depth, num_key_value_heads=1, head_dim=head, **kind)
 
 
 def _siglip(config: PI05UniforceConfig) -> dict[str, Any]:
-    return {
-        "model_type": "siglip_vision_model",
-        "hidden_size": config.tiny.width,
-        "intermediate_size": config.tiny.mlp_dim,
-        "num_hidden_layers": config.tiny.depth // 2,
-        "num_attention_heads": NUM_HEADS,
-        "patch_size": PATCH_PX,
-        "image_size": config.image_resolution[0],
-        "projection_dim": config.tiny.width,
-        "vision_use_head": False,
-    }
+    seen = {"patch_size": PATCH_PX, "image_size": config.image_resolution[0], "vision_use_head": False}
+    kind = {"model_type": "siglip_vision_model", "projection_dim": config.tiny.width}
+    return _sizes(config, config.tiny.depth // 2, **kind, **seen)

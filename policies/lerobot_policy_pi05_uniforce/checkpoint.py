@@ -23,7 +23,7 @@ logger = logging.getLogger(__name__)
 
 TYPE = "pi05_uniforce"
 PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
-# of whole numbers in config.json: far beyond what anybody trains, far below what fills a machine
+# of whole numbers in config.json: far beyond what is ever trained, far below what fills a machine
 COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")
 LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}
@@ -91,7 +91,11 @@ def check_processors(folder: Path) -> None:
             raise CheckpointError(expected(str(folder / name), "steps", repr(steps)[:80], "Copy it again."))
         for step in steps:
             _check_step(folder / name, step)
-            _check_state(folder / str(step.get("state_file")))
+            state = folder / str(step.get("state_file"))
+            if state.is_file():  # else LeRobot says so, or fetches it
+                with weights.opened(state) as stored:
+                    for tensor in stored.keys():  # noqa: SIM118 (not a dict)
+                        weights.finite(stored.get_tensor(tensor), f"{tensor} of {state}")
 
 
 def _check_step(file: Path, step: Any) -> None:
@@ -102,14 +106,6 @@ def _check_step(file: Path, step: Any) -> None:
     if state != Path(state).name or "\\" in state or not state.endswith(".safetensors"):
         do = "Copy the checkpoint again."
         raise CheckpointError(expected(f"state of a step in {file}", "a file beside it", state[:80], do))
-
-
-def _check_state(path: Path) -> None:
-    if not path.is_file():
-        return  # LeRobot says so, or fetches it
-    with weights.opened(path) as stored:
-        for name in stored.keys():  # noqa: SIM118 (not a dict)
-            weights.finite(stored.get_tensor(name), f"{name} of {path}")
 
 
 @contextmanager

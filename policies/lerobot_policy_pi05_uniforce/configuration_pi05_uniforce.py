@@ -36,8 +36,7 @@ CHOICES = {
 class TouchSettings:
     """Which fingers give force tokens, of what, and where they enter the network."""
 
-    # slot → finger; {} = none
-    slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})
+    slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})  # slot → finger; {} = none
     # "latent" | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair" (CNN)
     input: str = "latent"
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
@@ -188,18 +187,12 @@ class PI05UniforceConfig(PI05Config):
         _require(square, "image_resolution", "a square", self.image_resolution)
         latents = touch.input == "latent" and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
-        _require(
-            latents or not touch.next_force_weight, "touch.next_force_weight", "latents to predict", came
-        )
+        fit = latents or not touch.next_force_weight
+        _require(fit, "touch.next_force_weight", "latents to predict", came)
         share, deltas = augment.sensor_transfer, self.state_token and action.form == "target_delta"
         _require(0 <= share <= latents, "augment.sensor_transfer", "a share of latents", f"{share}, {came}")
-        most = MOST_DIRECTIONS if latents else 0
-        _require(
-            0 <= touch.directions <= most,
-            "touch.directions",
-            f"0 to {MOST_DIRECTIONS} of latents",
-            touch.directions,
-        )
+        fit = 0 <= touch.directions <= (MOST_DIRECTIONS if latents else 0)
+        _require(fit, "touch.directions", f"0 to {MOST_DIRECTIONS} of latents", touch.directions)
         _require(augment.camera_variation >= 0, "augment.camera_variation", "≥ 0", augment.camera_variation)
         steps, axes = action.previous_steps, action.previous_axes
         fit = steps >= 0 and (deltas or not steps)
@@ -225,9 +218,8 @@ class PI05UniforceConfig(PI05Config):
         fingers: dict[str, Any] = dict(self.touch.slots)
         for entry in filter(None, self.swap.replace(" ", "").split(",")):
             slot, _, fingers[slot] = entry.partition(":")
-            _require(
-                slot in self.touch.slots, "swap", f"one of {list(self.touch.slots)}, as in touch0:left", entry
-            )
+            wanted = f"one of {list(self.touch.slots)}, as in touch0:left"
+            _require(slot in self.touch.slots, "swap", wanted, entry)
         for slot, finger in fingers.items():
             _require(finger in FINGERS, f"finger of {slot}", " | ".join(FINGERS), finger)
         return fingers

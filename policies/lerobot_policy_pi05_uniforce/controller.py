@@ -38,7 +38,11 @@ def shipped_checkpoint() -> Path:
 
 
 def stored_config(checkpoint: Path) -> PI05UniforceConfig:
-    """Return the checked settings of a checkpoint folder, to be run on the CPU; raises as ``stored_policy``."""
+    """Return the checked settings of a checkpoint folder, to be run on the CPU.
+
+    Raises:
+        CheckpointError: another policy, or settings or processors that are missing, damaged or don't fit.
+    """
     file = weights.find(checkpoint, weights.CONFIG)
     stored.check_settings(read_object(file, CheckpointError), str(checkpoint))
     stored.check_processors(checkpoint)
@@ -48,18 +52,6 @@ def stored_config(checkpoint: Path) -> PI05UniforceConfig:
     config.device = "cpu"
     config.pretrained_path = checkpoint
     return config
-
-
-def stored_policy(config: PI05UniforceConfig) -> tuple[PI05UniforcePolicy, Any, Any]:
-    """Return the policy of ``stored_config``'s folder, what runs before it and what runs after it.
-
-    Raises:
-        CheckpointError: another policy, or settings, weights or processors that are missing, damaged or don't fit.
-    """
-    folder = str(config.pretrained_path)
-    policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
-    with stored.misfits_named(f"processors of {folder}"):
-        return policy, *make_pre_post_processors(config, pretrained_path=folder)
 
 
 class Deadlines:
@@ -115,7 +107,7 @@ class PolicyController:
         asked: finger → kind the user named; only a named kind may differ from the trained one, which ``notes`` say.
 
     Raises:
-        CheckpointError: weights that don't fit, or a sensor that differs though none was asked for.
+        CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
     """
 
     def __init__(
@@ -130,7 +122,10 @@ class PolicyController:
         for finger, sensor in (asked or {}).items():
             setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))
         self.notes = stored.check_sensors(config, mounted)
-        self.policy, self._before, self._after = stored_policy(config)
+        folder = str(config.pretrained_path)
+        self.policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
+        with stored.misfits_named(f"processors of {folder}"):
+            self._before, self._after = make_pre_post_processors(config, pretrained_path=folder)
         self.config: PI05UniforceConfig = self.policy.config
         self._deadlines = Deadlines(CONTROL_HZ)
 

@@ -15,6 +15,7 @@ from uniforce_vtla.errors import CheckpointError, UniForceError
 from uniforce_vtla.file_hashes import HASHES, check_hashes, write_hashes
 from uniforce_vtla.json_file import read_object
 
+FLAT = "touch_input"  # a setting of the form of 0.1.0 alone
 OWN = ("size", "swap", "left_sensor", "right_sensor", "text_tokenizer_name", "trained_on")
 NAMES = {  # group → old name: new one; a name alone stays
     "touch": "touch_slots:slots touch_input:input token_site:site start_at_base touch_directions:directions "
@@ -27,17 +28,12 @@ NAMES = {  # group → old name: new one; a name alone stays
 }
 
 
-def is_flat(saved: dict[str, Any]) -> bool:
-    """Return whether these settings are of the form of 0.1.0."""
-    return "touch_input" in saved
-
-
 def grouped(saved: dict[str, Any]) -> dict[str, Any]:
     """Return the settings of a 0.1.0 ``config.json`` in today's form; others come back as they are.
 
     A network that no setting gives any more (a grid of latents other than 4×4, say) is named by the strict load.
     """
-    if not is_flat(saved):
+    if FLAT not in saved:
         return saved
     kept = {"type", *OWN, *PI05Config.__dataclass_fields__}
     new: dict[str, Any] = {name: value for name, value in saved.items() if name in kept}
@@ -61,7 +57,7 @@ def migrate(folder: Path) -> bool:
         CheckpointError: no checkpoint, or files that don't have the hashes they were saved with.
     """
     saved = read_object(folder / "config.json", CheckpointError)
-    if not is_flat(saved):
+    if FLAT not in saved:
         return False
     if (folder / HASHES).is_file():
         check_hashes(folder, CheckpointError)

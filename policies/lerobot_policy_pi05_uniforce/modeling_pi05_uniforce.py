@@ -86,10 +86,10 @@ class PI05UniforcePolicy(stock.PI05Policy):
         training.read_view(meta, config)
         if meta is not None:
             training.read_provenance(meta, config)
-        if meta is not None and config.augment.sensor_transfer and tokens is not None:
-            from lerobot_policy_pi05_uniforce.touch.transfer import transferred_touch
+            if config.augment.sensor_transfer and tokens is not None:
+                from lerobot_policy_pi05_uniforce.touch.transfer import transferred_touch
 
-            tokens.transferred = transferred_touch(config)
+                tokens.transferred = transferred_touch(config)
         if not stats:
             return
         stats.update(floor_quantiles(stats))
@@ -297,8 +297,9 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if self.config.action.form == "absolute":
             return chunk
         targets = action.to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
-        # changes could add up to places no demo has shown
-        return targets.clamp(*self.target_range.to(targets))
+        return targets.clamp(
+            *self.target_range.to(targets)
+        )  # changes could add up to places no demo has shown
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""

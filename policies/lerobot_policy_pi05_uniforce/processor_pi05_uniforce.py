@@ -81,17 +81,16 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
         super().__post_init__()
         self.tokenizer_name = stored
 
-    @property
-    def _packaged(self) -> bool:
-        return self.tokenizer_name == PACKAGED
-
     def get_config(self) -> dict[str, Any]:
         """Return what the pipeline's JSON holds."""
-        return {**super().get_config(), "tokenizer_name": PACKAGED if self._packaged else SAVED}
+        return {
+            **super().get_config(),
+            "tokenizer_name": PACKAGED if self.tokenizer_name == PACKAGED else SAVED,
+        }
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return the tokenizer's files as (n,) uint8; nothing for the packaged one."""
-        if not self._packaged and not self._files:
+        if self.tokenizer_name != PACKAGED and not self._files:
             self._files = _to_tensors(self.input_tokenizer)
         return dict(self._files)
 
@@ -117,10 +116,8 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
 def _to_tensors(tokenizer: Any) -> dict[str, Tensor]:
     with TemporaryDirectory() as folder:
         tokenizer.save_pretrained(folder)
-        files = sorted(path for path in Path(folder).iterdir() if path.is_file())
-        return {
-            path.name: torch.frombuffer(bytearray(path.read_bytes()), dtype=torch.uint8) for path in files
-        }
+        files = {p.name: bytearray(p.read_bytes()) for p in sorted(Path(folder).iterdir()) if p.is_file()}
+    return {name: torch.frombuffer(content, dtype=torch.uint8) for name, content in files.items()}
 
 
 def floor_quantiles(stats: dict[str, dict[str, Any]] | None) -> dict[str, dict[str, Any]]:
@@ -147,15 +144,15 @@ def make_pi05_uniforce_pre_post_processors(
     Latents and wrenches stay as they are: statistics of one sensor in front of the tokens would end the swap.
     """
     stats = floor_quantiles(dataset_stats)
+    norm: dict[str, Any] = {"norm_map": config.normalization_mapping, "stats": stats}
     before = [
         RenameObservationsProcessorStep(rename_map={}),
         AddBatchDimensionProcessorStep(),
         KeepMeasuredStateStep(),
         NormalizerProcessorStep(
             features={**config.input_features, **config.output_features},
-            norm_map=config.normalization_mapping,
-            stats=stats,
             normalize_observation_keys={STATE},
+            **norm,
         ),
         Pi05PrepareStateTokenizerProcessorStep(max_state_dim=config.max_state_dim),
         UniforceTokenizerProcessorStep(
@@ -167,9 +164,7 @@ def make_pi05_uniforce_pre_post_processors(
         DeviceProcessorStep(device=config.device),
     ]
     after = [
-        UnnormalizerProcessorStep(
-            features=config.output_features, norm_map=config.normalization_mapping, stats=stats
-        ),
+        UnnormalizerProcessorStep(features=config.output_features, **norm),
         DeviceProcessorStep(device="cpu"),
         CheckActionStep(*(read_target_range(stats) if config.action.stop_outside_demos else [])),
     ]

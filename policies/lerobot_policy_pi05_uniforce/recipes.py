@@ -11,7 +11,6 @@ from uniforce_vtla.errors import ContractError, expected
 
 GRID = 4  # latents are pooled to 4×4: 16 tokens per slot
 TWO_SLOT_DROPOUT = 0.3  # a policy of two fingers must also do with one
-
 SIZES = ("tiny", "base")
 # setting → default of (tiny, base). base: LeRobot's own π0.5 values, published weights fit them; augmentation not tried
 BY_SIZE: dict[str, tuple[Any, Any]] = {

@@ -39,28 +39,25 @@ def parameter_groups(named: Iterable[Named], config: PI05UniforceConfig) -> list
     groups: dict[str, list[nn.Parameter]] = {name: [] for name in rates}
     for name, parameter in named:
         parts = set(name.split("."))  # a wrapper (PEFT) may stand before or behind the module's name
+        group = "gate" if "touch_gate" in parts else "new" if parts & set(NEW_MODULES) else ""
         if parameter.requires_grad:
-            groups["gate" if "touch_gate" in parts else "new" if parts & set(NEW_MODULES) else ""].append(
-                parameter
-            )
+            groups[group].append(parameter)
     return [{"params": groups[name], **rate} for name, rate in rates.items() if groups[name]]
 
 
 def freeze_unread(network: stock.PI05Pytorch) -> None:
     """Take the gradient from the VLM's weights behind its last keys and values."""
     vlm = network.paligemma_with_expert.paligemma.model.language_model
-    last = vlm.layers[-1]
-    attention = last.self_attn
-    unread = vlm.norm, last.post_attention_layernorm, last.mlp, attention.q_proj, attention.o_proj
-    for module in unread:
-        module.requires_grad_(False)
+    last, attention = vlm.layers[-1], vlm.layers[-1].self_attn
+    for unread in (vlm.norm, last.post_attention_layernorm, last.mlp, attention.q_proj, attention.o_proj):
+        unread.requires_grad_(False)
 
 
 def lora_targets(network: stock.PI05Pytorch) -> dict[str, Any]:
     """Return PEFT's settings: which layers get adapters, and which modules, that start random, train whole.
 
     The action expert and the action and time projections get adapters everywhere, the VLM on queries and values where
-    somebody reads them. LeRobot's own list names modules π0.5 doesn't have and leaves out its time MLP.
+    they are read. LeRobot's own list names modules π0.5 doesn't have and leaves out its time MLP.
     """
     depth = len(network.paligemma_with_expert.paligemma.model.language_model.layers)
     read = "|".join(str(n) for n in range(depth - 1))

@@ -1,4 +1,7 @@
-"""Where a command ends: whatever it raises becomes one line and an exit code; ``--debug`` shows where it came from."""
+"""Where a command ends: whatever it raises becomes one line and an exit code; ``--debug`` shows where it came from.
+
+Here, too, are the types of options that several commands share; what they allow is in ``uniforce_vtla/options.py``.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +12,25 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import yaml
 from draccus.utils import DraccusException
 
 from uniforce_vtla.arguments import parse, split_words
 from uniforce_vtla.errors import ContractError, UniForceError, without_credentials
+from uniforce_vtla.options import Names
+from uniforce_vtla.sensors import list_sensors
 
 REFUSED, FAULT, STOPPED = 2, 70, 130
 DEBUG = "--debug"
 LONGEST_LINE = 600
+
+Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes and samples, not at all
+# the environment's, which takes seconds to import; a test compares
+Level = Literal["easy", "paper", "touch", "hard"]
+Sensor = Annotated[str, Names(list_sensors())]
+Sensors = Annotated[str, Names(list_sensors(), many=True)]
 
 
 class Command:
@@ -28,7 +39,7 @@ class Command:
     Exit codes: the command's own; 2 for what a user can put right, 130 after Ctrl-C, 70 for a fault of the program.
 
     Args:
-        main: gets the config; the words themselves where there is no config class.
+        main: gets the config, the words themselves where there is no config class; returns an exit code, None for 0.
         config_class: what the options are parsed into; None = ``main`` gets the words themselves.
         presets: see ``parse``.
         others: options that begin like this are not parsed; ``main`` gets them, as ``--key=value``, beside the config,
@@ -37,7 +48,7 @@ class Command:
 
     def __init__(
         self,
-        main: Callable[..., int],
+        main: Callable[..., int | None],
         config_class: type | None,
         presets: Path | None = None,
         others: tuple[str, ...] = (),
@@ -56,18 +67,19 @@ class Command:
 
     def _run(self, words: list[str]) -> int:
         if self.config_class is None:
-            return self._main(words)
+            return self._main(words) or 0
         names = [word.removeprefix("--") for word in words]
         flags = [f"--{name}" for name in names if self.others and name.startswith(self.others)]
         own = [word for word in words if f"--{word.removeprefix('--')}" not in flags]
         split_words(flags)
         config: Any = parse(self.config_class, own, self._presets)
-        return self._main(config, flags, list(split_words(own))) if self.others else self._main(config)
+        more = (flags, list(split_words(own))) if self.others else ()
+        return self._main(config, *more) or 0
 
 
 def command(
     config_class: type | None, presets: Path | None = None, others: tuple[str, ...] = ()
-) -> Callable[[Callable[..., int]], Command]:
+) -> Callable[[Callable[..., int | None]], Command]:
     """Make ``main(config)`` a ``Command``, which says what the arguments are."""
     return lambda main: Command(main, config_class, presets, others)
 

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Annotated
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_vtla.contact.indenters import PRETRAIN
-from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
-from uniforce_vtla.contact.units import Look
-from uniforce_vtla.contact.virtual import GELSIGHT_D, as_virtual, hidden_sensors
 from uniforce_vtla.options import Count, Names, OutFolder, Seed, TokenizerFolder
 from uniforce_vtla.sensors import list_sensors
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.calibration import Calibration, CalibrationConfig, calibrate
-from uniforce_vtla.tokenizer.latent import POOL, pool_latent
-from uniforce_vtla.tokenizer.pair_cache import shrink
+from uniforce_vtla.tokenizer.settings import CalibrationConfig
 
-VirtualSensorName = Annotated[str, Names((*hidden_sensors(), GELSIGHT_D.name, *list_sensors()))]
+if TYPE_CHECKING:
+    from uniforce_vtla.tokenizer.api import Tokenizer
+    from uniforce_vtla.tokenizer.calibration import Calibration
+
+# of contact.virtual, slow to import; tested
+VIRTUAL = ("gelsight_stiff", "tactip_soft", "uskin_keen", "gelsight_d")
+VirtualSensorName = Annotated[str, Names((*VIRTUAL, *list_sensors()))]
 
 
 @dataclass
@@ -31,9 +28,8 @@ class CalibrateCommand:
     Example: uniforce calibrate new=gelsight_stiff anchor=tactip out=outputs/calibration
     """
 
-    # gelsight_stiff | tactip_soft | uskin_keen, or a registry sensor
-    new: VirtualSensorName = "gelsight_stiff"
-    anchor: VirtualSensorName = "tactip"  # gelsight | gelsight_d | tactip | uskin: the sensor that is known
+    new: VirtualSensorName = "gelsight_stiff"  # the sensor to fit
+    anchor: VirtualSensorName = "tactip"  # the sensor that is known
     grasps: Count = 600  # pairs: one minute at 10 Hz
     units: Count = 8  # units of the new sensor that take turns; 1 = your own sensor
     out: OutFolder = "outputs/calibration"  # the adapter's folder
@@ -44,6 +40,16 @@ class CalibrateCommand:
 
 def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, anchor: str) -> Calibration:
     """Grasp in simulation, the new sensor left and the anchor right, and fit; SensorError for unknown sensors."""
+    import numpy as np
+
+    from uniforce_vtla.contact.indenters import PRETRAIN
+    from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
+    from uniforce_vtla.contact.units import Look
+    from uniforce_vtla.contact.virtual import as_virtual, hidden_sensors
+    from uniforce_vtla.tokenizer.calibration import calibrate
+    from uniforce_vtla.tokenizer.latent import POOL, pool_latent
+    from uniforce_vtla.tokenizer.pair_cache import shrink
+
     per_unit, side = max(1, command.grasps // command.units), tokenizer.config.side
     left_sensor, right_sensor = (hidden_sensors().get(name) or as_virtual(name) for name in (new, anchor))
     pairs = equilibrium_pairs(
@@ -62,11 +68,11 @@ def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, 
 
 
 @command(CalibrateCommand)
-def main(command: CalibrateCommand) -> int:
-    """Entry of ``uniforce calibrate``."""
+def main(command: CalibrateCommand) -> None:
+    from uniforce_vtla.tokenizer.api import Tokenizer
+
     one_thread()
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
     found = calibrate_sensor(command, tokenizer, command.new, command.anchor)
     change = f"imbalance on held-out grasps {found.imbalance_before:.3f} → {found.imbalance_after:.3f}"
     print(f"{command.new} against {command.anchor}: {change}; adapter in {found.save(command.out)}")
-    return 0

@@ -37,15 +37,13 @@ class ConvertConfig:
     then: uniforce train policy.path=outputs/pi05_touch dataset.repo_id=local/view dataset.root=outputs/view224
     """
 
-    # folder or hub id of a pi05, or of a pi05_uniforce to change its touch
-    source: Published = "lerobot/pi05_base"
-    # training view of your demos (uniforce view image_side=224): features, statistics
-    view: View = "outputs/view"
+    source: Published = "lerobot/pi05_base"  # a pi05, or a pi05_uniforce to change its touch
+    view: View = "outputs/view"  # of your demos (uniforce view image_side=224): features, statistics
     out: OutFolder = "outputs/converted"  # the new policy's folder
-    # latent, none, or a control: the others
+    # the last three: controls
     touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"
     touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
-    token_site: Literal["prefix", "suffix"] = "prefix"  # prefix | suffix (docs/design.md)
+    token_site: Literal["prefix", "suffix"] = "prefix"  # where force tokens stand (docs/design.md)
     # training starts with the source's actions, touch behind a gate (touch/tokens.py)
     start_at_base: bool = True
     dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
@@ -62,11 +60,8 @@ def convert(config: ConvertConfig) -> Path:
     """
     from lerobot.utils.feature_utils import dataset_to_policy_features
 
-    from lerobot_policy_pi05_uniforce import (
-        PI05UniforcePolicy,
-        make_pi05_uniforce_pre_post_processors,
-        weights,
-    )
+    from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
+    from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
     from lerobot_policy_pi05_uniforce.migration import grouped
     from uniforce_datasets.training_view import TrainingView
 
@@ -84,7 +79,7 @@ def convert(config: ConvertConfig) -> Path:
     policy = PI05UniforcePolicy(settings, dataset_stats=view.meta.stats, dataset_meta=view.meta, empty=True)
     file = weights.find(config.source, weights.WEIGHTS, revision)
     weights.fill(policy, file, weights.own_names, weights.FRESH)
-    before, after = make_pi05_uniforce_pre_post_processors(settings, view.meta.stats)
+    before, after = make_processors(settings, view.meta.stats)
     for part in (policy, before, after):
         part.save_pretrained(config.out)
     write_hashes(config.out)
@@ -114,12 +109,10 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
 
 
 @command(ConvertConfig)
-def main(config: ConvertConfig) -> int:
-    """Entry of ``uniforce convert``."""
+def main(config: ConvertConfig) -> None:
     from lerobot_policy_pi05_uniforce import weights
 
     one_thread()
     out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(weights.FRESH)}")
     print(f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")
-    return 0

@@ -10,11 +10,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from uniforce_cli.recorded_episode import camera_frames, cameras, raw_touch
+from uniforce_cli.recorded_episode import cameras, frames, marker_images, raw_touch
 from uniforce_datasets.source import Episode, Source
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
-from uniforce_vtla.keys import tactile_key
 
 TIME = "time"
 AXES = ("fx", "fy", "fz")
@@ -25,25 +24,14 @@ HEAT_PX = 16  # a patch's side in a heat map, so that the viewer has something t
 def write_recording(
     rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode, path: Path
 ) -> Path:
-    """Write an episode and the layout it is looked at in.
-
-    Args:
-        rerun: the package.
-        summary: forces, latents and verdict.
-        source: where the pictures are.
-        episode: which one.
-        path: of the .rrd file.
-
-    Raises:
-        DatasetError: a video that is missing or truncated.
-    """
+    """Write an episode and the layout it is looked at in to an .rrd file; DatasetError for a truncated video."""
     path.parent.mkdir(parents=True, exist_ok=True)
     at = rerun.TimeColumn(TIME, duration=summary.time_s)
     with rerun.RecordingStream("uniforce show", recording_id=path.stem) as recording:
         recording.save(path, default_blueprint=_layout(rerun, summary, cameras(source)))
         recording.log("events", rerun.TextDocument("\n".join(["estimated:", *summary.verdict])), static=True)
-        for name, frames, ending in _pictures(summary, source, episode):
-            blobs = [_encoded(frame, ending) for frame in frames]
+        for name, pictures, ending in _pictures(summary, source, episode):
+            blobs = [_encoded(picture, ending) for picture in pictures]
             kinds = [f"image/{'jpeg' if ending == '.jpg' else 'png'}"] * len(blobs)
             recording.send_columns(name, [at], rerun.EncodedImage.columns(blob=blobs, media_type=kinds))
         for name, values in traces(summary).items():
@@ -59,12 +47,11 @@ def _pictures(
 ) -> Iterator[tuple[str, Iterable[np.ndarray], str]]:
     """Yield the path, frames and file ending of every stream of pictures."""
     for name, key in cameras(source).items():
-        yield f"camera/{name}", camera_frames(source, episode, key), ".jpg"
+        yield f"camera/{name}", frames(source, episode, key), ".jpg"
     for finger in FINGERS:
         if (raw := raw_touch(source, episode, finger)) is not None:
-            yield f"raw/{finger}", raw(), ".jpg"
-        images = camera_frames(source, episode, tactile_key(finger))
-        yield f"markers/{finger}", (image[..., 0] for image in images), ".png"
+            yield f"raw/{finger}", raw, ".jpg"
+        yield f"markers/{finger}", marker_images(source, episode, finger)[1], ".png"
         strength = summary.strength(finger)
         scale = 255 / max(float(strength.max()), 1e-6)
         yield f"latent/{finger}", (_heat(frame * scale) for frame in strength), ".png"
@@ -90,9 +77,8 @@ def traces(summary: EpisodeSummary) -> dict[str, np.ndarray]:
     for word, judged in (("estimate", summary.found), ("from_true_forces", summary.truth)):
         if judged is not None:
             found[f"press_N/{word}"] = judged.press_N
-            found |= (
-                {f"friction_used/{word}": judged.friction_used.min(axis=1)} if summary.judges_slip else {}
-            )
+            if summary.judges_slip:
+                found[f"friction_used/{word}"] = judged.friction_used.min(axis=1)
     return found
 
 

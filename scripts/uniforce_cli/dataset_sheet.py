@@ -8,7 +8,6 @@ from pathlib import Path
 
 from uniforce_vtla.evaluation.episode_summary import (
     EpisodeSummary,
-    KeyFrame,
     draw_channels,
     draw_key_frames,
     draw_timeline,
@@ -39,21 +38,17 @@ CHANNELS = (
 def write_sheet(summary: EpisodeSummary, facts: Mapping[str, str], folder: Path, stem: str) -> Path:
     """Draw the pictures, write the page beside them, and return the page's path.
 
-    Args:
-        summary: what is shown.
-        facts: lines of the table at the top; whatever they hold is shown as text, never as HTML.
-        folder: where to.
-        stem: how the files' names begin.
+    ``facts`` are the lines of the table at the top; whatever they hold is shown as text, never as HTML.
     """
-    held = hardest(summary)
+    # hardest
+    held = max(summary.key_frames, key=lambda moment: float(summary.force_N[moment.frame, :, 2].sum()))
+    timeline = draw_timeline(summary, folder / f"{stem}_timeline.png")
+    moments = draw_key_frames(summary, folder / f"{stem}_moments.png")
+    latent = draw_channels(summary, held, folder / f"{stem}_latent.png")
     sections = (
-        (
-            "Time line",
-            HONEST + (TRUE if summary.true_force_N is not None else ""),
-            draw_timeline(summary, folder / f"{stem}_timeline.png"),
-        ),
-        ("Key frames", TOUCH, draw_key_frames(summary, folder / f"{stem}_moments.png")),
-        (f"Latent force, {held.name}", CHANNELS, draw_channels(summary, held, folder / f"{stem}_latent.png")),
+        ("Time line", HONEST + (TRUE if summary.true_force_N is not None else ""), timeline),
+        ("Key frames", TOUCH, moments),
+        (f"Latent force, {held.name}", CHANNELS, latent),
     )
     rows = "\n".join(f"<tr><td>{escape(k)}</td><td>{escape(v)}</td></tr>" for k, v in facts.items())
     verdict = f"<b>Estimated from the fingers:</b> {escape('; '.join(summary.verdict))}"
@@ -70,8 +65,3 @@ def write_sheet(summary: EpisodeSummary, facts: Mapping[str, str], folder: Path,
         f'<div class="verdict">{verdict}</div>\n{body}\n</body></html>\n'
     )
     return page
-
-
-def hardest(summary: EpisodeSummary) -> KeyFrame:
-    """Return the key frame at which both fingers together press hardest."""
-    return max(summary.key_frames, key=lambda key_frame: float(summary.force_N[key_frame.frame, :, 2].sum()))

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, OutFolder
 from uniforce_vtla.results_file import provenance, write_json
@@ -90,11 +89,11 @@ def logged(path: Path) -> Iterator[Callable[[str], None]]:
         try:
             with contextlib.redirect_stdout(log), contextlib.redirect_stderr(errors):  # type: ignore[type-var]
                 yield lambda text: print(text, file=out, flush=True)
-        except Exception:
-            tail = path.read_text().splitlines()[-TAIL:]
-            print("\n".join([*tail, f"the step failed; all it printed is in {path}"]), file=out, flush=True)
-            raise
         finally:
+            if isinstance(sys.exception(), Exception):  # Ctrl-C needs no explanation
+                tail = path.read_text().splitlines()[-TAIL:]
+                tail.append(f"the step failed; all it printed is in {path}")
+                print("\n".join(tail), file=out, flush=True)
             for number, copy in enumerate(kept, start=1):
                 os.dup2(copy, number)
                 os.close(copy)
@@ -155,11 +154,7 @@ def _train_arguments(config: DemoConfig, out: Path) -> list[str]:
 
 
 def _start_over(out: Path) -> None:
-    """Empty an earlier demo's folder.
-
-    Raises:
-        ContractError: a folder that holds something else.
-    """
+    """Empty an earlier demo's folder; raises ContractError: a folder that holds something else."""
     if out.exists() and any(out.iterdir()) and not (out / MARKER).is_file():
         do = f"Name a new folder, or remove it yourself: it holds no {MARKER}."
         raise ContractError(expected("out", "an empty folder or an earlier demo", str(out), do))
@@ -168,9 +163,7 @@ def _start_over(out: Path) -> None:
 
 
 @command(DemoConfig)
-def main(config: DemoConfig) -> int:
-    """Entry of ``uniforce demo``."""
+def main(config: DemoConfig) -> None:
     logging.basicConfig(level=logging.WARNING)
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     run(config)
-    return 0

@@ -58,7 +58,7 @@ def _draw_sensors(figure: SubFigure) -> None:
 
 
 def _press(sensor: str) -> MarkerPair:
-    """Press one sensor and read it the way a real one is read: raw frames through the canonicaliser."""
+    """Press one sensor and read it the way a real one is read: raw frames through the canonicalizer."""
     gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
     contact = ContactState(gap_mm, np.array([PRESS_N], np.float32), np.zeros(1, np.float32))
     simulator = TactileSimulator(sensor)

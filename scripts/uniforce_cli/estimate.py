@@ -6,8 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Verify
+from uniforce_cli.boundary import Verify, command, one_thread
 from uniforce_vtla.arguments import numbers
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import camera_key
@@ -34,9 +33,8 @@ class ScoreRecordingConfig:
     board_corners: Numbers = ""
     camera: FileName = "front"  # scene camera that sees the board
     episodes: CountOrZero = 0  # the first so many; 0 = all
-    # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
-    heads: FolderPath = ""
-    verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
+    heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
+    verify: Verify = "quick"  # how the dataset is checked first
     out: OutFolder = "outputs/recording_scores"  # estimates.json and a picture per episode
 
 
@@ -49,7 +47,7 @@ def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     """
     from tqdm import tqdm
 
-    from uniforce_cli.recording_forces import RecordingForces, descriptor_heads
+    from uniforce_cli.recorded_episode import RecordingForces, descriptor_heads
     from uniforce_vtla.evaluation.episode import ScoreLimits
     from uniforce_vtla.evaluation.pictures import draw_estimate
 
@@ -115,10 +113,8 @@ def _line(row: dict[str, Any]) -> str:
 
 
 @command(ScoreRecordingConfig)
-def main(config: ScoreRecordingConfig) -> int:
-    """Entry of ``uniforce estimate``."""
+def main(config: ScoreRecordingConfig) -> None:
     one_thread()
     content = score_recording(config)
     path = write_json(Path(config.out) / "estimates.json", content | provenance())
     print("\n".join(["Estimates, not truth:", *map(_line, content["episodes"]), f"written to {path}"]))
-    return 0

@@ -131,11 +131,7 @@ def training_views(verify: str = "") -> Iterator[None]:
 
 
 def _stock_dataset(stock: Any, cfg: Any) -> Any:
-    """Return what LeRobot reads.
-
-    Raises:
-        ContractError: it can't, from the folder or from the hub.
-    """
+    """Return what LeRobot reads; raises ContractError: it can't, from the folder or from the hub."""
     where = cfg.dataset.root or cfg.dataset.repo_id
     try:
         return stock(cfg)
@@ -206,9 +202,8 @@ def _check(given: Mapping[str, str], ours: bool) -> None:
         if name in known and (ours or not name.startswith("policy.")):
             check(known[name], read_value(known[name], text))
     root, out = given.get("dataset.root"), given.get("output_dir")
-    if root is not None and not any(
-        (Path(root) / name).is_file() for name in (VIEW_MARKER, "meta/info.json")
-    ):
+    markers = (VIEW_MARKER, "meta/info.json")
+    if root is not None and not any((Path(root) / name).is_file() for name in markers):
         raise ContractError(expected("dataset.root", "a dataset or a training view", root, "Check the path."))
     if out is not None:
         Writable().check("output_dir", out)

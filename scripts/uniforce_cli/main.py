@@ -41,9 +41,8 @@ def overview() -> str:
     lines = ["uniforce VERB key=value …    (uniforce VERB --help teaches a verb by example)"]
     for title, group in GROUPS.items():
         lines += ["", f"{title}:", *(f"  {name:10} {does}" for name, does in group.items())]
-    return "\n".join(
-        [*lines, "", "What proves the project's figures: python -m benchmarks.NAME, see docs/benchmark.md."]
-    )
+    lines += ["", "What proves the project's figures: python -m benchmarks.NAME, see docs/benchmark.md."]
+    return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

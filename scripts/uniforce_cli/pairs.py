@@ -8,21 +8,19 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Sensor
-from uniforce_vtla.arguments import names_in
+from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Share, Text
+from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Share, Text, split
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
+    import numpy as np
     from tqdm import tqdm
 
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
-    from uniforce_robots.pairs.rig import PairRig
+    from uniforce_robots.pairs.rig import PairRig, RobotRig
     from uniforce_robots.pairs.storage import PairStore
-
 
 Several = Annotated[int, Range(2, 1_000_000)]
 Address = Annotated[str, Pattern("a host", r"[\w.:-]{1,253}", "172.16.0.2")]
@@ -40,8 +38,8 @@ class RecordPairsConfig:
     """
 
     robot: Literal["sim", "franka"] = "sim"  # sim rehearses in the simulator | franka (never run on hardware)
-    left_sensor: Sensor = "gelsight"  # gelsight | tactip | uskin
-    right_sensor: Sensor = "tactip"  # gelsight | tactip | uskin
+    left_sensor: Sensor = "gelsight"  # of the left finger
+    right_sensor: Sensor = "tactip"  # of the right one
     indenters: Text = ""  # names, in order; any words for a robot; empty = all that pretraining knows
     pairs: Several = 1000  # per indenter, earlier sessions included
     chunk: Several = 50  # pairs saved at once: what a kill may cost
@@ -111,9 +109,7 @@ def _run(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> tuple[P
 @contextlib.contextmanager
 def _rig(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> Iterator[PairRig]:
     if config.robot == "franka":
-        from uniforce_cli.pairs_robot import opened_rig
-
-        with opened_rig(config, rate_hz) as robot_rig:
+        with _robot_rig(config, rate_hz) as robot_rig:
             yield robot_rig
         return
     from uniforce_robots.pairs.guided_grasp import GraspSettings
@@ -122,6 +118,45 @@ def _rig(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> Iterato
     seed = config.seed + store.next_session  # other grasps than those recorded before
     grasps = GraspSettings(rate_hz=rate_hz)
     yield SimulatedRig(Rehearsal(config.left_sensor, config.right_sensor, seed, grasps=grasps))
+
+
+@contextlib.contextmanager
+def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
+    """Connect fingers, keyboard and a soft Franka led by hand, in this order, and let go of them in the other.
+
+    Never run on hardware. The fingers' references are taken while connecting: keep them in free air.
+
+    Raises:
+        SensorError, RobotError, TeleoperatorError: whatever is not there.
+    """
+    from uniforce_cli.touch import TouchConfig, opened
+    from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+    from uniforce_robots.franka.hand import HandSettings
+    from uniforce_robots.pairs.rig import RobotRig
+    from uniforce_robots.teleop import UniforceHandGuide, UniforceHandGuideConfig
+    from uniforce_vtla.keys import AXES
+
+    guide = UniforceHandGuide(UniforceHandGuideConfig())
+    gains, hand = UniforceHandGuide.wants_gains, HandSettings(grip_force_N=config.grip_N)
+    assert gains is not None
+    robot = UniforceFranka(UniforceFrankaConfig(address=config.address, gains=gains, gripper=hand))
+
+    def steer(measured: np.ndarray) -> None:
+        """Let the soft arm follow the hand that leads it, frame by frame."""
+        guide.send_feedback(dict(zip(AXES, measured.tolist(), strict=True)))
+        robot.send_action(guide.get_action())
+
+    with contextlib.ExitStack() as stack:
+        left = stack.enter_context(opened(TouchConfig(config.left_sensor, config.left_source, "left")))
+        right = stack.enter_context(opened(TouchConfig(config.right_sensor, config.right_source, "right")))
+        guide.connect()
+        stack.callback(guide.disconnect)
+        robot.connect()
+        stack.callback(robot.disconnect)
+        fingers: dict[Any, object] = {"left": left, "right": right}
+        sensors: dict[Any, str] = {"left": config.left_sensor, "right": config.right_sensor}
+        guide.start_from(robot.measured())
+        yield RobotRig(robot, fingers, sensors, rate_hz, config.mass_kg, config.grip_N, steer=steer)  # type: ignore[arg-type]
 
 
 def _status_shown(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status], None]:
@@ -153,7 +188,7 @@ def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
 def _check(config: RecordPairsConfig) -> tuple[str, ...]:
     from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN
 
-    names = tuple(names_in(config.indenters)) or PRETRAIN
+    names = tuple(split(config.indenters)) or PRETRAIN
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
     if unknown or len(set(names)) < len(names):
         do = "Name each once."
@@ -162,8 +197,7 @@ def _check(config: RecordPairsConfig) -> tuple[str, ...]:
 
 
 @command(RecordPairsConfig)
-def main(config: RecordPairsConfig) -> int:
-    """Entry of ``uniforce pairs``."""
+def main(config: RecordPairsConfig) -> None:
     import datasets
 
     one_thread()
@@ -174,4 +208,3 @@ def main(config: RecordPairsConfig) -> int:
         truth = content["truth"]
         print(f"rehearsal, by truth: {truth['out_of_balance']:.1%} of those kept now are out of balance")
     print(f"coverage in {Path(config.out) / 'coverage.png'}, session in {Path(config.out) / 'session.json'}")
-    return 0

@@ -7,12 +7,10 @@ import resource
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import torch
-
 import uniforce_vtla.tokenizer
 from uniforce_cli.boundary import command
 from uniforce_vtla.options import FileName, OutFolder, Workers
-from uniforce_vtla.tokenizer.pretrain import Pretraining, PretrainSettings, open_source, starting_model
+from uniforce_vtla.tokenizer.settings import PretrainSettings
 
 PRESETS = Path(uniforce_vtla.tokenizer.__file__).parent / "presets"  # one YAML file each
 
@@ -35,16 +33,16 @@ class PretrainCommand:
 
 
 @command(PretrainCommand, presets=PRESETS)
-def main(settings: PretrainCommand) -> int:
-    """Entry of ``uniforce pretrain``."""
+def main(settings: PretrainCommand) -> None:
+    import torch
+
+    from uniforce_vtla.tokenizer.pretrain import Pretraining, open_source, starting_model
+
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(settings.threads)
     starting_model(settings.run)  # refuses what does not fit before pairs are drawn
     data = open_source(settings.run, Path(settings.cache))
     tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
-    print(
-        f"tokenizer {tokenizer.hash[:12]} in {settings.out}/tokenizer, log in {settings.out}/log.csv; "
-        f"peak memory {peak_GB:.1f} GB"
-    )
-    return 0
+    where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"
+    print(f"tokenizer {tokenizer.hash[:12]} {where}; peak memory {peak_GB:.1f} GB")

@@ -10,8 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level, Sensor
+from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import (
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
     from uniforce_robots.recorder.session import SessionEnd
 
 INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
-
-
 EpisodeSeconds = Annotated[float, Range(0, 3600, above=True)]
 Nudge = Annotated[float, Range(0, 10)]
 
@@ -54,14 +51,13 @@ class RecordConfig:
     press are in docs/recording.md. Exit codes: 0 done, 2 could not start, 3 a fault, 4 disk full, 130 interrupted.
     """
 
-    robot: Literal["sim", "franka"] = "sim"  # sim | franka
+    robot: Literal["sim", "franka"] = "sim"  # what records
     # expert (simulation) | keyboard | spacemouse | gello | hand_guide | replay | …
     teleop: FileName = "expert"
     rig: FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
     episodes: Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
-    level: Level = "paper"  # simulation: easy | paper | touch | hard, locked in the environment package
-    # simulation: gelsight | tactip | uskin; a robot's own config says it there
-    left_sensor: Sensor = "gelsight"
+    level: Level = "paper"  # simulation: locked in the environment package
+    left_sensor: Sensor = "gelsight"  # simulation; a robot's own config says it there
     right_sensor: Sensor = "tactip"  # simulation
     root: OutFolder = "outputs/demos"  # the dataset's folder
     resume: Dataset = ""  # the same as root, but refuses a folder without a dataset
@@ -71,9 +67,8 @@ class RecordConfig:
     keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
     prompts: Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
     episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
-    operator: Literal["keys", "unattended"] = "keys"  # keys | unattended: what begins and judges an episode
-    # operator=unattended: what every episode is called
-    verdict: Literal["success", "residual", "failed_grasp"] = "success"
+    operator: Literal["keys", "unattended"] = "keys"  # what begins and judges an episode
+    verdict: Literal["success", "residual", "failed_grasp"] = "success"  # of every unattended episode
     quick_notes: Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
     keep_aborted: bool = True  # whether what came before a fault is stored, labelled
@@ -109,13 +104,12 @@ def record(config: RecordConfig, device_flags: Sequence[str] = (), given: Collec
 
     robot, steering = read_devices(device_flags, config.robot == "franka", config.teleop, config.rig)
     teleop = make_teleoperator(steering)
-    operator = _operator(config, teleop)
     store = StoreSettings(Path(config.root), config.repo_id, config.reserve_MB)
     limits = config.drive_between, config.unwell_s, config.keep_aborted, config.late_share
     facts = {**asdict(config), "devices": list(device_flags)}
     settings = SessionSettings(config.episodes, tuple(config.prompts), config.episode_s, *limits, facts)
-    rig = _rig(config, robot, teleop)
-    return run_session(rig, teleop, operator, store, settings, config.seed, sys.stdout)
+    devices = _rig(config, robot, teleop), teleop, _operator(config, teleop)
+    return run_session(*devices, store, settings, config.seed, sys.stdout)
 
 
 def _record_expert(config: RecordConfig) -> SessionEnd:
@@ -123,9 +117,9 @@ def _record_expert(config: RecordConfig) -> SessionEnd:
     from uniforce_robots.recorder.expert_demos import record_expert
     from uniforce_robots.recorder.session import SessionEnd
 
-    root, wanted = Path(config.root), config.episodes
+    drawn = config.episodes, config.seed, config.nudge, config.keep_failures
     with closing(WipeEnv(config.level, config.left_sensor, config.right_sensor)) as env:
-        record_expert(env, root, config.repo_id, wanted, config.seed, config.nudge, config.keep_failures)
+        record_expert(env, Path(config.root), config.repo_id, *drawn)
     return SessionEnd(0, f"{config.episodes} episodes")
 
 
@@ -187,12 +181,8 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Co
         mode = "robot=sim teleop=expert" if scripted else "robot=sim, steered by hand"
         parts = ("--robot.", "--teleop.") if scripted else ("--robot.",)
     operator = "" if config.teleop == "expert" else f"operator={config.operator}"
-    plain = RecordConfig()
-    ignored = [
-        name
-        for name in (*IGNORED[mode], *IGNORED.get(operator, ()))
-        if name in given or getattr(config, name) != getattr(plain, name)
-    ]
+    plain, unused = RecordConfig(), (*IGNORED[mode], *IGNORED.get(operator, ()))
+    ignored = [n for n in unused if n in given or getattr(config, n) != getattr(plain, n)]
     ignored += [flag for flag in device_flags if flag.startswith(parts)]
     if ignored:
         settings = f"settings with {mode} {operator}".strip()
@@ -201,7 +191,6 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Co
 
 @command(RecordConfig, others=("robot.", "teleop."))
 def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> int:
-    """Entry of ``uniforce record``."""
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
     try:
         end = record(config, flags, given)

@@ -1,95 +1,189 @@
-"""One recorded episode for a page or a viewer: pictures at its key frames, raw touch, forces, latents, events."""
+"""A recorded episode's pictures, raw touch, forces, latents and events: read for a page, a viewer or scores."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 
 import numpy as np
+import torch
 
-from uniforce_cli.recording_forces import EpisodeForces, RecordingForces, latent_change, marker_images
 from uniforce_cli.touch_view import counts_picture
+from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.source import Episode, Source, VideoSpan, episode_frames
 from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
-from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
-from uniforce_vtla.evaluation.finger_estimates import FingerEstimate
-from uniforce_vtla.keys import TACTILE_KEYS, counts_key
+from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
+from uniforce_vtla.keys import (
+    AXES,
+    STATE,
+    TACTILE_KEYS,
+    counts_key,
+    sensor_key,
+    tactile_key,
+    truth_wrench_key,
+)
+from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.markers.overlay import overlay
-from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.sensors import list_sensors
+from uniforce_vtla.tokenizer import ForceHead, Tokenizer
+from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
+from uniforce_vtla.tokenizer.plain_touch import descriptors
+from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
+HEIGHT = AXES.index("z.pos")
 FILM = 12  # pictures in a film strip: square ones fill a line of it
 UNKNOWN_FRICTION = (np.inf, np.inf)  # no pad ever reaches its limit: slippage isn't judged
-IMAGES = "observation.images."
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeForces:
+    """Both fingers over an episode of n frames, and what the robot knew of itself."""
+
+    time_s: np.ndarray  # (n,) since its first frame
+    tool_z_m: np.ndarray  # (n,) measured height
+    force_N: np.ndarray  # (n, 2, 3) left, right, canonical frame: estimates
+    true_force_N: np.ndarray | None  # the same from the simulator; None for a robot's recording
+
+    def judge(self, pad_friction: tuple[float, float]) -> tuple[FingerEstimate, FingerEstimate | None]:
+        """Return the estimate from the fingers, and the same from true forces where there are any.
+
+        Raises:
+            ContractError, DatasetError: see ``estimate_events``.
+        """
+
+        def judged(force_N: np.ndarray) -> FingerEstimate:
+            return estimate_events(self.time_s, force_N, self.tool_z_m, pad_friction)
+
+        return judged(self.force_N), None if self.true_force_N is None else judged(self.true_force_N)
+
+
+# newtons of one finger over an episode: (n, 3) in the canonical frame
+ForceReader = Callable[[Source, Episode, Finger], np.ndarray]
+
+
+class RecordingForces:
+    """A recorded dataset behind a reader of forces; its numbers are read once for all episodes.
+
+    Args:
+        root: the dataset's folder.
+        forces: reads newtons, e.g. ``descriptor_heads()``.
+        verify: how the dataset is checked, see ``check_dataset``.
+
+    Raises:
+        DatasetError: a dataset that can't be read, or lacks a finger.
+    """
+
+    def __init__(self, root: str | Path, forces: ForceReader, verify: str = "quick") -> None:
+        self.source = check_dataset(root, verify)
+        if self.source.fingers != FINGERS:
+            do = "Record marker images of both fingers."
+            raise DatasetError(expected(str(root), f"fingers {FINGERS}", self.source.fingers, do))
+        self._forces = forces
+        truth = tuple(truth_wrench_key(finger) for finger in FINGERS)  # a robot's recording has none
+        truth = truth if set(truth) <= self.source.features.keys() else ()
+        columns = self.source.columns((STATE, *truth))
+        self._heights_m = columns[STATE][:, HEIGHT].astype(np.float64)  # (N,)
+        forces_N = [columns[key][:, :3].astype(np.float64) for key in truth]
+        self._true_N = np.stack(forces_N, axis=1) if truth else None  # (N, 2, 3)
+
+    def read(self, episode: Episode) -> EpisodeForces:
+        """Return an episode's forces; raise DatasetError where its videos can't be read."""
+        rows = slice(episode.start, episode.start + episode.length)
+        return EpisodeForces(
+            np.arange(episode.length) / self.source.fps,
+            self._heights_m[rows],
+            np.stack([self._forces(self.source, episode, finger) for finger in FINGERS], axis=1),
+            None if self._true_N is None else self._true_N[rows],
+        )
+
+
+def descriptor_heads(folder: str = "") -> ForceReader:
+    """Return a reader of hand descriptors, never through the tokenizer a policy may have acted on: the one for scores.
+
+    Args:
+        folder: of python -m benchmarks.descriptor_heads; empty for the shipped ones, of the wiping scene.
+    """
+    load = cache(lambda sensor: DescriptorHead.from_pretrained(sensor, folder or None))
+
+    def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
+        reference, current = marker_images(source, episode, finger)
+        described = [descriptors(reference, image[None], finger)[0] for image in current]
+        return load(worn(source, episode, finger)).read(np.stack(described))
+
+    return read
+
+
+def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
+    """Return a reader of the latents: what a force head makes of them, frame after frame, as on the robot.
+
+    Raises:
+        CheckpointError: (when read) a head that was trained on another tokenizer's latents.
+    """
+
+    def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
+        reference, current = marker_images(source, episode, finger)
+        stream = StreamingEncoder(tokenizer, finger, head)
+        stream.set_reference(reference)
+        return np.array([stream.step(image).force_N for image in current], np.float64)
+
+    return read
+
+
+def latent_change(tokenizer: Tokenizer, source: Source, episode: Episode, finger: Finger) -> np.ndarray:
+    """Return (n, g, g, L) float32: each patch's latent minus its free-air latent, as the sensor sees it."""
+    reference, current = marker_images(source, episode, finger)
+    stream = StreamingEncoder(tokenizer, finger)
+    stream.set_reference(reference)
+    rest = stream.step(reference).latent
+    latents = torch.stack([stream.step(image).latent for image in current])  # (n, P, L)
+    side = math.isqrt(tokenizer.num_patches)
+    maps = (latents - rest).unflatten(1, (side, side)).movedim(-1, 1)  # (n, L, g, g)
+    return to_canonical(maps, finger).movedim(1, -1).numpy()  # undoes the encoder's mirror: its own inverse
+
+
+def marker_images(
+    source: Source, episode: Episode, finger: Finger
+) -> tuple[np.ndarray, Iterator[np.ndarray]]:
+    """Return an episode's reference (H, W), and its marker images (H, W) one by one."""
+    keys = (tactile_key(finger, reference=True), tactile_key(finger))
+    reference, current = (map(_grey, frames(source, episode, key)) for key in keys)
+    return next(reference), current
+
+
+def _grey(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image[..., 0])
+
+
+def frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
+    """Return an episode's frames of a video key, (H, W, 3) uint8 RGB; raise DatasetError where they are truncated."""
+    return episode_frames(episode.videos[key], episode.length, source.fps)
 
 
 def cameras(source: Source) -> dict[str, str]:
     """Return key by name of every recorded video that is no marker image: the scene cameras."""
     videos = [key for key, feature in source.features.items() if feature["dtype"] == "video"]
-    return {key.removeprefix(IMAGES): key for key in videos if key not in TACTILE_KEYS}
+    return {key.removeprefix("observation.images."): key for key in videos if key not in TACTILE_KEYS}
 
 
-def summarise_episode(
-    recording: RecordingForces,
-    tokenizer: Tokenizer,
-    episode: Episode,
-    friction: tuple[float, float] | None,
-    title: str,
-) -> EpisodeSummary:
-    """Return what a page or viewer shows of an episode.
-
-    Raises:
-        DatasetError: a video that is missing or truncated.
-    """
-    source, forces = recording.source, recording.read(episode)
-    found, truth, note = _judged(forces, friction or UNKNOWN_FRICTION)
-    named = find_key_frames(forces.force_N, forces.tool_z_m)
-    film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
-    shown = set(named.values())
-    seen = {
-        name: _chosen(camera_frames(source, episode, key), shown.union(film))
-        for name, key in cameras(source).items()
-    }
-    markers = {finger: _overlays(source, episode, finger, shown) for finger in FINGERS}
-    kept = {finger: read for finger in FINGERS if (read := raw_touch(source, episode, finger))}
-    raw = {finger: _chosen(read(), shown) for finger, read in kept.items()}
-    key_frames = tuple(
-        KeyFrame(name, frame, *({key: p[frame] for key, p in kind.items()} for kind in (seen, markers, raw)))
-        for name, frame in named.items()
-    )
-    return EpisodeSummary(
-        title=title,
-        time_s=forces.time_s,
-        films={camera: [pictures[frame] for frame in film] for camera, pictures in seen.items()},
-        force_N=forces.force_N,
-        true_force_N=forces.true_force_N,
-        change={f: latent_change(tokenizer, source, episode, f) for f in FINGERS},
-        key_frames=key_frames,
-        found=found,
-        truth=truth,
-        judges_slip=friction is not None,
-        note=note,
-    )
+def worn(source: Source, episode: Episode, finger: Finger) -> str:
+    """Return the name of the sensor on a finger; raise DatasetError where the dataset names none we know."""
+    key, names = sensor_key(finger), list_sensors()
+    if key not in source.features:
+        raise DatasetError(expected(str(source.root), key, "no such column", "Record it with this version."))
+    index = int(source.columns((key,))[key][episode.start])
+    if not 0 <= index < len(names):
+        raise DatasetError(expected(f"{key} in {source.root}", " | ".join(names), index, "Restore it."))
+    return names[index]
 
 
-def _judged(
-    forces: EpisodeForces, friction: tuple[float, float]
-) -> tuple[FingerEstimate | None, FingerEstimate | None, str]:
-    try:
-        return *forces.judge(friction), ""
-    except (
-        DatasetError
-    ) as error:  # an episode that can't be judged can still be looked at; the sheet says why
-        return None, None, str(error)
-
-
-def camera_frames(source: Source, episode: Episode, key: str) -> Iterator[np.ndarray]:
-    """Return an episode's frames of a video key, (H, W, 3) uint8 RGB; raise DatasetError where they are truncated."""
-    return episode_frames(episode.videos[key], episode.length, source.fps)
-
-
-def raw_touch(source: Source, episode: Episode, finger: Finger) -> Callable[[], Iterator[np.ndarray]] | None:
-    """Return what reads an episode's raw frames, (H, W, 3) uint8 RGB each; None where none were kept.
+def raw_touch(source: Source, episode: Episode, finger: Finger) -> Iterator[np.ndarray] | None:
+    """Return an episode's raw frames, (H, W, 3) uint8 RGB each; None where none were kept.
 
     Taxels are drawn as the change of their normal counts since the episode's first frame, which is in free air.
 
@@ -99,18 +193,57 @@ def raw_touch(source: Source, episode: Episode, finger: Finger) -> Callable[[], 
     if counts_key(finger) in source.features:
         counts = source.columns((counts_key(finger),))[counts_key(finger)]
         rows = counts[episode.start : episode.start + episode.length].astype(np.int64)
-        change = (rows - rows[0]).reshape(episode.length, *TAXEL_SHAPE)
-        return lambda: map(counts_picture, change)
+        return map(counts_picture, (rows - rows[0]).reshape(episode.length, *TAXEL_SHAPE))
     file = raw_path(source.root, finger, episode.index)
-    if not file.is_file():
-        return None
-    return lambda: episode_frames(VideoSpan(file, 0.0), episode.length, source.fps)
+    return episode_frames(VideoSpan(file, 0.0), episode.length, source.fps) if file.is_file() else None
 
 
-def _chosen(frames: Iterator[np.ndarray], wanted: set[int]) -> dict[int, np.ndarray]:
-    return {number: frame for number, frame in enumerate(frames) if number in wanted}
+def summarise_episode(
+    recording: RecordingForces,
+    tokenizer: Tokenizer,
+    episode: Episode,
+    friction: tuple[float, float] | None,
+    title: str,
+) -> EpisodeSummary:
+    """Return what a page or viewer shows of an episode; raises DatasetError: a video that is missing or truncated."""
+    source, forces, note = recording.source, recording.read(episode), ""
+    found: FingerEstimate | None = None
+    truth: FingerEstimate | None = None
+    try:
+        found, truth = forces.judge(friction or UNKNOWN_FRICTION)
+    except DatasetError as error:  # it can still be looked at; the sheet says why it isn't judged
+        note = str(error)
+    named = find_key_frames(forces.force_N, forces.tool_z_m)
+    film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
+    shown = set(named.values())
+    seen = {n: _chosen(frames(source, episode, key), {*shown, *film}) for n, key in cameras(source).items()}
+    markers = {finger: _overlays(source, episode, finger, shown) for finger in FINGERS}
+    raw = {finger: _chosen(kept, shown) for finger in FINGERS if (kept := raw_touch(source, episode, finger))}
+
+    def moment(name: str, frame: int) -> KeyFrame:
+        return KeyFrame(
+            name, frame, *({k: p[frame] for k, p in kind.items()} for kind in (seen, markers, raw))
+        )
+
+    return EpisodeSummary(
+        title=title,
+        time_s=forces.time_s,
+        films={camera: [pictures[frame] for frame in film] for camera, pictures in seen.items()},
+        force_N=forces.force_N,
+        true_force_N=forces.true_force_N,
+        change={f: latent_change(tokenizer, source, episode, f) for f in FINGERS},
+        key_frames=tuple(moment(name, frame) for name, frame in named.items()),
+        found=found,
+        truth=truth,
+        judges_slip=friction is not None,
+        note=note,
+    )
+
+
+def _chosen(pictures: Iterator[np.ndarray], wanted: set[int]) -> dict[int, np.ndarray]:
+    return {number: frame for number, frame in enumerate(pictures) if number in wanted}
 
 
 def _overlays(source: Source, episode: Episode, finger: Finger, wanted: set[int]) -> dict[int, np.ndarray]:
     reference, current = marker_images(source, episode, finger)
-    return {number: overlay(reference, image) for number, image in _chosen(current(), wanted).items()}
+    return {number: overlay(reference, image) for number, image in _chosen(current, wanted).items()}

@@ -30,6 +30,5 @@ def open_viewer(*arguments: str) -> subprocess.Popen:
 
     It listens on loopback: rerun's own ``spawn`` listens on every interface of the machine.
     """
-    return subprocess.Popen(
-        [sys.executable, "-m", "rerun", "--bind", LOOPBACK, *arguments], start_new_session=True
-    )
+    command = [sys.executable, "-m", "rerun", "--bind", LOOPBACK, *arguments]
+    return subprocess.Popen(command, start_new_session=True)

@@ -12,9 +12,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Level, Sensor
-from uniforce_vtla.arguments import names_in
+from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import (
@@ -27,11 +25,11 @@ from uniforce_vtla.options import (
     Seeds,
     Slots,
     Workers,
+    split,
 )
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
-    from uniforce_cli.score_worker import Job
     from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
 
 SCRIPTS = ("expert", "blind")  # the scene's own: one regulates by both pads' true wrench, one uses no touch
@@ -46,15 +44,14 @@ class ScoreConfig:
     Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    # checkpoint folder; shipped = the tiny V+T policy in the package; or expert | blind. Several (comma between them,
-    # e.g. two training seeds) take turns, scene by scene
+    # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
     policy: Policies = "shipped"
     arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
-    level: Level = "paper"  # easy | paper (what the shipped policy learnt at) | touch | hard
-    left_sensor: Sensor = ""  # gelsight | tactip | uskin; "" = gelsight, and it must be what the policy knows
+    level: Level = "paper"  # the shipped policy learnt at paper
+    left_sensor: Sensor = ""  # "" = gelsight, and it must be what the policy knows
     right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
-    # masked = touch taken away, shuffled = another scene's touch of the same phase
+    # touch taken away | another scene's touch of the same phase
     control: Literal["", "masked", "shuffled"] = ""
     rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
     first_seed: Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
@@ -71,7 +68,7 @@ class ScoreConfig:
     @property
     def policies(self) -> list[str]:
         """Policies that take turns."""
-        return names_in(self.policy) or [self.policy]
+        return split(self.policy) or [self.policy]
 
     def policy_of(self, seed: int) -> str:
         """Return which policy acts in the scene of that seed."""
@@ -120,8 +117,7 @@ def check_policies(config: ScoreConfig) -> None:
 
 def check_film(film: Sequence[int], seeds: range) -> None:
     """Refuse to film what isn't scored."""
-    unscored = sorted(set(film) - set(seeds))
-    if unscored:
+    if unscored := sorted(set(film) - set(seeds)):
         do = "Film what is scored: set first_seed and rollouts."
         raise ContractError(expected("film", f"seeds {seeds[0]}…{seeds[-1]}", unscored, do))
 
@@ -135,23 +131,26 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     from joblib import Parallel, delayed
     from tqdm import tqdm
 
-    from uniforce_cli.score_worker import score_job
-    from uniforce_vtla.evaluation.arms import summarise, write_row
+    from uniforce_cli.score_worker import Job, score_job
+    from uniforce_vtla.evaluation.arms import ArmReport, write_row
 
     for config in configs:
         check_film(config.film, config.seeds)
     done = [_start(config) for config in configs]
-    jobs = _missing(configs, done)
+    missing = [  # all arms' first seeds first
+        (seed, index)
+        for index, (config, rows) in enumerate(zip(configs, done, strict=True))
+        for seed in config.seeds
+        if seed not in rows or (seed in config.film and not config.video(seed).exists())
+    ]
+    jobs = [Job(index, configs[index], seed) for seed, index in sorted(missing)]
     label = configs[0].arm if len(configs) == 1 else f"{len(configs)} arms"
     pool = Parallel(max(1, min(workers, len(jobs))), return_as="generator_unordered", batch_size=1)
     episodes = pool(delayed(score_job)(job) for job in jobs)
     for index, row in tqdm(episodes, total=len(jobs), desc=label, unit="episode", disable=None):
         write_row(configs[index].folder / ROWS, row)
         done[index][row.seed] = row
-    return [
-        summarise(config.arm, [rows[seed] for seed in config.seeds])
-        for config, rows in zip(configs, done, strict=True)
-    ]
+    return [ArmReport(c.arm, [rows[seed] for seed in c.seeds]) for c, rows in zip(configs, done, strict=True)]
 
 
 def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
@@ -164,26 +163,13 @@ def _start(config: ScoreConfig) -> dict[int, EpisodeRow]:
     return read_rows(config.folder / ROWS)
 
 
-def _missing(configs: Sequence[ScoreConfig], done: Sequence[dict[int, EpisodeRow]]) -> list[Job]:
-    """Return what is left to do, all arms' first seeds first."""
-    from uniforce_cli.score_worker import Job
-
-    jobs = [
-        (seed, index)
-        for index, (config, rows) in enumerate(zip(configs, done, strict=True))
-        for seed in config.seeds
-        if seed not in rows or (seed in config.film and not config.video(seed).exists())
-    ]
-    return [Job(index, configs[index], seed) for seed, index in sorted(jobs)]
-
-
 def write_report(config: ScoreConfig) -> list[ArmReport]:
     """Write ``wiping.json`` and ``wiping.png`` over all arms scored into ``config.out`` at its level; return them.
 
     For every two arms: the exact McNemar test of clean success on the seeds they share.
     """
     from lerobot_env_uniforce_wiping import LEVELS, level_hash
-    from uniforce_vtla.evaluation.arms import read_rows, summarise
+    from uniforce_vtla.evaluation.arms import ArmReport, read_rows
     from uniforce_vtla.evaluation.comparison import paired_clean
     from uniforce_vtla.evaluation.pictures import draw_arms
     from uniforce_vtla.evaluation.statistics import mcnemar
@@ -192,7 +178,7 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
     for file in sorted(out.glob("*/config.json")):
         settings, rows = json.loads(file.read_text()), read_rows(file.parent / ROWS)
         if settings["level"] == config.level and rows:
-            reports.append(summarise(settings["arm"], [rows[seed] for seed in sorted(rows)]))
+            reports.append(ArmReport(settings["arm"], [rows[seed] for seed in sorted(rows)]))
     for first, second in itertools.combinations(reports, 2):
         one, two = paired_clean(first, second)
         if one:
@@ -205,8 +191,7 @@ def write_report(config: ScoreConfig) -> list[ArmReport]:
 
 
 @command(ScoreConfig)
-def main(config: ScoreConfig) -> int:
-    """Entry of ``uniforce score``."""
+def main(config: ScoreConfig) -> None:
     from uniforce_vtla.evaluation.arms import table
 
     logging.basicConfig(level=logging.WARNING)
@@ -214,4 +199,3 @@ def main(config: ScoreConfig) -> int:
     score(config)
     print(table(write_report(config)))
     print(f"{config.rollouts} rollouts in {time.perf_counter() - start:.0f} s; results in {config.out}")
-    return 0

@@ -105,15 +105,9 @@ def _build(
 
 
 def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Controller:
-    """Return the controller under a control, ``masked`` or ``shuffled``; "" leaves it as it is.
-
-    Raises:
-        ContractError: an unknown control.
-    """
+    """Return the controller under a control, ``masked`` or ``shuffled``; "" leaves it as it is."""
     if control == "shuffled":
         return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors))
-    if control not in ("", "masked"):
-        raise ContractError(expected("control", "masked | shuffled", repr(control), "Name one."))
     controller.policy.touch.masked |= control == "masked"
     return controller
 
@@ -153,9 +147,7 @@ class ShuffledTouch:
         bank = self._bank[max(phase for phase in self._bank if phase <= self._env.phase)]
         donated = bank[int(self._rng.integers(len(bank)))]
         grey = {name: np.unpackbits(image, axis=-1) * np.uint8(255) for name, image in donated.items()}
-        exchanged = {
-            name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()
-        }  # (H, W, 3)
+        exchanged = {name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()}
         return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
 
 
@@ -166,8 +158,8 @@ def policy_on_rig(
     mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
-    truth = controller.needs_true_wrench
-    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=truth), controller
+    wrench = controller.needs_true_wrench
+    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=wrench), controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

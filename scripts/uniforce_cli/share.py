@@ -21,8 +21,6 @@ SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_con
 TOKENIZER = "model.tactile_encoder."
 CARD = "README.md"
 UPLOADED = ["*.safetensors", "*.json", CARD]
-
-
 TrainedPolicy = Annotated[str, Existing("a checkpoint's folder", "config.json")]
 
 
@@ -38,7 +36,7 @@ class ShareConfig:
     checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
     out: OutFolder = "outputs/shared"  # folder to hand on; no path of this machine is left in it
     scores: FilePath = ""  # wiping.json of uniforce score; "" = the card says "not scored"
-    # in a wiping.json of benchmarks.wiping, this checkpoint's own scores: …/seed0/vt as it was scored there; "" = all
+    # only this checkpoint's scores of benchmarks.wiping: …/seed0/vt as scored there; "" = all
     scored_as: Text = ""
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
@@ -147,7 +145,6 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 @command(ShareConfig)
 def main(config: ShareConfig) -> int:
-    """Entry of ``uniforce share``."""
     one_thread()
     _scores(config)  # a damaged file is named first
     if bool(config.dataset) == bool(config.checkpoint):

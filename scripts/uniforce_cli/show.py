@@ -6,19 +6,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Verify
+from uniforce_cli.boundary import Verify, command, one_thread
 from uniforce_cli.rerun_viewer import import_rerun, open_viewer
-from uniforce_vtla.arguments import names_in, numbers
+from uniforce_vtla.arguments import numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
-from uniforce_vtla.options import Dataset, Existing, FolderPath, Numbers, OutFolder, Pattern, TokenizerFolder
+from uniforce_vtla.options import (
+    Dataset,
+    Existing,
+    FolderPath,
+    Numbers,
+    OutFolder,
+    Pattern,
+    TokenizerFolder,
+    split,
+)
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import list_sensors
 
 if TYPE_CHECKING:
-    from uniforce_cli.recording_forces import ForceReader
+    from uniforce_cli.recorded_episode import ForceReader
     from uniforce_datasets.source import Episode, Source
     from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
     from uniforce_vtla.tokenizer import Tokenizer
@@ -39,14 +47,12 @@ class ShowDatasetConfig:
     out: OutFolder = "outputs/show"  # a page with its pictures, or an .rrd file, for each episode
     form: Literal["sheet", "rerun"] = "sheet"  # sheet = HTML and PNG | rerun = .rrd (needs rerun-sdk)
     spawn: bool = False  # open the rerun viewer on what was written (it listens on loopback only)
-    # left,right: pull slowly until the object slides; without it slippage isn't judged
+    # left,right: pull slowly until the object slides; empty = slippage isn't judged
     pad_friction: Numbers = ""
-    # newtons from the latents: a shipped force head or a folder; empty = descriptor heads, as for scores
-    head: Head = ""
-    # folder of python -m benchmarks.descriptor_heads; empty = the shipped ones, of the wiping scene
-    heads: FolderPath = ""
-    tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
-    verify: Verify = "quick"  # full | quick | off: how the dataset is checked first
+    head: Head = ""  # reads newtons from the latents; empty = descriptor heads, as for scores
+    heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
+    tokenizer: TokenizerFolder = ""  # empty = shipped
+    verify: Verify = "quick"  # how the dataset is checked first
 
 
 def show_dataset(config: ShowDatasetConfig) -> list[Path]:
@@ -61,12 +67,14 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
 
     from uniforce_cli.dataset_rerun import write_recording
     from uniforce_cli.dataset_sheet import write_sheet
-    from uniforce_cli.recorded_episode import summarise_episode
-    from uniforce_cli.recording_forces import RecordingForces
+    from uniforce_cli.recorded_episode import RecordingForces, summarise_episode
     from uniforce_vtla.tokenizer import Tokenizer
 
     rerun = import_rerun("form=rerun", "form=sheet") if config.form == "rerun" else None
-    friction = _friction(config.pad_friction)
+    friction: tuple[float, float] | None = None
+    if config.pad_friction:
+        left, right = numbers("pad_friction", config.pad_friction, len(FINGERS)).tolist()
+        friction = left, right
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     recording = RecordingForces(config.root, _forces(config, tokenizer), config.verify)
     written, out = [], Path(config.out)
@@ -84,7 +92,7 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
 
 
 def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
-    from uniforce_cli.recording_forces import descriptor_heads, force_head
+    from uniforce_cli.recorded_episode import descriptor_heads, force_head
     from uniforce_vtla.tokenizer import ForceHead
 
     if not config.head:
@@ -93,20 +101,11 @@ def _forces(config: ShowDatasetConfig, tokenizer: Tokenizer) -> ForceReader:
     return force_head(tokenizer, ForceHead.from_pretrained(config.head, folder if folder.is_dir() else None))
 
 
-def _friction(text: str) -> tuple[float, float] | None:
-    if not text:
-        return None
-    left, right = numbers("pad_friction", text, len(FINGERS)).tolist()
-    return left, right
-
-
 def _chosen(source: Source, text: str) -> list[Episode]:
     if text == "all":
         return list(source.episodes)
-    words = names_in(text)
-    known = {str(episode.index): episode for episode in source.episodes}
-    unknown = [word for word in words if word not in known]
-    if unknown or not words:
+    words, known = split(text), {str(episode.index): episode for episode in source.episodes}
+    if not words or set(words) - set(known):
         wanted = f"all, or numbers from 0 to {len(known) - 1}"
         raise ContractError(expected("episode", wanted, repr(text), "Commas between them."))
     return [known[word] for word in words]
@@ -114,7 +113,7 @@ def _chosen(source: Source, text: str) -> list[Episode]:
 
 def _facts(source: Source, episode: Episode, config: ShowDatasetConfig) -> dict[str, str]:
     """Return the lines at the top of a page."""
-    from uniforce_cli.recording_forces import worn
+    from uniforce_cli.recorded_episode import worn
 
     facts = {"task": episode.task, "length": f"{episode.length} frames at {source.fps} Hz"}
     facts |= {f"{f} sensor": worn(source, episode, f) for f in FINGERS if sensor_key(f) in source.features}
@@ -146,8 +145,7 @@ def _numbers(summary: EpisodeSummary, facts: dict[str, str]) -> dict[str, object
 
 
 @command(ShowDatasetConfig)
-def main(config: ShowDatasetConfig) -> int:
-    """Entry of ``uniforce show``."""
+def main(config: ShowDatasetConfig) -> None:
     one_thread()
     written = show_dataset(config)
     print("\n".join(f"written to {path}" for path in written))
@@ -155,4 +153,3 @@ def main(config: ShowDatasetConfig) -> int:
         open_viewer(*map(str, written))
     elif config.form == "rerun":
         print(f"look at it: rerun {written[0]}")
-    return 0

@@ -9,23 +9,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Sensor
-from uniforce_vtla.contracts import check_finger
+from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder
+from uniforce_vtla.options import Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder, split
 from uniforce_vtla.sensors import get_sensor, list_sensors
 
 if TYPE_CHECKING:
     from uniforce_robots.sensors.finger import TactileFinger
 
 STAND_IN = "standin"
-QUARTERS = {
-    "top-left": (-1, 1),
-    "top-right": (1, 1),
-    "bottom-left": (-1, -1),
-    "bottom-right": (1, -1),
-}  # x, y up
+# x, y up
+QUARTERS = {"top-left": (-1, 1), "top-right": (1, 1), "bottom-left": (-1, -1), "bottom-right": (1, -1)}
 Controller = Annotated[int, Range(0, 15)]
 Quarters = Annotated[str, Names(tuple(QUARTERS), many=True)]
 NewtonsHead = Annotated[str, Names((*list_sensors(), "none"))]
@@ -40,22 +34,21 @@ class TouchConfig:
     No hardware: uniforce touch sensor=uskin source=standin seconds=5
     """
 
-    sensor: Sensor = "uskin"  # gelsight | tactip | uskin
+    sensor: Sensor = "uskin"  # what it is
     source: Text = ""  # camera: device or http://…; uskin: serial port or ws://host:port; or standin
-    # the finger that wears it: left | right; forces are in that finger's own frame
-    finger: Literal["left", "right"] = "left"
+    finger: Literal["left", "right"] = "left"  # that wears it; forces are in that finger's own frame
     output: Literal["terminal", "rerun"] = "terminal"  # rerun needs rerun-sdk
-    # rate: measured rate, ages, losses | orientation: press where asked; empty = live view
+    # rate, ages, losses | press where asked; empty = live view
     check: Literal["", "rate", "orientation"] = ""
     seconds: NotNegative = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
     refresh_hz: Positive = 10.0  # pictures per second
-    rotation_deg: Literal[0, 90, 180, 270] = 0  # how the sensor is turned on its finger: 0 | 90 | 180 | 270
+    rotation_deg: Literal[0, 90, 180, 270] = 0  # how the sensor is turned on its finger
     flip: bool = False  # uskin: columns run the other way
     controller: Controller = 0  # uskin: microcontroller id in the low bits of its CAN ids
     lock_camera: bool = True  # lock exposure, white balance and gain; false leaves the camera's automatics
-    # orientation: where to press, in this order
+    # orientation: where to press, in order
     quarters: Quarters = "top-left,top-right,bottom-left,bottom-right"
-    tokenizer: TokenizerFolder = "nano"  # small | nano, or a checkpoint folder
+    tokenizer: TokenizerFolder = "nano"  # makes the latents
     head: NewtonsHead = "tactip"  # the sensor whose shipped force head reads the latents; none = no newtons
     save: OutFile = ""  # write the last picture of the live view to this file
 
@@ -64,8 +57,8 @@ def make_finger(config: TouchConfig, source: str) -> TactileFinger:
     """Return the device that ``config`` names, not connected."""
     from uniforce_robots import sensors
 
-    common: dict[str, Any] = {"source": source, "finger": config.finger, "reference_on_connect": False}
-    common["rotation_deg"] = config.rotation_deg
+    common: dict[str, Any] = {"source": source, "finger": config.finger, "rotation_deg": config.rotation_deg}
+    common["reference_on_connect"] = False
     if get_sensor(config.sensor).signal != "camera":
         link = "server" if source.startswith("ws://") else "slcan"
         taxels = {"flip": config.flip, "controller": config.controller}
@@ -98,20 +91,21 @@ def opened(config: TouchConfig) -> Iterator[TactileFinger]:
 
 def show(config: TouchConfig) -> None:
     """Show the live view until ``config.seconds`` are over; what reads images is loaded before a device is opened."""
-    from uniforce_cli.touch_view import LiveTouch, make_output, save_panel
+    from uniforce_cli.touch_view import OUTPUTS, save_panel, views
     from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 
-    tokenizer, output = Tokenizer.from_pretrained(config.tokenizer), make_output(config.output)
+    tokenizer, output = Tokenizer.from_pretrained(config.tokenizer), OUTPUTS[config.output]()
     head = ForceHead.from_pretrained(config.head, config.tokenizer) if config.head != "none" else None
     with opened(config) as finger:
         label = finger.config.label + (" (stand-in)" if config.source == STAND_IN else "")
-        live = LiveTouch(finger, check_finger(config.finger), tokenizer, head, label)
-        end_s = time.monotonic() + (config.seconds or math.inf)
-        while time.monotonic() < end_s:
-            began_s = time.monotonic()
-            view = live.look()
+        now_s = time.monotonic()
+        end_s = now_s + (config.seconds or math.inf)
+        for view in views(finger, config.finger, tokenizer, head, label):
             output(view)
-            time.sleep(max(began_s + 1 / config.refresh_hz - time.monotonic(), 0))
+            time.sleep(max(now_s + 1 / config.refresh_hz - time.monotonic(), 0))
+            now_s = time.monotonic()
+            if now_s >= end_s:
+                break
         if config.save:
             print(f"picture in {save_panel(view, config.save)}")
 
@@ -129,12 +123,11 @@ def run(config: TouchConfig) -> int:
     with opened(config) as finger:
         if config.check == "rate":
             return check_rate(finger, config.seconds or 5.0)
-        return check_orientation(finger, config.quarters.split(","), config.seconds or 60.0)
+        return check_orientation(finger, split(config.quarters), config.seconds or 60.0)
 
 
 @command(TouchConfig)
 def main(config: TouchConfig) -> int:
-    """Entry of ``uniforce touch``."""
     one_thread()
     try:
         return run(config)

@@ -1,10 +1,10 @@
-"""One look at a finger, newest sample through canonicaliser, tokenizer and force head; and where it is shown."""
+"""One look at a finger, newest sample through canonicalizer, tokenizer and force head; and where it is shown."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,89 +30,45 @@ PANEL_PX = 480
 
 @dataclass(frozen=True)
 class TouchView:
-    """What is shown.
+    """What is shown of one sample."""
 
-    Attributes:
-        label: which sensor on which finger.
-        raw: (H, W, 3) uint8 RGB, or (16, 3) int64 counts above the reference.
-        markers: (480, 640) uint8 marker image, as the sensor sees it.
-        norms: (g, g) float32, length of each patch's latent minus its free-air latent; as the sensor sees it.
-        force_N: (3,) in the finger's own frame, image axes; None without a head.
-        age_ms: how old the sample was when it was looked at.
-        rate_hz: measured.
-        lost: samples lost so far.
-    """
-
-    label: str
-    raw: np.ndarray
-    markers: np.ndarray
+    label: str  # which sensor on which finger
+    raw: np.ndarray  # (H, W, 3) uint8 RGB, or (16, 3) int64 counts above the reference
+    markers: np.ndarray  # (480, 640) uint8 marker image, as the sensor sees it
+    # (g, g) float32, length of each patch's latent minus its free-air latent, as the sensor sees it
     norms: np.ndarray
-    force_N: np.ndarray | None
-    age_ms: float
-    rate_hz: float
-    lost: int
+    force_N: np.ndarray | None  # (3,) in the finger's own frame, image axes; None without a head
+    age_ms: float  # how old the sample was when it was looked at
+    rate_hz: float  # measured
+    lost: int  # samples so far
 
 
-class LiveTouch:
-    """Looks at a connected finger that has its reference.
-
-    Args:
-        finger: the device.
-        side: the finger of the gripper that wears it.
-        tokenizer: makes latents.
-        head: reads newtons; None shows none.
-        label: what to call it.
+def views(
+    finger: TactileFinger, side: Finger, tokenizer: Tokenizer, head: ForceHead | None, label: str
+) -> Iterator[TouchView]:
+    """Yield a view of each new sample of a connected finger that has its reference, worn on ``side``.
 
     Raises:
         CheckpointError: a head of another tokenizer.
         ContractError: a finger without reference.
+        SensorError: no new sample.
     """
-
-    def __init__(
-        self, finger: TactileFinger, side: Finger, tokenizer: Tokenizer, head: ForceHead | None, label: str
-    ) -> None:
-        self._finger, self._side, self._label = finger, side, label
-        self._encoder = StreamingEncoder(tokenizer, side, head)
-        reference = finger.reference_image()[..., 0]
-        self._encoder.set_reference(reference)
-        self._free = self._encoder.step(reference).latent
-        self._encoder.set_reference(reference)  # the head forgets that look
-        self._grid = math.isqrt(tokenizer.num_patches)
-        self._index = -1
-
-    def look(self) -> TouchView:
-        """Return the next new sample's view; raises SensorError where there is none."""
-        touch = self._finger.next_touch(self._index, WAIT_MS)
-        self._index = touch.index
-        markers = self._finger.marker_image(touch.raw)
-        step = self._encoder.step(markers)
-        norms = (step.latent - self._free).norm(dim=-1).numpy().reshape(self._grid, self._grid)
-        raw = touch.raw
+    encoder = StreamingEncoder(tokenizer, side, head)
+    reference = finger.reference_image()[..., 0]
+    encoder.set_reference(reference)
+    free = encoder.step(reference).latent
+    encoder.set_reference(reference)  # the head forgets that look
+    grid, index = math.isqrt(tokenizer.num_patches), -1
+    while True:
+        touch = finger.next_touch(index, WAIT_MS)
+        index, raw, markers = touch.index, touch.raw, finger.marker_image(touch.raw)
+        step = encoder.step(markers)
+        # undoes the mirror
+        norms = to_canonical((step.latent - free).norm(dim=-1).numpy().reshape(grid, grid), side)
+        force_N = None if step.force_N is None else to_finger_frame(step.force_N, side)
         if raw.ndim == 2:  # counts mean little without their rest
-            raw = raw.astype(np.int64) - self._finger.reference_raw
-        return TouchView(
-            label=self._label,
-            raw=raw,
-            markers=markers,
-            norms=to_canonical(norms, self._side),  # undoes the encoder's mirror: its own inverse
-            force_N=None if step.force_N is None else to_finger_frame(step.force_N, self._side),
-            age_ms=touch.age_ms,
-            rate_hz=self._finger.rate_hz,
-            lost=self._finger.counts.lost,
-        )
-
-
-def make_output(name: str) -> Callable[[TouchView], None]:
-    """Return what shows one view after another: ``terminal`` or ``rerun``.
-
-    Raises:
-        ContractError: unknown, or rerun isn't installed.
-    """
-    if name == "terminal":
-        return _terminal()
-    if name == "rerun":
-        return _rerun()
-    raise ContractError(expected("output", "terminal | rerun", name, "Choose one."))
+            raw = raw.astype(np.int64) - finger.reference_raw
+        yield TouchView(label, raw, markers, norms, force_N, touch.age_ms, finger.rate_hz, finger.counts.lost)
 
 
 def _terminal() -> Callable[[TouchView], None]:
@@ -122,10 +78,8 @@ def _terminal() -> Callable[[TouchView], None]:
     def show(view: TouchView) -> None:
         nonlocal lines
         text = as_text(view)
-        back = (
-            f"\x1b[{lines}F\x1b[J" if sys.stdout.isatty() and lines else ""
-        )  # to the last one's top, and clear
-        print(back + text, flush=True)
+        to_top_and_clear = f"\x1b[{lines}F\x1b[J" if sys.stdout.isatty() and lines else ""
+        print(to_top_and_clear + text, flush=True)
         lines = text.count("\n") + 1
 
     return show
@@ -149,13 +103,16 @@ def _rerun() -> Callable[[TouchView], None]:
     return show
 
 
+OUTPUTS = {"terminal": _terminal, "rerun": _rerun}
+
+
 def as_text(view: TouchView) -> str:
     """Return a view as text: rate, age, force, what the sensor shows, and the map of latent lengths."""
     force = "no head" if view.force_N is None else " ".join(f"{f:+6.2f}" for f in view.force_N) + " N"
-    head = (
-        f"{view.label}: {view.rate_hz:6.1f} Hz, age {view.age_ms:6.1f} ms, lost {view.lost}\n"
-        f"force x y z {force}   latent up to {view.norms.max():.2f}"
-    )
+    head = [
+        f"{view.label}: {view.rate_hz:6.1f} Hz, age {view.age_ms:6.1f} ms, lost {view.lost}",
+        f"force x y z {force}   latent up to {view.norms.max():.2f}",
+    ]
     raw = [f"mean grey {view.raw.mean():.0f}"]
     if view.raw.ndim == 2:  # normal counts as the pad shows them: the first taxel is at the bottom left
         grid = view.raw[:, 2].reshape(4, 4)[::-1]
@@ -164,7 +121,7 @@ def as_text(view: TouchView) -> str:
     shade = np.clip(small / FULL_NORM * (len(SHADES) - 1), 0, len(SHADES) - 1).round().astype(int)
     rows = ["|" + "".join(SHADES[s] * 2 for s in row) + "|" for row in shade]
     beside = [*raw, *[""] * (TEXT_SIDE - len(raw))]
-    return "\n".join([head, *(f"{row}   {extra}" for row, extra in zip(rows, beside, strict=True))])
+    return "\n".join([*head, *(f"{row}   {extra}" for row, extra in zip(rows, beside, strict=True))])
 
 
 def panel(view: TouchView) -> np.ndarray:

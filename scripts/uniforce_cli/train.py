@@ -31,7 +31,6 @@ Added unless given: policy.push_to_hub=false, wandb.enable=false.  A dataset roo
 
 @command(None)
 def main(argv: Sequence[str]) -> int:
-    """Entry of ``uniforce train``."""
     if not argv or list(argv) in (["--help"], ["-h"]):
         print(HELP)
         return 0

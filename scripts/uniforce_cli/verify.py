@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from uniforce_cli.boundary import command
-from uniforce_cli.option_types import Verify
+from uniforce_cli.boundary import Verify, command
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.options import FolderPath
@@ -21,7 +20,7 @@ class VerifyConfig:
     """
 
     root: FolderPath = "outputs/demos"  # recorded dataset, or a training view
-    # full: every byte and frame | quick: sizes, small files, some frames of every episode
+    # every byte and frame | sizes, small files, some frames of every episode | nothing
     verify: Verify = "full"
     rehash: bool = False  # check the content only, then write the hashes of the files that are there now
 
@@ -52,7 +51,5 @@ def verify(config: VerifyConfig) -> str:
 
 
 @command(VerifyConfig)
-def main(config: VerifyConfig) -> int:
-    """Entry of ``uniforce verify``."""
+def main(config: VerifyConfig) -> None:
     print(verify(config))
-    return 0

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.option_types import Verify
+from uniforce_cli.boundary import Verify, command, one_thread
 from uniforce_vtla.options import Datasets, OutFolder, Pixels, Range, Slots, TokenizerFolder, Workers
 
 if TYPE_CHECKING:
     from uniforce_datasets.view_plan import EpisodeFacts
-
 
 LatentGrid = Annotated[int, Range(1, 8)]
 
@@ -31,11 +29,11 @@ class ViewConfig:
     latent_grid: LatentGrid = 4  # latents pooled to 4×4; the policy's latent_grid must match
     slots: Slots = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
     tokenizer: TokenizerFolder = ""  # folder of a tokenizer; empty = the shipped one
-    # take demos that wiped the board with an event (too much force, a slip): a nudged expert's way back from it
+    # take demos that wiped the board with an event: a nudged expert's way back from it
     keep_events: bool = False
     keep_failures: bool = False  # take failed demos too
     workers: Workers = 2  # processes; each needs about 1 GB
-    verify: Verify = "quick"  # full | quick | off: how the datasets are checked first
+    verify: Verify = "quick"  # how the datasets are checked first
 
 
 def make_view(config: ViewConfig) -> Path:
@@ -61,11 +59,9 @@ def chosen(facts: EpisodeFacts, config: ViewConfig) -> bool:
 
 
 @command(ViewConfig)
-def main(config: ViewConfig) -> int:
-    """Entry of ``uniforce view``."""
+def main(config: ViewConfig) -> None:
     one_thread()
     out = make_view(config)
     facts = json.loads((out / "uniforce_view.json").read_text())
     print(f"view in {out}: {len(facts['episodes'])} episodes, {facts['num_frames']} frames")
     print(f"next: uniforce train policy=pi05_uniforce dataset.repo_id=local/view dataset.root={out}")
-    return 0

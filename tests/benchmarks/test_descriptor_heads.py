@@ -26,9 +26,8 @@ def made_up(seed: int) -> EpisodeForces:
     phase = np.digitize(t, [1.2, 2.0])
     trace = EpisodeTrace(t, press, grip, grip, *[flat] * 6, phase, rated_depth_mm=(1.5, 5.0))
     true = np.concatenate([force, force], axis=1) * NATURAL_UNITS
-    noisy = {
-        f: (true + 0.01 * rng.standard_normal(true.shape) * NATURAL_UNITS).astype(np.float32) for f in FINGERS
-    }
+    noise = {f: 0.01 * rng.standard_normal(true.shape) * NATURAL_UNITS for f in FINGERS}
+    noisy = {f: (true + off).astype(np.float32) for f, off in noise.items()}
     sensors = {"left": "gelsight", "right": "tactip"}
     height = np.interp(t, [0.8, 1.5], [0.1, 0.2])
     return EpisodeForces(noisy, dict.fromkeys(FINGERS, force), sensors, height, (0.9, 0.9), trace)
@@ -36,9 +35,7 @@ def made_up(seed: int) -> EpisodeForces:
 
 def heads() -> dict[str, DescriptorHead]:
     lessons = worn([made_up(seed) for seed in range(8)])
-    return {
-        sensor: DescriptorHead.fit(sensor, wipes, stretch=30, steps=300) for sensor, wipes in lessons.items()
-    }
+    return {s: DescriptorHead.fit(s, wipes, stretch=30, steps=300) for s, wipes in lessons.items()}
 
 
 def test_heads_read_what_the_descriptors_hold_and_judge_by_it() -> None:

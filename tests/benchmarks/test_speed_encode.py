@@ -22,9 +22,8 @@ def test_a_leak_shows(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def leaky(self: StreamingEncoder, image: np.ndarray) -> StreamStep:
         if len(kept) < 10:
-            kept.append(
-                np.ones((2400, 2400))
-            )  # 46 MB: too large for a hole that another test left in the heap
+            # 46 MB: too large for a hole that another test left in the heap
+            kept.append(np.ones((2400, 2400)))
         return step(self, image)
 
     assert bench.bench_stream(0.3)["stream"]["grown_MB"] < 50

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.wiping import draw_z_profiles
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, RECIPES
 from uniforce_cli.score import SCRIPTS
-from uniforce_vtla.evaluation.arms import EpisodeRow, scores_of, summarise
+from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, scores_of
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.keys import OUTCOME_NAMES
 from uniforce_vtla.sensors import list_sensors
@@ -40,9 +40,8 @@ def test_a_swap_uses_its_partners_checkpoint() -> None:
 def test_the_committed_table_adds_up() -> None:
     """Both seeds' scenes together are the arm's, for every arm of a policy."""
     for arm in (arm for arm in ARMS if arm.checkpoint not in SCRIPTS):
-        parts = [
-            scores_of(TABLE, f"{seed}/{arm.checkpoint}")["arms"][arm.name] for seed in TABLE["checkpoints"]
-        ]
+        names = [f"{seed}/{arm.checkpoint}" for seed in TABLE["checkpoints"]]
+        parts = [scores_of(TABLE, name)["arms"][arm.name] for name in names]
         whole = TABLE["arms"][arm.name]
         assert sum(part["clean"] for part in parts) == whole["clean"]
         assert sum(part["success"] for part in parts) == whole["success"]
@@ -52,7 +51,7 @@ def test_the_committed_table_adds_up() -> None:
 def test_the_committed_tests_follow_from_the_committed_letters() -> None:
     outcome = {name[0]: name for name in OUTCOME_NAMES} | {"C": "success"}
     reports = {
-        name: summarise(
+        name: ArmReport(
             name,
             [
                 replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C")
@@ -65,13 +64,12 @@ def test_the_committed_tests_follow_from_the_committed_letters() -> None:
         (better(reports, BETTER), TABLE["tests"]),
         (as_good(reports, AS_GOOD), TABLE["as_good"]),
     ):
-        assert [{k: pytest.approx(v) for k, v in t.items() if k != "arms"} for t in now] == [
-            {k: v for k, v in t.items() if k != "arms"} for t in committed
-        ]
+        wanted = [{k: v for k, v in t.items() if k != "arms"} for t in committed]
+        assert [{k: pytest.approx(v) for k, v in t.items() if k != "arms"} for t in now] == wanted
 
 
 def test_profiles_are_drawn_also_where_an_arm_never_wiped(tmp_path: Path) -> None:
-    wiped = summarise("V+T", [replace(ROW, z_profile_mm=tuple(float(z) for z in range(60)))] * 3)
-    path = draw_z_profiles([wiped, summarise("V", [ROW])], tmp_path / "z.png")
+    wiped = ArmReport("V+T", [replace(ROW, z_profile_mm=tuple(float(z) for z in range(60)))] * 3)
+    path = draw_z_profiles([wiped, ArmReport("V", [ROW])], tmp_path / "z.png")
     assert path.stat().st_size > 1000
-    assert draw_z_profiles([summarise("V", [ROW])], tmp_path / "none.png").exists()
+    assert draw_z_profiles([ArmReport("V", [ROW])], tmp_path / "none.png").exists()

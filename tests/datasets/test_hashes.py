@@ -92,9 +92,8 @@ def test_merged_by_lerobot_then_hashed(demos: Path, tmp_path: Path) -> None:
     stored = read_hashes(merged, DatasetError)
     assert stored and not any("episode" in entry for entry in stored.values())  # packed files
     source = check_dataset(merged, "full")
-    assert (
-        len(source.episodes) == 6 and len({e.videos[k].file for e in source.episodes for k in e.videos}) == 6
-    )
+    assert len(source.episodes) == 6
+    assert len({e.videos[k].file for e in source.episodes for k in e.videos}) == 6
     record_synthetic(merged, 1, 4)
     assert len(check_dataset(merged, "full").episodes) == 7
     delete_episodes(open_dataset(demos), [1], fewer, "local/fewer")

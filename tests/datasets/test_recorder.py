@@ -64,9 +64,8 @@ def test_a_root_that_cannot_be_written_is_refused(root: str, tmp_path: Path) -> 
 def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
     root = tmp_path / "data"
     recorded = []
-    for number, outcome in enumerate(
-        ("success", "failed_grasp", "residual")
-    ):  # three sessions: resume each time
+    # three sessions: resume each time
+    for number, outcome in enumerate(("success", "failed_grasp", "residual")):
         with open_recorder(root) as recorder:
             assert recorder.num_episodes == number
             recorded += add_frames(recorder, seed=number)

@@ -62,12 +62,12 @@ def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
     assert latent_key("touch1") not in only_left[0] and latent_key("touch1") not in only_left.features
 
 
-def test_what_is_felt_later_comes_with_the_sample_until_the_episode_ends(view: Path) -> None:
+def test_the_next_latents_come_with_the_sample_until_the_episode_ends(view: Path) -> None:
     slots = {"touch0": "right", "touch1": "left"}
     now, later = TrainingView(view, slots=slots), TrainingView(view, slots=slots, ahead=3)
     for slot in slots:
         assert torch.equal(later[4][next_latent_key(slot)], now[7][latent_key(slot)])
-        assert later[FRAMES - 2][next_latent_key(slot)].isnan().all()  # the next episode is somebody else's
+        assert later[FRAMES - 2][next_latent_key(slot)].isnan().all()  # the next episode is another one
     assert next_latent_key("touch0") not in now[4]
 
 
@@ -102,9 +102,8 @@ def test_controls_are_stored_beside_the_latents(view: Path) -> None:
         assert made[7][keys[touch]].shape == shape
         assert dataset_to_policy_features(made.meta.features)[keys[touch]].shape == shape
     wanted = descriptors(dots(0), np.stack([dots(20 * np.sin(7 / 5))]), "left")[0]
-    np.testing.assert_array_equal(
-        TrainingView(view, slots=one, touch="descriptor")[FRAMES + 7][keys["descriptor"]], wanted
-    )
+    described = TrainingView(view, slots=one, touch="descriptor")
+    np.testing.assert_array_equal(described[FRAMES + 7][keys["descriptor"]], wanted)
 
 
 def test_metadata_serves_sampler_and_policy(demos: Path, view: Path) -> None:

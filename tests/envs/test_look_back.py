@@ -15,9 +15,8 @@ from lerobot_env_uniforce_wiping.scene_params import draw_scene
 from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Sweep, look_back
 
 SEED = 9001
-EVERYWHERE = RewriteSettings(
-    share=1.0, after_s=(5.0, 5.0), height_m=(0.1, 0.1), length_m=(0.2, 0.2), strength=(1.0, 1.0)
-)
+SPANS = {"after_s": (5.0, 5.0), "height_m": (0.1, 0.1), "length_m": (0.2, 0.2), "strength": (1.0, 1.0)}
+EVERYWHERE = RewriteSettings(share=1.0, **SPANS)
 
 
 @pytest.fixture

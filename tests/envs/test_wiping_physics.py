@@ -38,9 +38,8 @@ def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(
     width_m: float, mass_kg: float, gel: tuple[float, float]
 ) -> None:
     found = squeeze(width_m, eraser_mass_kg=mass_kg, gel_scale=gel)
-    for force_N, depth_mm, nominal, scale in zip(
-        found.force_N, found.depth_mm, (FLAT_N_mm, DOME_N_mm), gel, strict=True
-    ):
+    rows = zip(found.force_N, found.depth_mm, (FLAT_N_mm, DOME_N_mm), gel, strict=True)
+    for force_N, depth_mm, nominal, scale in rows:
         assert force_N > 1
         assert depth_mm == pytest.approx(force_N / (nominal * scale), rel=0.01)
     left_N, right_N = found.force_N

@@ -16,7 +16,6 @@ from uniforce_vtla.evaluation.arms import (
     EpisodeRow,
     read_rows,
     scores_of,
-    summarise,
     table,
     write_row,
     z_profile,
@@ -33,7 +32,7 @@ def row(seed: int, outcome: str = "success", clean: bool = True) -> EpisodeRow:
 
 @given(st.lists(st.sampled_from(OUTCOME_NAMES), min_size=1, max_size=30))
 def test_outcomes_sum_to_n(outcomes: list[str]) -> None:
-    report = summarise("V", [row(i, o, o == "success") for i, o in enumerate(outcomes)])
+    report = ArmReport("V", [row(i, o, o == "success") for i, o in enumerate(outcomes)])
     assert sum(report.count(o) for o in OUTCOME_NAMES) == report.n
     assert report.as_dict()["clean"] == outcomes.count("success")
 
@@ -48,7 +47,7 @@ def test_rows_survive_a_line_cut_short(tmp_path: Path) -> None:
 
 
 def test_table_and_picture_show_every_arm(tmp_path: Path) -> None:
-    reports = [summarise("V", [row(0, "residual", False)]), summarise("V+T", [row(0)])]
+    reports = [ArmReport("V", [row(0, "residual", False)]), ArmReport("V+T", [row(0)])]
     text = table(reports)
     assert "| V | 0/1 = 0 %" in text and "| V+T | 1/1 = 100 %" in text
     assert draw_arms(reports, tmp_path / "arms.png", "t").stat().st_size > 1000
@@ -72,7 +71,7 @@ def test_a_profile_ends_with_the_last_contact_and_keeps_what_was_lifted_between(
 
 def test_one_letter_a_seed_says_what_happened() -> None:
     rows = [row(0), replace(row(1), clean=False, slippage=True), row(2, "failed_grasp", clean=False)]
-    assert summarise("V", rows).as_dict()["by_seed"] == "Csf"
+    assert ArmReport("V", rows).as_dict()["by_seed"] == "Csf"
 
 
 TABLE: dict[str, Any] = {
@@ -111,13 +110,12 @@ def arm(name: str, codes: str, first_seed: int = 0) -> ArmReport:
         replace(ROW, seed=first_seed + i, outcome="success" if c == "C" else "residual", clean=c == "C")
         for i, c in enumerate(codes)
     ]
-    return summarise(name, rows)
+    return ArmReport(name, rows)
 
 
 def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_about() -> None:
-    reports = {
-        r.arm: r for r in (arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19))
-    }
+    arms = arm("V", "r" * 20), arm("V+T", "C" * 15 + "r" * 5), arm("V+G", "C" + "r" * 19)
+    reports = {report.arm: report for report in arms}
     tests = {tuple(t["arms"]): t for t in better(reports, PAIRS)}
     assert set(tests) == {("V+T", "V"), ("V+G", "V")}
     clear, none = tests["V+T", "V"], tests["V+G", "V"]

@@ -89,9 +89,8 @@ def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, s
         force.append([env.true_wrench()[f][:3] for f in FINGERS])
         height.append(float(env.state[2]))
     trace, truth = env.trace, score_episode(env.trace)
-    found = estimate_events(
-        trace.time_s, np.array(force, np.float64), np.array(height), env.scene.pad_friction
-    )
+    force_N, friction = np.array(force, np.float64), env.scene.pad_friction
+    found = estimate_events(trace.time_s, force_N, np.array(height), friction)
     assert bool(found.slippage) == truth.slippage
     assert bool(found.excess_force) == bool(press_events(trace.press_N, trace.time_s, ScoreLimits()))
     wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)

@@ -102,9 +102,8 @@ class MotorPort(PortHandler):
 
 
 def feed_dynamixel(rng: np.random.Generator, data: bytes) -> None:
-    group = GroupSyncRead(
-        MotorPort([c for c in chunks(rng, data) if c]), PacketHandler(2.0), PRESENT_POSITION, POSITION_BYTES
-    )
+    port = MotorPort([chunk for chunk in chunks(rng, data) if chunk])
+    group = GroupSyncRead(port, PacketHandler(2.0), PRESENT_POSITION, POSITION_BYTES)
     for motor in range(1, 9):
         group.addParam(motor)
     if group.rxPacket() == COMM_SUCCESS:

@@ -1,6 +1,6 @@
 """``python campaign.py GROUP INPUTS SEED [NAME …]``: injure inputs in a process that may die, hang or be out of memory.
 
-Prints a line of JSON per target when it is done with it. What nobody thought of ends the process with a traceback and
+Prints a line of JSON per target when it is done with it. An unexpected error ends the process with a traceback and
 leaves the input in the file ``$UNIFORCE_FUZZ_KEEP``, if that is set.
 """
 
@@ -24,7 +24,7 @@ SLOWEST_S = 20.0  # CPU time of one input; the kernel ends the process
 KEPT_BYTES = 1 << 16  # the beginning of a larger input is enough to know it again
 IN_MEMORY = Path("/dev/shm")  # thousands of small files, written twice each
 WARM_UP = 20  # readings of what is right, before memory is counted
-ROOM_BYTES = 3 << 30  # address space beyond what the imports took; more ends in an error nobody expects
+ROOM_BYTES = 3 << 30  # address space beyond what the imports took; more ends in an unexpected error
 
 
 def status_kib(name: str) -> int:

@@ -11,16 +11,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
+from policy_samples import small_config
 
 from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.speed.loader import BlockMeans
-from lerobot_policy_pi05_uniforce import (
-    PI05UniforceConfig,
-    PI05UniforcePolicy,
-    make_pi05_uniforce_pre_post_processors,
-)
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets import hashes as dataset_hashes
 from uniforce_datasets.lossless import check_dataset
@@ -92,9 +89,8 @@ def hashes_of_dataset(folder: Path) -> FileTarget:
 
 def view(folder: Path) -> FileTarget:
     """Read a training view and two of its samples."""
-    root = build_view(
-        record_synthetic(folder / "recorded", 1, 3), folder / "data", image_side=8, encoder=BlockMeans()
-    )
+    recorded = record_synthetic(folder / "recorded", 1, 3)
+    root = build_view(recorded, folder / "data", image_side=8, encoder=BlockMeans())
     (root / HASHES).unlink()
 
     def read() -> None:
@@ -120,9 +116,9 @@ def force_head(folder: Path) -> FileTarget:
 def descriptor_head(folder: Path) -> FileTarget:
     config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
     DescriptorHead(ForceRegressor(config), "tactip").save(folder / "data")
-    felt = np.zeros((2, len(DESCRIPTOR_NAMES)))
+    seen = np.zeros((2, len(DESCRIPTOR_NAMES)))
     return FileTarget(
-        folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(felt)
+        folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen)
     )
 
 
@@ -142,23 +138,12 @@ def transfer(folder: Path) -> FileTarget:
 def policy(folder: Path) -> FileTarget:
     """Read config, weights and processors of a tiny policy, as the scorer does."""
     stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
-    visual = {
-        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
-        for name in ("front", "wrist", "tactile_left", "tactile_right")
-    }
-    config = PI05UniforceConfig(
-        size="tiny",
-        device="cpu",
-        tiny=TinySettings(width=64, depth=2, mlp_dim=32),
-        image_resolution=(28, 28),
-        touch=TouchSettings(tokenizer_path=str(stored)),
-        input_features=visual | {STATE: PolicyFeature(FeatureType.STATE, (5,))},
-        output_features={ACTION: PolicyFeature(FeatureType.ACTION, (5,))},
-    )
+    cameras = ("front", "wrist", "tactile_left", "tactile_right")
+    config = small_config(cameras, touch=TouchSettings(tokenizer_path=str(stored)))
     one = {name: np.full(5, value) for name, value in (("q01", -1.0), ("q99", 1.0), ("mean", 0.0))}
     stats = {key: one | {"std": np.ones(5), "min": -np.ones(5), "max": np.ones(5)} for key in (STATE, ACTION)}
     root = folder / "data"
-    parts = (PI05UniforcePolicy(config), *make_pi05_uniforce_pre_post_processors(config, stats))
+    parts = (PI05UniforcePolicy(config), *make_processors(config, stats))
     for part in parts:
         part.save_pretrained(root)
     return FileTarget(root, lambda: PolicyController(root, {}))
@@ -177,8 +162,8 @@ def training_state(folder: Path) -> FileTarget:
 def foreign(folder: Path) -> FileTarget:
     root = folder / "data"
     root.mkdir()
-    torch.save({"a": torch.arange(12.0).view(3, 4), "b": torch.zeros(2)}, root / "peer.pth")
-    return FileTarget(root, lambda: read_tensors(root / "peer.pth"))
+    torch.save({"a": torch.arange(12.0).view(3, 4), "b": torch.zeros(2)}, root / "foreign.pth")
+    return FileTarget(root, lambda: read_tensors(root / "foreign.pth"))
 
 
 def hashes_of_checkpoint(folder: Path) -> FileTarget:

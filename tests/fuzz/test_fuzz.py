@@ -125,9 +125,8 @@ def test_the_campaign_sees_what_it_looks_for(crime: str, says: str) -> None:
         "campaign.run('x', 1, read, lambda: None, (KeyError,))\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(HERE)}
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, env=environment, timeout=120
-    )
+    how = {"capture_output": True, "text": True, "env": environment, "timeout": 120}
+    done = subprocess.run([sys.executable, "-c", program], **how)
     assert done.returncode != 0 and says in f"{done.returncode} {done.stderr}"
 
 

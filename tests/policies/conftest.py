@@ -12,16 +12,13 @@ import numpy as np
 import psutil
 import pytest
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
+from policy_samples import small_config
 
-from lerobot_policy_pi05_uniforce import (
-    PI05UniforceConfig,
-    PI05UniforcePolicy,
-    make_pi05_uniforce_pre_post_processors,
-)
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
-SMALL = {"tiny__width": 64, "tiny__depth": 2, "tiny__mlp_dim": 32, "image_resolution": (28, 28)}
+SMALL = {"tiny__width": 64, "tiny__depth": 2, "tiny__mlp_dim": 32}
 BOTH = {"touch0": "right", "touch1": "left"}
 LOW, HIGH = np.array([0.3, -0.2, 0.0, -1.0, 0.0]), np.array([0.7, 0.2, 0.3, 1.0, 0.08])
 
@@ -40,38 +37,17 @@ def tokenizer_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def stats() -> dict[str, dict[str, np.ndarray]]:
-    one = {
-        "q01": LOW,
-        "q99": HIGH,
-        "mean": (LOW + HIGH) / 2,
-        "std": (HIGH - LOW) / 4,
-        "min": LOW,
-        "max": HIGH,
-    }
+    one = {"q01": LOW, "q99": HIGH, "min": LOW, "max": HIGH}
+    one |= {"mean": (LOW + HIGH) / 2, "std": (HIGH - LOW) / 4}
     return {"observation.state": one, "action": one}
 
 
 @pytest.fixture
 def make_config(tokenizer_path: Path) -> Callable[..., PI05UniforceConfig]:
     def make(**settings: Any) -> PI05UniforceConfig:
-        cameras = {
-            f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
-            for name in ("front", "wrist", "tactile_left", "tactile_right")
-        }
-        state = {"observation.state": PolicyFeature(FeatureType.STATE, (5,))}
-        given = {
-            "size": "tiny",
-            "touch__slots": BOTH,
-            "touch__tokenizer_path": str(tokenizer_path),
-            **SMALL,
-            **settings,
-        }
-        return PI05UniforceConfig(
-            device="cpu",
-            input_features=cameras | state,
-            output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
-            **in_groups(given),
-        )
+        touch = {"touch__slots": BOTH, "touch__tokenizer_path": str(tokenizer_path)}
+        cameras = ("front", "wrist", "tactile_left", "tactile_right")
+        return small_config(cameras, **in_groups(touch | SMALL | settings))
 
     return make
 
@@ -98,7 +74,7 @@ def make_batch(stats: dict[str, Any]) -> Callable[..., dict[str, torch.Tensor]]:
     """A preprocessed batch for a policy: cameras, state, marker images, wrenches, text; actions on request."""
 
     def make(policy: PI05UniforcePolicy, size: int = 2, actions: bool = False) -> dict[str, torch.Tensor]:
-        before, _ = make_pi05_uniforce_pre_post_processors(policy.config, stats)
+        before, _ = make_processors(policy.config, stats)
         batch: dict[str, Any] = {"task": ["wipe the ink off the board"] * size}
         for name in ("front", "wrist"):
             batch[f"observation.images.{name}"] = torch.rand(size, 3, 28, 28)
@@ -125,7 +101,6 @@ def _between(share: torch.Tensor) -> torch.Tensor:
 
 @pytest.fixture(scope="session")
 def run_to_the_end() -> Callable[[list[str], dict[str, str], Path, float], str]:
-    """Run a program and its children; one that hangs or fails shows what it said."""
     return _run_to_the_end
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -72,9 +73,8 @@ def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_bat
     assert torch.allclose(b, a[1] + rows * UNITS.unit, atol=1e-6)
     policy.select_action(elsewhere)
     policy.reset()
-    assert torch.allclose(
-        policy.select_action(elsewhere), elsewhere[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6
-    )
+    again = policy.select_action(elsewhere)
+    assert torch.allclose(again, elsewhere[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6)
 
 
 def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats, monkeypatch, tmp_path):
@@ -151,9 +151,8 @@ def test_a_batch_without_the_measured_state_is_refused(make_policy, make_batch):
 def test_beyond_the_knee_a_move_is_its_logarithm():
     small, large = torch.full((5,), 1e-5), torch.full((5,), 0.04)
     assert torch.allclose(BENT.to_network(small)[4], torch.tensor(1e-5 / 3e-4), rtol=1e-3)
-    assert torch.allclose(
-        BENT.to_network(large)[[2, 4]], (2 * large[[2, 4]] / BENT.unit[[2, 4]]).log(), atol=0.01
-    )
+    logarithm = (2 * large[[2, 4]] / BENT.unit[[2, 4]]).log()
+    assert torch.allclose(BENT.to_network(large)[[2, 4]], logarithm, atol=0.01)
     assert torch.equal(BENT.to_network(large)[[0, 1, 3]], UNITS.to_network(large)[[0, 1, 3]])
 
 
@@ -212,9 +211,8 @@ def test_larger_camera_frames_shrink_as_training_views_do(make_policy, make_batc
     side = policy.config.image_resolution[0]
     large = torch.rand(len(batch[key]), 3, 4 * side, 4 * side)
     shrunk = policy._shrunk({**batch, key: large})[key]
-    assert torch.allclose(
-        shrunk, large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5)), atol=1e-6
-    )
+    wanted = large.unflatten(3, (side, 4)).unflatten(2, (side, 4)).mean((3, 5))
+    assert torch.allclose(shrunk, wanted, atol=1e-6)
 
 
 def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
@@ -238,7 +236,7 @@ def test_evaluation_mode_reaches_a_module_that_was_set_apart(make_policy):
     modules = list(policy.modules())
     policy.eval()
     assert not any(module.training for module in modules)
-    modules[-1].train()  # somebody's own doing: asking again mends it
+    modules[-1].train()  # set by hand: asking again mends it
     policy.eval()
     assert not modules[-1].training
     policy.train()
@@ -329,15 +327,10 @@ def test_what_is_near_the_demos_passes(rows) -> None:
     assert torch.equal(STEP.action(action[None]), action[None])  # a chunk
 
 
-@pytest.mark.parametrize(
-    ("row", "says"),
-    [
-        ([float("nan"), 0.0], "finite"),
-        ([0.0, float("inf")], "finite"),
-        ([1.6, 0.0], "axis 0"),
-        ([0.5, -2.1], "axis 1"),
-    ],
-)
+BEYOND = [([float("nan"), 0.0], "finite"), ([0.0, float("inf")], "finite"), ([1.6, 0.0], "axis 0")]
+
+
+@pytest.mark.parametrize(("row", "says"), [*BEYOND, ([0.5, -2.1], "axis 1")])
 def test_what_is_not_stops(row, says) -> None:
     with pytest.raises(RolloutError, match=says):
         STEP.action(torch.tensor([[0.5, 0.0], row]))
@@ -401,27 +394,18 @@ def test_a_call_is_due_when_the_queue_runs_dry() -> None:
     account.record(0.55, queued=2)  # three steps too late
     facts = account.facts()
     assert (facts["calls"], facts["missed_deadlines"], facts["empty_steps"]) == (4, 2, 4)
+    with pytest.raises(ContractError, match="control rate"):
+        Deadlines(0)
     assert facts["latency_max_ms"] == pytest.approx(550) and facts["latency_p50_ms"] == pytest.approx(200)
 
 
-def test_a_rate_must_be_one() -> None:
-    with pytest.raises(ContractError, match="control rate"):
-        Deadlines(0)
-
-
-class Slow:
-    """An environment's clock so fast that no call is in time, or so slow that every call is."""
-
-    def __init__(self, hz: float) -> None:
-        self.metadata = {"render_fps": hz}
-
-
+# an environment's clock so fast that no call is in time, or so slow that every call is
 @pytest.mark.parametrize(("hz", "missed"), [(1e6, 1), (1e-3, 0)])
 def test_the_controller_holds_itself_to_the_environments_rate(hz, missed, monkeypatch) -> None:
     controller = PolicyController(shipped_checkpoint(), {"left": "gelsight", "right": "tactip"})
     monkeypatch.setattr(controller, "_batch", lambda observation, task: {})
     monkeypatch.setattr(controller, "_issue", lambda batch: "a chunk")
-    controller.reset(Slow(hz))
+    controller.reset(SimpleNamespace(metadata={"render_fps": hz}))
     assert controller.facts() == {}
     assert controller.chunk({}, "wipe") == "a chunk"
     assert controller.facts()["missed_deadlines"] == missed and controller.facts()["calls"] == 1

@@ -27,9 +27,8 @@ def value(config: PI05UniforceConfig, path: str) -> object:
 
 
 def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
-    config = parsed(
-        "--touch.slots={touch1: left}", "--action.form=absolute", "--tiny.width=64", "--swap=touch1:right"
-    )
+    given = ("--touch.slots={touch1: left}", "--action.form=absolute", "--tiny.width=64")
+    config = parsed(*given, "--swap=touch1:right")
     assert config.slots == ("touch1",) and config.finger_by_slot() == {"touch1": "right"}
     assert config.action.form == "absolute" and config.action.objective == "regression"
     assert (config.tiny.width, config.tiny.depth, config.augment.touch_noise) == (64, 4, 0.2)
@@ -51,9 +50,8 @@ def test_a_config_survives_a_round_trip(recipe, make_config, tmp_path) -> None:
     config._save_pretrained(tmp_path)
     again = PreTrainedConfig.from_pretrained(tmp_path)
     assert isinstance(again, PI05UniforceConfig) and again == config
-    later = PreTrainedConfig.from_pretrained(
-        tmp_path, cli_overrides=["--swap=touch0:right", "--touch.site=suffix"]
-    )
+    given = ["--swap=touch0:right", "--touch.site=suffix"]
+    later = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=given)
     assert later.swap == "touch0:right" and later.touch.slots == config.touch.slots
     assert later.touch.site == "suffix" and later.augment == config.augment
 
@@ -64,9 +62,8 @@ def test_the_default_is_the_plain_recipe_and_the_scored_one_its_nine_settings() 
     assert plain == parsed("--recipe=plain") and len(nine) == 9
     assert {path: value(scored, path) for path in nine} == nine
     assert {path: value(plain, path) for path in PLAIN} == PLAIN
-    differing = {
-        f.name for f in dataclasses.fields(plain) if getattr(plain, f.name) != getattr(scored, f.name)
-    }
+    names = [f.name for f in dataclasses.fields(plain)]
+    differing = {name for name in names if getattr(plain, name) != getattr(scored, name)}
     assert differing == {"recipe", "n_action_steps", "touch", "action", "augment"}
     assert parsed("--recipe=scored", "--n_action_steps=8", "--touch.directions=2").touch.directions == 2
 

@@ -17,22 +17,16 @@ PROGRAM = Path(__file__).with_name("sharded_program.py")
 
 @pytest.mark.slow  # two processes import LeRobot, 10 s each
 def test_a_sharded_step_is_the_whole_policys_step(make_policy, make_batch, tmp_path, run_to_the_end):
-    still = {
-        "sampler__noise_scale": 0.0,
-        "augment__touch_dropout": 0.0,
-        "augment__touch_noise": 0.0,
-        "augment__camera_variation": 0.0,
-    }
-    policy = make_policy(**still, action__objective="regression")
+    still = {f"augment__{name}": 0.0 for name in ("touch_dropout", "touch_noise", "camera_variation")}
+    policy = make_policy(**still, sampler__noise_scale=0.0, action__objective="regression")
     policy.save_pretrained(tmp_path / "begun")
     batch = {k: v.contiguous() for k, v in make_batch(policy, 4, actions=True).items() if torch.is_tensor(v)}
     save_file(batch, tmp_path / "batch.safetensors")
     launch = "torch.distributed.run --standalone --nproc-per-node=2"
     files = [tmp_path / "begun", tmp_path / "batch.safetensors", tmp_path / "sharded"]
     env = os.environ | {"OMP_NUM_THREADS": "1", "GLOO_SOCKET_IFNAME": "lo"}
-    run_to_the_end(
-        [sys.executable, "-m", *launch.split(), str(PROGRAM), *map(str, files)], env, tmp_path / "said", 200
-    )
+    call = [sys.executable, "-m", *launch.split(), str(PROGRAM), *map(str, files)]
+    run_to_the_end(call, env, tmp_path / "said", 200)
     whole = PI05UniforcePolicy.from_pretrained(tmp_path / "begun").train()
     optimizer = torch.optim.SGD([p for p in whole.parameters() if p.requires_grad], lr=1.0)
     losses = [whole({k: v.chunk(2)[i] for k, v in batch.items()})[0] for i in range(2)]

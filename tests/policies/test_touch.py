@@ -14,21 +14,17 @@ from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
+PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
+
 
 class PlainNetwork(stock.PI05Pytorch):
-    """LeRobot's own network around somebody else's modules."""
+    """LeRobot's own network around another network's modules."""
 
     def __init__(self, other: stock.PI05Pytorch) -> None:
         torch.nn.Module.__init__(self)
         self.config, self.rtc_processor = other.config, None
         self.gradient_checkpointing_enabled = False
-        for name in (
-            "paligemma_with_expert",
-            "action_in_proj",
-            "action_out_proj",
-            "time_mlp_in",
-            "time_mlp_out",
-        ):
+        for name in ("paligemma_with_expert", *PROJECTIONS):
             setattr(self, name, getattr(other, name))
 
 
@@ -67,9 +63,8 @@ def test_joint_training_velocity_equals_sampling_velocity(site, gate, make_polic
     squared = policy.model.forward(images, masks, tokens, text_mask, actions, x, time)  # (u − v)², u = x − 0
     prefix, pads, atts = policy.model.embed_prefix(images, masks, tokens, text_mask)
     mask = stock.prepare_attention_masks_4d(stock.make_att_2d_masks(pads, atts))
-    _, cache = policy.model.paligemma_with_expert.forward(
-        mask, torch.cumsum(pads, 1) - 1, None, [prefix, None], use_cache=True
-    )
+    joint, places = policy.model.paligemma_with_expert, torch.cumsum(pads, 1) - 1
+    _, cache = joint.forward(mask, places, None, [prefix, None], use_cache=True)
     velocity = policy.model.denoise_step(pads, cache, x_t, time)
     assert torch.allclose(squared.sqrt(), (x - velocity).abs(), atol=1e-4)
 
@@ -106,21 +101,13 @@ def test_force_tokens_keep_amplitude(make_policy):
     assert torch.allclose(tokens(touch, 0).square().mean(-1), torch.ones(1, 16), atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("settings", "whole"),
-    [
-        ({}, True),
-        ({"touch__input": "wrench"}, False),
-        ({"size": "base"}, False),
-        ({"recipe": "scored"}, False),
-    ],
-)
-def test_a_token_of_tiny_also_holds_the_whole_map(settings, whole, make_config):
+@pytest.mark.parametrize("settings", [{}, {"touch__input": "wrench"}, {"size": "base"}, {"recipe": "scored"}])
+def test_a_token_of_tiny_also_holds_the_whole_map(settings, make_config):
     config = make_config(**{**settings, "tiny__width": 64})
     shape = (16, 6) if config.touch.input == "latent" else (1, 4)
     tokens = ForceTokens(config, shape, 32)
-    assert (tokens.whole is not None) == whole
-    if whole:
+    assert (tokens.whole is not None) == (not settings)
+    if tokens.whole is not None:
         touch = torch.randn(1, 16, 6)
         elsewhere = touch.clone()
         elsewhere[:, 5] += 1
@@ -251,9 +238,8 @@ def test_controls_are_the_same_cached_or_live(make_policy, make_batch, kind):
     key = {"descriptor": descriptor_key, "marker_pair": marker_pair_key}[kind]
     cached = dict(batch)
     for slot, finger in policy.config.finger_by_slot().items():
-        before, after = (
-            (batch[tactile_key(finger, r)][:, 0] * 255).round().to(torch.uint8).numpy() for r in (True, False)
-        )
+        pair = [batch[tactile_key(finger, r)][:, 0] * 255 for r in (True, False)]
+        before, after = (images.round().to(torch.uint8).numpy() for images in pair)
         values = [compute(b, a[None], finger) for b, a in zip(before, after, strict=True)]
         cached[key(slot)] = torch.from_numpy(np.concatenate(values))
         del cached[tactile_key(finger)]  # the cache is enough

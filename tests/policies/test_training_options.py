@@ -26,9 +26,8 @@ OPTIONS = {
     "next_force": {"touch__next_force_weight": 0.5},
     "no_touch": {"touch__input": "none", "touch__slots": {}},
 }
-BY_SYMMETRY = (
-    "k_proj.bias"  # a key's bias moves all scores of a row alike: its gradient is 0 but for rounding
-)
+# a key's bias moves all scores of a row alike: its gradient is 0 but for rounding
+BY_SYMMETRY = "k_proj.bias"
 
 
 def what_comes(policy, size=2):
@@ -54,13 +53,8 @@ def without_gradient(policy):
 @pytest.mark.parametrize("option", OPTIONS)
 def test_every_trained_weight_gets_a_gradient(option, gated, site, make_policy, make_batch):
     """Else data-parallel training without a search for unused parameters would stop at the second step."""
-    settings = {
-        "touch__site": site,
-        "touch__start_at_base": gated,
-        "action__objective": "flow",
-        **OPTIONS[option],
-    }
-    policy = alive(make_policy(**settings), std=0.1).train()
+    settings = {"touch__site": site, "touch__start_at_base": gated, "action__objective": "flow"}
+    policy = alive(make_policy(**settings | OPTIONS[option]), std=0.1).train()
     step(policy, make_batch)
     assert without_gradient(policy) == []
     frozen = {n for n, p in policy.named_parameters() if not p.requires_grad}
@@ -96,9 +90,8 @@ def test_lora_trains_its_targets_and_the_new_modules(site, make_policy, make_bat
     start.save_pretrained(tmp_path / "start")
     policy = PI05UniforcePolicy.from_pretrained(tmp_path / "start")
     policy.config.pretrained_path = tmp_path / "start"
-    wrapped = alive(
-        policy.wrap_with_peft(peft_cli_overrides={"method_type": "LORA", "r": 2}), std=0.1
-    ).train()
+    lora = {"method_type": "LORA", "r": 2}
+    wrapped = alive(policy.wrap_with_peft(peft_cli_overrides=lora), std=0.1).train()
     for name, p in wrapped.named_parameters():
         if "lora_B" in name:  # starts as zeros: the other half would get no gradient
             torch.nn.init.normal_(p, std=0.1)

@@ -65,11 +65,8 @@ def view(tokenizer_path, tmp_path):
 
 
 def trained(make_config, view, **settings):
-    given = {
-        "touch__tokenizer_path": view.tokenizer,
-        "touch__slots": {"touch0": "right"},
-        "augment__sensor_transfer": 1.0,
-    }
+    given = {"touch__tokenizer_path": view.tokenizer, "touch__slots": {"touch0": "right"}}
+    given |= {"augment__sensor_transfer": 1.0}
     return PI05UniforcePolicy(make_config(**{**given, **settings}), dataset_meta=view)
 
 
@@ -93,11 +90,8 @@ def test_only_training_is_mapped_and_the_checkpoint_stays_as_it_was(make_config,
     [
         ({"touch__slots": {"touch0": "left"}}, ContractError, r"gelsight\+uskin"),  # two kinds in one slot
         ({"touch__trained_sensors": {"touch0": "digit"}}, ContractError, "digit"),
-        (
-            {"touch__tokenizer_path": None},
-            DatasetError,
-            "tokenizer of",
-        ),  # the shipped one has maps, but isn't the view's
+        # the shipped one has maps, but isn't the view's
+        ({"touch__tokenizer_path": None}, DatasetError, "tokenizer of"),
     ],
 )
 def test_maps_that_do_not_fit_are_refused(settings, error, said, make_config, view):
@@ -129,9 +123,8 @@ def test_directions_are_all_that_counts_and_come_back_with_the_checkpoint(make_c
 
 
 def test_noise_along_directions_is_what_fingers_of_a_grasp_disagree_by(make_config, view, tmp_path):
-    policy = trained(
-        make_config, view, augment__sensor_transfer=0.0, touch__directions=3, augment__touch_noise=0.5
-    )
+    touch = {"touch__directions": 3, "augment__touch_noise": 0.5, "augment__sensor_transfer": 0.0}
+    policy = trained(make_config, view, **touch)
     policy.save_pretrained(tmp_path / "saved")
     # training goes on with it
     tokens = PI05UniforcePolicy.from_pretrained(tmp_path / "saved").model.force_tokens

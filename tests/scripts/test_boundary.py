@@ -9,8 +9,7 @@ from typing import Annotated, Literal, get_args
 
 import pytest
 
-from uniforce_cli.boundary import command, guarded
-from uniforce_cli.option_types import Level
+from uniforce_cli.boundary import Level, command, guarded
 from uniforce_vtla.arguments import help_text, options_of, parse
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.options import (

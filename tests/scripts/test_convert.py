@@ -9,10 +9,11 @@ import pytest
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
+from policy_samples import small_config
 from safetensors.torch import load_file, save_file
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 from lerobot_policy_pi05_uniforce.weights import EMBEDDING, FRESH, HEADS, no_weights, own_names
 from uniforce_cli import lerobot_training
@@ -20,8 +21,6 @@ from uniforce_cli.convert import main
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_datasets.training_view import build_view
 from uniforce_vtla.tokenizer import Tokenizer
-
-SMALL = TinySettings(width=64, depth=2, mlp_dim=32)
 
 
 @pytest.mark.slow
@@ -52,31 +51,22 @@ def test_a_tied_embedding_is_found_and_openpis_names_are_understood() -> None:
     names = own_names([HEADS[0].removeprefix("model."), "action_time_mlp_in.weight", "strange"])
     assert names[HEADS[0].removeprefix("model.")] == EMBEDDING
     assert names["action_time_mlp_in.weight"] == "model.time_mlp_in.weight"
-    assert names["strange"] == "model.strange"  # nobody's: the loader will name it
+    assert names["strange"] == "model.strange"  # no known tensor: the loader will name it
 
 
 @pytest.fixture(scope="module")
 def view(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("convert")
     root = record_synthetic(folder / "data", 1, 6)
-    return build_view(
-        root, folder / "view", image_side=28, tokenizer=Tokenizer.from_pretrained("nano"), keep=bool
-    )
+    nano = Tokenizer.from_pretrained("nano")
+    return build_view(root, folder / "view", image_side=28, tokenizer=nano, keep=bool)
 
 
 @pytest.fixture(scope="module")
 def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A policy without touch, both language heads in its file as LeRobot writes them."""
-    from lerobot.configs import FeatureType, PolicyFeature
-
     folder = tmp_path_factory.mktemp("published")
-    config = PI05UniforceConfig(
-        size="tiny", device="cpu", touch=TouchSettings(input="none"), image_resolution=(28, 28), tiny=SMALL
-    )
-    camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
-    config.input_features = {f"observation.images.{name}": camera for name in ("front", "wrist")}
-    config.input_features["observation.state"] = PolicyFeature(FeatureType.STATE, (5,))
-    config.output_features = {"action": PolicyFeature(FeatureType.ACTION, (5,))}
+    config = small_config(touch=TouchSettings(input="none"))
     PI05UniforcePolicy(config).save_pretrained(folder)
     tensors = load_file(folder / "model.safetensors")
     save_file(tensors | {head: torch.zeros(4, 4) for head in HEADS}, folder / "model.safetensors")

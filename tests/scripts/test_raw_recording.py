@@ -43,11 +43,10 @@ def test_frames_and_counts_are_the_episodes_own(recorded: Path) -> None:
     source = read_source(recorded)
     left, right = (raw_touch(source, source.episodes[1], finger) for finger in ("left", "right"))
     assert left is not None and right is not None
-    brightness = [frame.mean() for frame in left()]
+    brightness = [frame.mean() for frame in left]
     assert np.allclose(brightness, 20 * np.arange(FRAMES), atol=4)
-    change = [
-        int(picture.max()) for picture in right()
-    ]  # since the first frame: 1,000 counts more there say nothing
+    # since the first frame: 1,000 counts more there say nothing
+    change = [int(picture.max()) for picture in right]
     assert change == [int(100 * step / 4000 * 255) for step in range(FRAMES)]
 
 
@@ -63,7 +62,7 @@ def test_what_was_not_kept_is_not_shown_and_what_is_truncated_is_an_error(
     read = raw_touch(source, source.episodes[0], "left")
     assert read is not None
     with pytest.raises(DatasetError, match="episode_000000"):
-        list(read())
+        list(read)
     file.write_bytes(whole)
 
 

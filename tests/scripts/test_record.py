@@ -9,7 +9,6 @@ import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.disturbance import Nudge
-from uniforce_cli.record import main
 from uniforce_robots.recorder.expert_demos import record_episode
 from uniforce_vtla.keys import ACTION
 
@@ -36,8 +35,3 @@ def test_the_label_is_what_the_expert_commanded_not_what_was_executed(
     for frame, action in zip(demo.frames, executed, strict=True):
         assert np.allclose(offset.apply(frame[ACTION]), action)
         assert not np.allclose(frame[ACTION], action, atol=1e-6)
-
-
-def test_a_negative_nudge_is_refused(capsys: pytest.CaptureFixture[str], tmp_path) -> None:
-    assert main(["nudge=-1", f"root={tmp_path / 'demos'}"]) == 2
-    assert "nudge" in capsys.readouterr().err

@@ -13,15 +13,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from lerobot.configs import FeatureType, PolicyFeature
+from policy_samples import small_config
 
 from benchmarks.policy import text_tokenizer
-from lerobot_policy_pi05_uniforce import (
-    PI05UniforceConfig,
-    PI05UniforcePolicy,
-    make_pi05_uniforce_pre_post_processors,
-)
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings, TouchSettings
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from uniforce_cli import share
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
@@ -68,23 +65,13 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
     text_tokenizer.build(tmp_path / "words")
     tactile = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
     Tokenizer.random(tactile).save(tmp_path / "tactile")
-    camera = PolicyFeature(FeatureType.VISUAL, (3, 28, 28))
-    config = PI05UniforceConfig(
-        size="tiny",
-        device="cpu",
-        image_resolution=(28, 28),
-        touch=TouchSettings(tokenizer_path=str(tmp_path / "tactile")),
-        tiny=TinySettings(width=64, depth=2, mlp_dim=32),
-        text_tokenizer_name=str(tmp_path / "words"),
-        input_features={f"observation.images.{name}": camera for name in ("front", "wrist")}
-        | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},
-        output_features={"action": PolicyFeature(FeatureType.ACTION, (5,))},
-    )
+    touch = TouchSettings(tokenizer_path=str(tmp_path / "tactile"))
+    config = small_config(touch=touch, text_tokenizer_name=str(tmp_path / "words"))
     one = {"q01": np.zeros(5), "q99": np.ones(5), "min": np.zeros(5), "max": np.ones(5)}
     stats = {"observation.state": dict(one), "action": dict(one)}
     meta = SimpleNamespace(repo_id="somebody/wipe", total_episodes=7, total_frames=70, fps=30, root=tmp_path)
     policy = PI05UniforcePolicy(config, dataset_stats=None, dataset_meta=meta).eval()
-    before, after = make_pi05_uniforce_pre_post_processors(config, stats)
+    before, after = make_processors(config, stats)
     for part in (policy, before, after):
         part.save_pretrained(tmp_path / "trained")
     (tmp_path / "trained" / "train_config.json").write_text('{"steps": 40, "output_dir": "/machine/only"}')

@@ -15,8 +15,13 @@ import pytest
 
 from uniforce_cli.dataset_rerun import traces
 from uniforce_cli.dataset_sheet import write_sheet
-from uniforce_cli.recorded_episode import summarise_episode
-from uniforce_cli.recording_forces import EpisodeForces, RecordingForces, descriptor_heads, latent_change
+from uniforce_cli.recorded_episode import (
+    EpisodeForces,
+    RecordingForces,
+    descriptor_heads,
+    latent_change,
+    summarise_episode,
+)
 from uniforce_cli.show import main
 from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import record_synthetic
@@ -73,9 +78,8 @@ def test_a_force_head_reads_the_latents_instead_of_the_descriptors(recorded: Pat
     assert main([f"root={recorded}", f"out={tmp_path}", "head=tactip"]) == 0
     page, content = (tmp_path / f"episode_0.{kind}" for kind in ("html", "json"))
     assert "force head tactip, from latents" in page.read_text()
-    by_descriptor = (
-        RecordingForces(recorded, descriptor_heads()).read(read_source(recorded).episodes[0]).force_N
-    )
+    recording = RecordingForces(recorded, descriptor_heads())
+    by_descriptor = recording.read(recording.source.episodes[0]).force_N
     assert (
         json.loads(content.read_text())["strongest_N"]["left"]
         != np.abs(by_descriptor).max(axis=0)[0].tolist()
@@ -174,9 +178,8 @@ def summary_of(title: str = "made up") -> EpisodeSummary:
     time_s, force, height = wiped()
     grey = np.full((24, 24, 3), 90, np.uint8)
     named = find_key_frames(force, height)
-    key_frames = tuple(
-        KeyFrame(name, frame, {"front": grey}, {"left": grey, "right": grey}) for name, frame in named.items()
-    )
+    pads = {"left": grey, "right": grey}
+    key_frames = tuple(KeyFrame(name, frame, {"front": grey}, pads) for name, frame in named.items())
     change = np.random.default_rng(0).normal(size=(len(time_s), 4, 4, 6)).astype(np.float32)
     return EpisodeSummary(
         title=title,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import train_arm as module
-from benchmarks.train_arm import TrainArmConfig, arguments, main, train_arm
+from benchmarks.train_arm import TrainArmConfig, arguments, train_arm
 from benchmarks.wiping_plan import ARMS, RECIPES
 from uniforce_cli.score import SCRIPTS
 from uniforce_vtla.errors import DatasetError
@@ -67,11 +67,3 @@ def test_a_run_is_resumed_and_a_finished_one_left_alone(
     assert "resume=true" in calls[1] and done == tmp_path / "seed1" / "vt"
     assert (done / "train_config.json").exists()
     assert train_arm(config) == done and len(calls) == 2
-
-
-@pytest.mark.parametrize(("given", "says"), [(["name=x"], "vtg"), (["view=/nowhere"], "training view")])
-def test_bad_input_is_a_plain_message(
-    given: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*given, f"out={tmp_path}"]) == 2
-    assert says in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What listens, listens on loopback unless it is told otherwise."""
+"""What listens, listens on loopback unless an option says otherwise."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_tactile_stand_ins_listen_on_loopback(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_arms_stand_in_listens_where_it_is_told() -> None:
+def test_the_arms_stand_in_listens_at_its_address() -> None:
     with FciStandIn("127.0.0.77") as stand_in:
         found = addresses(stand_in.process.pid)
     assert len(found) >= 5 and set(found) == {"127.0.0.77"}

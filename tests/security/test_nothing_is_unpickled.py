@@ -20,19 +20,8 @@ from uniforce_vtla.errors import CheckpointError, DatasetError
 
 ROOT = Path(__file__).parents[2]
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
-NEVER = {
-    "eval",
-    "exec",
-    "compile",
-    "os.system",
-    "yaml.load",
-    "yaml.unsafe_load",
-    "yaml.full_load",
-    "pd.read_pickle",
-    "pandas.read_pickle",
-    "torch.package.PackageImporter",
-    "torch.jit.load",
-}
+NEVER = {"eval", "exec", "compile", "os.system", "yaml.load", "yaml.unsafe_load", "yaml.full_load"}
+NEVER |= {"pd.read_pickle", "pandas.read_pickle", "torch.package.PackageImporter", "torch.jit.load"}
 PROCESSES = {"Parallel", "delayed"}  # of joblib: its loader is what unpickles files
 # Foreign encoders exist as torch.save files only: tensors and plain containers alone are let through (weights_only).
 FOREIGN = "benchmarks/baselines/checkpoint.py"
@@ -135,9 +124,9 @@ def test_poisoned_arrays_are_refused(tmp_path: Path, mark: Path) -> None:
 
 
 def test_a_poisoned_foreign_checkpoint_is_refused(tmp_path: Path, mark: Path) -> None:
-    torch.save({"weights": torch.zeros(2), "extra": Bomb(mark)}, tmp_path / "peer.pth")
+    torch.save({"weights": torch.zeros(2), "extra": Bomb(mark)}, tmp_path / "foreign.pth")
     with pytest.raises(CheckpointError, match="tensors only"):
-        read_tensors(tmp_path / "peer.pth")
+        read_tensors(tmp_path / "foreign.pth")
     assert not mark.exists()
 
 

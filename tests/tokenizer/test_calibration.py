@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError
-from uniforce_vtla.tokenizer.calibration import Calibration, CalibrationConfig, LatentAdapter, calibrate
+from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter, calibrate
 from uniforce_vtla.tokenizer.latent import Latent
+from uniforce_vtla.tokenizer.settings import CalibrationConfig
 
 QUICK = CalibrationConfig(steps=300)
 

@@ -35,14 +35,6 @@ def test_area_average_keeps_the_total_brightness() -> None:
     assert square.sum().item() * 25 == pytest.approx(image.sum() / 255, rel=1e-5)
 
 
-def test_right_finger_is_mirrored_and_left_is_not() -> None:
-    image = random_markers(1)
-    left, right = prepare(image, "left", 32), prepare(image, "right", 32)
-    torch.testing.assert_close(right, prepare(image[:, :, ::-1], "left", 32))
-    torch.testing.assert_close(right, left.flip(-1))
-    assert not torch.equal(left, right)
-
-
 def test_numpy_tensor_uint8_and_float_agree() -> None:
     image = random_markers(2)
     wanted = prepare(image, "right", 32)

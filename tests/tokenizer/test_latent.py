@@ -14,12 +14,7 @@ def test_what_only_picks_joins_and_moves_keeps_the_origin() -> None:
     kept = [
         *(Z[0], Z[:, None], Z.clone(), Z.cpu(), Z.to(torch.float64), Z.flatten(0, 1), Z.squeeze(0)),
         *(torch.cat([Z, Z]), torch.stack([Z, Z], dim=1), *Z.unbind(0), *iter(Z), pool_latent(Z, 2)),
-        *(
-            pickle.loads(pickle.dumps(Z)),
-            copy.deepcopy(Z),
-            Z.expand(3, -1, -1),
-            Z.reshape(4, 24).contiguous(),
-        ),
+        *(pickle.loads(pickle.dumps(Z)), copy.deepcopy(Z), Z.expand(3, -1, -1), Z.reshape(4, 24)),
     ]
     assert all(isinstance(z, Latent) and z.tokenizer_hash == "own" for z in kept)
 

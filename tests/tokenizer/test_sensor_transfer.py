@@ -168,9 +168,8 @@ def test_four_shipped_directions_hold_pull_and_grip_and_no_side_force(sensor: st
     force = np.array([[0, -3, 9], [2.5, -3, 9], [-2.5, -3, 9], [0, -0.5, 9], [0, -3, 6.5]], np.float32)
     size, square = np.tile([60.0, 44.0], (len(force), 1)), np.zeros((len(force), 2))
     gap = flat_face_gap(square, size, np.zeros(len(force)), square)
-    images = simulator.marker_images(
-        ContactState(gap.astype(np.float32), force, np.zeros(len(force), np.float32))
-    )
+    twist = np.zeros(len(force), np.float32)
+    images = simulator.marker_images(ContactState(gap.astype(np.float32), force, twist))
     side = tokenizer.config.side
     reference = shrink(simulator.reference()[None], side)[0]
     latent = pool_latent(tokenizer.encode(reference, shrink(images, side)), 4).flatten(1)

@@ -32,24 +32,6 @@ def test_heads_belong_to_their_tokenizer(size: str) -> None:
         assert head.source == sensor and head.tokenizer_hash == tokenizer.hash
 
 
-def test_nano_is_smaller_than_the_default(tokenizer: Tokenizer) -> None:
-    sizes = [
-        sum(p.numel() for p in t.model.parameters()) for t in (tokenizer, Tokenizer.from_pretrained("nano"))
-    ]
-    assert sizes[1] < sizes[0] / 2
-
-
-def test_cached_path_equals_full_path_with_shipped_weights(tokenizer: Tokenizer) -> None:
-    labelled = draw_labelled(
-        replace(FROZEN, sequences=1, length=4, seed=3), "gelsight", tokenizer.config.side
-    )
-    z = tokenizer.encode(labelled.reference, labelled.frames[0])
-    current = torch.from_numpy(labelled.frames[0][:, None]) / 255
-    reference = torch.from_numpy(labelled.reference[:, None]) / 255
-    full = tokenizer.model(reference.expand_as(current), current).mean
-    torch.testing.assert_close(z, full, atol=1e-5, rtol=0)
-
-
 def test_shipped_head_reads_another_sensor_and_beats_an_untrained_encoder(tokenizer: Tokenizer) -> None:
     recipe = replace(FROZEN, sequences=16, length=6, seed=11)
     target = draw_labelled(recipe, "gelsight", tokenizer.config.side)

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.latent import Latent
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 
 @pytest.fixture
@@ -74,14 +73,6 @@ def test_missing_folder_and_broken_config_raise(saved: Path, tmp_path: Path) -> 
         Tokenizer.from_pretrained(saved)
     (saved / "config.json").write_text("{}")
     with pytest.raises(CheckpointError, match="TokenizerConfig"):
-        Tokenizer.from_pretrained(saved)
-
-
-def test_another_canonicalizer_is_refused(saved: Path) -> None:
-    config = json.loads((saved / "config.json").read_text())
-    config["canonicaliser"]["taxel_scales"]["counts_per_pitch"] += 1
-    (saved / "config.json").write_text(json.dumps(config))
-    with pytest.raises(CheckpointError, match="canonicalizer of"):
         Tokenizer.from_pretrained(saved)
 
 

@@ -102,7 +102,7 @@ class ArmReport:
     """Counts of one arm over its seeds."""
 
     arm: str
-    rows: tuple[EpisodeRow, ...]
+    rows: Sequence[EpisodeRow]
 
     @property
     def n(self) -> int:
@@ -126,11 +126,6 @@ class ArmReport:
             "seeds": [seeds[0], seeds[-1]],
             "by_seed": "".join(row.code for row in self.rows),
         }
-
-
-def summarise(arm: str, rows: Sequence[EpisodeRow]) -> ArmReport:
-    """Return the report of an arm's rows."""
-    return ArmReport(arm, tuple(rows))
 
 
 def table(reports: Sequence[ArmReport]) -> str:

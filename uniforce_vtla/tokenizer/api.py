@@ -14,7 +14,8 @@ from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.markers.taxel_render import TaxelScales
 from uniforce_vtla.tokenizer.entry import prepare
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
-from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, TokenizerConfig, build_model
+from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 from uniforce_vtla.tokenizer.weights import (
     checkpoint_folder,
     content_hash,
@@ -23,9 +24,8 @@ from uniforce_vtla.tokenizer.weights import (
     save_checkpoint,
 )
 
-STORED_KEY = (
-    "canonicaliser"  # of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
-)
+# of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
+STORED_KEY = "canonicaliser"
 CACHED_REFERENCES = 8  # two slots, a few swaps; each costs about 0.5 MB
 
 

@@ -16,26 +16,11 @@ from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.options import Count, CountOrZero, NotNegative, Rate, Seed, Share
 from uniforce_vtla.tokenizer.latent import Latent, as_map, own_latent
+from uniforce_vtla.tokenizer.settings import CalibrationConfig
 from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
 
 MAX_SIZE = 16384  # of an adapter's latent and hidden units, see model.LIMITS
-
-
-@dataclass(frozen=True)
-class CalibrationConfig:
-    """How an adapter is fitted."""
-
-    hidden: CountOrZero = 32  # units that bend the latent; 0 leaves it an affine map
-    steps: Count = 800  # of Adam, cosine to zero; seconds on one core
-    batch: Count = 64  # pairs per step
-    learning_rate: Rate = 5e-3  # peak
-    # keeps weights the grasps don't decide where they started: at the identity
-    identity_pull: NotNegative = 1e-3
-    held_out: Share = 0.2  # share of the grasps that only judge
-    min_pairs: Count = 50  # fewer can't decide some hundred numbers
-    seed: Seed = 0  # split and batches
 
 
 class LatentAdapter(nn.Module):
@@ -100,8 +85,7 @@ class Calibration:
         """
         folder = Path(path)
         facts = read_config(folder)
-        if facts.get("tokenizer_hash") != tokenizer_hash:
-            came = facts.get("tokenizer_hash")
+        if (came := facts.get("tokenizer_hash")) != tokenizer_hash:
             do = "Calibrate again with this tokenizer."
             raise CheckpointError(expected(f"tokenizer of {folder}", tokenizer_hash, came, do))
         try:
@@ -161,9 +145,8 @@ def imbalance(z_new: torch.Tensor, z_anchor: torch.Tensor) -> float:
 def _fit(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfig) -> LatentAdapter:
     adapter = LatentAdapter(z_new.shape[-1], config.hidden)
     adapter.spread.copy_(z_anchor.flatten(0, 1).std(dim=0).clamp_min(1e-6))
-    optimizer = torch.optim.AdamW(
-        adapter.parameters(), lr=config.learning_rate, weight_decay=config.identity_pull
-    )
+    rates = {"lr": config.learning_rate, "weight_decay": config.identity_pull}
+    optimizer = torch.optim.AdamW(adapter.parameters(), **rates)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
     for _ in range(config.steps):
         rows = torch.randint(len(z_new), (config.batch,))

@@ -24,11 +24,7 @@ SCENE = "wiping"
 
 
 class DescriptorHead:
-    """Reads one sensor's descriptors in one kind of scene.
-
-    Attributes:
-        sensor: registry name of the sensor it was fitted on.
-    """
+    """Reads one sensor's descriptors in one kind of scene; ``sensor`` is the name of the one it was fitted on."""
 
     def __init__(self, model: ForceRegressor, sensor: str) -> None:
         self._model = model.eval().requires_grad_(False)
@@ -73,11 +69,8 @@ class DescriptorHead:
 
     def save(self, folder: str | Path) -> Path:
         """Write the head into a folder of heads, one folder per sensor."""
-        facts = {
-            "head": asdict(self._model.config),
-            "sensor": self.sensor,
-            "descriptor": list(DESCRIPTOR_NAMES),
-        }
+        head = asdict(self._model.config)
+        facts = {"sensor": self.sensor, "descriptor": list(DESCRIPTOR_NAMES), "head": head}
         return save_checkpoint(Path(folder) / self.sensor, self._model, facts)
 
     @torch.no_grad()

@@ -136,12 +136,8 @@ class ForceHead:
 
     def save(self, path: str | Path) -> Path:
         """Write weights and facts to a folder that ``from_pretrained`` reads."""
-        facts = {
-            "head": asdict(self.model.config),
-            "source": self.source,
-            "tokenizer_hash": self.tokenizer_hash,
-        }
-        return save_checkpoint(Path(path), self.model, facts)
+        facts = {"source": self.source, "tokenizer_hash": self.tokenizer_hash}
+        return save_checkpoint(Path(path), self.model, facts | {"head": asdict(self.model.config)})
 
     def __call__(self, z: torch.Tensor) -> torch.Tensor:
         """Return (B, 3) N for (B, P, L) latents, each a frame of its own without history."""

@@ -40,9 +40,8 @@ def train_head(z: torch.Tensor, force_N: np.ndarray, config: HeadTrainingConfig,
         head = ForceRegressor(config.head)
         target = torch.from_numpy(force_N).float()
         _standardise(head, z, target, config.smallest_spread)
-        optimizer = torch.optim.AdamW(
-            head.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
-        )
+        rates = {"lr": config.learning_rate, "weight_decay": config.weight_decay}
+        optimizer = torch.optim.AdamW(head.parameters(), **rates)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
         rng = np.random.default_rng(seed)
         spread = head.input_std.flatten(1).mean(1)  # (L,) one amount of noise per channel

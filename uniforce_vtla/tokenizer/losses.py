@@ -7,44 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from torch.nn import functional as F  # noqa: N812
 
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.options import Count, CountOrZero, NotNegative
+from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 from uniforce_vtla.tokenizer.model import Decoder, Posterior
+from uniforce_vtla.tokenizer.settings import LossConfig
 
 Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 # regions per side; None = every patch
 LEVELS: dict[str, tuple[int | None, ...]] = {"patch": (None,), "levels": (None, POOL, 1)}
 WHITENING_FLOOR = 0.01  # of the mean variance; below it a direction of the latent counts as noise
-
-
-@dataclass(frozen=True)
-class LossConfig:
-    """Weights and named variants of the objective."""
-
-    # lpips needs its own weights on disk
-    perceptual: Literal["gradient_pyramid", "lpips"] = "gradient_pyramid"
-    perceptual_weight: NotNegative = 0.1  # λ of the perceptual term
-    kl_weight: NotNegative = 1e-2  # λ of the KL term, per latent number
-    equilibrium_weight: NotNegative = 4.0  # λ of the equilibrium term
-    # it rises linearly: at full weight from the start, z learns to be 0
-    equilibrium_warmup_steps: CountOrZero = 300
-    # patch is the paper's; real totals balance better; levels = patches, 4×4 regions and total added
-    equilibrium: Literal["patch", "levels"] = "patch"
-    # absolute is the paper's; whitened counts in units of the latent's own spread: shrinking z is no way out
-    equilibrium_scale: Literal["absolute", "whitened"] = "absolute"
-    # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
-    pair_quality: NotNegative = 0.0
-    # extra weight where current differs from reference; 0 = plain L1
-    changed_pixel_weight: NotNegative = 10.0
-    pyramid_levels: Count = 3  # scales of the gradient pyramid
-    pixels_per_patch: Count = 256  # errors are summed over a patch, as the equilibrium term is; a mean over
-    # pixels is so small beside it that the latent collapses (docs/experiments/tokenizer.md)
 
 
 @dataclass(frozen=True)
@@ -151,21 +126,12 @@ def perceptual(config: LossConfig) -> Perceptual:
 
     Raises:
         CheckpointError: ``lpips`` without its package or backbone weights.
-        ContractError: no such distance.
     """
-    if config.perceptual == "gradient_pyramid":
-        return lambda drawn, truth: gradient_pyramid(drawn, truth, config.pyramid_levels)
     if config.perceptual == "lpips":
-        raise CheckpointError(
-            expected(
-                "perceptual=lpips",
-                "the lpips package and its backbone weights",
-                "neither is part of this installation",
-                "Install them and register the distance here, or use perceptual=gradient_pyramid.",
-            )
-        )
-    do = "Choose one."
-    raise ContractError(expected("perceptual", "gradient_pyramid or lpips", repr(config.perceptual), do))
+        wanted, came = "the lpips package and its backbone weights", "neither is part of this installation"
+        do = "Install them and register the distance here, or use perceptual=gradient_pyramid."
+        raise CheckpointError(expected("perceptual=lpips", wanted, came, do))
+    return lambda drawn, truth: gradient_pyramid(drawn, truth, config.pyramid_levels)
 
 
 def gradient_pyramid(drawn: torch.Tensor, truth: torch.Tensor, levels: int) -> torch.Tensor:

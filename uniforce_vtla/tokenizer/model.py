@@ -5,15 +5,12 @@ UniForce paper, section "Architecture". Encoder = inverse dynamics, decoder = fo
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from uniforce_vtla.contracts import check_count
-from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.attention import (
     CausalPairAttention,
     FeedForward,
@@ -22,69 +19,12 @@ from uniforce_vtla.tokenizer.attention import (
     sinusoid,
 )
 from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels, pyramid
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
-LATER = ("warp", "material")  # fields of TokenizerConfig that came after the first shipped checkpoint
-LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below what fills a machine
-    "side": (1, 2048),
-    "patch": (1, 2048),
-    "width": (1, 8192),
-    "depth": (1, 64),
-    "decoder_depth": (1, 64),
-    "heads": (1, 128),
-    "mlp_ratio": (1, 16),
-    "embed_hidden": (0, 16384),
-    "motion_scales": (0, 8),
-    "latent": (1, 256),
-    "material": (0, 256),
-}
-MAX_PATCHES = 4096  # 64×64
 START_LOG_VARIANCE = -4.0  # σ ≈ 0.14
 MATERIAL_HIDDEN = 32  # units of both layers; a handful of numbers comes out
 FLOW_PX = 2.0  # shift of one unit of the flow head: about a strong shear on a GelSight at 128 px
 LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
-
-
-@dataclass(frozen=True)
-class TokenizerConfig:
-    """Sizes of the model; all of them travel with the checkpoint."""
-
-    side: int = 128  # pixels per side of the square it sees; a fifth of 640, so areas average exactly
-    patch: int = 16  # pixels per side of a patch; P = (side / patch)²
-    width: int = 128  # D, size of a token
-    depth: int = 2  # encoder blocks
-    decoder_depth: int = 1  # decoder blocks
-    heads: int = 4  # attention heads; width must divide by it
-    mlp_ratio: int = 3  # hidden size of a block's MLP over width
-    embed_hidden: int = 256  # hidden units inside the encoder's patch embedding; 0 = linear, as in the paper
-    motion_scales: int = 3  # scales of motion channels given to current tokens; 0 = none, as in the paper
-    latent: int = 6  # numbers per patch (paper)
-    predict_change: bool = True  # decoder adds to the reference instead of redrawing every marker
-    # decoder also moves the reference's pixels along a flow it predicts; a marker stays a marker
-    warp: bool = False
-    material: int = 0  # numbers per unit given to the decoder (MaterialEncoder); 0 = none, as in the paper
-
-    def __post_init__(self) -> None:
-        for name, (least, most) in LIMITS.items():
-            check_count(f"tokenizer's {name}", getattr(self, name), most, least)
-        check_count("tokenizer's patches", self.num_patches, MAX_PATCHES)
-        if self.side % self.patch or self.width % self.heads or self.width % 4:
-            came = f"side {self.side}, patch {self.patch}, width {self.width}, heads {self.heads}"
-            wanted = "patch | side, heads | width, 4 | width"
-            raise ContractError(expected("tokenizer sizes", wanted, came, "Change one."))
-
-    def facts(self) -> dict[str, Any]:
-        """Return all sizes by name; options added later only where they are on, so that older hashes stay."""
-        return {name: value for name, value in asdict(self).items() if name not in LATER or value}
-
-    @property
-    def grid(self) -> int:
-        """Patches per side."""
-        return self.side // self.patch
-
-    @property
-    def num_patches(self) -> int:
-        """P."""
-        return self.grid**2
 
 
 class Posterior(NamedTuple):
@@ -325,10 +265,8 @@ class MaterialEncoder(nn.Module):
             z_partner: (U·n, P, latent) latents of the other finger; taken as given.
             per_unit: n.
         """
-        change, before = (
-            patches(current - reference, self.patch),
-            patches(reference, self.patch),
-        )  # (B, P, patch²)
+        # (B, P, patch²)
+        change, before = patches(current - reference, self.patch), patches(reference, self.patch)
         seen = self.look(torch.cat([change, before, z_partner.detach()], dim=2))  # (B, P, H)
         summary = torch.cat([seen.mean(dim=1), seen.amax(dim=1)], dim=1)  # (B, 2·H)
         return mean_of_others(self.tell(summary), per_unit)

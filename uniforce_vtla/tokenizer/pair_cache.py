@@ -10,7 +10,6 @@ import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -26,8 +25,8 @@ from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.markers.mirror import to_canonical
-from uniforce_vtla.options import Count, CountOrZero, NotNegative, Pixels, Seed, Share
 from uniforce_vtla.tokenizer.entry import letterbox
+from uniforce_vtla.tokenizer.settings import PairCacheConfig
 
 RIGS = (("gelsight", "tactip"), ("uskin", "tactip"))
 FAMILIES = {"gelsight": draw_flat, "tactip": draw_dome}
@@ -35,38 +34,12 @@ NAMES = ("left_reference", "right_reference", "left_current", "right_current")
 
 
 @dataclass(frozen=True)
-class PairCacheConfig:
-    """How much is drawn; everything that decides the cache's content."""
-
-    side: Pixels = 128  # pixels, the model's
-    units: Count = 768  # units per rig; each has its own layout, view, stiffness and gains
-    pairs_per_unit: Count = 16  # contacts of one unit: they share a reference
-    units_per_shard: Count = 64  # one file per so many units; a killed run continues at the next shard
-    seed: Seed = 1  # of everything drawn
-    # share of cameras drawn from the procedural family; 0 = the paper's three sensors
-    family_share: Share = 0.0
-    family: Literal["v1", "v2", "v3"] = "v1"  # bounds of that family (contact/family.py)
-    free_look: bool = False  # every camera with a pose, zoom and marker size of its own
-    marker_loss: Share = 0.0  # chance per marker and frame, in half of the units
-    misaligned_cells: CountOrZero = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
-    imbalance: Share = 0.0  # the right finger's force is off by up to this share; 0 = perfect equilibrium
-    flat_share: Share = 0.15  # flat faces, the side of a held tool, among the indenters
-    # [mm] torsion over friction × normal force of flat faces; a held tool that wipes turns flat pads by up to 9
-    flat_torsion_arm_mm: NotNegative = 2.5
-
-
-FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
-
-
-@dataclass(frozen=True)
 class Pairs:
     """A batch of pairs in the canonical frame, ready for the model."""
 
-    # left_reference, right_reference: (U, 1, S, S) float32 in [0, 1], one per unit
-    left_reference: torch.Tensor
+    left_reference: torch.Tensor  # (U, 1, S, S) float32 in [0, 1], one per unit
     right_reference: torch.Tensor
-    # left_current, right_current: (U·n, 1, S, S), unit by unit
-    left_current: torch.Tensor
+    left_current: torch.Tensor  # (U·n, 1, S, S), unit by unit
     right_current: torch.Tensor
 
 
@@ -106,11 +79,7 @@ PairSource = PairCache | LivePairs  # where batches come from; each depends on `
 
 
 def build_cache(folder: Path, config: PairCacheConfig) -> None:
-    """Draw the shards that are not there yet.
-
-    Raises:
-        DatasetError: the folder holds a cache of another config.
-    """
+    """Draw the shards that are not there yet; raises DatasetError: the folder holds a cache of another config."""
     folder.mkdir(parents=True, exist_ok=True)
     _check_or_write_config(folder / "config.json", config)
     for number, path in enumerate(tqdm(_shard_paths(folder, config), desc="drawing pairs")):

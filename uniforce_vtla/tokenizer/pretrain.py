@@ -9,9 +9,8 @@ from __future__ import annotations
 import csv
 import math
 import time
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -21,41 +20,17 @@ from tqdm import tqdm
 
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import Count, CountOrZero, NotNegative, Positive, Rate, Seed, TokenizerFolder
 from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.losses import LossConfig, Side, objective
-from uniforce_vtla.tokenizer.model import Encoder, ForceAutoencoder, Posterior, TokenizerConfig, build_model
-from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, PairCacheConfig, Pairs, PairSource
-from uniforce_vtla.tokenizer.training_state import is_there, load_state, save_state
+from uniforce_vtla.tokenizer.losses import Side, objective
+from uniforce_vtla.tokenizer.model import ForceAutoencoder, Posterior, build_model
+from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, Pairs, PairSource
+from uniforce_vtla.tokenizer.settings import LossConfig, PretrainSettings
+from uniforce_vtla.tokenizer.training_state import STATE, load_state, save_state
 
 RECIPE = "recipe.json"  # every setting of the run, beside its state
 MAY_CHANGE = ("steps", "save_every", "strips_every", "tracker")  # between a run and its continuation
 WITHHELD_SHARE = 0.25  # of units whose material variables are withheld in a step
-
-
-@dataclass(frozen=True)
-class PretrainSettings:
-    """Everything a pretraining run depends on."""
-
-    model: TokenizerConfig = field(default_factory=TokenizerConfig)
-    loss: LossConfig = field(default_factory=LossConfig)
-    data: PairCacheConfig = field(default_factory=PairCacheConfig)
-    steps: Count = 2600  # optimiser steps
-    units_per_batch: Count = 4  # units (references) in a batch
-    pairs_per_unit: Count = 8  # contacts of each: 4 × 8 = 32 pairs
-    learning_rate: Rate = 1e-3  # peak, AdamW
-    weight_decay: NotNegative = 0.01  # AdamW
-    warmup_steps: CountOrZero = 100  # linear to the peak, then cosine to a fiftieth
-    clip_norm: Positive = 1.0  # of the gradient
-    seed: Seed = 0  # weights, batches, latent noise
-    save_every: Count = 100  # steps between checkpoints a killed run continues from
-    init: TokenizerFolder = ""  # tokenizer folder whose weights it starts from; empty = drawn from the seed
-    source: Literal["cache", "live"] = "cache"  # pairs from disk, or every batch drawn anew
-    mixed_precision: Literal["no", "bf16", "fp16"] = "no"  # accelerate's; float32 is fastest on most CPUs
-    # accelerate's, beside log.csv; tensorboard: not installed
-    tracker: Literal["", "wandb", "tensorboard"] = ""
-    strips_every: CountOrZero = 500  # steps between pictures of reconstructions (strips/); 0 = none
 
 
 def open_source(settings: PretrainSettings, cache: Path) -> PairSource:
@@ -104,7 +79,7 @@ class Pretraining:
         )
         if settings.tracker:
             self.accelerator.init_trackers("uniforce_tokenizer")
-        resumes = is_there(folder)  # then ``init`` is history, and may be gone
+        resumes = (folder / STATE).exists()  # then ``init`` is history, and may be gone
         model = starting_model(replace(settings, init="") if resumes else settings)
         optimizer = torch.optim.AdamW(
             model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
@@ -120,9 +95,8 @@ class Pretraining:
         """Train up to ``until`` (or to the end) and return the tokenizer so far."""
         last = self.settings.steps if until is None else min(until, self.settings.steps)
         start = time.monotonic()
-        bar = tqdm(
-            total=last, initial=self.step, desc="pretraining", disable=not self.accelerator.is_main_process
-        )
+        quiet = not self.accelerator.is_main_process
+        bar = tqdm(total=last, initial=self.step, desc="pretraining", disable=quiet)
         while self.step < last:
             report = self.train_step()
             bar.update()
@@ -130,13 +104,12 @@ class Pretraining:
             self._log(report | {"seconds": time.monotonic() - start})
             if self.step % self.settings.save_every == 0 or self.step == last:
                 self.save()
-            strips = self.settings.strips_every if self.accelerator.is_main_process else 0
+            strips = 0 if quiet else self.settings.strips_every
             if strips and self.step % strips == 0:
                 # the same few pairs each time: what the decoder makes of them shows whether it learns
                 pairs = self.data.draw(np.random.default_rng([self.settings.seed, 2**31]), 4, 2)
-                draw_strips(
-                    self.tokenizer().model, pairs, self.folder / "strips" / f"step_{self.step:06d}.png"
-                )
+                picture = self.folder / "strips" / f"step_{self.step:06d}.png"
+                draw_strips(self.tokenizer().model, pairs, picture)
         return self.tokenizer()
 
     def train_step(self) -> dict[str, float]:
@@ -217,7 +190,8 @@ def pair_loss(
     per_unit = len(pairs.left_current) // units
     reference = torch.cat([pairs.left_reference, pairs.right_reference])  # (2U, 1, S, S)
     current = torch.cat([pairs.left_current, pairs.right_current])  # (2U·n, 1, S, S)
-    posterior = encode_by_unit(model.encoder, reference, current, per_unit)
+    cache = model.encoder.encode_reference(reference).repeat(per_unit)  # each reference is encoded once
+    posterior = model.encoder.encode_current(cache, current)
     spread = posterior.mean.std(dim=0).mean()
     references = reference.repeat_interleave(per_unit, dim=0)
     material = _material(model, references, current, posterior.mean, per_unit)
@@ -253,13 +227,6 @@ def _material(
     material = model.material(references, current, partner, per_unit)
     kept = torch.rand(len(material) // per_unit, device=material.device) >= WITHHELD_SHARE
     return material * kept.repeat_interleave(per_unit)[:, None]
-
-
-def encode_by_unit(
-    encoder: Encoder, reference: torch.Tensor, current: torch.Tensor, per_unit: int
-) -> Posterior:
-    """Encode each reference once and its ``per_unit`` current images with it."""
-    return encoder.encode_current(encoder.encode_reference(reference).repeat(per_unit), current)
 
 
 @torch.no_grad()

@@ -20,9 +20,8 @@ from uniforce_vtla.tokenizer.latent import MOST_DIRECTIONS
 from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
 
 FOLDER = "transfer"  # beside a shipped tokenizer's folder, inside one given by path
-LARGEST = (
-    2.0  # amplitude beyond which the noise grows no further: no grasp that maps were fitted on is much larger
-)
+# amplitude beyond which the noise grows no further: no grasp that maps were fitted on is much larger
+LARGEST = 2.0
 MAX_KINDS, MAX_NUMBERS = 16, 1024  # larger files are none of ours
 EARLIER_NAMES = {"doubt": "noise_scale"}  # of tensors, in files of version 0.1.0
 
@@ -68,11 +67,7 @@ class SensorTransfer(nn.Module):
         self.register_buffer("disagreement", torch.ones(most))
 
     def row(self, source: str) -> int:
-        """Return the index of a source sensor.
-
-        Raises:
-            ContractError: a sensor these maps don't know.
-        """
+        """Return the index of a source sensor; raises ContractError: a sensor these maps don't know."""
         if source not in self.kinds:
             do = "Fit it with python -m benchmarks.sensor_transfer, or train with policy.augment.sensor_transfer=0."
             raise ContractError(expected("sensor of the demos", " | ".join(self.kinds), repr(source), do))

@@ -30,11 +30,6 @@ def save_state(folder: Path, step: int, model: dict[str, Any], optimizer: dict[s
     return folder / STATE
 
 
-def is_there(folder: Path) -> bool:
-    """Return whether a run can go on from ``folder``."""
-    return (folder / STATE).exists()
-
-
 def load_state(folder: Path) -> tuple[int, dict[str, Any], dict[str, Any]]:
     """Return step, the model's state dict and the optimiser's.
 

@@ -66,11 +66,6 @@ def gated_hidden(mlp: nn.Module, x: Tensor) -> Tensor:
     return linear_times(x, mlp.up_proj.weight, linear_gelu(x, mlp.gate_proj.weight))
 
 
-def suits(q: Tensor, keys: int) -> bool:
-    """Return whether :func:`attend_one` is the faster way for (B, heads, L, head) queries."""
-    return here(q) and len(q) == 1 and SCORES[0] <= q.shape[1] * q.shape[2] * keys <= SCORES[1]
-
-
 def attend_one(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
     """Return attention (1, heads, L, head) of a batch of one, all heads in one product.
 
@@ -128,7 +123,7 @@ def rotated(rows: Tensor, rotary: Rotary) -> Tensor:
 
 def attend(q: Tensor, cache: Tensor, mask: Tensor | None) -> Tensor:
     """Return (B, L, heads·head) of scaled (B, heads, L, head) queries; one key/value head serves all of them."""
-    if suits(q, cache.shape[2]):
+    if here(q) and len(q) == 1 and SCORES[0] <= q.shape[1] * q.shape[2] * cache.shape[2] <= SCORES[1]:
         mixed = attend_one(q, cache[0, 0], cache[0, 1], mask)
     else:
         k, v = (cache[:, n : n + 1].expand(-1, q.shape[1], -1, -1) for n in (0, 1))

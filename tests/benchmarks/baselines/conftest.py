@@ -10,7 +10,7 @@ from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import Table
 from uniforce_vtla.tokenizer.force_head import HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 torch.set_num_threads(1)
 SIDE = 32

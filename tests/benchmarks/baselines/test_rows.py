@@ -22,13 +22,12 @@ from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, 
 from benchmarks.probes.zero_shot import Cells, Table, encode_set, score
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 SHORT = EndToEndConfig(steps=3, frames_per_step=16)
 RESNET = ResNetConfig(width=8, blocks=(1, 1, 1), training=replace(SHORT, steps=80))
-TRANSLATION = TranslationConfig(
-    cell=4, widths=(16, 24), steps=3, batch=8, force=replace(RESNET, training=SHORT)
-)
+QUICK = replace(RESNET, training=SHORT)
+TRANSLATION = TranslationConfig(cell=4, widths=(16, 24), steps=3, batch=8, force=QUICK)
 
 
 def short_row(name: str, table: Table, tiny: TokenizerConfig) -> Cells:
@@ -64,22 +63,17 @@ def test_translation_ignores_labels_of_the_targets_training_set(
     one_way = replace(table, training={"gelsight": table.training["gelsight"]}, frozen=table.frozen)
     assert one_way.transfers() == [("gelsight", "tactip")]
     blind = Table({"gelsight": table.training["gelsight"], "tactip": target}, table.frozen, table.head)
-    with pytest.raises(
-        ContractError, match="finite"
-    ):  # the way back trains on tactip's labels and must refuse
+    # the way back trains on tactip's labels and must refuse
+    with pytest.raises(ContractError, match="finite"):
         genforce_style_row(blind, 1, TRANSLATION)
     np.testing.assert_array_equal(predictions()[0], honest[0])
 
 
-@pytest.mark.parametrize("name", ["resnet", "genforce_style", "finetuned"])
-def test_no_seed_is_refused(name: str, table: Table, tiny: TokenizerConfig) -> None:
-    rows = {
-        "resnet": lambda: resnet_row(table, 0, RESNET),
-        "genforce_style": lambda: genforce_style_row(table, 0, TRANSLATION),
-        "finetuned": lambda: finetuned_row(table, Tokenizer.random(tiny), 0),
-    }
-    with pytest.raises(ContractError, match="seeds: expected"):
-        rows[name]()
+def test_no_seed_is_refused(table: Table, tiny: TokenizerConfig) -> None:
+    rows = [lambda: resnet_row(table, 0, RESNET), lambda: genforce_style_row(table, 0, TRANSLATION)]
+    for row in (*rows, lambda: finetuned_row(table, Tokenizer.random(tiny), 0)):
+        with pytest.raises(ContractError, match="seeds: expected"):
+            row()
 
 
 def test_resnet_learns_its_own_sensor(table: Table) -> None:

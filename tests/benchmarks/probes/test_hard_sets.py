@@ -42,9 +42,8 @@ def test_seeds_and_indenters_of_training_and_frozen_sets_differ() -> None:
 
 def test_no_held_out_sensor_is_in_the_pretraining_family() -> None:
     assert any(line.startswith("visible: marker_shape") for line in outside(hetero_sensors()["gelsight_d"]))
-    for sensor, family in product(
-        (*visible_sensors().values(), *visible_sensors_2().values()), BOUNDS.values()
-    ):
+    visible = (*visible_sensors().values(), *visible_sensors_2().values())
+    for sensor, family in product(visible, BOUNDS.values()):
         found = outside(sensor, family)
         assert found and all(line.startswith("visible") for line in found), (sensor.name, found)
     for sensor in hidden_sensors().values():
@@ -68,9 +67,9 @@ def test_every_sensor_of_a_recipe_feels_the_same_forces() -> None:
     assert all(np.array_equal(forces[0], f) for f in forces)
 
 
-def test_the_canonicaliser_is_in_the_way() -> None:
+def test_the_canonicalizer_is_in_the_way() -> None:
     sensor = hetero_sensors()["gelsight_d"]
-    direct = draw_hard(replace(SHORT, canonicalise=False), sensor, 32)
+    direct = draw_hard(replace(SHORT, canonicalize=False), sensor, 32)
     assert not np.array_equal(direct.frames, draw_hard(SHORT, sensor, 32).frames)
 
 
@@ -96,8 +95,7 @@ def test_a_cached_set_is_drawn_once(tmp_path: Path) -> None:
 
 def test_report_sets_have_names_and_files_of_their_own() -> None:
     assert all(get_report_set(name).name == name for name in REPORT_SETS)
-    assert len(
-        {s.facts_file for s in REPORT_SETS.values()} | {s.table for s in REPORT_SETS.values()}
-    ) == 2 * len(REPORT_SETS)
+    files = {file for s in REPORT_SETS.values() for file in (s.facts_file, s.table)}
+    assert len(files) == 2 * len(REPORT_SETS)
     with pytest.raises(ContractError, match="hetero_hard_v1"):
         get_report_set("easy")

@@ -16,7 +16,7 @@ from benchmarks.probes.slip_detector import auroc, change_energy, leave_one_out,
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.sensors.uskin_csv import COLUMNS
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.model import TokenizerConfig
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 FOLDER = Path(__file__).parents[3].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"
 HERE = SlipConfig(lender="b")
@@ -26,17 +26,17 @@ T = 60
 def write_trial(folder: Path, slip: slice | None, drop: int | None, seed: int) -> None:
     """Write a trial of 60 frames: a grasp of 400 counts per taxel that shakes while it slips."""
     rng = np.random.default_rng(seed)
-    felt = 400 + 3 * rng.standard_normal((2, T, 16, 3))
-    felt[..., :2] -= 400
+    measured = 400 + 3 * rng.standard_normal((2, T, 16, 3))
+    measured[..., :2] -= 400
     labels = np.zeros((T, 2))
     if slip is not None:
-        felt[:, slip] += 40 * rng.standard_normal((1, slip.stop - slip.start, 16, 3))
+        measured[:, slip] += 40 * rng.standard_normal((1, slip.stop - slip.start, 16, 3))
         labels[slip, 0] = 1
     if drop is not None:
-        felt[:, drop:, :, 2] -= 400
+        measured[:, drop:, :, 2] -= 400
         labels[drop:, 1] = 1
     folder.mkdir(parents=True)
-    for name, counts in zip(("xela_sensor1.csv", "xela_sensor2.csv"), felt, strict=True):
+    for name, counts in zip(("xela_sensor1.csv", "xela_sensor2.csv"), measured, strict=True):
         table = pd.DataFrame(np.rint(counts + 30_000).astype(int).reshape(T, 48), columns=COLUMNS)
         table.to_csv(folder / name, index=False)
     pd.DataFrame(labels, columns=["slip", "fail"]).to_csv(folder / "slip_label.csv", index=False)
@@ -69,12 +69,12 @@ def test_references_are_own_where_the_object_fell_and_else_borrowed_and_labelled
 
 def test_signals_start_from_free_air_and_are_mirrored(recordings: Path, tokenizer: Tokenizer) -> None:
     trial = read_trials(recordings, HERE)[1]
-    felt = encode_trial(tokenizer, trial, replace(HERE, pool=2))
-    assert felt.latent.shape == (2, T, 4, 6) and felt.descriptor.shape == (2, T, 6)
-    free, held = np.abs(felt.latent[:, 45:]).mean(), np.abs(felt.latent[:, :20]).mean()
+    signals = encode_trial(tokenizer, trial, replace(HERE, pool=2))
+    assert signals.latent.shape == (2, T, 4, 6) and signals.descriptor.shape == (2, T, 6)
+    free, held = np.abs(signals.latent[:, 45:]).mean(), np.abs(signals.latent[:, :20]).mean()
     assert free < 0.3 * held
     raw = trial.counts[1, 5] - trial.reference[1]
-    np.testing.assert_array_equal(felt.counts[1, 5], raw * (-1, 1, 1))
+    np.testing.assert_array_equal(signals.counts[1, 5], raw * (-1, 1, 1))
 
 
 def test_whole_report_finds_a_shake_that_speed_and_time_dont_know(
@@ -94,9 +94,8 @@ def test_whole_report_finds_a_shake_that_speed_and_time_dont_know(
     assert [len(score) for score in scores["latent"]] == [T] * 4
     with pytest.raises(ContractError, match="rotation"):
         real_slip(tokenizer, trials, Rotation("uskin", np.eye(5)), HERE)
-    picture = cv2.imread(
-        str(draw_real_slip(report, trials, signals, scores, rotation, tmp_path / "real.png"))
-    )
+    drawn = draw_real_slip(report, trials, signals, scores, rotation, tmp_path / "real.png")
+    picture = cv2.imread(str(drawn))
     blue = (picture[..., 0].astype(int) - picture[..., 2] > 80).any(axis=1)
     assert all(rows.any() for rows in np.array_split(blue, 4))  # something is drawn in each of its four rows
 
@@ -114,14 +113,6 @@ def test_a_trial_never_scores_itself() -> None:
     assert found is not None and 0.4 < found < 0.6  # noise tells nothing
 
 
-def test_auroc() -> None:
-    labels = np.array([False, False, True, True])
-    assert auroc(np.array([0.1, 0.2, 0.3, 0.4]), labels) == 1
-    assert auroc(np.array([0.1, 0.3, 0.2, 0.4]), labels) == 0.75
-    assert auroc(np.zeros(4), labels) == 0.5
-    assert auroc(np.zeros(4), np.zeros(4, bool)) is None
-
-
 def test_change_energy_looks_back_only() -> None:
     signal = np.zeros((2, 10, 4))
     signal[0, 5:] = 2.0
@@ -135,15 +126,9 @@ def test_balance_of_equal_scaled_and_opposite_loads() -> None:
     left = np.array([1.0, 2, 3, 4, 0])
     held = np.array([True] * 4 + [False])
     found = balance(left, 1.5 * left, held)
-    assert found == pytest.approx(
-        {"r_whole": 1, "slope_whole": 1.5, "r_held": 1, "slope_held": 1.5, "ratio_held": 1.5}
-    )
+    wanted = {"r_whole": 1, "slope_whole": 1.5, "r_held": 1, "slope_held": 1.5, "ratio_held": 1.5}
+    assert found == pytest.approx(wanted)
     assert balance(left, 5 - left, held)["r_held"] == pytest.approx(-1)
-
-
-def test_starts() -> None:
-    assert starts(np.array([1, 0, 1, 1, 0, 1], bool)) == [0, 2, 5]
-    assert starts(np.zeros(3, bool)) == []
 
 
 def test_bad_recordings_raise(recordings: Path) -> None:
@@ -175,7 +160,7 @@ def test_real_trials_are_what_the_report_says(tokenizer: Tokenizer) -> None:
     assert sum(bool(t.slip.any()) for t in trials) == 3 and sum(len(starts(t.slip)) for t in trials) == 4
     assert sum(t.load_range_counts > SlipConfig().load_change_counts for t in trials) == 4
     short = replace(trials[-1], counts=trials[-1].counts[:, 100:160])
-    felt = encode_trial(tokenizer, short)
-    assert felt.saturated_frames == 0 and np.isfinite(felt.latent).all()
-    total = felt.counts[..., 2].sum(axis=2)
+    signals = encode_trial(tokenizer, short)
+    assert signals.saturated_frames == 0 and np.isfinite(signals.latent).all()
+    total = signals.counts[..., 2].sum(axis=2)
     assert balance(*total, np.ones(60, bool))["r_whole"] > 0.9

@@ -39,9 +39,8 @@ def test_images_and_forces_come_back_exactly(genforce: Path, marker_trials: Any,
         recording = found[trial.sensor, trial.indenter]
         assert np.array_equal(recording.frames, trial.frames)
         assert np.array_equal(recording.reference, trial.frames[0])
-        assert np.array_equal(
-            recording.force_N, trial.force_N
-        )  # Fz was written negative: z comes out positive
+        # Fz was written negative: z comes out positive
+        assert np.array_equal(recording.force_N, trial.force_N)
         assert (recording.trial, recording.first_frame) == ("1", 0)
     assert max(r.force_N[:, 2].max() for r in found.values()) > 0.5
 
@@ -166,9 +165,8 @@ def test_a_pressed_trial_can_be_left_out_by_choice(genforce: Path) -> None:
 
 
 def test_the_quietest_frame_can_be_the_reference(genforce: Path, marker_trials: Any) -> None:
-    edit_forces(
-        genforce, lambda t: t.assign(**{"Fz(N)": [-3.0, -2.0, 0.0, -2.0, -3.0, -3.0]}) * [0, 0, 1, 0, 0, 0]
-    )
+    fz_N = [-3.0, -2.0, 0.0, -2.0, -3.0, -3.0]
+    edit_forces(genforce, lambda t: t.assign(**{"Fz(N)": fz_N}) * [0, 0, 1, 0, 0, 0])
     config = GenForceConfig(("gelsight",), "seen", ForceAxes(), ReadOptions(reference="quietest"))
     (recording,) = read_genforce(genforce, config)
     assert np.array_equal(recording.reference, marker_trials[0].frames[2])

@@ -22,8 +22,8 @@ from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
-from uniforce_vtla.tokenizer.model import TokenizerConfig
 from uniforce_vtla.tokenizer.pair_cache import shrink
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 SIDE = 32
 TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)
@@ -31,9 +31,8 @@ TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, hea
 
 def recording(trial: Any, frames: int | None = None) -> LabelledRecording:
     rows = slice(0, frames)
-    return LabelledRecording(
-        trial.sensor, trial.indenter, "1", trial.reference, trial.frames[rows], trial.force_N[rows]
-    )
+    shown = trial.reference, trial.frames[rows], trial.force_N[rows]
+    return LabelledRecording(trial.sensor, trial.indenter, "1", *shown)
 
 
 def test_windows_of_recordings_of_different_length(marker_trials: Any) -> None:
@@ -114,9 +113,8 @@ def test_a_folder_becomes_one_set_per_sensor(genforce: Path) -> None:
 
 def test_a_read_set_goes_through_tokenizer_and_head(genforce: Path) -> None:
     tokenizer = Tokenizer.random(TINY)
-    read = to_labelled_set(
-        of_sensor(read_genforce(genforce), "tactip"), tokenizer.config.side, WindowConfig(3)
-    )
+    tactip = of_sensor(read_genforce(genforce), "tactip")
+    read = to_labelled_set(tactip, tokenizer.config.side, WindowConfig(3))
     z = encode_set(tokenizer, read)
     assert z.shape == (4, 3, POOL**2, TINY.latent)
     head = train_head(z, read.force_N, HeadTrainingConfig(steps=2), seed=0)
@@ -132,7 +130,7 @@ def labelled(motion: np.ndarray, shear: np.ndarray) -> LabelledSet:
     return LabelledSet(np.zeros((n, 1, 1)), np.zeros((n, 1, 1, 1)), descriptor, force, "")
 
 
-def test_shear_agreement_tells_the_signs() -> None:
+def test_shear_agreement_shows_the_signs() -> None:
     shear = np.random.default_rng(0).uniform(-2, 2, (60, 2))
     assert np.allclose(shear_agreement(labelled(5 * shear, shear)), [1, 1])
     assert np.allclose(shear_agreement(labelled(5 * shear, shear * (1, -1))), [1, -1])

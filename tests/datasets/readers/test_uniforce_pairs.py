@@ -24,9 +24,8 @@ from uniforce_vtla.errors import ContractError, DatasetError
 
 
 def pairs_of(left: Any, right: Any, indenter: str = "sphere") -> PairRecording:
-    return PairRecording(
-        (left.sensor, right.sensor), indenter, "p", left.reference, right.reference, left.frames, right.frames
-    )
+    images = left.reference, right.reference, left.frames, right.frames
+    return PairRecording((left.sensor, right.sensor), indenter, "p", *images)
 
 
 @pytest.fixture
