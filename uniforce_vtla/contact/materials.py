@@ -36,7 +36,7 @@ class TaxelMaterial:
     cell_mm: float = 1.25
     stiffness: float = 1.0
     # field of a magnet at rest, so that strong grasps give the 5 to 10 thousand counts of real ones
-    rest_counts: float = 10_000.0
+    rest_counts: float = 8_000.0
     baseline_shear: tuple[int, int] = (15_500, 16_800)  # raw x, y of real taxels at rest differ this much
     baseline_normal: tuple[int, int] = (36_000, 39_000)  # raw z likewise
 
@@ -51,7 +51,7 @@ MATERIALS: dict[str, PadMaterial | TaxelMaterial] = {
         pin_mm=2.0,
         fisheye=0.07,
     ),
-    "uskin": TaxelMaterial(layers=(Layer(5.0, 0.5, 0.42),), readout_mm=2.0, hall_mm=4.0),
+    "uskin": TaxelMaterial(layers=(Layer(5.0, 0.5, 0.42),), readout_mm=2.0, hall_mm=6.0),
 }
 
 
