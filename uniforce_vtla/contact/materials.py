@@ -36,7 +36,7 @@ class TaxelMaterial:
     cell_mm: float = 1.25
     stiffness: float = 1.0
     # field of a magnet at rest, so that strong grasps give the 5 to 10 thousand counts of real ones
-    rest_counts: float = 8_000.0
+    rest_counts: float = 16_000.0
     baseline_shear: tuple[int, int] = (15_500, 16_800)  # raw x, y of real taxels at rest differ this much
     baseline_normal: tuple[int, int] = (36_000, 39_000)  # raw z likewise
 
