@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _STICK_STEPS = 2  # marker motion is then within some 4 % of friction solved step by step; more don't come closer
+_LOST, _ARM_mm = 2e-3, 3.0  # share of the normal force, and its arm, that sticking may lose of the load
 _TINY = np.float32(1e-30)
 _PASSES = 6  # rounds of handing capped cells' excess to sticking ones; the residual is < 1 % after 4
 
@@ -46,7 +47,7 @@ def solve_traction(
     total = np.maximum(press_N.sum(axis=1, keepdims=True), 1e-9)
     arm = position_mm.T[None] - ((press_N @ position_mm) / total)[:, :, None]  # (B, 2, C)
     load = (shear_N, torsion_Nmm)
-    ratio = _cap(_share(press_N, arm, *load), press_N, arm, *load, friction)  # (B, 2, C) = q / p
+    ratio = even = _cap(_share(press_N, arm, *load), press_N, arm, *load, friction)  # (B, 2, C) = q / p
     dragged = skin[:2, :, :2].reshape(2 * C, 2 * C)  # symmetric
     pushed = (press_N @ skin[:2, :, 2].reshape(2 * C, C).T).reshape(B, 2, C)
     weight, direction, old = press_N / total, np.zeros_like(ratio), np.ones(B, np.float32)
@@ -60,7 +61,12 @@ def solve_traction(
         size = -(slip * along).sum(axis=(1, 2)) / np.maximum((change * along).sum(axis=(1, 2)), _TINY)
         ratio = _cap(ratio + size[:, None, None] * direction, press_N, arm, *load, friction)
         old = length
-    return ratio * press_N[:, None]
+    # near gross slip too few cells stick to carry the load: as much of the even shares as it takes
+    shear = ratio * press_N[:, None]
+    lost = np.hypot(*(even * press_N[:, None] - shear).sum(axis=2).T) / total[:, 0]
+    lost = lost + np.abs(_moment((even - ratio) * press_N[:, None], arm)) / total[:, 0] / _ARM_mm
+    back = np.maximum(1 - _LOST / np.maximum(lost, _LOST), 0)[:, None, None].astype(np.float32)
+    return shear + back * (even * press_N[:, None] - shear)
 
 
 def _less_rigid(moved: np.ndarray, weight: np.ndarray, arm: np.ndarray) -> np.ndarray:
