@@ -1,7 +1,5 @@
 """Does the scene need touch? Expert and blind scripts on the same seeds, set points swept."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 from collections import Counter

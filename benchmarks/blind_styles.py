@@ -1,7 +1,5 @@
 """More scripts without touch: grip and press at a fixed distance from the *measured* width and height."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Force error on sensors of other stiffness and gain before and after label-free calibration."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import asdict, dataclass

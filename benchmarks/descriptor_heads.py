@@ -5,8 +5,6 @@ heads won't do: they read the tokenizer a policy may act on, and they know small
 fills the pad looks like far more force.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass

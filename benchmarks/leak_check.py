@@ -5,8 +5,6 @@ stiffness. Trees read three frames of state, a small CNN three frames of both ca
 trees read the press well from touch.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -109,8 +107,7 @@ def _pictures(pixels: dict[str, np.ndarray], side: int) -> np.ndarray:
 
 def _touch(pixels: dict[str, np.ndarray]) -> np.ndarray:
     pairs = [
-        (pixels[tactile_name(f, reference=True)][..., 0], pixels[tactile_name(f)][None, ..., 0], f)
-        for f in FINGERS
+        (pixels[tactile_name(f, reference=True)][..., 0], pixels[tactile_name(f)][None, ..., 0], f) for f in FINGERS
     ]
     return np.concatenate([descriptors(*pair)[0] for pair in pairs])
 

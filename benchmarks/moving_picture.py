@@ -1,7 +1,5 @@
 """The README's moving picture: one wipe, what both pads show, and the press below."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,9 +64,7 @@ class Watched:
 
 def film(config: MovingPictureConfig) -> tuple[Watched, Rollout]:
     """Roll the scene out; return what was seen at each chunk and the scored episode."""
-    env, controller = policy_on_rig(
-        config.policy, config.level, config.left_sensor, config.right_sensor, config.swap
-    )
+    env, controller = policy_on_rig(config.policy, config.level, config.left_sensor, config.right_sensor, config.swap)
     watched = Watched(controller)
     return watched, roll_out(env, watched, config.seed)
 

@@ -95,9 +95,7 @@ def _names(config: PairQualityConfig) -> tuple[str, ...]:
     unknown = sorted(set(names) - set(SEEN))
     if unknown or config.sessions < 1 or config.grasps < 1:
         came = unknown or f"{config.sessions} sessions, {config.grasps} grasps"
-        raise ContractError(
-            expected("indenters, sessions, grasps", f"of {SEEN}, ≥ 1, ≥ 1", came, "Correct it.")
-        )
+        raise ContractError(expected("indenters, sessions, grasps", f"of {SEEN}, ≥ 1, ≥ 1", came, "Correct it."))
     return names
 
 

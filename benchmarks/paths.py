@@ -5,8 +5,6 @@ sample; it prints how many files were entered in each step and in all. A file co
 called, in whatever thread; imports don't count.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import sys

@@ -1,7 +1,5 @@
 """Is the scene's physics right, and what does it cost?  One page of figures and the numbers behind it."""
 
-from __future__ import annotations
-
 import itertools
 import sys
 from collections.abc import Callable
@@ -97,9 +95,7 @@ def wear(boards: int) -> dict[str, Any]:
 def solvers(settings: list[SolverSettings], repeats: int) -> dict[str, Any]:
     """Return press, ink and speed of the same strokes under each setting, timed in turns."""
     strokes: list[list[list[rig.Stroke]]] = [[[] for _ in DEPTHS_m] for _ in settings]
-    for _, (i, solver), (j, depth) in itertools.product(
-        range(repeats), enumerate(settings), enumerate(DEPTHS_m)
-    ):
+    for _, (i, solver), (j, depth) in itertools.product(range(repeats), enumerate(settings), enumerate(DEPTHS_m)):
         strokes[i][j].append(rig.stroke(depth, solver))
     found = []
     for solver, runs in zip(settings, strokes, strict=True):
@@ -120,9 +116,7 @@ def main(command: PhysicsCommand) -> None:
     what = "simulated; nothing hidden in the scene, GelSight left, TacTip right"
     path = write_json(Path(command.results) / "physics.json", {"what": what, **panels} | provenance())
     page = draw_page(panels, path.with_suffix(".png"))
-    print(
-        f"indentation: within {100 * panels['indentation']['worst_relative_error']:.2f} % of force / stiffness"
-    )
+    print(f"indentation: within {100 * panels['indentation']['worst_relative_error']:.2f} % of force / stiffness")
     print(f"slip load: within {100 * panels['slip']['worst_relative_error']:.1f} % of 2 μ F")
     print(f"numbers in {path}, figures in {page}")
 

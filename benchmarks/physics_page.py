@@ -1,7 +1,5 @@
 """The page of figures about the scene's physics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +33,7 @@ def draw_page(panels: dict[str, Any], path: Path) -> Path:
 def _indentation(axis: Axes, panel: dict[str, Any]) -> None:
     force, depth = np.array(panel["force_N"]), np.array(panel["depth_mm"])
     line = np.array([0.0, force.max() * 1.05])
-    for i, (name, K, colour) in enumerate(
-        (("GelSight, flat", FLAT_N_mm, BLUE), ("TacTip, dome", DOME_N_mm, ORANGE))
-    ):
+    for i, (name, K, colour) in enumerate((("GelSight, flat", FLAT_N_mm, BLUE), ("TacTip, dome", DOME_N_mm, ORANGE))):
         axis.plot(line, line / K, color=colour, lw=1, label=f"{name}: force / {K:g} N/mm")
         axis.plot(force[:, i], depth[:, i], "o", color=colour)
     axis.set(xlabel="grip, N", ylabel="indentation, mm", title="a pad gives way as its stiffness says")
@@ -107,7 +103,5 @@ def _speed(axis: Axes, time_step: dict[str, Any], noslip: dict[str, Any]) -> Non
             axis.annotate(f"{s[key]:g}", (x, y), fontsize=7, xytext=(3, 3), textcoords="offset points")
             if (s["substeps"], s["noslip_iterations"]) == (shipped.substeps, shipped.noslip_iterations):
                 axis.plot(x, y, "*", ms=13, color=GREEN, label="shipped" if key == "physics_hz" else None)
-    axis.set(
-        xlabel="simulated seconds per CPU second", ylabel="worst press error, N", title="speed, accuracy"
-    )
+    axis.set(xlabel="simulated seconds per CPU second", ylabel="worst press error, N", title="speed, accuracy")
     axis.legend(fontsize=8)

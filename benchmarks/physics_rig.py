@@ -4,8 +4,6 @@ What a laboratory would measure on the real pads before trusting them: stiffness
 much of it hangs on the time step.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Measure how long the policy takes from an observation to a chunk, LeRobot's own loop beside ours."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import dataclass
@@ -83,9 +81,7 @@ def draw(content: dict[str, Any], path: Path) -> Path:
     """Draw stock, fast and the floor per case; return the picture's path."""
     cases = content["cases"]
     figure = Figure(figsize=(3.2 * len(cases), 3.6), layout="constrained")
-    for panel, (name, report) in zip(
-        figure.subplots(1, len(cases), squeeze=False)[0], cases.items(), strict=True
-    ):
+    for panel, (name, report) in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases.items(), strict=True):
         values = [report["stock_ms"], report["fast_ms"], report["floor_ms"]]
         bars = panel.bar(["LeRobot", "fast", "floor"], values, color=["0.6", "C0", "0.85"])
         panel.bar_label(bars, fmt="%.0f")

@@ -4,8 +4,6 @@ The idea of N0-VTLA's modality probe: a change of the chunk is measured against 
 separately with and without contact. A policy that ignores touch moves no further than zero.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -138,9 +136,7 @@ def measure(controller: PolicyController, moments: list[Look], seed: int = 0) ->
     }
 
 
-def _chunk(
-    controller: PolicyController, moment: Look, observation: Observation, noise: torch.Tensor
-) -> np.ndarray:
+def _chunk(controller: PolicyController, moment: Look, observation: Observation, noise: torch.Tensor) -> np.ndarray:
     controller.reset(None)  # no issued target: both chunks start from the measured state
     return controller.predict(observation, moment.task, noise)
 

@@ -1,7 +1,5 @@
 """Fit what the other finger's latent would be, whatever sensor it wears, for policies that shall swap sensors."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -38,9 +36,7 @@ class SensorTransferCommand:
     fit: SensorTransferFit = field(default_factory=SensorTransferFit)  # grasps drawn, and how maps are fitted
 
 
-def draw_latents(
-    tokenizer: Tokenizer, kinds: list[str], config: SensorTransferFit
-) -> dict[str, GraspLatents]:
+def draw_latents(tokenizer: Tokenizer, kinds: list[str], config: SensorTransferFit) -> dict[str, GraspLatents]:
     """Return sensor → its latents of the same grasps on either finger."""
     force_range = ForceRange(flat_torsion_arm_mm=config.flat_torsion_arm_mm)
     settings = PairSettings(
@@ -59,12 +55,8 @@ def draw_latents(
     latents: dict[str, list[tuple[np.ndarray, ...]]] = {kind: [] for kind in kinds}
     for first, second in tqdm(drawn, total=blocks, desc="grasps", unit=f"×{settings.pairs_per_unit}"):
         for kind, (reference, current), views in zip(kinds, first, second, strict=True):
-            latents[kind].append(
-                (pooled(reference, current), pooled(*views), pooled(reference, reference[None]))
-            )
-    joined = {
-        kind: [np.concatenate(part) for part in zip(*rows, strict=True)] for kind, rows in latents.items()
-    }
+            latents[kind].append((pooled(reference, current), pooled(*views), pooled(reference, reference[None])))
+    joined = {kind: [np.concatenate(part) for part in zip(*rows, strict=True)] for kind, rows in latents.items()}
     return {kind: GraspLatents(one, two, rest.mean(axis=0)) for kind, (one, two, rest) in joined.items()}
 
 

@@ -1,7 +1,5 @@
 """What else is asked of a tokenizer: real slip, a user's own recordings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the tokenizer is worth: zero-shot force on frozen sets, charts, real recordings."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys
@@ -181,9 +179,7 @@ def _facts(command: TokenizerReportCommand, report_set: ReportSet) -> dict[str, 
     return dict(json.loads(path.read_text()))
 
 
-def _committed_table(
-    command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any]
-) -> dict[str, Any]:
+def _committed_table(command: TokenizerReportCommand, report_set: ReportSet, facts: dict[str, Any]) -> dict[str, Any]:
     """Return the committed table whose rows ``only=`` keeps; empty where nothing is kept.
 
     Raises:
@@ -205,9 +201,7 @@ def _still_true(table: dict[str, Any], tokenizer: Tokenizer) -> dict[str, Cells]
     if not rows or table["tokenizer_hash"] == tokenizer.hash:
         return rows
     gone = sorted(OF_THE_TOKENIZER & set(rows))
-    print(
-        f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}"
-    )
+    print(f"note: the table is of tokenizer {table['tokenizer_hash']}; rows dropped unless measured now: {gone}")
     return {name: row for name, row in rows.items() if name not in OF_THE_TOKENIZER}
 
 
@@ -242,14 +236,10 @@ def replay(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: To
         again = learnt_row(table, lambda s: encode_set(tokenizer, s), committed["seeds"], POOL)
         names = [transfer_name(a, b) for a, b in table.transfers()[: command.replay]]
         again, before = {name: again[name] for name in names}, committed["rows"]["UniForce"]
-    return max(
-        abs(x - y) for name in again for x, y in zip(again[name]["r2"], before[name]["r2"], strict=True)
-    )
+    return max(abs(x - y) for name in again for x, y in zip(again[name]["r2"], before[name]["r2"], strict=True))
 
 
-def _say_if_redrawn(
-    command: TokenizerReportCommand, report_set: ReportSet, frozen: dict[str, LabelledSet]
-) -> None:
+def _say_if_redrawn(command: TokenizerReportCommand, report_set: ReportSet, frozen: dict[str, LabelledSet]) -> None:
     """Another CPU may round a marker's edge otherwise: the numbers must still agree, so go on, but say so."""
     try:
         check_frozen(_facts(command, report_set), frozen)
@@ -261,9 +251,7 @@ def _check_baselines(command: TokenizerReportCommand) -> None:
     """Refuse other people's weights that are damaged, or not asked about, before hours of work."""
     given = [name for name in WEIGHTS_OF_BASELINES if getattr(command, name)]
     if given and not command.baselines:
-        raise ContractError(
-            expected(", ".join(given), "baselines=true beside it", "baselines=false", "Add it.")
-        )
+        raise ContractError(expected(", ".join(given), "baselines=true beside it", "baselines=false", "Add it."))
     for file in filter(None, (command.anytouch, command.unit)):
         read_tensors(Path(file))
 

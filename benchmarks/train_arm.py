@@ -1,7 +1,5 @@
 """Train one checkpoint of the wiping benchmark as the plan says, with LeRobot's own trainer; resumable."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from dataclasses import dataclass
@@ -74,9 +72,7 @@ def _episodes(view: Path, recipe: Recipe, demos: int) -> list[int]:
     found = {rig: [i for i, e in enumerate(facts) if e["left_sensor"] == rig] for rig in recipe.rigs}
     missing = [rig for rig, episodes in found.items() if not episodes]
     if missing:
-        raise DatasetError(
-            expected(str(view), f"demos of {recipe.rigs}", f"none of {missing}", "Record them.")
-        )
+        raise DatasetError(expected(str(view), f"demos of {recipe.rigs}", f"none of {missing}", "Record them."))
     fewest = min(len(episodes) for episodes in found.values())
     if demos > fewest:
         do = f"Record more, or ask for at most {fewest}."

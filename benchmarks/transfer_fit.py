@@ -6,8 +6,6 @@ wedged between pads that stick. In the wiping scene the fingers' forces along th
 episode to episode, sideways by up to 4 N, and their torsions by 50 Nmm, as much as each of them is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -142,17 +140,13 @@ def fit_transfer(
         transfer.rest[i], transfer.unit[i] = _tensor(rest), _tensor(spread * amplitude.mean())
         for j, target in enumerate(kinds):
             after = latents[target].second.reshape(count, -1)
-            maps, cells[f"{source}->{target}"] = _fit(
-                before, after, spread, amplitude / amplitude.mean(), config
-            )
+            maps, cells[f"{source}->{target}"] = _fit(before, after, spread, amplitude / amplitude.mean(), config)
             for name, values in maps.items():
                 getattr(transfer, name)[i, j] = _tensor(values)
     fingers = [finger.reshape(count, -1) for own in latents.values() for finger in (own.first, own.second)]
     matrix, ratios = agreed_directions(fingers)
     transfer.directions.copy_(_tensor(matrix))
-    transfer.origin.copy_(
-        _tensor(np.mean([own.rest.reshape(-1) for own in latents.values()], axis=0) @ matrix)
-    )
+    transfer.origin.copy_(_tensor(np.mean([own.rest.reshape(-1) for own in latents.values()], axis=0) @ matrix))
     transfer.disagreement.copy_(_tensor(1 / np.sqrt(ratios)))
     agreement = [round(float(ratio), 1) for ratio in ratios]
     return transfer, {"config": asdict(config), "differences": cells, "agreement": agreement}

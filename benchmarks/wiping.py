@@ -1,7 +1,5 @@
 """The wiping benchmark: all arms on paired seeds, in turns, with the plan's tests; or a replay of its table."""
 
-from __future__ import annotations
-
 import json
 import logging
 import sys
@@ -124,9 +122,7 @@ def report(command: BenchmarkConfig, reports: Sequence[ArmReport], seconds: floa
         "level": command.level,
         "level_hash": level_hash(LEVELS[command.level]),
         "checkpoints": split(command.checkpoints),
-        "arms": {
-            r.arm: {"checkpoint": planned[r.arm]} | r.as_dict() | _by_checkpoint(r, command) for r in reports
-        },
+        "arms": {r.arm: {"checkpoint": planned[r.arm]} | r.as_dict() | _by_checkpoint(r, command) for r in reports},
         "tests": better(by_name, BETTER),
         "as_good": as_good(by_name, AS_GOOD),
         "seconds_of_last_call": seconds,  # a resumed table was rolled out in several
@@ -182,9 +178,7 @@ def replay(command: BenchmarkConfig) -> str:
     """Roll the table's first seeds out again into a folder of their own; say on how many the outcome differs."""
     path = Path(command.results) / "wiping.json"
     if not path.exists():
-        raise DatasetError(
-            expected(str(path), "a committed table", "no such file", "Run the benchmark first.")
-        )
+        raise DatasetError(expected(str(path), "a committed table", "no such file", "Run the benchmark first."))
     committed = json.loads(path.read_text())
     command.out, command.level = f"{command.out}_replay", committed["level"]
     wanted = [c for c in configs(command, command.replay) if c.arm in committed["arms"]]

@@ -6,8 +6,6 @@ Both left pads are the same body to physics and cameras, so an arm whose left fi
 on either rig and is rolled out on one (``tests/envs/test_touch.py``).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

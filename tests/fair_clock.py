@@ -7,8 +7,6 @@ they were starved runs again, a few times: a test that fails each time has faile
 machine. On a machine that is calm nothing changes: a failure is a failure the first time.
 """
 
-from __future__ import annotations
-
 import mmap
 import os
 import struct
@@ -67,9 +65,7 @@ class Witnesses:
             self._lost = mmap.mmap(shared.fileno(), 0)
         limits = (str(NAP_S), str(LATE_S))
         self.processes = [
-            subprocess.Popen(
-                [sys.executable, "-I", "-S", "-c", WITNESS, file.name, str(place), str(core), *limits]
-            )
+            subprocess.Popen([sys.executable, "-I", "-S", "-c", WITNESS, file.name, str(place), str(core), *limits])
             for place, core in enumerate(cores)
         ]
         self._path = file.name

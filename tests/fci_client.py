@@ -1,7 +1,5 @@
 """A client of the stand-in arm and hand in plain sockets, so that the wire is tested without a vendor's wheel."""
 
-from __future__ import annotations
-
 import socket
 import struct
 from collections.abc import Callable
@@ -12,12 +10,12 @@ import numpy as np
 
 from uniforce_robots.fr3 import HAND_TO_FLANGE, JOINTS, posture
 from uniforce_robots.standins.fci import protocol as p
-from uniforce_robots.standins.fci.rules import TORQUE_STEP_Nm
+from uniforce_robots.standins.fci.arm import TORQUE_STEP_Nm
 
 TIMEOUT_s = 30.0  # a busy machine is slow, a hung server is for ever
 
 
-def move(controller: int, generator: int) -> bytes:
+def move(controller: int = p.EXTERNAL, generator: int = p.NO_GENERATOR) -> bytes:
     """Return a Move's payload; deviations and speeds, which the stand-in does not use, as libfranka's."""
     return p.MOVE.pack(controller, generator, *(10.0, 3.12, 2 * np.pi) * 2, False, *[2.0] * 7)
 
@@ -119,10 +117,10 @@ class RawArm(RawClient):
         finally:
             self.udp.settimeout(TIMEOUT_s)
 
-    def move(self, generator: int = p.Generator.NONE, controller: int = p.Controller.EXTERNAL) -> int:
+    def move(self, generator: int = p.NO_GENERATOR) -> int:
         """Ask for a motion; return the request's id. The first answer is still to be received."""
         self._tau_Nm = np.zeros(JOINTS)
-        return self.send(p.ArmCommand.MOVE, move(controller, generator))
+        return self.send(p.ArmCommand.MOVE, move(generator=generator))
 
     def start(self) -> int:
         """Begin a torque motion, which the arm has to accept; return the request's id."""

@@ -1,7 +1,5 @@
 """What lies outside the procedural family: proof that held-out sensors could not have been drawn in pretraining."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What tests of the policy's network share: its inputs, norms that do something, LeRobot's own loop beside ours."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,9 +18,7 @@ OPEN = [0.6, 1.5]  # gates of two slots
 
 def small_config(cameras=("front", "wrist"), **settings):
     """Settings of a policy of two layers with cameras of 28 px, state and action of five axes."""
-    visual = {
-        f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28)) for name in cameras
-    }
+    visual = {f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28)) for name in cameras}
     small = {
         "size": "tiny",
         "image_resolution": (28, 28),

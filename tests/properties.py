@@ -1,7 +1,5 @@
 """Property tests draw fixed examples in `make test`, and ten times as many random ones in `make properties`."""
 
-from __future__ import annotations
-
 from hypothesis import settings
 
 settings.register_profile("fixed", derandomize=True, deadline=None)  # the same examples on every machine

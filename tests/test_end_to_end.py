@@ -1,7 +1,5 @@
 """The whole line in miniature: record, view, train, evaluate with LeRobot's command, score with a swap."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Data flows one way: a package, and in the library a stage, imports only from those below it."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One way to read a command line: ``key=value``, ``a.b=c`` or ``--a.b=c``, into a config dataclass."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import difflib

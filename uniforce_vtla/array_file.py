@@ -1,7 +1,5 @@
 """Reading numpy's own files: numbers only, never pickled objects, and never more than the file holds."""
 
-from __future__ import annotations
-
 import tokenize
 import zipfile
 import zlib

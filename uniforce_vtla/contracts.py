@@ -3,8 +3,6 @@
 raw frame → marker image → marker pair → latent → force.  See docs/design.md, "Contracts".
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, get_args
 

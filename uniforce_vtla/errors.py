@@ -1,7 +1,5 @@
 """Every error a user can meet: what was expected, what came, what to do."""
 
-from __future__ import annotations
-
 import re
 
 
@@ -58,11 +56,11 @@ class RobotError(FaultError):
 
 
 class TeleoperatorError(FaultError):
-    """What a person steers with can't be followed: unplugged, silent, garbage, too far from the robot, at its end.
+    """What a person steers with can't be followed: unplugged, silent, garbage, too far from the robot.
 
     Attributes:
         fault: one word for what happened: ``connection``, ``stale``, ``garbage``, ``far``, ``not_started``,
-            ``not_connected``, ``missing`` (a library), ``simulation_only``, ``ended`` or ``other``.
+            ``not_connected``, ``missing`` (a library) or ``other``.
     """
 
 

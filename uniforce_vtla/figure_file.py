@@ -1,7 +1,5 @@
 """Figures become files here, and only here."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg

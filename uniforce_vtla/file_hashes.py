@@ -1,7 +1,5 @@
 """SHA-256 of every file of a checkpoint, dataset or view: written beside them when they are saved, checked on load."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -1,7 +1,5 @@
 """Reading JSON that somebody else may have written: an object, or an error of ours."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@
 ``observation.`` prefix never reaches a policy, which is what truth and provenance columns need.
 """
 
-from __future__ import annotations
-
 from uniforce_vtla.contracts import FINGERS, Finger
 
 STATE = "observation.state"
@@ -136,10 +134,7 @@ REQUESTED = "provenance.requested"
 ABORT_CAUSES = (
     "none",
     *(f"{how}_{what}" for what in ("camera", "touch") for how in ("lost", "stale", "frozen", "bad")),
-    *(
-        f"robot_{fault}"
-        for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")
-    ),
+    *(f"robot_{fault}" for fault in ("connection", "version", "reflex", "user_stop", "guiding", "action", "stale")),
     *("robot_ended", "robot_backend", "robot_other", "teleop", "disk_full", "storage", "dropped_frame"),
     *("interrupt", "other"),
     *(f"robot_{fault}" for fault in ("bad_state", "jump", "speed", "force", "frozen", "guard", "sensor")),

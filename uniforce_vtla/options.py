@@ -1,7 +1,5 @@
 """What an option may be, declared as the type of its field: ranges, choices, names, files to read or to write."""
 
-from __future__ import annotations
-
 import re
 import tempfile
 from collections.abc import Iterator
@@ -194,9 +192,7 @@ Text = Annotated[str, Plain()]
 Texts = Annotated[list[str], Plain()]
 FileName = Annotated[str, Pattern("a name without slashes", r"[\w+()×-][\w+()×. -]{0,99}", "my_table.json")]
 HubName = Annotated[str, Pattern("name/model", r"[\w-][\w.-]{0,95}/[\w-][\w.-]{0,95}", "your-name/wiping")]
-Slots = Annotated[
-    str, Pattern("slot:finger pairs", r"\w+:(left|right)(,\s*\w+:(left|right))*", "touch0:left")
-]
+Slots = Annotated[str, Pattern("slot:finger pairs", r"\w+:(left|right)(,\s*\w+:(left|right))*", "touch0:left")]
 Numbers = Annotated[str, Pattern("numbers", r"-?\d*\.?\d+(\s*,\s*-?\d*\.?\d+)*", "0.6,0.7")]
 FilePath = Annotated[str, Existing("a file")]
 FolderPath = Annotated[str, Existing("a folder", ".")]

@@ -1,7 +1,5 @@
 """Result files: every figure quoted in the docs is a JSON written by a command, with its provenance inside."""
 
-from __future__ import annotations
-
 import datetime
 import importlib.metadata
 import json

@@ -3,8 +3,6 @@
 Key layout from the project's code (MIT); transformers' CLIP classes are used, so the names are theirs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,16 +71,12 @@ class AnyTouchEncoder(PublishedEncoder):
         self.sensor_token = nn.Parameter(torch.zeros(SENSOR_KINDS, SENSOR_TOKENS, config.width))
         self.touch_model = CLIPVisionModel(config.clip()).vision_model
         size = (STILL_FRAMES, config.patch, config.patch)
-        self.touch_model.embeddings.patch_embedding = nn.Conv3d(
-            3, config.width, size, stride=size, bias=False
-        )
+        self.touch_model.embeddings.patch_embedding = nn.Conv3d(3, config.width, size, stride=size, bias=False)
         self.touch_projection = nn.Linear(config.width, config.projection, bias=False)
 
     def prepare(self, images: torch.Tensor, brightness: Brightness) -> torch.Tensor:
         """Return (B, 3, 224, 224) with ImageNet's mean and spread."""
-        mean, std = (
-            torch.tensor(v, device=images.device).view(3, 1, 1) for v in (IMAGENET_MEAN, IMAGENET_STD)
-        )
+        mean, std = (torch.tensor(v, device=images.device).view(3, 1, 1) for v in (IMAGENET_MEAN, IMAGENET_STD))
         return (grey_to_rgb(images, self.input_size) - mean) / std
 
     def token_map(self, inputs: torch.Tensor) -> torch.Tensor:
@@ -104,9 +98,7 @@ class AnyTouchEncoder(PublishedEncoder):
         return torch.cat([first, sensor, patches + position[1:]], dim=1)
 
 
-def load_anytouch(
-    path: Path, sensor: str = "universal", config: AnyTouchConfig | None = None
-) -> AnyTouchEncoder:
+def load_anytouch(path: Path, sensor: str = "universal", config: AnyTouchConfig | None = None) -> AnyTouchEncoder:
     """Load the touch tower from a released checkpoint.
 
     Raises:

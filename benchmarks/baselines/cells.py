@@ -1,7 +1,5 @@
 """Cells of a row whose whole network is fitted to the source sensor: ResNet, fine-tuning, translation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from benchmarks.baselines.pictures import Predictor, pictures

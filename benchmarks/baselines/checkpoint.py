@@ -1,7 +1,5 @@
 """Foreign checkpoints: read without running their code, loaded by strict key match."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 from pickle import UnpicklingError
@@ -35,9 +33,7 @@ def read_tensors(path: Path, inside: str | None = None) -> Tensors:
             content = torch.load(path, map_location="cpu", weights_only=True)
     except DAMAGE as error:
         raise CheckpointError(
-            expected(
-                str(path), "tensors only", error, "Copy it again, or re-save only its state dict elsewhere."
-            )
+            expected(str(path), "tensors only", error, "Copy it again, or re-save only its state dict elsewhere.")
         ) from error
     if inside is not None and isinstance(content, dict):
         content = content.get(inside)
@@ -57,8 +53,6 @@ def load_strictly(module: nn.Module, tensors: Tensors, name: str) -> None:
     wrong += [f"NaN or inf in {key}" for key, tensor in sorted(tensors.items()) if not is_finite(tensor)]
     if wrong:
         raise CheckpointError(
-            expected(
-                name, "exactly the encoder's tensors", "; ".join(wrong), "Is it another size or release?"
-            )
+            expected(name, "exactly the encoder's tensors", "; ".join(wrong), "Is it another size or release?")
         )
     module.load_state_dict(tensors)

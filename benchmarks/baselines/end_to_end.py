@@ -1,7 +1,5 @@
 """Image encoder and force head trained together on one source sensor's labels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """UniForce (FT): our tokenizer's encoder and a head, fine-tuned together on the source's labels."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, field
 
@@ -44,14 +42,10 @@ class TokenizerEncoder(PairEncoder):
         return pool_latent(z, POOL).unflatten(0, frames.shape[:2])
 
 
-def finetuned_row(
-    table: Table, tokenizer: Tokenizer, seeds: int, config: FineTuneConfig | None = None
-) -> Cells:
+def finetuned_row(table: Table, tokenizer: Tokenizer, seeds: int, config: FineTuneConfig | None = None) -> Cells:
     """Return the row of encoders fine-tuned on each source sensor; ``tokenizer`` itself stays as it is."""
     config = config or FineTuneConfig()
-    return fitted_row(
-        table, lambda source, seed: fit_finetuned(source, tokenizer, table.head, config, seed), seeds
-    )
+    return fitted_row(table, lambda source, seed: fit_finetuned(source, tokenizer, table.head, config, seed), seeds)
 
 
 def fit_finetuned(
@@ -68,8 +62,6 @@ def fit_finetuned(
             expected("pictures", f"side {tokenizer.config.side}", shown.reference.shape, "Draw them so.")
         )
     z = encode_set(tokenizer, source)
-    model = EndToEnd(
-        TokenizerEncoder(tokenizer), train_head(z, source.force_N, sized_head(head, z, POOL), seed)
-    )
+    model = EndToEnd(TokenizerEncoder(tokenizer), train_head(z, source.force_N, sized_head(head, z, POOL), seed))
     train_end_to_end(model, shown, force_N, config.training, seed)
     return predictor(model, config.training.device)

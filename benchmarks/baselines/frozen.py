@@ -1,7 +1,5 @@
 """Rows of published encoders: frozen, seen through the same head; "n/a" where their weights aren't on disk."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,9 +82,7 @@ def features(encoder: PublishedEncoder, labelled: LabelledSet, device: str = "cp
         ContractError: images of another form, or an encoder on the meta device (it has no weights).
     """
     if next(encoder.parameters()).is_meta:
-        raise ContractError(
-            expected(encoder.name, "loaded weights", "a meta model", "Use its load function.")
-        )
+        raise ContractError(expected(encoder.name, "loaded weights", "a meta model", "Use its load function."))
     shown = pictures(labelled)
     brightness = brightness_of(labelled)
     encoder = encoder.to(device).eval()

@@ -5,8 +5,6 @@ a U-Net instead of latent diffusion. It is *not* zero-shot: it needs the target'
 and a model per target. It needs no label of the target.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -154,9 +152,7 @@ def translate(model: Translator, source: Pictures, target_reference: np.ndarray,
     return Pictures(target_reference, drawn)
 
 
-def _batch(
-    rng: np.random.Generator, source: Pictures, target: Pictures, size: int, device: str
-) -> list[torch.Tensor]:
+def _batch(rng: np.random.Generator, source: Pictures, target: Pictures, size: int, device: str) -> list[torch.Tensor]:
     """Return source reference, source current, target reference, target current, (B, 1, S, S) each."""
     n, length = source.frames.shape[:2]
     row, frame = rng.integers(n, size=size), rng.integers(length, size=size)

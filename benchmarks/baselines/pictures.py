@@ -1,7 +1,5 @@
 """What a row may look at when it predicts: pictures, never labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,9 +17,7 @@ class Pictures:
     reference: np.ndarray  # (n, S, S) uint8
     frames: np.ndarray  # (n, T, S, S) uint8
 
-    def tensors(
-        self, rows: np.ndarray | slice, frames: slice = slice(None)
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def tensors(self, rows: np.ndarray | slice, frames: slice = slice(None)) -> tuple[torch.Tensor, torch.Tensor]:
         """Return references (B, 1, S, S) and frames (B, F, S, S), float32 in [0, 1]."""
         return _floats(self.reference[rows][:, None]), _floats(self.frames[rows][:, frames])
 

@@ -1,7 +1,5 @@
 """The supervised row: a ResNet on reference and current image, trained end to end on the source's labels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import torch
@@ -42,9 +40,7 @@ class BasicBlock(nn.Module):
         )
         self.skip: nn.Module = nn.Identity()
         if stride != 1 or inputs != outputs:
-            self.skip = nn.Sequential(
-                nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs)
-            )
+            self.skip = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
 
     def forward(self, maps: torch.Tensor) -> torch.Tensor:
         """Return (B, outputs, H / stride, W / stride)."""

@@ -1,7 +1,5 @@
 """Rows of other people's ideas in the force table: trained here, or read from official weights on disk."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,9 +26,7 @@ def trained(table: Table, tokenizer: Tokenizer, seeds: int) -> dict[str, Callabl
     return makers
 
 
-def published(
-    table: Table, tokenizer: Tokenizer, seeds: int, paths: dict[str, str], t3_encoder: str
-) -> dict[str, Any]:
+def published(table: Table, tokenizer: Tokenizer, seeds: int, paths: dict[str, str], t3_encoder: str) -> dict[str, Any]:
     """Return the published encoders' rows (n/a without their weights) and the speed of all."""
     found = {name: Path(path) if path else None for name, path in paths.items()}
     return {

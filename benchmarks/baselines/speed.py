@@ -1,7 +1,5 @@
 """Size and speed of every encoder, ours included, side by side in one run."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

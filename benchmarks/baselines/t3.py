@@ -4,8 +4,6 @@ Key layout from the project's code (MIT); the blocks are written here with the n
 Its own loader takes ``gs_green`` in silence for a sensor without an encoder. Here the encoder must be named.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -189,9 +187,7 @@ def load_t3(folder: Path, encoder: str, config: T3Config | None = None) -> T3Enc
     return model.eval().requires_grad_(False)
 
 
-def t3_row(
-    table: Table, seeds: int, folder: Path | None, encoder: str = "", device: str = "cpu"
-) -> PublishedRow:
+def t3_row(table: Table, seeds: int, folder: Path | None, encoder: str = "", device: str = "cpu") -> PublishedRow:
     """Return T3's row; without a folder "n/a", with one the encoder must be named."""
     if folder is None:
         with torch.device("meta"):

@@ -3,8 +3,6 @@
 Key layout from the project's configuration and the VQGAN it builds on (MIT); written here with those names.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

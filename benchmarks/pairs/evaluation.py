@@ -4,8 +4,6 @@ Sessions are judged in order, as a recorder would: the first grasps with nothing
 respect that frames of one grasp are alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -98,12 +96,9 @@ def report(scored: Sequence[ScoredPairs]) -> dict[str, Any]:
         "by_indenter": _by(indenter, flagged & goal, bad & goal, goal),
         "by_fault": _by(fault, flagged, bad),
         "by_true_error": {
-            f"{low:g}-{high:g}": _share(flagged, (error > low) & (error <= high) & goal)
-            for low, high in BANDS
+            f"{low:g}-{high:g}": _share(flagged, (error > low) & (error <= high) & goal) for low, high in BANDS
         },
-        "by_threshold": {
-            f"{limit:g}": precision_recall((estimated > limit)[goal], bad[goal]) for limit in THRESHOLDS
-        },
+        "by_threshold": {f"{limit:g}": precision_recall((estimated > limit)[goal], bad[goal]) for limit in THRESHOLDS},
     }
 
 

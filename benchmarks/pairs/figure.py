@@ -1,7 +1,5 @@
 """Estimated against true error, and precision and recall over the threshold."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Training of the pair recorder's force readers in simulation, on many units."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -61,9 +59,7 @@ def train_finger_force(fields: np.ndarray, forces: np.ndarray, training: ForceTr
 
 
 def _fit(model: FingerForce, x: torch.Tensor, y: torch.Tensor, training: ForceTraining) -> None:
-    optimizer = torch.optim.AdamW(
-        model.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay
-    )
+    optimizer = torch.optim.AdamW(model.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, training.learning_rate, training.steps)
     for _ in range(training.steps):
         rows = torch.randint(len(x), (training.batch,))
@@ -75,9 +71,7 @@ def _fit(model: FingerForce, x: torch.Tensor, y: torch.Tensor, training: ForceTr
         schedule.step()
 
 
-def save_finger_force(
-    model: FingerForce, sensor: str, training: ForceTraining, folder: Path | None = None
-) -> Path:
+def save_finger_force(model: FingerForce, sensor: str, training: ForceTraining, folder: Path | None = None) -> Path:
     """Write weights and facts to a folder ``from_pretrained`` reads; the package's own by default."""
     facts = {"sensor": sensor, "training": asdict(training)}
     return save_checkpoint(folder or ASSETS / sensor, model, facts)

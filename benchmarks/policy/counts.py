@@ -1,7 +1,5 @@
 """What a call asks for: floating point operations, and operations of the dispatcher."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

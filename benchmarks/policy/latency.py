@@ -5,8 +5,6 @@ cameras, prompt and flow steps at small widths, so that neither launches nor pro
 ``base`` is the real size, for a GPU.
 """
 
-from __future__ import annotations
-
 import copy
 import statistics
 import time
@@ -121,9 +119,7 @@ def without_graphs(network: PI05UniforcePytorch) -> Any:
         fast.graphed, config.sampler = before
 
 
-def samplers(
-    network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int
-) -> dict[str, Callable]:
+def samplers(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor, steps: int) -> dict[str, Callable]:
     """Return stock and fast as functions without arguments."""
 
     def slow() -> torch.Tensor:
@@ -185,10 +181,7 @@ def _parts(
         "prefix": lambda: fast.encoder.encode(kept, noise.shape[1]),
         "step": lambda: fast.velocity(prefix, noise, table),
     }
-    return {
-        name: statistics.median(milliseconds(part, device) for _ in range(rounds))
-        for name, part in parts.items()
-    }
+    return {name: statistics.median(milliseconds(part, device) for _ in range(rounds)) for name, part in parts.items()}
 
 
 def milliseconds(call: Callable, device: str) -> float:

@@ -4,8 +4,6 @@ The file is sparse: its zeros take no disk, yet as much memory as any weights on
 child, since getrusage's is inherited from the parent over fork.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import subprocess

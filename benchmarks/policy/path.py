@@ -1,7 +1,5 @@
 """How many of our own files one call passes, and how often it changes from one top-level room to another."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable
@@ -65,9 +63,7 @@ def main() -> int:
     passed = passed_files(frame_to_action())
     rooms = [file.split("/")[0] for file in passed]
     changes = sum(before != after for before, after in pairwise(rooms))
-    print(
-        json.dumps({"own_files": len(set(passed)), "changes_of_room": changes, "files": sorted(set(passed))})
-    )
+    print(json.dumps({"own_files": len(set(passed)), "changes_of_room": changes, "files": sorted(set(passed))}))
     return 0
 
 

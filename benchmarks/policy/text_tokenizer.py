@@ -1,7 +1,5 @@
 """How the packaged text tokenizer was made: ``python -m benchmarks.policy.text_tokenizer FOLDER``."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -6,8 +6,6 @@ LeRobot's own layers, as ``base`` does. (Through torch's fused attention, which 
 costs a third of a step on a CPU: a mask with a gradient sends torch to its slow path. ``tiny`` has no gate.)
 """
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Callable
 from typing import Any
@@ -50,9 +48,7 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bo
     return report | _in_turns(trains, device, max(3, rounds // 3), "train_step")
 
 
-def _with_touch(
-    network: PI05UniforcePytorch, given: Given, noise: torch.Tensor
-) -> tuple[Given, torch.Tensor]:
+def _with_touch(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -> tuple[Given, torch.Tensor]:
     """Add cached latents of every slot and leave text padding out, as the trainer does for short prompts."""
     images, masks, tokens, text_mask = given
     config, used = network.config, int(text_mask.sum())

@@ -8,8 +8,6 @@ canonicalizer; rubber creeps, so pictures lag behind their labels; six unseen in
 ``heldout_hidden_v1``: three that look usual and are stiffer, softer or more sensitive than the family: calibration.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass, field, replace
 
@@ -53,9 +51,7 @@ class HardSettings:
 
 
 HETERO_HARD = HardSettings("hetero_hard_v1", seed=31_001, sequences=120, length=12, indenters=UNSEEN)
-HETERO_HARD_TRAINING = HardSettings(
-    "hetero_hard_training_v1", seed=31_002, sequences=400, length=12, indenters=SEEN
-)
+HETERO_HARD_TRAINING = HardSettings("hetero_hard_training_v1", seed=31_002, sequences=400, length=12, indenters=SEEN)
 # Without the canonicalizer: it refuses scattered dots by design, and pressed dashes now and then (docs/design.md).
 HELDOUT_VISIBLE = replace(HETERO_HARD, name="heldout_visible_v1", seed=32_001, canonicalize=False)
 # for family v2
@@ -145,10 +141,7 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     """
     contacts = np.random.default_rng(settings.seed)
     objects = sample_objects(contacts, settings.sequences, settings.indenters)
-    loads = [
-        press_shear_release(contacts, settings.length, settings.force_range)
-        for _ in range(settings.sequences)
-    ]
+    loads = [press_shear_release(contacts, settings.length, settings.force_range) for _ in range(settings.sequences)]
     # the name's digest, not its hash(): that one changes from process to process
     name = int.from_bytes(hashlib.sha256(sensor.name.encode()).digest()[:4])
     rng = np.random.default_rng([settings.seed, name])
@@ -158,9 +151,7 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
         if index % settings.sequences_per_unit == 0:
             unit = _Unit(settings, sensor, rng)
         lagging = lagging_force(force, unit.creep, settings.rate_hz)
-        contact = ContactState(
-            np.repeat(gap[None], len(lagging), axis=0), lagging, np.zeros(len(lagging), np.float32)
-        )
+        contact = ContactState(np.repeat(gap[None], len(lagging), axis=0), lagging, np.zeros(len(lagging), np.float32))
         before, after = unit.images(contact)
         digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes())
         before, after = (to_nominal_scale(images, sensor.spec) for images in (before, after))
@@ -177,9 +168,7 @@ class _Unit:
     def __init__(self, settings: HardSettings, sensor: VirtualSensor, rng: np.random.Generator) -> None:
         loss = settings.marker_loss > 0 and sensor.spec.signal == "camera"
         options = ContactOptions(marker_loss=loss, loss_probability=settings.marker_loss)
-        self.simulator: TactileSimulator = draw_simulator(
-            rng, sensor, settings.unit_strength, options, settings.look
-        )
+        self.simulator: TactileSimulator = draw_simulator(rng, sensor, settings.unit_strength, options, settings.look)
         self.creep = Creep.draw(rng, settings.creep_share)
         self.light = Light.draw(rng)
         self._canonicalize = settings.canonicalize and sensor.spec.signal == "camera"

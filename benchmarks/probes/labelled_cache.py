@@ -1,7 +1,5 @@
 """Labelled sets on disk: drawing one through the canonicalizer takes minutes, reading it back a second."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 Every sensor gets the *same* contacts (one seed): what differs between cells of the table is the sensor alone.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -50,9 +48,7 @@ class LabelledSet:
 def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
     """Return ``sensor``'s sequences, at the model's size, with descriptors of the full-size images."""
     rng = np.random.default_rng(config.seed)
-    batch = force_sequences(
-        rng, sensor, config.sequences, config.length, config.indenters, config.force_range
-    )
+    batch = force_sequences(rng, sensor, config.sequences, config.length, config.indenters, config.force_range)
     digest = hashlib.sha256(sensor.encode())
     reference, frames, descriptor = [], [], []
     for before, after in zip(batch.reference, batch.frames, strict=True):
@@ -61,9 +57,7 @@ def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
         frames.append(shrink(after, side))
         descriptor.append(describe(before, after))
     digest.update(np.ascontiguousarray(batch.force_N).tobytes())
-    return LabelledSet(
-        np.stack(reference), np.stack(frames), np.stack(descriptor), batch.force_N, digest.hexdigest()
-    )
+    return LabelledSet(np.stack(reference), np.stack(frames), np.stack(descriptor), batch.force_N, digest.hexdigest())
 
 
 def set_facts(config: Any, digests: dict[str, str]) -> dict[str, Any]:

@@ -1,7 +1,5 @@
 """The axes of the latent that follow force: a rotation fitted once, on one simulated sensor's labels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,9 +56,7 @@ def fit_rotation(z: np.ndarray, force_N: np.ndarray, source: str) -> Rotation:
     direction, *_ = np.linalg.lstsq(centred, force - force.mean(axis=0), rcond=None)  # (L, 3)
     length = np.linalg.norm(direction, axis=0)
     if latent.shape[1] < 3 or length.min() < CONSTANT:
-        raise ContractError(
-            expected("latent", "three directions that carry force", "fewer", "Train it first.")
-        )
+        raise ContractError(expected("latent", "three directions that carry force", "fewer", "Train it first."))
     carries = _most_correlated(centred, force - force.mean(axis=0), _orthonormal(direction / length))
     rest = np.linalg.svd(carries, full_matrices=True)[0][:, 3:]
     _, principal = np.linalg.eigh(np.cov(centred @ rest, rowvar=False).reshape(len(rest[0]), -1))
@@ -98,8 +94,6 @@ def _paired(z: np.ndarray, force_N: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     if not fits or not (np.isfinite(z).all() and np.isfinite(force_N).all()):
         came = f"{z.shape} and {force_N.shape}" if not fits else "NaN or inf"
         raise ContractError(
-            expected(
-                "latents, forces", f"finite (..., L) and (..., 3), ≥ {FEWEST} frames", came, "Check the set."
-            )
+            expected("latents, forces", f"finite (..., L) and (..., 3), ≥ {FEWEST} frames", came, "Check the set.")
         )
     return z.reshape(-1, z.shape[-1]), force_N.reshape(-1, 3)

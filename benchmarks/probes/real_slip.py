@@ -6,8 +6,6 @@ latent?  Raw counts and the hand descriptor answer the same questions by the sam
 read all of it as an indication.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -76,9 +74,7 @@ def _reference_gap(trials: Sequence[Trial]) -> float | None:
 def _check_rotation(rotation: Rotation, tokenizer: Tokenizer) -> None:
     size = tokenizer.config.latent
     if rotation.matrix.shape != (size, size):
-        raise ContractError(
-            expected("rotation", (size, size), rotation.matrix.shape, "Fit it on this tokenizer.")
-        )
+        raise ContractError(expected("rotation", (size, size), rotation.matrix.shape, "Fit it on this tokenizer."))
 
 
 def loads(signals: Signals, rotation: Rotation) -> dict[str, np.ndarray]:

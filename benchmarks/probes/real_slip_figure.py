@@ -1,7 +1,5 @@
 """Real grasps as a picture: normal load of both fingers, slip scores over time, and AUROC beside its controls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -43,9 +41,7 @@ def draw_real_slip(
         own = "" if trial.reference_from == "own" else "\nborrowed reference"
         grid[0, column].set_title(trial.name.removeprefix("data_sample_") + own, fontsize=9)
         grid[2, column].set_xlabel("s")
-    for axes, label in zip(
-        grid[:, 0], ("latent, normal", "Σ dz, counts", "slip score, log odds"), strict=True
-    ):
+    for axes, label in zip(grid[:, 0], ("latent, normal", "Σ dz, counts", "slip score, log odds"), strict=True):
         axes.set_ylabel(label)
     grid[0, 0].legend(frameon=False, fontsize=8)
     grid[2, 0].legend(frameon=False, fontsize=8)
@@ -71,9 +67,7 @@ def _shade(axes: Axes, time: np.ndarray, rows: np.ndarray, look: dict[str, Any])
 def _bars(axes: Axes, slip: dict[str, Any]) -> None:
     for place, found in enumerate(slip["detectors"].values()):
         axes.bar(place - 0.2, found["auroc"], 0.4, color="C0", label="all slip frames" if not place else None)
-        axes.bar(
-            place + 0.2, found["auroc_onset"], 0.4, color="C1", label="first 0.25 s" if not place else None
-        )
+        axes.bar(place + 0.2, found["auroc_onset"], 0.4, color="C1", label="first 0.25 s" if not place else None)
         own = list(found["auroc_by_trial"].values())
         axes.plot([place] * len(own), own, "kd", markersize=4)
     axes.axhline(0.5, color="black", linewidth=0.5)

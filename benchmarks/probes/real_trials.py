@@ -1,7 +1,5 @@
 """Real grasps on disk: two uSkins on a Franka hand, pick-and-move trials with slip labels and no force labels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,12 +7,12 @@ import numpy as np
 import pandas as pd
 import torch
 
+from benchmarks.probes.uskin_csv import read_uskin_csv
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.markers.reference import capture_taxel_reference
-from uniforce_vtla.sensors.uskin_csv import read_uskin_csv
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS, describe
 from uniforce_vtla.tokenizer.latent import pool_latent
@@ -122,9 +120,7 @@ def _read_tables(path: Path) -> tuple[np.ndarray, pd.DataFrame, np.ndarray]:
     velocity = state.filter(like="velocity_joint").to_numpy(np.float64)
     if len(lengths) > 1 or velocity.size == 0 or not {"slip", "fail"} <= set(labels.columns):
         raise DatasetError(
-            expected(
-                f"{path.name}", "tables of one length with slip, fail, velocity", lengths, "Copy it again."
-            )
+            expected(f"{path.name}", "tables of one length with slip, fail, velocity", lengths, "Copy it again.")
         )
     return np.stack(counts), labels, np.linalg.norm(velocity, axis=1)
 
@@ -151,10 +147,7 @@ def _encode_finger(
     ]
     free, images = pairs[0].reference, np.stack([pair.current for pair in pairs])
     latent = np.concatenate(
-        [
-            _pooled(tokenizer, free, images[i : i + CHUNK], finger, config.pool)
-            for i in range(0, len(images), CHUNK)
-        ]
+        [_pooled(tokenizer, free, images[i : i + CHUNK], finger, config.pool) for i in range(0, len(images), CHUNK)]
     )
     rest = _pooled(tokenizer, free, free[None], finger, config.pool)
     descriptor = describe(to_canonical(free, finger), to_canonical(images, finger))
@@ -163,8 +156,6 @@ def _encode_finger(
 
 
 @torch.no_grad()
-def _pooled(
-    tokenizer: Tokenizer, reference: np.ndarray, images: np.ndarray, finger: Finger, grid: int
-) -> np.ndarray:
+def _pooled(tokenizer: Tokenizer, reference: np.ndarray, images: np.ndarray, finger: Finger, grid: int) -> np.ndarray:
     """Return (n, grid², L) float64."""
     return pool_latent(tokenizer.encode(reference[None], images, finger), grid).double().numpy()

@@ -124,9 +124,7 @@ def of_sensor(recordings: Iterable[LabelledRecording], sensor: str) -> Iterator[
     return (recording for recording in recordings if recording.sensor == sensor)
 
 
-def of_indenters(
-    recordings: Iterable[LabelledRecording], indenters: Collection[str]
-) -> Iterator[LabelledRecording]:
+def of_indenters(recordings: Iterable[LabelledRecording], indenters: Collection[str]) -> Iterator[LabelledRecording]:
     """Yield the recordings of some indenters, e.g. ``contact.UNSEEN``."""
     return (recording for recording in recordings if recording.indenter in indenters)
 

@@ -1,7 +1,5 @@
 """The frozen sets a tokenizer is reported on: which sensors, drawn how, with heads trained on what."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,9 +79,7 @@ def _registry_sensors() -> Sensors:
 
 
 REPORT_SETS = {
-    "zero_shot_v1": ReportSet(
-        FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"
-    ),
+    "zero_shot_v1": ReportSet(FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"),
     "hetero_hard_v1": ReportSet(
         HETERO_HARD, HETERO_HARD_TRAINING, hetero_sensors, hetero_sensors, "zero_shot_force_hard.json"
     ),

@@ -1,7 +1,5 @@
 """A simple slip detector on any signal, scored on trials it never saw."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 Sets are frozen: they must draw to the hash committed before the shipped checkpoint was trained.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -58,9 +56,7 @@ def check_frozen(facts: dict[str, Any], frozen: dict[str, LabelledSet]) -> None:
     drawn = set_hash({sensor: labelled.digest for sensor, labelled in frozen.items()})
     if drawn != facts["set_hash"]:
         raise DatasetError(
-            expected(
-                "frozen zero-shot set", facts["set_hash"], drawn, "The contact model changed: freeze anew."
-            )
+            expected("frozen zero-shot set", facts["set_hash"], drawn, "The contact model changed: freeze anew.")
         )
 
 

@@ -1,7 +1,5 @@
 """The zero-shot table as a picture: R² per row, axis and transfer, and the mean error in newtons beside it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -100,9 +100,7 @@ def _plan(config: TrialsConfig) -> Plan:
 
 
 def _settings(config: TrialsConfig) -> dict[str, Any]:
-    return {
-        key: value for key, value in dataclasses.asdict(config).items() if key not in ("work", "out", "fresh")
-    }
+    return {key: value for key, value in dataclasses.asdict(config).items() if key not in ("work", "out", "fresh")}
 
 
 def _show(name: str, number: int, finding: dict[str, Any]) -> None:

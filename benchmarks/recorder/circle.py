@@ -1,7 +1,5 @@
 """A teleoperator that steers the robot round a level circle at a steady speed: when it stops is plain to see."""
 
-from __future__ import annotations
-
 import cmath
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Who used the cores: CPU seconds of groups of processes over a stretch of time."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterable
@@ -43,9 +41,7 @@ class CpuMeter:
 
     def _now(self) -> dict[str, float]:
         machine = psutil.cpu_times()
-        busy_s = (
-            sum(machine) - machine.idle - getattr(machine, "iowait", 0.0) - getattr(machine, "guest", 0.0)
-        )
+        busy_s = sum(machine) - machine.idle - getattr(machine, "iowait", 0.0) - getattr(machine, "guest", 0.0)
         seconds = {name: cpu_s(processes) for name, processes in self._groups.items()}
         return seconds | {"wall": time.monotonic(), "machine": busy_s}
 

@@ -3,8 +3,6 @@
 In one attended session again and again, and once unattended.
 """
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable
@@ -63,9 +61,7 @@ BREAKAGES: dict[str, Breakage] = {
     "uskin_stalls": _uskin("stall", "stale_touch"),
     "uskin_loses_taxels": _uskin("missing", "stale_touch"),
     "uskin_unplugged": _uskin("unplug", "lost_touch", "stale_touch"),
-    "arm_reflex": Breakage(
-        lambda rig: rig.arm.do("reflex"), lambda rig: None, ("aborted:robot_reflex",), True
-    ),
+    "arm_reflex": Breakage(lambda rig: rig.arm.do("reflex"), lambda rig: None, ("aborted:robot_reflex",), True),
 }
 
 

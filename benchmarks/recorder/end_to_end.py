@@ -1,7 +1,5 @@
 """Fifty short episodes by the real client, beside a loop that does nothing: rate, jitter, lost frames, training."""
 
-from __future__ import annotations
-
 import logging
 import re
 from collections import Counter

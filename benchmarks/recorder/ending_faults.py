@@ -1,7 +1,5 @@
 """What ends a session or keeps it from starting: a fresh session for each, its exit code looked at."""
 
-from __future__ import annotations
-
 import random
 import time
 from collections.abc import Callable

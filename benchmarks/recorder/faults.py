@@ -1,7 +1,5 @@
 """Every fault as often as wanted: was the robot held in time, was the outcome the right one, did nothing hang?"""
 
-from __future__ import annotations
-
 import random
 import shutil
 from collections.abc import Callable

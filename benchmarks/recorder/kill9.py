@@ -1,7 +1,5 @@
 """kill -9 at random moments: what was saved stays, what runs may be lost, the next session goes on."""
 
-from __future__ import annotations
-
 import random
 import signal
 import time

@@ -1,7 +1,5 @@
 """What trials found, a line each, so that a stopped run goes on where it was."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What was recorded, as LeRobot takes it: its stock dataset class reads it, its trainer trains on it."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

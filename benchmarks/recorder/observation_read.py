@@ -3,8 +3,6 @@
 ``python -m benchmarks.recorder.observation_read ADDRESS SECONDS FOLDER`` prints the figures as JSON.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

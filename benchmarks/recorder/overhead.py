@@ -1,7 +1,5 @@
 """What recording costs: the robot's read, the recorder's processes in cores, and the taxels' rate and age."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -48,9 +46,7 @@ def _read(plan: Plan) -> dict[str, Any]:
         program = [sys.executable, "-m", "benchmarks.recorder.observation_read"]
         command = [*program, rig.arm.address, str(plan.overhead_s), str(folder)]
         wait_s = (START_s + plan.overhead_s) * plan.patience
-        ended = subprocess.run(
-            command, capture_output=True, text=True, env=environment(), timeout=wait_s, check=False
-        )
+        ended = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=wait_s, check=False)
     if ended.returncode:
         raise TrialError(expected("observation_read", "exit code 0", ended.returncode, ended.stderr[-500:]))
     found: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])

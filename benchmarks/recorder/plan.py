@@ -1,7 +1,5 @@
 """How long and how often: the settings of all trials."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

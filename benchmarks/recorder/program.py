@@ -5,8 +5,6 @@ out are ``{"ready": …}``, ``{"pid": …}`` and ``{"exit": …}``. A session ru
 that Ctrl-C reaches it as it would a person's; it is the command itself, with one more teleoperator registered.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import logging

@@ -101,7 +101,7 @@ class Rig:
     def pids(self) -> list[int]:
         """Of every stand-in."""
         owned = [*self.cameras.values(), self.gelsight, self.uskin]
-        pids = [standin._process.pid for standin in owned] + [self.arm.process.pid]
+        pids = [standin.process.pid for standin in owned] + [self.arm.process.pid]
         return [pid for pid in pids if psutil.pid_exists(pid)]
 
     def mark(self) -> int:

@@ -31,9 +31,7 @@ class SmallDisk:
         if root.is_mount():  # of a trial that was cut short
             subprocess.run(["umount", str(root)], check=True)
         mount = ["mount", "-t", "tmpfs", "-o", f"size={size_MB}m", "uniforce-trial", str(root)]
-        self.is_own = (
-            shutil.which("mount") is not None and not subprocess.run(mount, capture_output=True).returncode
-        )
+        self.is_own = shutil.which("mount") is not None and not subprocess.run(mount, capture_output=True).returncode
 
     @property
     def kind(self) -> str:
@@ -48,9 +46,7 @@ class SmallDisk:
         """Take the room away: all but ``left_MB`` of an own disk, else enough to get below the limit."""
         free = shutil.disk_usage(self._root).free
         size = free - int(left_MB * MB) if self.is_own else int((ROOM_MB + reserve_MB) * MB)
-        path = (
-            self._root.parent / f".{self._root.name}-ballast" if not self.is_own else self._root / ".ballast"
-        )
+        path = self._root.parent / f".{self._root.name}-ballast" if not self.is_own else self._root / ".ballast"
         self._ballast.append(path)
         with path.open("wb") as file:
             _take(file.fileno(), size)

@@ -1,7 +1,5 @@
 """When the arm came to rest, by its own log of a thousand states a second; the recorder isn't asked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

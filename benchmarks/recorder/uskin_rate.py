@@ -1,7 +1,5 @@
 """The taxels' full rate against the stand-in: scans per second, how old the newest is, and whether any was lost."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np
@@ -24,7 +22,9 @@ def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
         age_p50_ms, age_p99_ms: of the newest scan, asked for at random times.
     """
     with StandIn("slcan", f"rate_hz={rate_hz}") as stand_in:
-        reader = SampleReader(SlcanUSkin(stand_in.address, max_behind_s=1e9), ReaderLimits(frozen_after=50))
+        source = SlcanUSkin(stand_in.address)
+        source.max_behind_s = 1e9
+        reader = SampleReader(source, ReaderLimits(frozen_after=50))
         reader.start()
         try:
             reader.wait_newer(-1, FIRST_MS)

@@ -1,7 +1,5 @@
 """What was asked beside what was seen; a part not run in full, or on a stretched rig, gets no verdict."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

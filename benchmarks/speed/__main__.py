@@ -1,7 +1,5 @@
 """Measure latencies and throughputs, each beside an anchor measured in the same run."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass

@@ -5,8 +5,6 @@ uses them: ``pair`` with one reference and a new current frame each time. Frames
 uneven light and the sensor's own marker layout.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from itertools import cycle

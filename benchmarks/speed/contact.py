@@ -1,7 +1,5 @@
 """Marker images per second of the contact model, one thread."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from statistics import median

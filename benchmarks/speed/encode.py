@@ -1,7 +1,5 @@
 """How fast a control loop can encode, what the reference cache buys, and whether an hour of frames leaks memory."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from typing import Any

@@ -1,7 +1,5 @@
 """How fast the scene runs with everything on: two cameras, two tactile fingers, one core."""
 
-from __future__ import annotations
-
 import time
 
 from lerobot_env_uniforce_wiping.env import WipeEnv

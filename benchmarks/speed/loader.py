@@ -1,7 +1,5 @@
 """How fast demos reach the trainer: stock LeRobot and the training view on the same data, in the same run."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from pathlib import Path
@@ -51,9 +49,7 @@ def bench_loader(root: str | Path | None = None, seconds: float = 2.0) -> dict[s
 
 def _rate(dataset: Dataset, seconds: float) -> float:
     """Samples per second through a DataLoader, its first batch left out."""
-    loader = DataLoader(
-        dataset, batch_size=BATCH, sampler=RandomSampler(dataset, replacement=True, num_samples=10**6)
-    )
+    loader = DataLoader(dataset, batch_size=BATCH, sampler=RandomSampler(dataset, replacement=True, num_samples=10**6))
     batches = iter(loader)
     next(batches)
     count, start = 0, time.perf_counter()

@@ -1,7 +1,5 @@
 """Settings of the robot that must be refused, made from the table of hard limits: a new setting is tried, too."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

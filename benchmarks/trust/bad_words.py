@@ -133,9 +133,7 @@ def _listed(kind: Any, number: float) -> str:
 
 def _bad_texts(rule: Any, room: Room) -> Iterator[tuple[str, str]]:
     if isinstance(rule, Names):
-        yield from (
-            ("choice", text) for text in ("nosuch", rule.known[0].upper() + "X", "../" + rule.known[0])
-        )
+        yield from (("choice", text) for text in ("nosuch", rule.known[0].upper() + "X", "../" + rule.known[0]))
         if rule.many:
             yield "choice", f"{rule.known[0]},nosuch"
     if isinstance(rule, Pattern):

@@ -3,8 +3,6 @@
 Each must end at once with one line that names what is wrong, exit code 2 and every published file as it was.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import logging
@@ -145,9 +143,7 @@ def judge(trial: Trial, ended: Ended) -> str:
     return "one_line" if len(lines) == 1 and trial.bad.is_named_in(lines[0]) else "long_or_beside_the_point"
 
 
-def try_command(
-    command: str, room: Room, folder: Path, limit_s: float, most: int | None = None
-) -> dict[str, Any]:
+def try_command(command: str, room: Room, folder: Path, limit_s: float, most: int | None = None) -> dict[str, Any]:
     """Run a command's trials (``most`` of them, spread over all); return counts and every failure."""
     every = trials(command, room)
     chosen = every if most is None else every[:: max(1, len(every) // most)][:most]
@@ -166,9 +162,7 @@ def try_command(
     finally:
         worker.close()
     counted = {"inputs": len(chosen), **{verdict: counts[verdict] for verdict in VERDICTS}}
-    sound = {
-        _portable(" ".join(words), room): _portable(_how(ended), room) for words, ended in control.items()
-    }
+    sound = {_portable(" ".join(words), room): _portable(_how(ended), room) for words, ended in control.items()}
     return counted | {"failures": failures, "sound_words": sound}
 
 
@@ -220,9 +214,7 @@ def main(argv: list[str] | None = None) -> int:
     path = update(Path(config.out), "command_line", table)
     for name, row in table["rows"].items():
         print(f"{name:20s} " + "  ".join(f"{key} {row[key]}" for key in ("inputs", *VERDICTS)))
-    print(
-        f"{table['one_line']} of {table['inputs']} in one line; {table['published_touched']} published files touched"
-    )
+    print(f"{table['one_line']} of {table['inputs']} in one line; {table['published_touched']} published files touched")
     print(f"written to {path}")
     return int(table["one_line"] < table["inputs"] or table["published_touched"] > 0)
 

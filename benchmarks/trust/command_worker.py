@@ -1,7 +1,5 @@
 """A process that holds one command and runs it on one command line after another; a killed one is replaced."""
 
-from __future__ import annotations
-
 import importlib
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Damage datasets and checkpoints in every named way, see what refuses them: ``python -m benchmarks.trust.damage``."""
 
-from __future__ import annotations
-
 import logging
 import os
 import shutil
@@ -40,9 +38,7 @@ class DamageConfig:
 
 def try_damage(damage: Damage, whole: dict[str, Path], folder: Path) -> dict[str, Any]:
     """Return the table's row of one kind."""
-    lines = {
-        verify: damage.refused(whole[damage.of], folder / verify, verify) for verify in ("full", "quick")
-    }
+    lines = {verify: damage.refused(whole[damage.of], folder / verify, verify) for verify in ("full", "quick")}
     for verify in lines:
         shutil.rmtree(folder / verify)
     said = {verify: _verdict(line, damage.said) for verify, line in lines.items()}
@@ -117,9 +113,7 @@ def main(argv: list[str] | None = None) -> int:
         if {row["full"], row["quick"]} != {"refused"}:
             print(f"{row['of']}, {row['kind']}: full {row['full']}, quick {row['quick']}. {row['message']}")
     accepted = f"{found['accepted_full']} accepted by full, {found['accepted_quick']} by quick"
-    print(
-        f"{found['kinds']} kinds, {accepted}; quick {found['quick_s_50_episodes']:.1f} s; written to {path}"
-    )
+    print(f"{found['kinds']} kinds, {accepted}; quick {found['quick_s_50_episodes']:.1f} s; written to {path}")
     return int(bool(found["accepted_full"] or found["not_named"]))
 
 

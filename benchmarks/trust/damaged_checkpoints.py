@@ -1,7 +1,5 @@
 """Damages of shipped checkpoints, each tried on a copy: every one must be refused at load."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -167,9 +165,7 @@ def _tokenizer(name: str, damage: Damage) -> CheckpointDamage:
 
 
 def _head_of(name: str, damage: Damage) -> CheckpointDamage:
-    return CheckpointDamage(
-        f"force head: {name}", damage, ASSETS / "small" / "force_head_tactip", _read_force
-    )
+    return CheckpointDamage(f"force head: {name}", damage, ASSETS / "small" / "force_head_tactip", _read_force)
 
 
 CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (

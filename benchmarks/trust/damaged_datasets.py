@@ -1,7 +1,5 @@
 """Kinds of damage to a recorded dataset and to a training view, each a small function on a copy."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -195,9 +193,7 @@ VIDEO_DAMAGES = (
         "another finger's reference",
         lambda r: shutil.copy(video(r, tactile_key("right", reference=True)), video(r, REFERENCE)),
     ),
-    Damage(
-        "reference of another episode", lambda r: shutil.copy(video(r, REFERENCE, 2), video(r, REFERENCE))
-    ),
+    Damage("reference of another episode", lambda r: shutil.copy(video(r, REFERENCE, 2), video(r, REFERENCE))),
     Damage("tactile videos of two episodes exchanged", lambda r: swap(video(r), video(r, LEFT, 2))),
     Damage("left and right exchanged", lambda r: swap(video(r), video(r, tactile_key("right")))),
     Damage("lossy section in the middle", lambda r: encode_again(video(r), blurred)),
@@ -221,9 +217,7 @@ TABLE_DAMAGES = (
     Damage("infinite action, no hashes", lambda r: set_value(data(r), ACTION, np.inf), hashed=False),
     Damage("an action changed", lambda r: set_value(data(r), ACTION, 0.25)),
     Damage("a time changed, no hashes", lambda r: set_value(data(r), "timestamp", 0.1), hashed=False),
-    Damage(
-        "frame of another episode, no hashes", lambda r: set_value(data(r), "episode_index", 2), hashed=False
-    ),
+    Damage("frame of another episode, no hashes", lambda r: set_value(data(r), "episode_index", 2), hashed=False),
     Damage("an aborted episode called a success", lambda r: set_value(data(r), SUCCESS, 0.0)),
     Damage("another sensor named", lambda r: set_value(data(r), sensor_key("left"), 2)),
     Damage("a row missing", lambda r: shorten(data(r))),
@@ -231,9 +225,7 @@ TABLE_DAMAGES = (
     Damage("bytes of a data file overwritten", lambda r: overwrite(data(r), 0.3, bytes(64))),
 )
 META_DAMAGES = (
-    Damage(
-        "statistics changed", lambda r: edit_json(stats(r), lambda s: s[STATE].update(q01=[0] * 5)), "stats"
-    ),
+    Damage("statistics changed", lambda r: edit_json(stats(r), lambda s: s[STATE].update(q01=[0] * 5)), "stats"),
     Damage("statistics missing", lambda r: stats(r).unlink(), "stats.json"),
     Damage("another rate", lambda r: edit_json(r / "meta/info.json", lambda i: i.update(fps=60)), "info"),
     Damage("tasks cut", lambda r: cut(r / "meta/tasks.parquet"), "tasks"),

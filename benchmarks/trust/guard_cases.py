@@ -6,8 +6,6 @@ measured pose. In a share of the episodes the stream's own target is replaced by
 number, so that the last check stands alone.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -199,12 +197,10 @@ class Episode:
         self.poses = 0
         settings = StreamSettings(stale_s=rng.uniform(0.02, 1.0))
         with mock.patch.object(robot_module, "make_backend", lambda config: (self.arm, self.hand)):
-            config = UniforceFrankaConfig(
-                id="cases", calibration_dir=folder, guards=self.limits, stream=settings
-            )
+            config = UniforceFrankaConfig(id="cases", calibration_dir=folder, guards=self.limits, stream=settings)
             self.robot = UniforceFranka(config, self.clock)
         self.robot._hand = self.hand  # type: ignore[assignment]
-        self._begin(self.robot._start_stream)
+        self._begin(lambda: self.robot._start_stream(self.hand))  # type: ignore[arg-type]
 
     def step(self) -> None:
         """Send one action and let the stream tick a few times; the clock may stand still or leap."""

@@ -3,8 +3,6 @@
 Axes are x, y, z m, yaw rad, and for an action width m, in the robot's base frame.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

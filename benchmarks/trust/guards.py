@@ -3,8 +3,6 @@
 Tries every bad setting, then drives the whole chain with random limits, states and actions, and counts what was sent.
 """
 
-from __future__ import annotations
-
 import logging
 import sys
 from dataclasses import dataclass
@@ -43,9 +41,7 @@ def attack(episodes: int, seed: int) -> dict[str, Any]:
         found = drive(min(CHUNK, episodes - chunk), seed + chunk // CHUNK)
         sent, actions = sent + found["sent"], actions + found["actions"]
         violations += [f"seed {seed + chunk // CHUNK}: {what}" for what in found["violations"]]
-        faults = {
-            name: faults.get(name, 0) + found["faults"].get(name, 0) for name in faults | found["faults"]
-        }
+        faults = {name: faults.get(name, 0) + found["faults"].get(name, 0) for name in faults | found["faults"]}
     return settings | {
         "actions": actions,
         "sent_cases": sent,

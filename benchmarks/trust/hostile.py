@@ -3,8 +3,6 @@
 Each client is a program of its own, the two side by side. What is there already isn't tried again.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -121,11 +119,7 @@ def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
     """Return every trial of both clients."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = {client: folder / f"{client}.jsonl" for client in CLIENTS}
-    left = sum(
-        times - min(times, [r["fault"] for r in read_rows(p)].count(f))
-        for p in paths.values()
-        for f in faults
-    )
+    left = sum(times - min(times, [r["fault"] for r in read_rows(p)].count(f)) for p in paths.values() for f in faults)
     with tqdm(total=left, desc="trials") as bar, ThreadPoolExecutor(len(CLIENTS)) as pool:
         jobs = [pool.submit(try_client, client, faults, times, path, bar) for client, path in paths.items()]
         return [row for job in jobs for row in job.result()]

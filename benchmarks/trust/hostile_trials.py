@@ -4,8 +4,6 @@ A program of its own: both clients in one process fail to import. Appends one JS
 is there, so it can be begun again. Nothing here was ever run on hardware.
 """
 
-from __future__ import annotations
-
 import contextlib
 import faulthandler
 import json
@@ -116,9 +114,7 @@ def sway(start: dict[str, float], begun_s: float, width_m: float) -> dict[str, f
     return {**start, AXES[0]: start[AXES[0]] + SWAY_m * np.sin(phase), AXES[4]: width_m}
 
 
-def drive(
-    robot: UniforceFranka, start: dict[str, float], begun_s: float, width_m: float, for_s: float
-) -> None:
+def drive(robot: UniforceFranka, start: dict[str, float], begun_s: float, width_m: float, for_s: float) -> None:
     """Act and observe at 30 Hz for so long; raises what the robot raises."""
     end_s = time.monotonic() + for_s
     while time.monotonic() < end_s:
@@ -193,9 +189,7 @@ def _stop_and_recover(robot: UniforceFranka, fci: StandIn, client: str, fault: s
     except RobotError as error:
         named, message = error.fault, str(error)
     learnt_s = time.monotonic() - begun_s
-    return Trial(
-        client, fault, named, message, round(hold_s, 4), round(learnt_s, 4), _sends(robot, start), time.time()
-    )
+    return Trial(client, fault, named, message, round(hold_s, 4), round(learnt_s, 4), _sends(robot, start), time.time())
 
 
 def _order(fci: StandIn, fault: str) -> None:

@@ -4,8 +4,6 @@ Each mutation breaks one place of a copy of the robot's package; then the cases 
 until they find a violation. A mutation without one survives.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import logging
 import multiprocessing

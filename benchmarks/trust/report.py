@@ -1,7 +1,5 @@
 """One result file that several attacks fill, each its own key."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

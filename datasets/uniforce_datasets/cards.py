@@ -1,7 +1,5 @@
 """An episode in words, ``cards/episode_000017.json``: written with the episode or not at all."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -3,8 +3,6 @@
 Looked at before an episode counts as saved (``check_stored``), and again before a dataset is read (``check_content``).
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor

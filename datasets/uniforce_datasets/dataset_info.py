@@ -1,7 +1,5 @@
 """``meta/info.json`` of a LeRobot dataset: whole, of the right types, and naming no path outside."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Paths a dataset names, and links it holds: none may lead out of its folder. Checked before anything is opened."""
 
-from __future__ import annotations
-
 import os
 import re
 import string

@@ -4,8 +4,6 @@ LeRobot's takes 5.5 ms of a core per 640×480 frame here, 2 ms of it for statist
 every fifth frame, as LeRobot itself samples frames when it doesn't stream; the picture goes to x264 without a detour.
 """
 
-from __future__ import annotations
-
 import queue
 from collections.abc import Iterator
 from contextlib import closing

@@ -4,8 +4,6 @@ Scene cameras and marker images are videos; truth and provenance are per-frame n
 and split drop per-episode columns, and they carry no ``observation.`` prefix, so that no policy ever reads them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Hashes of a dataset or training view (see ``uniforce_vtla.file_hashes``), each with the episode of its file."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Mapping

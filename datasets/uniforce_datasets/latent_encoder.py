@@ -1,7 +1,5 @@
 """Pooled latents of an episode's marker images, by whatever encodes them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Protocol
 
@@ -31,9 +29,7 @@ class PooledTokenizer:
     """
 
     def __init__(self, tokenizer: Tokenizer | str | Path | None, grid: int) -> None:
-        found = (
-            tokenizer if isinstance(tokenizer, Tokenizer) else Tokenizer.from_pretrained(tokenizer or None)
-        )
+        found = tokenizer if isinstance(tokenizer, Tokenizer) else Tokenizer.from_pretrained(tokenizer or None)
         self._tokenizer, self._grid, self.hash = found, grid, found.hash
 
     def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:

@@ -1,7 +1,5 @@
 """Open a recorded dataset only if it is what was saved: its hashes, whole files, references, exact marker video."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +29,7 @@ def open_dataset(
         DatasetError: see ``check_dataset``.
     """
     source = check_dataset(root, verify)
-    return LeRobotDataset(
-        repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options)
-    )
+    return LeRobotDataset(repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options))
 
 
 def check_dataset(root: str | Path, verify: str = "quick", within: Path | None = None) -> Source:

@@ -4,8 +4,6 @@ LeRobot 0.6.1 averages the quantiles of the episodes: ten episodes that together
 instead of 0.1 / 9.9, and a quantile-normalised policy then trains on targets far outside [−1, 1].
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

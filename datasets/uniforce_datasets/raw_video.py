@@ -4,8 +4,6 @@ Not a LeRobot feature, on purpose: LeRobot hands every video key to a policy as 
 training sample. These are kept so that demonstrations survive a better canonicaliser, and nothing else reads them.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -34,9 +32,7 @@ class RawVideo:
         encoder: shared by all fingers.
     """
 
-    def __init__(
-        self, staged: Path, shapes: Mapping[Finger, tuple[int, ...]], encoder: PerKeyEncoder
-    ) -> None:
+    def __init__(self, staged: Path, shapes: Mapping[Finger, tuple[int, ...]], encoder: PerKeyEncoder) -> None:
         self._staged, self._shapes, self._encoder = staged, dict(shapes), encoder
         self._begun = False
 

@@ -129,9 +129,7 @@ class EpisodeRecorder:
         """Frames waiting in the current episode."""
         return self._writer.episode_buffer["size"]
 
-    def add(
-        self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None
-    ) -> None:
+    def add(self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None) -> None:
         """Append one observation and the action commanded at it.
 
         Args:
@@ -227,9 +225,7 @@ class EpisodeRecorder:
 
     def _open(self) -> DatasetWriter:
         """A LeRobot writer whose files all go to the staging folder."""
-        writer = open_writer(
-            self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime
-        )
+        writer = open_writer(self.root, self._repo_id, self._fps, self._features, self._queue_frames, self._realtime)
         refuse_other_features(writer._meta, self._fps, self._features)
         encoder = PerKeyEncoder(self._fps, self._queue_frames, self._realtime)
         self._raw = RawVideo(self.root / STAGING, self._raw_shapes, encoder)
@@ -255,9 +251,7 @@ class EpisodeRecorder:
         if dropped:
             self.discard()
             raise DroppedFrameError(
-                expected(
-                    "video", "every frame stored", f"{dropped} dropped", "Episode discarded; record it again."
-                )
+                expected("video", "every frame stored", f"{dropped} dropped", "Episode discarded; record it again.")
             )
 
     def _write_at_the_end(self, ends: Mapping[str, float]) -> None:
@@ -288,6 +282,4 @@ def _typed_errors(recorder: EpisodeRecorder) -> Iterator[None]:
         do = "Free some space" if full else "See the error above"
         saved = f"{recorder.num_episodes} saved episodes are intact"
         kind = DiskFullError if full else DatasetError
-        raise kind(
-            expected("episode", "room to store it", error, f"{do} and record it again; {saved}.")
-        ) from error
+        raise kind(expected("episode", "room to store it", error, f"{do} and record it again; {saved}.")) from error

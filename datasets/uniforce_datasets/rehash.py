@@ -1,7 +1,5 @@
 """Write a dataset's hashes anew once its content is checked: after LeRobot's own tools changed it."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 
@@ -47,6 +45,4 @@ def _episodes(source: Source) -> dict[str, int]:
         users[file] = set(read_table(file, ["episode_index"])["episode_index"].to_pylist())
     for file in (file for part in NUMBERED for file in (source.root / part).rglob(f"{STEM}*")):
         users[file] = {int(word) for word in [file.stem.removeprefix(STEM)] if word.isdecimal()}
-    return {
-        str(file.relative_to(source.root)): max(found) for file, found in users.items() if len(found) == 1
-    }
+    return {str(file.relative_to(source.root)): max(found) for file, found in users.items() if len(found) == 1}

@@ -1,7 +1,5 @@
 """Read a recorded dataset file by file, without LeRobot and without the hub: whole or not at all."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -82,9 +80,7 @@ class Source:
         order = order[columns["index"][order] < self.num_frames]
         if len(order) != self.num_frames or (columns["index"][order] != np.arange(self.num_frames)).any():
             raise DatasetError(
-                expected(
-                    str(self.root / "data"), f"{self.num_frames} frames", len(order), "Files are missing."
-                )
+                expected(str(self.root / "data"), f"{self.num_frames} frames", len(order), "Files are missing.")
             )
         return {key: columns[key][order] for key in keys}
 
@@ -111,9 +107,7 @@ def _episodes(root: Path, info: dict[str, Any]) -> tuple[Episode, ...]:
         _check_row(where, row, keys)
     rows = sorted(rows, key=lambda row: row["episode_index"])[:total]
     starts = list(itertools.accumulate((row["length"] for row in rows), initial=0))
-    in_order = all(
-        row["episode_index"] == i and row["dataset_from_index"] == starts[i] for i, row in enumerate(rows)
-    )
+    in_order = all(row["episode_index"] == i and row["dataset_from_index"] == starts[i] for i, row in enumerate(rows))
     if len(rows) != total or not in_order or starts[-1] != info["total_frames"]:
         wanted = f"{total} episodes of {info['total_frames']} frames, one after another"
         raise DatasetError(expected(where, wanted, f"{len(rows)} of {starts[-1]}", "Files are missing."))
@@ -185,9 +179,7 @@ def read_table(file: Path, keys: list[str]) -> pa.Table:
     try:
         return pq.ParquetFile(file).read(columns=keys).select(keys).replace_schema_metadata(None)
     except KeyError as error:
-        raise DatasetError(
-            expected(str(file), f"columns {keys}", error, "Record it with this version.")
-        ) from error
+        raise DatasetError(expected(str(file), f"columns {keys}", error, "Record it with this version.")) from error
     except (pa.ArrowException, OSError, ValueError) as error:
         raise DatasetError(
             expected(str(file), "a whole parquet file", error, "It is truncated: restore it from a copy.")

@@ -4,8 +4,6 @@
 episode; a writer needs only where the last one ended.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -7,8 +7,6 @@ whatever a power loss or kill -9 left behind. One recorder at a time holds a dat
 process, however that ends.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import tempfile

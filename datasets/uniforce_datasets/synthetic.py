@@ -1,7 +1,5 @@
 """A small dataset of moving dots: for the loader's bench and for tests, where no simulation is wanted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A training view in the place of a LeRobotDataset: what LeRobot's trainer asks for, from arrays."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -200,9 +198,7 @@ class TrainingView(Dataset):
             key = STREAM_KEYS[touch]
             return {key(slot): touch_stream(touch, check_finger(finger)) for slot, finger in slots.items()}
         if touch == "wrench":
-            return {
-                wrench_key(slot): truth_wrench_key(check_finger(finger)) for slot, finger in slots.items()
-            }
+            return {wrench_key(slot): truth_wrench_key(check_finger(finger)) for slot, finger in slots.items()}
         return {}
 
     def _metadata(self) -> ViewMetadata:
@@ -255,9 +251,7 @@ class TrainingView(Dataset):
                 shape = self._arrays[name].shape[1:]
                 features[key] = {"dtype": "uint8", "shape": shape, "names": ["pair", "height", "width"]}
                 continue
-            features[key] = _vector(
-                WRENCH_AXES if size == len(WRENCH_AXES) else [f"z{i}" for i in range(size)]
-            )
+            features[key] = _vector(WRENCH_AXES if size == len(WRENCH_AXES) else [f"z{i}" for i in range(size)])
         return features
 
 
@@ -266,9 +260,7 @@ def _check_array(file: Path, array: np.ndarray, marker: dict[str, Any], picture:
     fits = array.shape[1:] == (side, side, 3) if picture else array.ndim > 1 and array.dtype.kind in "fu"
     if array.shape[:1] != (marker["num_frames"],) or not fits or (picture and array.dtype != np.uint8):
         came = f"{array.shape} {array.dtype}"
-        raise DatasetError(
-            expected(str(file), f"{marker['num_frames']} frames of it", came, "Build the view again.")
-        )
+        raise DatasetError(expected(str(file), f"{marker['num_frames']} frames of it", came, "Build the view again."))
 
 
 def _vector(names: Sequence[str]) -> dict[str, Any]:
@@ -295,9 +287,7 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], ve
         return _stock_dataset(cfg, stock_make_dataset, verify)
     policy = cfg.trainable_config
     if getattr(policy, "observation_delta_indices", None) is not None:
-        raise DatasetError(
-            expected("policy", "single observations", "a history", "Train on the dataset itself.")
-        )
+        raise DatasetError(expected("policy", "single observations", "a history", "Train on the dataset itself."))
     slots = {slot: policy.finger_by_slot()[slot] for slot in getattr(policy, "slots", ())}
     touch = policy.touch.input if slots else "none"
     marker = read_marker(Path(root))
@@ -307,9 +297,7 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], ve
     deltas = policy.action_delta_indices
     ahead = policy.n_action_steps if slots and policy.touch.next_force_weight else 0
     deltas, transforms = (0,) if deltas is None else deltas, _transforms(cfg)
-    return TrainingView(
-        root, deltas, slots, touch, cfg.dataset.episodes, transforms, ahead, verify or "quick"
-    )
+    return TrainingView(root, deltas, slots, touch, cfg.dataset.episodes, transforms, ahead, verify or "quick")
 
 
 def _stock_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str) -> Any:

@@ -3,8 +3,6 @@
 LeRobot 0.6.1 knows one codec per dataset and drops a frame with a log line when its queue is full.
 """
 
-from __future__ import annotations
-
 import queue
 import tempfile
 import threading
@@ -64,9 +62,7 @@ class PerKeyEncoder(StreamingVideoEncoder):
         self._realtime = realtime
         av.logging.set_libav_level(av.logging.ERROR)  # x264 prints a page per video otherwise
 
-    def start_episode(
-        self, video_keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None = None
-    ) -> None:
+    def start_episode(self, video_keys: list[str], temp_dir: Path, depth_video_keys: list[str] | None = None) -> None:
         """Start one encoder per key, each with its own codec."""
         self.cancel_episode()
         self._dropped_frames.clear()
@@ -95,9 +91,7 @@ class PerKeyEncoder(StreamingVideoEncoder):
         while self._frame_queues[key].full() and self._threads[key].is_alive():
             if time.monotonic() > deadline:
                 raise DatasetError(
-                    expected(
-                        key, "a video encoder that moves", f"none in {PATIENCE_s} s", "Free the machine."
-                    )
+                    expected(key, "a video encoder that moves", f"none in {PATIENCE_s} s", "Free the machine.")
                 )
             time.sleep(POLL_s)
 

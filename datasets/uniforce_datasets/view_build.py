@@ -3,8 +3,6 @@
 Stock LeRobot decodes six videos for every training sample.  A view reads arrays instead.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import shutil
@@ -98,9 +96,7 @@ def _same_view(out: Path, plan: ViewPlan) -> bool:
         same = json.loads(marker.read_text()) == json.loads(json.dumps(plan.marker))
         return same and _whole(out)
     if out.exists() and any(out.iterdir()):
-        raise DatasetError(
-            expected(str(out), "no folder, or an older view", "other files", "Choose another out.")
-        )
+        raise DatasetError(expected(str(out), "no folder, or an older view", "other files", "Choose another out."))
     return False
 
 

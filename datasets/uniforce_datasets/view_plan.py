@@ -3,8 +3,6 @@
 ``ViewPlan.marker`` becomes ``uniforce_view.json``; ``read_marker`` checks it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence

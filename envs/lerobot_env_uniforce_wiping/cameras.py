@@ -1,7 +1,5 @@
 """The two scene cameras: pinhole poses, with this episode's jitter."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco
@@ -51,9 +49,7 @@ def rotation(turn_rad: tuple[float, ...]) -> np.ndarray:
     return matrix.reshape(3, 3)
 
 
-def _mounted(
-    scene: SceneParams, index: int, position_m: np.ndarray, look_m: np.ndarray, up_z: float
-) -> Camera:
+def _mounted(scene: SceneParams, index: int, position_m: np.ndarray, look_m: np.ndarray, up_z: float) -> Camera:
     shift = np.array(scene.camera_shift_m[index])
     pointing = look_at(position_m + shift, look_m + shift, np.array([0.0, 0.0, up_z]))
     focal = CAMERA_PX / 2 / float(np.tan(FOV_rad[CAMERAS[index]] / 2))

@@ -5,8 +5,6 @@ dataset stores what the expert *commanded*, so every label is a correction and n
 DART: Laskey et al. 2017, "Noise Injection for Robust Imitation Learning").
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The wiping scene as a gymnasium environment."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -148,9 +146,7 @@ class WipeEnv(gymnasium.Env):
         if values.shape != (len(AXES),):
             raise ContractError(expected("action", f"({len(AXES)},) {AXES}", values.shape, "See keys.AXES."))
         if not np.isfinite(values).all():
-            raise RolloutError(
-                expected("action", "finite numbers", values, "The target is held; check the policy.")
-            )
+            raise RolloutError(expected("action", "finite numbers", values, "The target is held; check the policy."))
         return values
 
     def _wiped_and_lifted(self) -> bool:

@@ -1,7 +1,5 @@
 """Scripted episodes on the fast path: nothing is rendered unless the caller observes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Protocol
 

@@ -198,8 +198,7 @@ class WipeExpert:
     def _estimate(self, wrench: dict[Finger, np.ndarray]) -> Contact:
         """Estimate grip and press from the pads it may use; one pad stands for both."""
         noisy = [
-            wrench[f][:3] * self._gain[f] + self.noise.force_sd_N * self._rng.standard_normal(3)
-            for f in self.fingers
+            wrench[f][:3] * self._gain[f] + self.noise.force_sd_N * self._rng.standard_normal(3) for f in self.fingers
         ]
         _, up, grip = np.mean(noisy, axis=0)
         return Contact(grip_N=float(grip), press_N=float(self._weight_N - 2 * up))

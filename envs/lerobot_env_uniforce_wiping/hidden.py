@@ -4,8 +4,6 @@ Both are Gaussian noise, smoothed by a Gaussian and clipped at two standard devi
 torque-controlled arm does not know of itself: cables, joint friction, errors of its model.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ Preston's equation with a threshold pressure, but for the felt as a whole: its l
 middle, so that with a threshold per cell a light press would wipe with the edge alone).
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
@@ -80,8 +78,7 @@ class InkField:
     def written_box_m(self) -> tuple[np.ndarray, np.ndarray]:
         """(2,) centre and (2,) extent of the first writing, board x and y."""
         low, high = (
-            np.array([edge(axis[self._first > 0]) for axis in (self.x_m, self.y_m)])
-            for edge in (np.min, np.max)
+            np.array([edge(axis[self._first > 0]) for axis in (self.x_m, self.y_m)]) for edge in (np.min, np.max)
         )
         return (low + high) / 2, high - low
 
@@ -92,9 +89,7 @@ class InkField:
         self.ink = np.where(inside, np.maximum(self.ink, strength * self._first), self.ink)
         self.version += 1
 
-    def wipe(
-        self, center_m: np.ndarray, yaw_rad: float, size_m: np.ndarray, press: np.ndarray, slide_m: float
-    ) -> None:
+    def wipe(self, center_m: np.ndarray, yaw_rad: float, size_m: np.ndarray, press: np.ndarray, slide_m: float) -> None:
         """Wear ink under a footprint.
 
         Args:

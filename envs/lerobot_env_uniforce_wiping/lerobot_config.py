@@ -1,7 +1,5 @@
 """The scene as a LeRobot environment type: ``--env.type=uniforce_wiping``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The locked difficulty levels: what a scene may draw, and the task's nominal layout."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import asdict, dataclass, replace

@@ -4,8 +4,6 @@ Primitives only, so nothing has to be downloaded. Collisions: pads with the eras
 the board and the table; arm links touch nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Flat shaded, deterministic on every machine. Order is fixed where it matters: ta
 everything else by distance.
 """
 
-from __future__ import annotations
-
 import cv2
 import mujoco
 import numpy as np

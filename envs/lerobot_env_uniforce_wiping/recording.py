@@ -1,7 +1,5 @@
 """Collect the truth of an episode step by step; the trace is what scores are computed from."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ

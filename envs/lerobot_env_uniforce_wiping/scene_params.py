@@ -1,7 +1,5 @@
 """One integer seed and a level → every number of a scene, so that any episode can be rebuilt."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Physics of one scene: targets in, one 30 Hz step of MuJoCo, measured pose and touch truth out."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco
@@ -164,9 +162,7 @@ class WipeSimulation:
         for code, finger in enumerate(FINGERS, start=1):
             rows = np.flatnonzero((kind == code) & (address >= 0))
             if len(rows):
-                sign = np.where(
-                    role[rows, 0] == code, -1.0, 1.0
-                )  # of the force on the pad, whichever comes first
+                sign = np.where(role[rows, 0] == code, -1.0, 1.0)  # of the force on the pad, whichever comes first
                 turn = self.data.efc_force[address[rows] + 3]
                 world = (frame[rows].transpose(0, 2, 1) @ local[rows, :, None])[..., 0] * sign[:, None]
                 twist = frame[rows, 0, :] * (sign * turn)[:, None]
@@ -224,9 +220,7 @@ class WipeSimulation:
         return tool.T @ (self.data.xpos[self._eraser] - self.data.site_xpos[self._tcp])
 
 
-def solve_arm(
-    model: mujoco.MjModel, data: mujoco.MjData, position_m: np.ndarray, rotation: np.ndarray
-) -> None:
+def solve_arm(model: mujoco.MjModel, data: mujoco.MjData, position_m: np.ndarray, rotation: np.ndarray) -> None:
     """Set the arm's seven joints so that site ``tcp`` meets a pose, by damped least squares; used at reset only."""
     site, first = model.site("tcp").id, model.joint("joint1")
     joints = slice(first.qposadr[0], first.qposadr[0] + len(HOME_q))

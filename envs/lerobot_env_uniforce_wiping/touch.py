@@ -1,7 +1,5 @@
 """Contact truth of a pad → its marker image, through the one contact model."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -5,8 +5,6 @@ scene whether the hand is at the eraser or which row is still dirty (docs/experi
 transforms, which draw once for a whole batch: here every sample of a batch gets its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

@@ -107,9 +107,7 @@ def make_backbone(config: PI05UniforceConfig) -> GatedBackbone:
     )
 
 
-def joint_layer(
-    streams: Streams, layers: Layers, mask: Tensor, rotary: tuple, cond: list, last: bool
-) -> Streams:
+def joint_layer(streams: Streams, layers: Layers, mask: Tensor, rotary: tuple, cond: list, last: bool) -> Streams:
     """Run one layer of both streams: attention over all tokens together, the rest per stream.
 
     With torch's fused attention: LeRobot's own loop builds every attention matrix, which on a CPU is half of a training
@@ -128,9 +126,7 @@ def joint_layer(
     kept = slice(-1 if last else 0, None)
     attended = _attend([x for x, _ in normed], layers, mask, rotary, [x.shape[1] for x in streams[kept]])
     out = []
-    for layer, x, (_, gate), a, c in zip(
-        layers[kept], streams[kept], normed[kept], attended, cond[kept], strict=True
-    ):
+    for layer, x, (_, gate), a, c in zip(layers[kept], streams[kept], normed[kept], attended, cond[kept], strict=True):
         x = _gated_residual(x, layer.self_attn.o_proj(a), gate)
         hidden, gate = layernorm_forward(layer.post_attention_layernorm, x, c)
         out.append(_gated_residual(x, layer.mlp(hidden), gate))

@@ -1,7 +1,5 @@
 """Settings of ``pi05_uniforce``: LeRobot's π0.5 plus groups for touch, actions, augmentation, sizes and sampler."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ The same batch conversion, preprocessor, ``select_action`` and postprocessor tha
 the observations that would meet a full action queue are never rendered, because the policy ignores them.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Iterator

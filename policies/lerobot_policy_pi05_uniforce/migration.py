@@ -1,7 +1,5 @@
 """A checkpoint of version 0.1.0, whose settings stood side by side, in today's groups: ``… .migration FOLDER…``."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

@@ -297,9 +297,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if self.config.action.form == "absolute":
             return chunk
         targets = action.to_targets(chunk, self.issued.base(self._measured(batch)), self.network_units)
-        return targets.clamp(
-            *self.target_range.to(targets)
-        )  # changes could add up to places no demo has shown
+        return targets.clamp(*self.target_range.to(targets))  # changes could add up to places no demo has shown
 
     def _start_noise(self, batch_size: int, device: torch.device) -> Tensor:
         """Return where the flow starts, (B, chunk, max_action_dim): scaled noise; 0 gives the central action."""

@@ -1,7 +1,5 @@
 """The network: LeRobot's π0.5 whose prefix also holds a state token and force tokens."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from typing import Any
 

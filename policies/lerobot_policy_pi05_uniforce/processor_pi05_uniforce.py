@@ -1,7 +1,5 @@
 """Pre- and post-processors: LeRobot's π0.5 pipeline with a local text tokenizer and state-only normalisation."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 from pathlib import Path

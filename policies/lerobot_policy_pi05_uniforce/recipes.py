@@ -1,7 +1,5 @@
 """Defaults of the two sizes, and the recipes: ``plain``, and ``scored`` as the benchmark's arms were trained."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

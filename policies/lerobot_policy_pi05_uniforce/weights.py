@@ -1,7 +1,5 @@
 """Strict loading: a checkpoint fits tensor by tensor, or an error names those that don't; a published π0.5's names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path

@@ -4,8 +4,6 @@ Source: Franka documentation, "Robot and interface specifications" (Craig's modi
 driver's checks, the GELLO and the stand-in; imports numpy alone, so that the stand-in starts without torch.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,9 +80,3 @@ def posture(q_rad: np.ndarray) -> Posture:
         T = T @ local[i]
         frames[i] = T
     return Posture(T @ _FLANGE, frames[:, :3, 2], frames[:, :3, 3])
-
-
-def rotation_error(target: np.ndarray, current: np.ndarray) -> np.ndarray:
-    """(3,) rotation vector, to first order, that turns ``current`` into ``target`` (3, 3), in the frame of both."""
-    turn = target @ current.T
-    return np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2

@@ -3,8 +3,6 @@
 Here, too, are the types of options that several commands share; what they allow is in ``uniforce_vtla/options.py``.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -1,7 +1,5 @@
 """A recorded episode for the rerun viewer: every stream on one time line, in one .rrd file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -21,9 +19,7 @@ JPEG_QUALITY = 85  # of scene cameras and raw tactile frames
 HEAT_PX = 16  # a patch's side in a heat map, so that the viewer has something to show
 
 
-def write_recording(
-    rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode, path: Path
-) -> Path:
+def write_recording(rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode, path: Path) -> Path:
     """Write an episode and the layout it is looked at in to an .rrd file; DatasetError for a truncated video."""
     path.parent.mkdir(parents=True, exist_ok=True)
     at = rerun.TimeColumn(TIME, duration=summary.time_s)

@@ -1,7 +1,5 @@
 """A recorded episode as a page: pictures, and HTML that any browser shows without a network."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
@@ -30,9 +28,7 @@ TOUCH = (
     "Markers: cyan where they are in free air, red where they are now, white where both."
     " Latent: how far each patch's latent force is from free air, as the sensor sees it; one scale per finger."
 )
-CHANNELS = (
-    "Every channel of the latent where both fingers hold hardest: what a policy's force tokens are made of."
-)
+CHANNELS = "Every channel of the latent where both fingers hold hardest: what a policy's force tokens are made of."
 
 
 def write_sheet(summary: EpisodeSummary, facts: Mapping[str, str], folder: Path, stem: str) -> Path:

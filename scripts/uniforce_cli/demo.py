@@ -1,7 +1,5 @@
 """The whole line on a laptop: record, train, roll out with trained and swapped sensors, score, show."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """The demo's one picture page: what each sensor sees, how an episode went, what was scored."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -46,9 +44,7 @@ def _draw_sensors(figure: SubFigure) -> None:
         latent = tokenizer.encode(pair)  # (1, P, 6)
         read_N = ", ".join(f"{value:+.1f}" for value in head(latent)[0].tolist())
         above.imshow(overlay(pair.reference, pair.current))
-        above.set_title(
-            f"{sensor}: reference cyan, current red\nhead trained on TacTip only: ({read_N}) N", fontsize=9
-        )
+        above.set_title(f"{sensor}: reference cyan, current red\nhead trained on TacTip only: ({read_N}) N", fontsize=9)
         side = int(np.sqrt(latent.shape[1]))
         below.imshow(np.hstack(list(latent[0].numpy().T.reshape(-1, side, side))), cmap="RdBu")
         below.set_title("latent force, six channels", fontsize=9)
@@ -62,6 +58,4 @@ def _press(sensor: str) -> MarkerPair:
     gap_mm = gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None]
     contact = ContactState(gap_mm, np.array([PRESS_N], np.float32), np.zeros(1, np.float32))
     simulator = TactileSimulator(sensor)
-    return Canonicalizer(sensor).pair(
-        simulator.raw_reference(), simulator.raw_frames(contact)[0], finger="left"
-    )
+    return Canonicalizer(sensor).pair(simulator.raw_reference(), simulator.raw_frames(contact)[0], finger="left")

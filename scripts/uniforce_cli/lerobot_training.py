@@ -1,7 +1,5 @@
 """LeRobot's trainer behind ``uniforce train``: settings checked first, training views, hashed checkpoints."""
 
-from __future__ import annotations
-
 import difflib
 import io
 import logging
@@ -184,9 +182,6 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
 
 def _settings(cfg: TrainPipelineConfig) -> TrainPipelineConfig:
     return cfg
-
-
-_settings.__annotations__["cfg"] = TrainPipelineConfig  # LeRobot's parser reads the class, not its name
 
 
 def settings_known() -> dict[str, Option]:

@@ -1,7 +1,5 @@
 """``uniforce VERB key=value …``: one command, its verbs grouped by what a person wants."""
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import sys

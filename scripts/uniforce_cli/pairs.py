@@ -63,7 +63,7 @@ def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
         ContractError: an unknown robot or indenter, or impossible numbers.
         DatasetError: see ``PairStore`` and ``PairRecorder``.
     """
-    from uniforce_robots.pairs.coverage_figure import draw_coverage
+    from uniforce_robots.pairs.coverage import draw_coverage
     from uniforce_robots.pairs.storage import PairStore
 
     names = _check(config)

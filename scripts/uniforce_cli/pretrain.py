@@ -1,7 +1,5 @@
 """Train the tokenizer on equilibrium pairs, without any force label."""
 
-from __future__ import annotations
-
 import logging
 import resource
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """A recorded episode's pictures, raw touch, forces, latents and events: read for a page, a viewer or scores."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -147,9 +145,7 @@ def latent_change(tokenizer: Tokenizer, source: Source, episode: Episode, finger
     return to_canonical(maps, finger).movedim(1, -1).numpy()  # undoes the encoder's mirror: its own inverse
 
 
-def marker_images(
-    source: Source, episode: Episode, finger: Finger
-) -> tuple[np.ndarray, Iterator[np.ndarray]]:
+def marker_images(source: Source, episode: Episode, finger: Finger) -> tuple[np.ndarray, Iterator[np.ndarray]]:
     """Return an episode's reference (H, W), and its marker images (H, W) one by one."""
     keys = (tactile_key(finger, reference=True), tactile_key(finger))
     reference, current = (map(_grey, frames(source, episode, key)) for key in keys)
@@ -221,9 +217,7 @@ def summarise_episode(
     raw = {finger: _chosen(kept, shown) for finger in FINGERS if (kept := raw_touch(source, episode, finger))}
 
     def moment(name: str, frame: int) -> KeyFrame:
-        return KeyFrame(
-            name, frame, *({k: p[frame] for k, p in kind.items()} for kind in (seen, markers, raw))
-        )
+        return KeyFrame(name, frame, *({k: p[frame] for k, p in kind.items()} for kind in (seen, markers, raw)))
 
     return EpisodeSummary(
         title=title,

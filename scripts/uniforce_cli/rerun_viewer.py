@@ -1,7 +1,5 @@
 """The rerun viewer, for those who have the extra `rerun`."""
 
-from __future__ import annotations
-
 import importlib
 import subprocess
 import sys

@@ -4,8 +4,6 @@ Two controls ask whether the policy uses touch: masked touch carries nothing, sh
 phase but of another scene.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -151,9 +149,7 @@ class ShuffledTouch:
         return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
 
 
-def policy_on_rig(
-    policy: str, level: str, left: str, right: str, swap: str
-) -> tuple[WipeEnv, PolicyController]:
+def policy_on_rig(policy: str, level: str, left: str, right: str, swap: str) -> tuple[WipeEnv, PolicyController]:
     """Return a scene and the checkpoint that acts in it; "shipped" is the package's own, "" the usual sensor."""
     mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)

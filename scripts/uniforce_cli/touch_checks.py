@@ -1,7 +1,5 @@
 """Two checks of a tactile sensor: how fast and fresh it is, and which way up it sits on its finger."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 
@@ -72,9 +70,7 @@ def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: floa
     return 1
 
 
-def _next_response(
-    finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]
-) -> np.ndarray | None:
+def _next_response(finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]) -> np.ndarray | None:
     """Return the first (4,) response of the quarters that is ``wanted``; None where none came in time."""
     index, end_s = -1, time.monotonic() + seconds
     while time.monotonic() < end_s:

@@ -1,7 +1,5 @@
 """One look at a finger, newest sample through canonicalizer, tokenizer and force head; and where it is shown."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Callable, Iterator

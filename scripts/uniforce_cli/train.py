@@ -1,7 +1,5 @@
 """Train a policy with LeRobot's own trainer, in ``key=value`` form and with this project's data views."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

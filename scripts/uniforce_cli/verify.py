@@ -1,7 +1,5 @@
 """Check that a dataset or training view is what was saved; rewrite a dataset's hashes after LeRobot's own tools."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

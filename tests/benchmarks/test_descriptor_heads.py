@@ -1,7 +1,5 @@
 """Heads of a scene: made-up wipes they can read, and one real wipe through the scene."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

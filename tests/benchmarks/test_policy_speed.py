@@ -1,7 +1,5 @@
 """The policy bench: what it counts is exact and held to the bar; what it times is only asked to be there."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

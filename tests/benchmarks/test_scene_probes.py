@@ -1,7 +1,5 @@
 """What the scene asks of touch: blind scripts, a leak check with known answers, and what a policy looks at."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

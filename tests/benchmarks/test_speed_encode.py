@@ -1,7 +1,5 @@
 """The tokenizer's benches run, count what they say they count, and would show a leak."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

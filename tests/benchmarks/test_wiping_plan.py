@@ -1,7 +1,5 @@
 """The plan is consistent, and the committed table is what its letters say."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -53,10 +51,7 @@ def test_the_committed_tests_follow_from_the_committed_letters() -> None:
     reports = {
         name: ArmReport(
             name,
-            [
-                replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C")
-                for seed, c in enumerate(arm["by_seed"])
-            ],
+            [replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C") for seed, c in enumerate(arm["by_seed"])],
         )
         for name, arm in TABLE["arms"].items()
     }

@@ -1,7 +1,5 @@
 """Orders of magnitude of simulated counts against recorded grasps (two uSkins on a Franka hand)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

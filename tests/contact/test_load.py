@@ -1,7 +1,5 @@
 """Pressure and traction: forces are conserved, depth follows force, friction caps."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -36,15 +34,11 @@ def pressed(
 ) -> ContactState:
     B = len(force)
     gap = gap_maps([name], np.array([center]), np.array([angle]), np.ones(1))
-    return ContactState(
-        np.repeat(gap, B, axis=0), force.astype(np.float32), np.full(B, torsion, dtype=np.float32)
-    )
+    return ContactState(np.repeat(gap, B, axis=0), force.astype(np.float32), np.full(B, torsion, dtype=np.float32))
 
 
 @examples(60)
-@given(
-    sensors, names, place, st.floats(0, 3.2), st.floats(0.05, 16), st.floats(0, 0.9), st.floats(-3.14, 3.14)
-)
+@given(sensors, names, place, st.floats(0, 3.2), st.floats(0.05, 16), st.floats(0, 0.9), st.floats(-3.14, 3.14))
 def test_force_is_conserved(
     sensor: str, name: str, center: tuple[float, float], angle: float, fz: float, share: float, way: float
 ) -> None:
@@ -60,9 +54,7 @@ def test_force_is_conserved(
 @example("tactip", "torus", (0.0, 0.0), [3.9e-10, 1.6e-9])
 @example("uskin", "pacman", (0.0, 0.0), [4.0e-10, 1.8e-9])
 @example("uskin", "moon", (0.0, 0.0), [0.0, 5e-324, 1e-44, 1e-38, 1e-30, 16.0])
-def test_depth_grows_with_force(
-    sensor: str, name: str, center: tuple[float, float], loads: list[float]
-) -> None:
+def test_depth_grows_with_force(sensor: str, name: str, center: tuple[float, float], loads: list[float]) -> None:
     fz = np.sort(np.array(loads))
     depth = simulator(sensor).depth_mm(pressed(name, np.stack([0 * fz, 0 * fz, fz], axis=1), center=center))
     rounding = 1e-6 * depth[1:] + np.finfo(np.float32).tiny

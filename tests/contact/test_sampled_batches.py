@@ -1,7 +1,5 @@
 """Equilibrium pairs and force sequences: shapes, frames, balance, seeds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -56,9 +54,7 @@ def test_pairs_repeat_with_the_seed() -> None:
 
 def test_units_change_within_a_call() -> None:
     settings = replace(DRAWING, unit_strength=1.0, pairs_per_unit=2)
-    references = equilibrium_pairs(
-        np.random.default_rng(3), 4, "gelsight", "uskin", settings=settings
-    ).left_reference
+    references = equilibrium_pairs(np.random.default_rng(3), 4, "gelsight", "uskin", settings=settings).left_reference
     assert np.array_equal(references[0], references[1]) and not np.array_equal(references[1], references[2])
 
 

@@ -1,7 +1,5 @@
 """Indenters, flat faces and the rasteriser."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

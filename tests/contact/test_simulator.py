@@ -1,7 +1,5 @@
 """What the simulated sensors show: signs, mirror, symmetry, seeds, bad input."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -134,9 +132,7 @@ def test_symmetric_press_gives_a_symmetric_image(sensor: str) -> None:
 
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_batch_equals_singles(sensor: str) -> None:
-    contacts = [
-        contact((i - 2, 1, 3.0 * i), 2.0 * i, name) for i, name in enumerate(("wave", "dots", "cone", "line"))
-    ]
+    contacts = [contact((i - 2, 1, 3.0 * i), 2.0 * i, name) for i, name in enumerate(("wave", "dots", "cone", "line"))]
     batched, _ = TactileSimulator(sensor, seed=3).markers_px(stacked(*contacts))
     single = TactileSimulator(sensor, seed=3)
     singles = np.concatenate([single.markers_px(c)[0] for c in contacts])
@@ -155,9 +151,7 @@ def test_same_seed_same_output_other_seed_other_noise(sensor: str) -> None:
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_no_contact_looks_like_the_reference(sensor: str) -> None:
     np.testing.assert_array_equal(quiet(sensor).marker_images(free_air(2))[1], quiet(sensor).reference())
-    np.testing.assert_array_equal(
-        quiet(sensor).marker_images(contact((0, 0, 0)))[0], quiet(sensor).reference()
-    )
+    np.testing.assert_array_equal(quiet(sensor).marker_images(contact((0, 0, 0)))[0], quiet(sensor).reference())
 
 
 @pytest.mark.parametrize("sensor", SENSORS)

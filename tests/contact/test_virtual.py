@@ -1,7 +1,5 @@
 """Sensors that exist only in simulation: drawings, shapes, the procedural family and what lies outside it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from outside_family import half_extent_px, outside

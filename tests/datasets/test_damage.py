@@ -1,7 +1,5 @@
 """Every named kind of damage to a dataset or view is refused, and the error says where."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Hashes of a dataset: one per file, followed by the recorder, written anew after LeRobot's own tools."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging
@@ -100,9 +98,7 @@ def test_merged_by_lerobot_then_hashed(demos: Path, tmp_path: Path) -> None:
     assert ours(fewer, "rehash=true") == 0 and len(check_dataset(fewer, "full").episodes) == 2
 
 
-def test_content_that_cannot_be_trusted_gets_no_hashes(
-    copy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_content_that_cannot_be_trusted_gets_no_hashes(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from benchmarks.trust.damaged_datasets import data, set_value
 
     before = (copy / HASHES).read_text()

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -30,9 +28,7 @@ def empty(path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [truncate, empty, Path.unlink])
-@pytest.mark.parametrize(
-    "part", ["videos/**/*.mp4", "data/**/*.parquet", "meta/episodes/**/*", "meta/info.json"]
-)
+@pytest.mark.parametrize("part", ["videos/**/*.mp4", "data/**/*.parquet", "meta/episodes/**/*", "meta/info.json"])
 def test_truncated_dataset_is_refused(copy: Path, damage: Callable[[Path], None], part: str) -> None:
     damage(sorted(path for path in copy.glob(part) if path.is_file())[-1])
     with pytest.raises(DatasetError):

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import errno
 import os
 import shutil
@@ -205,9 +203,7 @@ def test_discard_forgets_the_episode(tmp_path: Path) -> None:
     assert not (tmp_path / "data" / staging.STAGING).exists()
 
 
-def test_damaged_marker_video_is_caught_before_it_counts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_damaged_marker_video_is_caught_before_it_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import uniforce_datasets.video_encoder as video_encoder
 
     monkeypatch.setattr(video_encoder, "codec_of", lambda key: video_encoder.camera_codec())

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import pickle
 import shutil
@@ -208,9 +206,7 @@ def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
     assert make_training_dataset(trainer_config(demos), lambda cfg: "stock") == "stock"
 
 
-def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(
-    demos: Path, tmp_path: Path
-) -> None:
+def test_a_dataset_from_the_hub_is_checked_in_full_where_it_was_downloaded(demos: Path, tmp_path: Path) -> None:
     blobs, snapshot = tmp_path / "cache" / "blobs", tmp_path / "cache" / "snapshots" / "0"
     shutil.copytree(demos, blobs, ignore=shutil.ignore_patterns(".*"))
     for file in (path for path in blobs.rglob("*") if path.is_file()):  # as the hub's cache keeps files
@@ -247,8 +243,7 @@ def test_view_feeds_the_trainer_fast_enough(demos: Path) -> None:
 
 def test_several_processes_build_the_same_view(demos: Path, tmp_path: Path) -> None:
     one, two = (
-        build_view([demos, demos], tmp_path / str(workers), encoder=BlockMeans(), workers=workers)
-        for workers in (1, 2)
+        build_view([demos, demos], tmp_path / str(workers), encoder=BlockMeans(), workers=workers) for workers in (1, 2)
     )
     files = sorted(path.name for path in one.iterdir())
     assert files == sorted(path.name for path in two.iterdir())

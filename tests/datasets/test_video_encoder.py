@@ -1,7 +1,5 @@
 """Videos while recording in real time: every stream comes back as it went in, one that stands still too."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import av

@@ -1,7 +1,5 @@
 """A nudged expert: recoveries in the demos, corrections as labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -54,9 +52,7 @@ def env() -> WipeEnv:
     return WipeEnv("paper")
 
 
-def commands(
-    env: WipeEnv, push_in: Callable[[str], bool], **pushes: Push
-) -> Iterator[tuple[str, np.ndarray]]:
+def commands(env: WipeEnv, push_in: Callable[[str], bool], **pushes: Push) -> Iterator[tuple[str, np.ndarray]]:
     """Let the expert wipe scene 9001: yield phase and command before each step, then push where ``push_in`` says."""
     expert, done, nudge = WipeExpert(), False, Nudge(1, settings=NudgeSettings(sd=STILL, **pushes))
     env.start(9001)
@@ -85,9 +81,7 @@ def test_an_expert_that_loses_the_board_stays_there_and_goes_down_again(env: Wip
 def test_an_expert_that_loses_a_clean_board_leaves_it(env: WipeEnv) -> None:
     """Otherwise demos show a hand over a clean board that goes down, and a policy wipes to the end of its time."""
     phases: list[str] = []
-    for phase, _ in commands(
-        env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, wiping=always(0.03)
-    ):
+    for phase, _ in commands(env, lambda phase: phase == "wipe" and phases.count("wipe") == 30, wiping=always(0.03)):
         phases.append(phase)
         if phases.count("wipe") == 30:
             env.sim.ink.ink[:] = 0
@@ -122,9 +116,7 @@ def test_a_hand_pushed_below_its_grasp_height_comes_up_and_grips(env: WipeEnv) -
     """Without demos from there a policy that misses the moment to grip hangs below the eraser's middle for good."""
     grasp_m = env.level.layout.grasp_height_m
     low: list[tuple[float, float]] = []  # commanded, measured
-    for phase, command in commands(
-        env, lambda phase: phase == "close" and not low, descending=always(-0.025)
-    ):
+    for phase, command in commands(env, lambda phase: phase == "close" and not low, descending=always(-0.025)):
         if phase == "close" and env.state[Z] < grasp_m - 0.010:
             low.append((float(command[Z]), float(env.state[Z])))
     commanded_m, measured_m = np.array(low).T

@@ -1,7 +1,5 @@
 """The hidden pull and the uneven board of level ``touch``."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

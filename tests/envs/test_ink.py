@@ -1,7 +1,5 @@
 """Ink is worn off by pressure and sliding, and not at all by a hand that is too light."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

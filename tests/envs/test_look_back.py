@@ -1,7 +1,5 @@
 """Scripts look at the board after a sweep and wipe again where ink is left; demos show them doing so."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

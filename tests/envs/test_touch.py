@@ -1,7 +1,5 @@
 """Pad images of the scene where contact truth and geometry disagree for a moment."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

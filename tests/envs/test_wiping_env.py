@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -143,9 +141,7 @@ def test_scripts_with_touch_wipe_and_those_without_do_not() -> None:
 
 
 @pytest.mark.parametrize("style", sorted(STYLES))
-def test_without_touch_the_press_depends_on_the_hidden_stiffness(
-    style: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_touch_the_press_depends_on_the_hidden_stiffness(style: str, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = BlindSettings(press_N=5.0, grip_N=13.0 if style != "measured_relative" else 8.0)
     nominal = draw_scene(SEED, "paper")
     nominal = replace(nominal, gripper_gain=1.0, board_height_m=nominal.level.layout.board_height_m)

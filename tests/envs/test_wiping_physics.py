@@ -1,7 +1,5 @@
 """The scene's physics, by the numbers a laboratory would ask for before trusting it."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The camera's estimate of ink left, against the simulator's truth and on made-up boards."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

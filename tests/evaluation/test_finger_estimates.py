@@ -1,7 +1,5 @@
 """Events from finger forces: made-up wipes whose answer is known, and real physics with its true forces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,9 +18,7 @@ WEIGHT_N = 0.8
 FRICTION = (0.6, 0.8)
 
 
-def wipe(
-    press_N: float, grip_N: float = 9.0, bias_N: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def wipe(press_N: float, grip_N: float = 9.0, bias_N: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Grasp, lift, carry for a second, press for three: time, forces, height."""
     time_s = np.arange(6 * RATE) / RATE
     height = np.interp(time_s, [1, 2], [0.1, 0.2])

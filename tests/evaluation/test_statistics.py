@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -66,10 +64,7 @@ def test_anytime_decides_early_on_a_clear_difference_and_remembers_it() -> None:
 def test_looking_after_every_seed_raises_no_false_alarm_beyond_alpha() -> None:
     rng = np.random.default_rng(0)
     trials = 400
-    alarms = [
-        anytime(list(rng.random(300) < 0.5), list(rng.random(300) < 0.5)).p_value <= 0.05
-        for _ in range(trials)
-    ]
+    alarms = [anytime(list(rng.random(300) < 0.5), list(rng.random(300) < 0.5)).p_value <= 0.05 for _ in range(trials)]
     assert sum(alarms) <= 0.05 * trials + 3 * np.sqrt(0.05 * 0.95 * trials)
 
 

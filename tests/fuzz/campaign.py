@@ -4,8 +4,6 @@ Prints a line of JSON per target when it is done with it. An unexpected error en
 leaves the input in the file ``$UNIFORCE_FUZZ_KEEP``, if that is set.
 """
 
-from __future__ import annotations
-
 import json
 import mmap
 import os
@@ -85,9 +83,7 @@ def byte_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str
             target.feed(rng, data)
 
         calm = np.random.default_rng(0)
-        yield run(
-            name, inputs, read, lambda target=target, calm=calm: target.feed(calm, target.seed), target.typed
-        )
+        yield run(name, inputs, read, lambda target=target, calm=calm: target.feed(calm, target.seed), target.typed)
 
 
 def file_campaign(inputs: int, seed: int, names: list[str]) -> Iterator[dict[str, object]]:

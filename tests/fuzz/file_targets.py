@@ -1,7 +1,5 @@
 """What reads files that others wrote: each with a folder that is right, to be injured file by file."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Callable
@@ -117,9 +115,7 @@ def descriptor_head(folder: Path) -> FileTarget:
     config = HeadConfig(channels=len(DESCRIPTOR_NAMES), grid=1, hidden=4, mlp=8)
     DescriptorHead(ForceRegressor(config), "tactip").save(folder / "data")
     seen = np.zeros((2, len(DESCRIPTOR_NAMES)))
-    return FileTarget(
-        folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen)
-    )
+    return FileTarget(folder / "data", lambda: DescriptorHead.from_pretrained("tactip", folder / "data").read(seen))
 
 
 def adapter(folder: Path) -> FileTarget:
@@ -130,9 +126,7 @@ def adapter(folder: Path) -> FileTarget:
 def transfer(folder: Path) -> FileTarget:
     root = folder / "data"
     SensorTransfer(["gelsight", "tactip"], 12, HASH).save(root / FOLDER, {})
-    return FileTarget(
-        root, lambda: SensorTransfer.from_pretrained(root, HASH).mapped(torch.zeros(2, 12), 0, 1)
-    )
+    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root, HASH).mapped(torch.zeros(2, 12), 0, 1))
 
 
 def policy(folder: Path) -> FileTarget:

@@ -1,7 +1,5 @@
 """Injuries: to bytes, and to the values inside JSON."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import json

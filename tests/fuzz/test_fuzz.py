@@ -6,8 +6,6 @@ share in the suite, 100,000 and 2,000 by ``make fuzz``, which keeps the counts (
 kept before. ``UNIFORCE_FUZZ_TARGETS`` names some of the targets (comma between them) instead of all.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -52,9 +50,7 @@ def campaign(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     found = []
     with (
         said.open("w") as stderr,
-        subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment
-        ) as process,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment) as process,
     ):
         assert process.stdout is not None
         for line in process.stdout:

@@ -1,7 +1,5 @@
 """Synthetic raw frames with known markers, after how real recordings look: see the docstrings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,9 +86,7 @@ def _dome(
 
 
 def _fisheye_hexagon(rings: int) -> tuple[np.ndarray, np.ndarray]:
-    axial = [
-        (q, r) for q in range(-rings, rings + 1) for r in range(-rings, rings + 1) if abs(q + r) <= rings
-    ]
+    axial = [(q, r) for q in range(-rings, rings + 1) for r in range(-rings, rings + 1) if abs(q + r) <= rings]
     points = np.array([(q + r / 2, r * np.sqrt(3) / 2) for q, r in axial]) / rings
     radius = np.hypot(*points.T)
     squeeze = np.sin(radius * 1.15) / np.sin(1.15) / np.maximum(radius, 1e-9)

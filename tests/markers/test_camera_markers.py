@@ -1,7 +1,5 @@
 """Cameras: markers are found whatever their colour, count and light, and never invented."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

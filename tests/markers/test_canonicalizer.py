@@ -1,7 +1,5 @@
 """The class: one contract for every sensor."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
+from benchmarks.probes.uskin_csv import read_uskin_csv
 from benchmarks.speed.canonicalizer import bench_canonicalizer, synthetic_frame
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.virtual import as_virtual
@@ -27,7 +26,6 @@ from uniforce_vtla.markers.nominal_scale import (
 )
 from uniforce_vtla.markers.reference import capture_taxel_reference
 from uniforce_vtla.sensors import get_sensor, list_sensors
-from uniforce_vtla.sensors.uskin_csv import read_uskin_csv
 
 COUNTS = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 
@@ -124,9 +122,7 @@ def test_all_real_trials_are_rendered(real_folder: Path, log: str, finger: str):
 
 @pytest.mark.real
 def test_free_air_and_held_scans_look_different(real_folder: Path):
-    scans = read_uskin_csv(
-        real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv"
-    )
+    scans = read_uskin_csv(real_folder / "uskin_bilateral_slip" / "data_set" / DROPPED[1] / "xela_sensor1.csv")
     reference = capture_taxel_reference(scans[-FREE_SCANS:])
     canon = Canonicalizer("uskin")
     canon.set_reference(reference)

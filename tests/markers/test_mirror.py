@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -32,9 +30,7 @@ def test_mirror_moves_a_dot_from_left_to_right():
     assert to_canonical(image, "right")[100, 629] == 255
 
 
-@given(
-    hnp.arrays(np.float64, hnp.array_shapes(max_dims=2).map(lambda s: (*s, 3)), elements=st.floats(-20, 20))
-)
+@given(hnp.arrays(np.float64, hnp.array_shapes(max_dims=2).map(lambda s: (*s, 3)), elements=st.floats(-20, 20)))
 def test_force_mirror_negates_x_of_the_right_finger_only(force_N):
     own = to_finger_frame(force_N, "right")
     assert np.allclose(own[..., 0], -force_N[..., 0]) and np.array_equal(own[..., 1:], force_N[..., 1:])

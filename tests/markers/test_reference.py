@@ -1,7 +1,5 @@
 """References: steady ones pass, touched ones are refused where that can be known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -50,9 +48,7 @@ def test_dead_scans_are_no_reference():
         capture_taxel_reference([np.zeros((16, 3), np.int64)] * 5)
 
 
-@pytest.mark.parametrize(
-    "scans", [[], [FREE], [FREE, FREE], [FREE, FREE, FREE.astype(float)], [FREE[:3]] * 4]
-)
+@pytest.mark.parametrize("scans", [[], [FREE], [FREE, FREE], [FREE, FREE, FREE.astype(float)], [FREE[:3]] * 4])
 def test_too_few_or_malformed_scans(scans):
     with pytest.raises(ContractError):
         capture_taxel_reference(scans)

@@ -1,7 +1,5 @@
 """Taxels: the rendering follows its published scales, saturates visibly and refuses what isn't counts."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import cv2
@@ -57,9 +55,7 @@ def test_shear_moves_right_and_up(canon, x, y, moved):
     assert np.allclose(canon.markers(loaded(5, x, y))[5] - canon.markers(BASELINE)[5], moved, atol=0.1)
 
 
-@pytest.mark.parametrize(
-    "z, diameter_px", [(0, 13.9), (900, 43.9), (3500, 83.3), (5900, 107.6), (20_000, 107.6)]
-)
+@pytest.mark.parametrize("z, diameter_px", [(0, 13.9), (900, 43.9), (3500, 83.3), (5900, 107.6), (20_000, 107.6)])
 def test_pressure_grows_the_disc_by_its_law(canon, z, diameter_px):
     grown = area(canon.marker_image(loaded(5, z=z))) - area(canon.marker_image(BASELINE)) * 15 / 16
     assert 2 * np.sqrt(grown / np.pi) == pytest.approx(diameter_px, abs=1.0)
@@ -75,7 +71,7 @@ def test_saturation_is_counted(canon):
     assert canon.saturation.frames_saturated == 0
     canon.marker_image(loaded(2, z=5_901))
     canon.marker_image(loaded(2, x=-1_601, y=1_601))
-    assert canon.saturation.as_dict() == {
+    assert dataclasses.asdict(canon.saturation) == {
         "frames": 4,
         "frames_saturated": 2,
         "taxels_radius": 1,

@@ -4,8 +4,6 @@ As LeRobot's trainer does it with FSDP: shard, step, gather all weights, save.  
 accelerate shards on accelerators only, and torch's gathering of a sharded state reads freed memory there.
 """
 
-from __future__ import annotations
-
 import sys
 
 import torch

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import shutil
@@ -145,10 +143,7 @@ def test_other_sensors_must_be_asked_for(make_config):
         check_sensors(make_config(touch__trained_sensors=trained), mounted)
     notes = check_sensors(make_config(touch__trained_sensors=trained, left_sensor="uskin"), mounted)
     assert len(notes) == 1 and "gelsight" in notes[0] and "uskin" in notes[0]
-    assert (
-        check_sensors(make_config(touch__trained_sensors=trained), {"left": "gelsight", "right": "tactip"})
-        == []
-    )
+    assert check_sensors(make_config(touch__trained_sensors=trained), {"left": "gelsight", "right": "tactip"}) == []
     slots = {"touch__slots": {"touch0": "right"}, "touch__trained_sensors": {"touch0": "tactip"}}
     one = make_config(**slots, swap="touch0:left")
     assert len(check_sensors(one, mounted)) == 1

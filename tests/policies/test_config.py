@@ -1,7 +1,5 @@
 """Settings: groups on the command line and in files, what sizes and recipes set, and what doesn't go together."""
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 
@@ -34,9 +32,7 @@ def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
     assert (config.tiny.width, config.tiny.depth, config.augment.touch_noise) == (64, 4, 0.2)
 
 
-def test_lerobots_help_names_our_settings(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_lerobots_help_names_our_settings(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Argparse chokes on a lone % in a comment."""
     monkeypatch.setattr(sys, "argv", ["lerobot-train", "--policy.type=pi05_uniforce", "--help"])
     with pytest.raises(SystemExit) as stop:
@@ -109,10 +105,7 @@ def test_auto_size_is_tiny_on_a_cpu() -> None:
         ({"touch__directions": 17}, r"touch\.directions"),
         ({"touch__input": "wrench", "touch__directions": 2}, r"touch\.directions"),
         ({"touch__input": "wrench", "touch__next_force_weight": 0.1}, "next_force_weight"),
-        *(
-            ({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes")
-            for a in ([5], [1, 1])
-        ),
+        *(({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes") for a in ([5], [1, 1])),
         ({"action__previous_steps": 4, "action__form": "absolute"}, "previous_steps"),
         ({"action__previous_steps": 4, "size": "base"}, "previous_steps"),
         ({"action__previous_steps": -1}, "previous_steps"),

@@ -3,8 +3,6 @@
 Nothing here proves that a GPU can capture it; the last test does, where there is one.
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,7 +1,5 @@
 """The fast sampler against LeRobot's own loop: same weights, same noise, same actions."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from lerobot.policies.rtc.configuration_rtc import RTCConfig

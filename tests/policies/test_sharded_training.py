@@ -1,7 +1,5 @@
 """Full-size training shards weights over cards (FSDP): the same step as a whole policy's, and a whole checkpoint."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

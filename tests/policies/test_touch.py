@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import logging
 
 import numpy as np
@@ -304,9 +302,7 @@ def test_the_gate_has_a_gradient_from_the_first_step(site, make_policy, make_bat
 
 
 @SITES
-def test_a_short_training_opens_the_gate_where_touch_decides_the_action(
-    site, make_policy, make_batch, monkeypatch
-):
+def test_a_short_training_opens_the_gate_where_touch_decides_the_action(site, make_policy, make_batch, monkeypatch):
     """The action is the wrench's first number: without touch the loss can't fall below its variance."""
     monkeypatch.setattr(training, "GATE_LR", 1e-2)
     one = {"touch__slots": {"touch0": "right"}, "action__form": "absolute"}

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
@@ -158,9 +156,7 @@ def test_lora_through_lerobots_trainer_is_merged_when_shared(dataset, tokenizer_
 
 
 @pytest.mark.slow  # two processes import LeRobot, 10 s each
-def test_two_processes_train_without_a_search_for_unused_parameters(
-    dataset, tokenizer_path, tmp_path, run_to_the_end
-):
+def test_two_processes_train_without_a_search_for_unused_parameters(dataset, tokenizer_path, tmp_path, run_to_the_end):
     """The second step would stop with an error, had any weight of any process been left without a gradient."""
     launch = "torch.distributed.run --standalone --nproc-per-node=2 --module uniforce_cli.train"
     call = [sys.executable, "-m", *launch.split()]

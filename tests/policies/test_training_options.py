@@ -1,7 +1,5 @@
 """Each way to train: which weights get a gradient, what is adapted, and what is drawn anew per sample."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 

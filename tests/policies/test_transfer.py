@@ -1,7 +1,5 @@
 """Training maps part of the latents to other sensors; a rollout never does, and no checkpoint holds the maps."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from types import SimpleNamespace

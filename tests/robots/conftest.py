@@ -1,13 +1,18 @@
 """Stand-ins that tests of sensors and teleoperators share: a process each, started once, whole for every test."""
 
-from __future__ import annotations
-
+import itertools
+import os
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from uniforce_robots.standins.fci.process import StandIn as ArmStandIn
 from uniforce_robots.standins.process import StandIn
 
+# importlib mode gives test folders no package: their fakes are found here
+sys.path[:0] = [str(Path(__file__).parent / name) for name in ("franka", "recorder", "sensors", "teleop")]
 RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
 # name → how errors call the sensor, and options
 STANDINS = {
@@ -43,3 +48,17 @@ def _whole(name: str) -> object:
 
 globals().update({f"{name}_process": _process(name) for name in STANDINS})
 globals().update({name: _whole(name) for name in STANDINS})
+
+_numbers = itertools.count(2)
+
+
+@pytest.fixture
+def address() -> str:
+    """A loopback address of its own: the ports are fixed, and tests may run side by side."""
+    return f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250}.{next(_numbers) % 250}"
+
+
+@pytest.fixture
+def fci(address: str, tmp_path: Path) -> Iterator[ArmStandIn]:
+    with ArmStandIn(address, log=tmp_path / "wire.jsonl") as standin:
+        yield standin

@@ -1,7 +1,5 @@
 """A few of the benchmark's bad inputs for every command; all of them: ``python -m benchmarks.trust.command_line``."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.trust.bad_words import Room

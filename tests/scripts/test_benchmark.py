@@ -1,7 +1,5 @@
 """The benchmark with the one arm that needs no checkpoint, and what it says where checkpoints are missing."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Callable
@@ -46,9 +44,7 @@ def test_a_script_is_not_taken_for_a_policy() -> None:
     assert arms == ["V+T", "expert", "blind"] and ScoreConfig(policy="expert", arm="me").arm == "me"
 
 
-def test_arms_without_a_checkpoint_are_named_and_left_out(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_arms_without_a_checkpoint_are_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "vt").mkdir()
     (tmp_path / "vt" / "config.json").write_text("{}")
     found = configs(BenchmarkConfig(checkpoints=str(tmp_path)), rollouts=3)
@@ -84,9 +80,7 @@ def test_arms_take_turns_and_a_second_run_does_nothing(tmp_path: Path, rolled_ou
     assert [r.count("clean") for r in reports] == [2, 2]
 
 
-def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
-    tmp_path: Path, rolled_out: RolledOut
-) -> None:
+def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(tmp_path: Path, rolled_out: RolledOut) -> None:
     def filmed(job: score_worker.Job) -> bool:
         if job.seed in job.config.film:
             job.config.video(job.seed).touch()
@@ -102,9 +96,7 @@ def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(
         score_arms([dataclasses.replace(plain, film=[8])], workers=1)
 
 
-def test_a_slot_the_policy_lacks_is_refused_before_processes_start(
-    tmp_path: Path, rolled_out: RolledOut
-) -> None:
+def test_a_slot_the_policy_lacks_is_refused_before_processes_start(tmp_path: Path, rolled_out: RolledOut) -> None:
     jobs = rolled_out(lambda job: True)
     with pytest.raises(ContractError, match="touch0"):
         score(ScoreConfig(swap="nose:left", workers=1, out=str(tmp_path)))

@@ -1,7 +1,5 @@
 """The checkpoints that come with the source are the plan's: they load, and were trained as it says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

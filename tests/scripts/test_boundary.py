@@ -1,7 +1,5 @@
 """What a command raises becomes one line and an exit code; what options declare is checked before the work begins."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -151,9 +149,7 @@ def failing(error: BaseException) -> Callable[[], int]:
         (ContractError("http://anna:s3cret@cam"), 2, "uniforce-x: http://***@cam"),
     ],
 )
-def test_an_error_is_one_line(
-    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_error_is_one_line(error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert guarded("uniforce-x", failing(error)) == code
     out, err = capsys.readouterr()
     assert not out and err.startswith(line) and err.count("\n") == 1

@@ -1,7 +1,5 @@
 """A published π0.5 becomes a pi05_uniforce: names of the real size, and a whole conversion in miniature."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The demo at its smallest: every stage runs, a page of text comes out, the rest is in its log; what a view takes."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path
@@ -18,9 +16,7 @@ class SeenEnoughError(Exception):
     """Ends the demo where a test has seen enough."""
 
 
-def test_it_learns_from_every_demo_that_wiped_the_board(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_it_learns_from_every_demo_that_wiped_the_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nudged experts have an event in half of the demos: of three, all may have one, and the demo ended there."""
     asked = []
 
@@ -54,9 +50,7 @@ def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_smallest_demo_prints_less_than_forty_lines(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "demo"
     assert demo.main(["episodes=1", "train_steps=1", "rollouts=1", "level=easy", f"out={out}"]) == 0
     said, warned = capfd.readouterr()
@@ -74,9 +68,7 @@ def test_the_smallest_demo_prints_less_than_forty_lines(
         ({"keep_failures": True}, [CLEAN, EVENT, FAILED, ABORTED]),
     ],
 )
-def test_clean_demos_always_others_when_asked_for(
-    settings: dict[str, bool], taken: list[tuple[bool, str]]
-) -> None:
+def test_clean_demos_always_others_when_asked_for(settings: dict[str, bool], taken: list[tuple[bool, str]]) -> None:
     def facts(success: bool, outcome: str) -> EpisodeFacts:
         return EpisodeFacts("demos", 0, 300, "wipe", success, outcome, 0, "gelsight", "tactip")
 

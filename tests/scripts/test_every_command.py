@@ -1,7 +1,5 @@
 """Every verb and benchmark: a help text that teaches by example, quickly; nothing else is installed."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import importlib.util

@@ -1,7 +1,5 @@
 """Presets: the shipped checkpoints' recipes, complete and overridable."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Raw frames beside a recording, and taxel counts in it, are shown where they were kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2
@@ -50,9 +48,7 @@ def test_frames_and_counts_are_the_episodes_own(recorded: Path) -> None:
     assert change == [int(100 * step / 4000 * 255) for step in range(FRAMES)]
 
 
-def test_what_was_not_kept_is_not_shown_and_what_is_truncated_is_an_error(
-    recorded: Path, tmp_path: Path
-) -> None:
+def test_what_was_not_kept_is_not_shown_and_what_is_truncated_is_an_error(recorded: Path, tmp_path: Path) -> None:
     source = read_source(recorded)
     file = raw_path(recorded, "left", 0)
     whole = file.read_bytes()

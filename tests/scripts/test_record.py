@@ -1,7 +1,5 @@
 """What a demonstration stores while it is nudged."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Controls change the touch that a policy gets, and nothing else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -30,9 +28,7 @@ class Watching:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", [0, 2])
-def test_shuffled_touch_is_another_scenes_in_the_same_phase(
-    phase: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase: int, monkeypatch: pytest.MonkeyPatch) -> None:
     bank = donated_touch("easy", {"left": "gelsight", "right": "tactip"}, donors=1)
     assert set(bank) == {0, 1, 2, 3}
     monkeypatch.setattr(WipeEnv, "phase", phase)

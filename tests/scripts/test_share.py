@@ -1,7 +1,5 @@
 """A shared policy: everything another person needs, and nothing of the machine it was made on."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

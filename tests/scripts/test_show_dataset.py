@@ -80,10 +80,7 @@ def test_a_force_head_reads_the_latents_instead_of_the_descriptors(recorded: Pat
     assert "force head tactip, from latents" in page.read_text()
     recording = RecordingForces(recorded, descriptor_heads())
     by_descriptor = recording.read(recording.source.episodes[0]).force_N
-    assert (
-        json.loads(content.read_text())["strongest_N"]["left"]
-        != np.abs(by_descriptor).max(axis=0)[0].tolist()
-    )
+    assert json.loads(content.read_text())["strongest_N"]["left"] != np.abs(by_descriptor).max(axis=0)[0].tolist()
 
 
 def test_unknown_episodes_and_forms_are_refused(

@@ -1,7 +1,5 @@
 """The report's questions that don't need minutes: errors that say what to do, and a user's own recordings."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -36,9 +34,7 @@ def test_every_row_can_be_named_on_the_command_line() -> None:
         assert parse(TokenizerReportCommand, [f"only={name}"]).only == name  # no YAML hides in it
 
 
-def test_one_row_measured_anew_leaves_the_rest_of_the_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_row_measured_anew_leaves_the_rest_of_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recipe = replace(HETERO_HARD, sequences=2, length=3, canonicalize=False)
     sets = {name: draw_hard(recipe, as_virtual(name), 128) for name in ("tactip", "uskin")}
     table = Table(sets, sets, HeadTrainingConfig(steps=2))

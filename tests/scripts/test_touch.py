@@ -1,7 +1,5 @@
 """``uniforce touch``: the live view, its outputs, and the two checks, against stand-ins."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

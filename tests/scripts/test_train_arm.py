@@ -1,7 +1,5 @@
 """Every recipe of the plan becomes a training run; the plan's arms find their checkpoints."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the project's own source is, for tests that read all of it."""
 
-from __future__ import annotations
-
 import shutil
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What fuzzing found, and sizes no machine holds: each was an untyped error, or memory without end."""
 
-from __future__ import annotations
-
 import json
 import time
 import zipfile

@@ -1,7 +1,5 @@
 """What listens, listens on loopback unless an option says otherwise."""
 
-from __future__ import annotations
-
 import ast
 import ipaddress
 import socket
@@ -43,7 +41,7 @@ def addresses(pid: int) -> list[str]:
 @pytest.mark.parametrize("name", ["mjpeg", "xela"])
 def test_tactile_stand_ins_listen_on_loopback(name: str) -> None:
     with StandIn(name, "rest_s=0.2", "press_s=0", "rate_hz=5") as stand_in:
-        found = addresses(stand_in._process.pid)
+        found = addresses(stand_in.process.pid)
     assert found and all(ipaddress.ip_address(address).is_loopback for address in found)
 
 

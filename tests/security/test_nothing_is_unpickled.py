@@ -1,7 +1,5 @@
 """Only safetensors, JSON, parquet and plain arrays are read: the source says so, and poisoned files prove it."""
 
-from __future__ import annotations
-
 import ast
 import json
 import pickle

@@ -1,7 +1,5 @@
 """Paths that a file names never lead out of its folder, and are refused before anything else is opened."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -30,9 +28,7 @@ OPENERS: dict[str, Callable[[Path], Any]] = {
     "read_source": read_source,
     "open_dataset": open_dataset,
     "build_view": lambda root: build_view(root, root.parent / "view", encoder=BlockMeans()),
-    "show_dataset": lambda root: show_dataset(
-        ShowDatasetConfig(root=str(root), out=str(root.parent / "out"))
-    ),
+    "show_dataset": lambda root: show_dataset(ShowDatasetConfig(root=str(root), out=str(root.parent / "out"))),
     "make_training_dataset": lambda root: make_training_dataset(
         SimpleNamespace(dataset=SimpleNamespace(root=str(root), repo_id="local/x")), pytest.fail
     ),
@@ -80,10 +76,7 @@ TEMPLATES = [
 SPOILT: list[Callable[[dict[str, Any]], Any]] = [
     *(lambda info, t=template: info.update(video_path=t) for template in TEMPLATES),
     *(lambda info, t=template: info.update(data_path=t) for template in TEMPLATES[:3]),
-    *(
-        lambda info, n=name: rename_video(info, n)
-        for name in ("../front", "/etc", "..", "a/b", "a\\b", ".", "")
-    ),
+    *(lambda info, n=name: rename_video(info, n) for name in ("../front", "/etc", "..", "a/b", "a\\b", ".", "")),
 ]
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import gc
 import sys
 
@@ -93,9 +91,7 @@ def test_two_streams_dont_share_state(tokenizer: Tokenizer, head: ForceHead, dot
     np.testing.assert_array_equal(two.step(dots[1]).force_N, alone)
 
 
-def test_the_reference_is_encoded_once(
-    tokenizer: Tokenizer, dots: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_reference_is_encoded_once(tokenizer: Tokenizer, dots: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
     original = tokenizer.model.encoder.encode_reference
     encoder = tokenizer.model.encoder
@@ -135,9 +131,7 @@ def test_frame_before_reference(tokenizer: Tokenizer, dots: np.ndarray) -> None:
         StreamingEncoder(tokenizer, "left").step(dots[0])
 
 
-def test_bad_frames_are_refused_and_change_nothing(
-    tokenizer: Tokenizer, head: ForceHead, dots: np.ndarray
-) -> None:
+def test_bad_frames_are_refused_and_change_nothing(tokenizer: Tokenizer, head: ForceHead, dots: np.ndarray) -> None:
     encoder, clean = (StreamingEncoder(tokenizer, "left", head) for _ in range(2))
     for stream in (encoder, clean):
         stream.set_reference(dots[0])

@@ -1,7 +1,5 @@
 """Label-free calibration: from equal forces alone, and only from those."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Iterator
@@ -78,9 +76,7 @@ def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> N
     assert losses[-1] < 0.8 * losses[0] and reconstructed < 0.8 * parts["copied"].item()
 
 
-def test_resumed_run_equals_an_uninterrupted_one(
-    data: PairCache, settings: PretrainSettings, tmp_path: Path
-) -> None:
+def test_resumed_run_equals_an_uninterrupted_one(data: PairCache, settings: PretrainSettings, tmp_path: Path) -> None:
     whole = Pretraining(settings, tmp_path / "whole", data).run()
     Pretraining(settings, tmp_path / "parts", data).run(until=4)
     resumed = Pretraining(settings, tmp_path / "parts", data)
@@ -94,9 +90,7 @@ def test_resumed_run_equals_an_uninterrupted_one(
     assert (tmp_path / "parts" / "tokenizer" / "model.safetensors").exists()
 
 
-def test_a_run_may_start_from_another_ones_weights(
-    data: PairCache, settings: PretrainSettings, tmp_path: Path
-) -> None:
+def test_a_run_may_start_from_another_ones_weights(data: PairCache, settings: PretrainSettings, tmp_path: Path) -> None:
     first = Pretraining(settings, tmp_path / "first", data).run(until=2)
     first.save(tmp_path / "weights")
     warm = replace(settings, init=str(tmp_path / "weights"))
@@ -187,9 +181,7 @@ def fresh_accelerator() -> Iterator[None]:
     AcceleratorState._reset_state(reset_partial_state=True)
 
 
-def test_bf16_trains(
-    settings: PretrainSettings, data: PairCache, tmp_path: Path, fresh_accelerator: None
-) -> None:
+def test_bf16_trains(settings: PretrainSettings, data: PairCache, tmp_path: Path, fresh_accelerator: None) -> None:
     report = Pretraining(replace(settings, mixed_precision="bf16"), tmp_path, data).train_step()
     assert np.isfinite(report["loss"])
 

@@ -1,7 +1,5 @@
 """Maps to the other finger's latents: fitted where a linear map is the truth, refused where it doesn't belong."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -4,8 +4,6 @@ The encoder reads layout and view off the reference image. Thickness, Poisson's 
 in free air, and Young's modulus only scales: what an unseen sensor's force scale lacks is calibration's.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -69,9 +67,7 @@ class FamilyBounds:
 BOUNDS = {
     "v1": FamilyBounds(),
     "v2": FamilyBounds(
-        FlatFamily(
-            pitch_mm=(1.6, 3.7), stretch=(0.7, 1.42), size_of_pitch=(0.22, 0.52), px_per_mm=(16.0, 32.0)
-        ),
+        FlatFamily(pitch_mm=(1.6, 3.7), stretch=(0.7, 1.42), size_of_pitch=(0.22, 0.52), px_per_mm=(16.0, 32.0)),
         DomeFamily(rings=(3, 9), reach_mm=(14.5, 19.5), size_mm=(0.7, 1.8), px_per_mm=(8.5, 13.0)),
     ),
     "v3": FamilyBounds(FlatFamily(px_per_mm=(22.0, 26.0)), DomeFamily(px_per_mm=(11.0, 13.0))),

@@ -4,8 +4,6 @@ Names follow the 18 GenForce indenters; the shapes are our own formulas (only th
 to press a 25 mm pad. A height is how far the surface lies behind the foremost point, ``inf`` beyond the body.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -69,9 +67,7 @@ HEIGHTS: dict[str, Height] = {
     "sphere_s": lambda x, y: _ball(3.5, x, y),
     "torus": lambda x, y: _ball(1.8, np.hypot(x, y) - 4.0, np.zeros_like(x)),
     "triangle": lambda x, y: _polygon(3, 3.0, x, y),
-    "wave": lambda x, y: _within(
-        (np.abs(x) <= 6.0) & (np.abs(y) <= 4.0), 0.6 * (1 - np.cos(x * np.pi / 2.0))
-    ),
+    "wave": lambda x, y: _within((np.abs(x) <= 6.0) & (np.abs(y) <= 4.0), 0.6 * (1 - np.cos(x * np.pi / 2.0))),
 }
 UNSEEN = ("sphere_s", "triangle", "pacman", "cone", "wave", "torus")
 SEEN = tuple(name for name in HEIGHTS if name not in UNSEEN)
@@ -83,9 +79,7 @@ def gap_map(name: str, center_mm: Sequence[float], angle_rad: float, scale: floa
     return gap_maps([name], np.array([center_mm]), np.array([angle_rad]), np.array([scale]))[0]
 
 
-def gap_maps(
-    names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray
-) -> np.ndarray:
+def gap_maps(names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return (B, G, G) float32 gaps of ``names`` at (B, 2) centres, turned by (B,) angles, sized by (B,) scales.
 
     Raises:

@@ -4,8 +4,6 @@ Anchors: the paper's gels are 25×25×4 mm and reach 12 N at 1.0 to 1.1 mm (GelS
 sphere on a bonded layer then needs E of .3 to 1 MPa. Real TacTips give 3.3 to 4.7 N/mm.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from uniforce_vtla.contact.elastic import Gel, Layer

@@ -3,8 +3,6 @@
 Square cells, x right, y down, 0 at the pad's centre; the skin stands back from the tangent plane.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

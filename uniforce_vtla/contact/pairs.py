@@ -1,7 +1,5 @@
 """Equilibrium pairs: one contact of two fingers, as each sensor sees it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -52,9 +50,7 @@ class PairSettings:
     options: ContactOptions = field(default_factory=ContactOptions)  # friction and randomness
     look: Look | None = None  # how freely cameras differ; None leaves only the units' own tolerance
     misaligned_cells: int = 0  # fingers not facing each other: the right contact moves by up to so many mm
-    imbalance: float = (
-        0.0  # broken equilibrium: the right force is off by up to this share of the normal force
-    )
+    imbalance: float = 0.0  # broken equilibrium: the right force is off by up to this share of the normal force
 
     def objects(self, rng: np.random.Generator, n: int, indenters: Sequence[str]) -> Objects:
         """Return ``n`` random objects, flat faces as these settings say."""
@@ -129,9 +125,7 @@ def _disturbed(rng: np.random.Generator, contact: ContactState, settings: PairSe
     if settings.misaligned_cells:
         shifts = rng.integers(-settings.misaligned_cells, settings.misaligned_cells + 1, (len(gap), 2))
         reach, cells = settings.misaligned_cells, gap.shape[1]
-        padded = np.pad(
-            gap, ((0, 0), (reach, reach), (reach, reach)), constant_values=np.inf
-        )  # no object beyond
+        padded = np.pad(gap, ((0, 0), (reach, reach), (reach, reach)), constant_values=np.inf)  # no object beyond
         starts = reach - shifts  # (n, 2) column, row
         gap = np.stack([g[y : y + cells, x : x + cells] for g, (x, y) in zip(padded, starts, strict=True)])
     if settings.imbalance:

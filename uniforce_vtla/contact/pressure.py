@@ -3,8 +3,6 @@
 Conjugate gradients under p ≥ 0 and a given total (Polonsky and Keer, Wear 231, 1999), many contacts at a time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Each shape is cut into row spans; the pixels of all spans are listed and set in one go.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE

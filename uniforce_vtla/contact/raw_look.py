@@ -4,8 +4,6 @@ Only as true as testing a marker finder needs: polarity, uneven coloured light, 
 ring and lamp reflections (described in facts D; no frame was copied).
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import cv2

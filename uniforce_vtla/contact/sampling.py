@@ -1,7 +1,5 @@
 """Random contacts: objects on the pad and loads within friction, balanced over what a policy must tell apart."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -56,9 +54,7 @@ def sample_objects(
     return Objects(gap, tuple(FLAT if is_flat else name for is_flat, name in zip(flat, names, strict=True)))
 
 
-def _flat_faces(
-    rng: np.random.Generator, n: int, side_mm: tuple[float, float], tilt_rad: float
-) -> np.ndarray:
+def _flat_faces(rng: np.random.Generator, n: int, side_mm: tuple[float, float], tilt_rad: float) -> np.ndarray:
     """Return (n, G, G) gaps of tool sides, slightly tilted."""
     return flat_face_gap(
         rng.uniform(-5, 5, (n, 2)),
@@ -85,9 +81,7 @@ def sample_loads(
     unit = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
     longest = force_range.shear_N / np.abs(unit).max(axis=1)  # the square ±shear_N, in every direction
     shear = unit * (np.minimum(force_range.friction * fz, longest) * share)[:, None]
-    spare = np.sqrt(
-        np.maximum(1 - (np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)) ** 2, 0)
-    )
+    spare = np.sqrt(np.maximum(1 - (np.hypot(*shear.T) / np.maximum(force_range.friction * fz, 1e-9)) ** 2, 0))
     twist = np.where(rng.random(n) < 0.5, rng.uniform(-1, 1, n), 0)
     flat = np.array([name == FLAT for name in names], dtype=bool) if names else np.zeros(n, dtype=bool)
     arm_mm = np.where(flat, force_range.flat_torsion_arm_mm, force_range.torsion_arm_mm)

@@ -1,7 +1,5 @@
 """Force-labelled sequences of one sensor: press, shear, release (the collection protocol of GenForce)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A simulated sensor: contact state in, marker images, raw frames or counts out; many contacts chunk by chunk."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -183,9 +181,7 @@ class TactileSimulator:
             return fill_discs(centre_px, size_px)
         if self.spec.marker_shape == "dash":
             return fill_squares(centre_px, size_px, turn, DASH_ASPECT)
-        return fill_squares(
-            centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0)
-        )
+        return fill_squares(centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0))
 
     def _build_response(self) -> CameraResponse | TaxelResponse:
         rng = np.random.default_rng(self.unit.seed)
@@ -239,9 +235,7 @@ def rows_of(contact: ContactState, rows: slice) -> ContactState:
     return ContactState(contact.gap_mm[rows], contact.force_N[rows], contact.torsion_Nmm[rows])
 
 
-def images_of(
-    simulator: TactileSimulator, contact: ContactState, transform: Transform | None = None
-) -> np.ndarray:
+def images_of(simulator: TactileSimulator, contact: ContactState, transform: Transform | None = None) -> np.ndarray:
     """Return (B, …) images chunk by chunk, so that only a transform's (small) results pile up."""
     chunks = []
     for part in slices(len(contact.gap_mm), _CHUNK):

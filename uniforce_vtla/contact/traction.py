@@ -1,7 +1,5 @@
 """Shear load → tangential traction: the skin sticks to the object as far as friction allows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -119,8 +117,6 @@ def _cap(
         q = ratio * p[:, None]
         missing = shear_N - q.sum(axis=2)  # (B, 2)
         sticking = p * (length < friction)
-        ratio = (
-            ratio + _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm)) * (sticking > 0)[:, None]
-        )
+        ratio = ratio + _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm)) * (sticking > 0)[:, None]
     length = np.sqrt((ratio**2).sum(axis=1))
     return ratio * np.minimum(1, friction / np.maximum(length, 1e-9))[:, None]

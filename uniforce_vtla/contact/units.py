@@ -30,9 +30,7 @@ class UnitVariation:
     tilt: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
-    def draw(
-        cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0
-    ) -> UnitVariation:
+    def draw(cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0) -> UnitVariation:
         """Return a random unit of ``sensor``; ``strength`` 0 gives the drawing, 1 the usual spread."""
         taxel = as_virtual(sensor).spec.signal == "taxel"
         shift_mm = (0.3 if taxel else 0.6) * strength  # moulding tolerance; ViTac 2024 draws ±1 mm

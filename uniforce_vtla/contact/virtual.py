@@ -4,8 +4,6 @@ The three real sensors are the registry's; a *virtual* one shows what the tokeni
 pretrained on.  GelSight-D (diamonds on a staggered lattice) is the one the paper tests with.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from uniforce_vtla.contact.materials import MATERIALS, PadMaterial, TaxelMaterial, get_material

@@ -1,7 +1,5 @@
 """From scored episodes to an arm's line in the table, and to the part of a table that is one checkpoint's."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Mapping, Sequence

@@ -5,8 +5,6 @@ was ink in the first picture is looked up in the last one. Cells hidden by the a
 guessed, and the estimate says how many it could judge.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

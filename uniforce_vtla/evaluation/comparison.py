@@ -1,7 +1,5 @@
 """Arms on the same seeds: which one is better, which one is at most a margin worse."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -4,8 +4,6 @@ Everything is computed from a trace of true (or, on hardware, estimated) quantit
 environment. Outcomes sum to n; events may overlap; a clean success is a success without an event.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, fields
 
 import numpy as np

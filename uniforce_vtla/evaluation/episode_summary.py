@@ -1,7 +1,5 @@
 """One recorded episode for people: its key frames, forces, latents and estimated events, and pictures of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -79,11 +77,7 @@ class EpisodeSummary:
             f"press > {most_N:g} N": self.found.press_N > most_N,
             "both pads at their friction limit": used > FRICTION_SHARE,
         }
-        return [
-            Stretch(name, int(first), int(end))
-            for name, flags in beyond.items()
-            for first, end in runs(flags)
-        ]
+        return [Stretch(name, int(first), int(end)) for name, flags in beyond.items() for first, end in runs(flags)]
 
     @property
     def verdict(self) -> list[str]:
@@ -218,9 +212,7 @@ def _event(panel: Axes, summary: EpisodeSummary, name: str) -> None:
     }
     limit, limit_label, label, colour = limits[name]
     if summary.truth is not None:
-        panel.plot(
-            summary.time_s, values(summary.truth), color="k", lw=2.2, alpha=0.25, label="from true forces"
-        )
+        panel.plot(summary.time_s, values(summary.truth), color="k", lw=2.2, alpha=0.25, label="from true forces")
     if summary.found is not None:
         panel.plot(summary.time_s, values(summary.found), color=colour, lw=1.4, label="estimate")
     panel.axhline(limit, color=BEYOND, lw=0.8, ls="--", label=limit_label)

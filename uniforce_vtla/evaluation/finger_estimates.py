@@ -6,8 +6,6 @@ separates a slide from a firm stroke (docs/benchmark.md). These forces don't say
 pad was pressed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,9 +102,7 @@ def _carry(time_s: np.ndarray, start: int) -> slice:
     return slice(start, int(np.searchsorted(time_s, end_s)))
 
 
-def _check(
-    time_s: np.ndarray, force_N: np.ndarray, tool_z_m: np.ndarray, pad_friction: tuple[float, float]
-) -> None:
+def _check(time_s: np.ndarray, force_N: np.ndarray, tool_z_m: np.ndarray, pad_friction: tuple[float, float]) -> None:
     n = len(time_s)
     if n < 2 or force_N.shape != (n, 2, 3) or tool_z_m.shape != (n,):
         came = f"{time_s.shape}, {force_N.shape}, {tool_z_m.shape}"

@@ -1,7 +1,5 @@
 """Pictures of scored rollouts: bars with intervals, an episode's sheet or its estimates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -90,9 +88,7 @@ def write_trace_sheet(path: Path, rollout: Rollout, title: str) -> Path:
     return save_figure(figure, path, PICTURE_DPI, crop=True)
 
 
-def draw_estimate(
-    found: FingerEstimate, time_s: np.ndarray, truth: FingerEstimate | None, path: Path
-) -> Path:
+def draw_estimate(found: FingerEstimate, time_s: np.ndarray, truth: FingerEstimate | None, path: Path) -> Path:
     """Draw a recording's estimates over time, beside the same from true forces where there are any."""
     figure = Figure(figsize=(9, 6), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)

@@ -3,8 +3,6 @@
 Evaluation never meets a policy class; it is handed a controller, ``action chunk = f(observation)``.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field
 from typing import Any, Protocol

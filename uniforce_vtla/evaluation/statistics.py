@@ -1,7 +1,5 @@
 """Intervals and paired tests for success counts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -171,6 +169,4 @@ def _tango(only_new: int, only_reference: int, n: int, delta: float) -> float:
     q = (math.sqrt(max(b * b - 8 * n * c, 0.0)) - b) / (4 * n)
     variance = n * (2 * q + delta * (1 - delta))
     shift = only_new - only_reference - n * delta
-    return (
-        shift / math.sqrt(variance) if variance > 1e-12 else math.copysign(math.inf, shift) if shift else 0.0
-    )
+    return shift / math.sqrt(variance) if variance > 1e-12 else math.copysign(math.inf, shift) if shift else 0.0

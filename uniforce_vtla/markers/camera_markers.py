@@ -1,10 +1,8 @@
-"""Camera frame → canonical marker image and marker centres, by classical filters only (one thread, real time).
+"""Camera frame → markers and their canonical image, by classical filters only (one thread, real time).
 
 A frame of any size is scaled to fit 640×480 with its aspect kept, segmented there, and put in the middle of a black
 480×640 image: a 1280×720 frame fills rows 60…419. Markers are white whatever their colour was.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 
@@ -13,20 +11,10 @@ import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, SensorError, expected
-from uniforce_vtla.markers.marker_blobs import (
-    Blobs,
-    MarkerPlan,
-    SegmentationSettings,
-    channel_image,
-    find_blobs,
-    grow_mask,
-    keep_markers,
-)
+from uniforce_vtla.markers.marker_blobs import Blobs, MarkerPlan, channel_image, find_blobs, marker_mask
 from uniforce_vtla.markers.marker_plan import choose_plan, score_blobs
 
 MIN_SIDE_PX = 48  # a smaller frame can't hold a marker pattern
-THUMBNAIL_SIZE = (16, 12)  # enough to tell one gel and lighting from another
-ALIKE_LEVELS = 12.0  # grey levels, mean: a touch changes less, another sensor more
 # the bright ring outside a dome's rim: an arc of blobs that aren't markers, cut off by its radius
 ARC_BINS = 36  # 10° each
 MIN_ARC_BINS = 9  # a quarter circle: fewer bins are reflections, not a rim
@@ -35,17 +23,58 @@ MIN_RING_PX = 25  # sampled pixels needed to fit a circle
 BLACK_LEVEL = 12  # grey levels: no pixel brighter means the lights or the camera are off
 
 
+type Rim = tuple[np.ndarray, float]  # centre (2,) x, y of the bright ring, and how far from it markers lie, px
+
+
 @dataclass(frozen=True)
 class Segmentation:
-    """Markers of one camera frame."""
+    """Markers of one camera frame, in px of the frame as ``fit_canonical`` gives it, and how they were found."""
 
-    image: np.ndarray  # (480, 640) uint8 in {0, 255}
-    centres_px: np.ndarray  # (M, 2) float32, x, y in the canonical image
-    plan: MarkerPlan  # how they were found
+    blobs: Blobs
+    plan: MarkerPlan
+    rim: Rim | None
+
+    @property
+    def centres_px(self) -> np.ndarray:
+        """(M, 2) float32 x, y in the canonical image."""
+        return (self.blobs.markers + _margins(self.blobs.labels)[::-1]).astype(np.float32)
+
+    def image(self) -> np.ndarray:
+        """Return the (480, 640) uint8 image in {0, 255}: the markers in the middle of a black canvas."""
+        mask = marker_mask(self.blobs)
+        top, left = _margins(mask)
+        image = np.zeros(MARKER_IMAGE_SHAPE, np.uint8)
+        image[top : top + mask.shape[0], left : left + mask.shape[1]] = mask
+        return image
 
 
-def check_frame(frame: np.ndarray) -> np.ndarray:
-    """Return an (H, W, 3) uint8 frame that isn't empty or dark.
+def segment(working: np.ndarray, dome: bool, plan: MarkerPlan | None = None, rim: Rim | None = None) -> Segmentation:
+    """Return the markers of an (h, w, 3) uint8 RGB frame from ``fit_canonical``.
+
+    Args:
+        working: the frame.
+        dome: leave out what lies on or outside a bright rim around the markers.
+        plan: how to look; None finds it in this frame.
+        rim: where the rim is; None looks for it in this frame.
+
+    Raises:
+        SensorError: no markers.
+    """
+    plan = plan or choose_plan(working)
+    blobs = find_blobs(channel_image(working, plan.channel), plan)
+    if blobs is not None and dome:
+        rim = rim or find_rim(blobs)
+        if rim is not None:
+            blobs = blobs.without(np.hypot(*(blobs.markers - rim[0]).T) >= rim[1])
+    if blobs is None or score_blobs(blobs) == 0:
+        came = f"{0 if blobs is None else blobs.keep.sum()} blobs without the spacing of a pattern"
+        do = "Is the gel torn, unlit, or without markers?"
+        raise SensorError(expected("camera frame", "markers on the gel", came, do))
+    return Segmentation(blobs, plan, rim)
+
+
+def fit_canonical(frame: np.ndarray) -> np.ndarray:
+    """Return an (H, W, 3) uint8 frame scaled to the largest size inside 640×480 with its aspect kept.
 
     Raises:
         ContractError: wrong type, rank, dtype or size.
@@ -55,48 +84,13 @@ def check_frame(frame: np.ndarray) -> np.ndarray:
     if not isinstance(frame, np.ndarray) or frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8:
         do = "Pass the camera's RGB frame, not scaled to floats."
         raise ContractError(expected("camera frame", "(H, W, 3) uint8", f"{dtype} {shape}", do))
-    if min(frame.shape[:2]) < MIN_SIDE_PX:
+    rows, columns = frame.shape[:2]
+    if min(rows, columns) < MIN_SIDE_PX:
         wanted = f"at least {MIN_SIDE_PX} px a side"
         raise ContractError(expected("camera frame", wanted, shape, "Check the camera's resolution."))
     if frame.max() <= BLACK_LEVEL or frame.min() == frame.max():
         came = "an all-black frame" if frame.max() <= BLACK_LEVEL else "one even colour"
         raise SensorError(expected("camera frame", "a lit gel", came, "Check the sensor's lights and cable."))
-    return frame
-
-
-def segment(
-    frame: np.ndarray, settings: SegmentationSettings, dome: bool, plan: MarkerPlan | None
-) -> Segmentation:
-    """Return the markers of an (H, W, 3) uint8 RGB frame.
-
-    Args:
-        frame: the camera's frame.
-        settings: thresholds.
-        dome: look for a bright rim around the markers and leave it out.
-        plan: how to look, from the reference frame; None finds it in this frame.
-
-    Raises:
-        ContractError: see ``check_frame``.
-        SensorError: dark frame, or no markers.
-    """
-    working = fit_canonical(check_frame(frame))
-    chosen = plan or choose_plan(working, settings)[0]
-    blobs = find_blobs(channel_image(working, chosen.channel), chosen, settings)
-    keep = np.zeros(0, bool) if blobs is None else keep_markers(blobs, settings)
-    if blobs is not None and dome:
-        keep = inside_rim(blobs, keep)
-    if blobs is None or score_blobs(blobs, keep, settings) == 0:
-        came = f"{int(keep.sum())} blobs without the spacing of a pattern"
-        do = "Is the gel torn, unlit, or without markers?"
-        raise SensorError(expected("camera frame", "markers on the gel", came, do))
-    mask = np.concatenate([[0], np.where(keep, 255, 0)]).astype(np.uint8)[blobs.labels]
-    image, offset = centre_on_canvas(grow_mask(mask, blobs.foot, blobs.centres[keep], settings))
-    return Segmentation(image, (blobs.centres[keep] + offset).astype(np.float32), chosen)
-
-
-def fit_canonical(frame: np.ndarray) -> np.ndarray:
-    """Return ``frame`` scaled to the largest size inside 640×480 with its aspect kept."""
-    rows, columns = frame.shape[:2]
     scale = min(MARKER_IMAGE_SHAPE[0] / rows, MARKER_IMAGE_SHAPE[1] / columns)
     if scale == 1:
         return frame
@@ -104,43 +98,18 @@ def fit_canonical(frame: np.ndarray) -> np.ndarray:
     return cv2.resize(frame, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
 
 
-def thumbnail(frame: np.ndarray) -> np.ndarray:
-    """Return a small (12, 16, 3) int16 picture of a frame's light and colour."""
-    coarse = cv2.resize(frame, (160, 120), interpolation=cv2.INTER_NEAREST)  # cheap first step
-    return cv2.resize(coarse, THUMBNAIL_SIZE, interpolation=cv2.INTER_AREA).astype(np.int16)
-
-
-def looks_alike(first: np.ndarray, second: np.ndarray) -> bool:
-    """Return whether two thumbnails may come from one camera and gel."""
-    return float(np.abs(first - second).mean()) <= ALIKE_LEVELS
-
-
-def centre_on_canvas(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mask in the middle of a black canonical image, and its (x, y) offset in px."""
-    top, left = ((full - part) // 2 for full, part in zip(MARKER_IMAGE_SHAPE, mask.shape, strict=True))
-    image = np.zeros(MARKER_IMAGE_SHAPE, np.uint8)
-    image[top : top + mask.shape[0], left : left + mask.shape[1]] = mask
-    return image, np.array([left, top], np.float32)
-
-
-def inside_rim(blobs: Blobs, keep: np.ndarray) -> np.ndarray:
-    """Return ``keep`` without blobs that lie on or outside the rim; unchanged where no rim shows."""
-    if keep.sum() < 4:
-        return keep
-    ring = _ring_pixels(blobs, keep)
+def find_rim(blobs: Blobs) -> Rim | None:
+    """Return the rim that refused blobs show around the kept ones; None where they show none."""
+    ring = _ring_pixels(blobs) if blobs.keep.sum() >= 4 else np.zeros((0, 2))
     if len(ring) < MIN_RING_PX:
-        return keep
+        return None
     centre, radius = fit_circle(ring)
     offset = ring - centre
-    distance = np.hypot(*offset.T)
-    bins = np.unique(
-        np.floor((np.arctan2(offset[:, 1], offset[:, 0]) / np.pi + 1) / 2 * ARC_BINS).astype(int)
-    )
+    distance, angle = np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0])
+    bins = np.unique(np.floor((angle / np.pi + 1) / 2 * ARC_BINS).astype(int))
     if len(bins) < MIN_ARC_BINS or distance.std() > 0.06 * radius:
-        return keep  # scattered reflections don't lie on one circle
-    inner = np.percentile(distance, 2)
-    marker_radius = np.sqrt(np.median(blobs.boxes[keep, 4]) / np.pi)
-    return keep & (np.hypot(*(blobs.centres - centre).T) < inner - 0.5 * marker_radius)
+        return None  # scattered reflections don't lie on one circle
+    return centre, float(np.percentile(distance, 2) - 0.5 * np.sqrt(blobs.marker_area / np.pi))
 
 
 def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -152,11 +121,19 @@ def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
     return mean + np.array([a, b]), float(np.sqrt(max(c + a**2 + b**2, 0.0)))
 
 
-def _ring_pixels(blobs: Blobs, keep: np.ndarray) -> np.ndarray:
-    """Return (N, 2) x, y of sampled pixels in blobs refused as markers that lie outside nearly all markers."""
-    refused = np.concatenate([[False], ~keep])[blobs.labels[::STRIDE_PX, ::STRIDE_PX]]
-    y, x = np.nonzero(refused)
+def _ring_pixels(blobs: Blobs) -> np.ndarray:
+    """Return (N, 2) x, y of sampled pixels in refused blobs, no smaller than a marker, outside nearly all markers.
+
+    Smaller ones are crumbs of light: counted as rim, they would draw it over the outer pins.
+    """
+    large = ~blobs.keep & (blobs.boxes[:, 4] >= blobs.marker_area)
+    y, x = np.nonzero(np.concatenate([[False], large])[blobs.labels[::STRIDE_PX, ::STRIDE_PX]])
     points = np.stack([x, y], axis=1).astype(float) * STRIDE_PX
-    middle = np.median(blobs.centres[keep], axis=0)
-    reach = np.percentile(np.hypot(*(blobs.centres[keep] - middle).T), 85)
+    middle = np.median(blobs.markers, axis=0)
+    reach = np.percentile(np.hypot(*(blobs.markers - middle).T), 85)
     return points[np.hypot(*(points - middle).T) > reach]
+
+
+def _margins(mask: np.ndarray) -> np.ndarray:
+    """Return how many rows above and columns left of an (h, w) mask the canonical image adds."""
+    return (np.array(MARKER_IMAGE_SHAPE) - mask.shape) // 2

@@ -5,8 +5,6 @@ held to half and double. The outline tells a dome from a flat gel: the outermost
 middle of a disc, and 1.56 to 1.70 of a rectangle (simulated and real sensors).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from uniforce_vtla.errors import expected
@@ -34,13 +32,8 @@ def why_not(spec: SensorSpec, centres_px: np.ndarray, name: str) -> str | None:
     layout_px = spec.layout_mm * np.asarray(spec.px_per_mm)
     wanted, came = outline(layout_px), outline(centres_px)
     count, found = len(layout_px), len(centres_px)
-    alike = abs(wanted - came) <= OUTLINE_TOLERANCE and count / COUNT_RATIO <= found <= count * COUNT_RATIO
-    if alike:
+    if abs(wanted - came) <= OUTLINE_TOLERANCE and count / COUNT_RATIO <= found <= count * COUNT_RATIO:
         return None
+    looks = f"about {count} markers of outline {wanted:.2f} (1.34 a disc, 1.6 a rectangle)"
     do = "Another sensor answers: check cable and config. A unit that does look so: check_identity=false."
-    return expected(
-        name,
-        f"about {count} markers of outline {wanted:.2f} (1.34 a disc, 1.6 a rectangle)",
-        f"{found} of {came:.2f}",
-        do,
-    )
+    return expected(name, looks, f"{found} of {came:.2f}", do)

@@ -1,45 +1,31 @@
-"""Blobs that stand out in a camera frame, and which of them are markers: settings, filters and shape checks."""
+"""Blobs that stand out in a camera frame, and which of them are markers: filters and shape checks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-
-@dataclass(frozen=True)
-class SegmentationSettings:
-    """Every threshold of the marker finder; lengths in px of the canonical image, the rest relative."""
-
-    backgrounds_px: tuple[int, ...] = (19, 39, 79)  # box widths: from 331 pins to 25 large squares
-    smooth_fraction: float = 0.08  # of the background width: 3, 3 and 7 px, below the markers each is for
-    peak_fraction: float = (
-        0.5  # two blobs are apart where the response between them falls below this peak share
-    )
-    edge_fraction: float = 0.08  # and its skirt is followed down to this share, which blurred markers need
-    floor_fraction: float = 0.25  # of the typical peak: weaker blobs aren't markers
-    ceiling_fraction: float = 0.5  # of the typical peak: keeps a reflection from hiding the markers beside it
-    close_score: float = 0.8  # of the best: among plans this good the narrowest background wins
-    tries: int = 5  # plans tried at full resolution before giving up
-    background_per_side: float = 1.5  # background width per marker side: narrower hollows markers out
-    outlier_fraction: float = 1.5  # of the typical peak: brighter is a reflection, held there
-    against_fraction: float = 0.5  # the same the other way: a streak over dark markers
-    min_contrast: float = 6.0  # grey levels; camera noise after smoothing stays below
-    min_markers: int = 12  # fewer can't show a pattern
-    area_range: tuple[float, float] = (0.25, 3.5)  # of the median area
-    elongation_max: float = 3.0  # of the median elongation: streaks go, dashes stay
-    cut_fraction: float = 0.4  # of the least area: the image border cuts markers
-    cut_side_max: float = 2.0  # of the median marker's side: a cut marker is no longer than a whole one
-    min_extent: float = 0.5  # of the median share of its box a blob fills: slanted streaks go
-    grow_px: int = 2  # farthest that edge may lie outside the half-height contour
-    grow_spacing_px: float = 11.0  # one px of growth per this much spacing, so that neighbours don't merge
-    isolation_max: float = 2.6  # of the median neighbour distance: lone blobs go
-    min_inliers: float = 0.5  # share of blobs that agree: pure noise reaches 0.46, patterns 0.75 and more
-    max_spacing_ratio: float = 1.25  # second to first neighbour: ≤ 1.13 in patterns, ≥ 1.3 in scattered dirt
-    ample_contrast: float = 45.0  # typical peak over leftover; more comes from reflections, not from markers
-    min_score: float = 40.0  # gels without markers score 0, faint patterns 100 and more
+# thresholds of the marker finder: lengths in px of the canonical image, the rest relative
+SMOOTH_FRACTION = 0.08  # of the background width: 3, 3 and 7 px, below the markers each is for
+PEAK_FRACTION = 0.5  # two blobs are apart where the response between them falls below this peak share
+EDGE_FRACTION = 0.08  # and its skirt is followed down to this share, which blurred markers need
+FLOOR_FRACTION = 0.25  # of the typical peak: weaker blobs aren't markers
+CEILING_FRACTION = 0.5  # of the typical peak: keeps a reflection from hiding the markers beside it
+OUTLIER_FRACTION = 1.5  # of the typical peak: brighter is a reflection, held there
+AGAINST_FRACTION = 0.5  # the same the other way: a streak over dark markers
+MIN_CONTRAST = 6.0  # grey levels; camera noise after smoothing stays below
+MIN_MARKERS = 12  # fewer can't show a pattern
+AREA_RANGE = (0.25, 3.5)  # of the median area
+ELONGATION_MAX = 3.0  # of the median elongation: streaks go, dashes stay
+CUT_FRACTION = 0.4  # of the least area: the image border cuts markers
+CUT_SIDE_MAX = 2.0  # of the median marker's side: a cut marker is no longer than a whole one
+MIN_EXTENT = 0.5  # of the median share of its box a blob fills: slanted streaks go
+GROW_PX = 2  # farthest that edge may lie outside the half-height contour
+GROW_SPACING_PX = 11.0  # one px of growth per this much spacing, so that neighbours don't merge
+ISOLATION_MAX = 2.6  # of the median neighbour distance: lone blobs go
 
 
 @dataclass(frozen=True)
@@ -53,7 +39,7 @@ class MarkerPlan:
 
 @dataclass(frozen=True)
 class Blobs:
-    """Connected components of one threshold pass."""
+    """Connected components of one threshold pass, and which of them are markers."""
 
     labels: np.ndarray  # (h, w) uint16, 0 is background
     boxes: np.ndarray  # (N, 5) int32, cv2 statistics of labels 1…N: left, top, width, height, area
@@ -61,6 +47,23 @@ class Blobs:
     typical: float  # amplitude of a typical marker, grey levels
     leftover: float  # mean response outside all blobs, grey levels
     foot: np.ndarray  # (h, w) uint8, 255 where the response exceeds the edge fraction of the peak nearby
+    keep: np.ndarray  # (N,) bool: blobs that agree with the rest in size, shape and spacing
+
+    @property
+    def markers(self) -> np.ndarray:
+        """(M, 2) float64 x, y of the kept ones."""
+        return self.centres[self.keep]
+
+    @property
+    def marker_area(self) -> float:
+        """Median area of the kept ones, px²."""
+        return float(np.median(self.boxes[self.keep, 4]))
+
+    def without(self, extra: np.ndarray) -> Blobs:
+        """Return these blobs with the (M,) bool ``extra`` of the kept ones no longer kept."""
+        keep = self.keep.copy()
+        keep[np.flatnonzero(keep)[extra]] = False
+        return replace(self, keep=keep)
 
 
 def channel_image(frame: np.ndarray, channel: str) -> np.ndarray:
@@ -72,77 +75,78 @@ def channel_image(frame: np.ndarray, channel: str) -> np.ndarray:
         return blue
     if channel == "value":
         return cv2.max(cv2.max(red, green), blue)
+    if channel == "least":  # a coloured reflection lights one channel more than the others
+        return cv2.min(cv2.min(red, green), blue)
     return cv2.addWeighted(cv2.addWeighted(red, 0.5, green, 0.5, 0), 0.5, blue, -0.5, 128)  # yellow − blue
 
 
-def find_blobs(
-    view: np.ndarray, plan: MarkerPlan, settings: SegmentationSettings, halve: int = 1
-) -> Blobs | None:
-    """Return the blobs of ``view`` under ``plan``; None where nothing stands out.
+def find_blobs(view: np.ndarray, plan: MarkerPlan, halve: int = 1) -> Blobs | None:
+    """Return the blobs of ``view`` under ``plan``; None where nothing stands out or no two agree.
 
     ``halve`` is 2 when the view is at half the canonical resolution. The threshold is local: half of the strongest
     response nearby, so that vignetting and blur don't change a marker's size.
     """
     width = plan.background_px // halve | 1
-    side = max(3, int(settings.smooth_fraction * width) | 1)
+    side = max(3, int(SMOOTH_FRACTION * width) | 1)
     smooth = cv2.blur(view, (side, side))
     response = _response(smooth, cv2.blur(smooth, (width, width)), plan.polarity)
     nearby = cv2.dilate(response, np.ones((width // 3 | 1, width // 3 | 1), np.uint8))
-    typical = _typical_peak(response[(response == nearby) & (response >= settings.min_contrast / 2)])
-    if typical < settings.min_contrast:
+    typical = _typical_peak(response[(response == nearby) & (response >= MIN_CONTRAST / 2)])
+    if typical < MIN_CONTRAST:
         return None
     if halve == 1:  # the final pass: reflections and streaks would shade the markers beside them
-        smooth = _tame_outliers(smooth, width, plan.polarity * typical, settings)
+        smooth = _tame_outliers(smooth, width, plan.polarity * typical)
         response = _response(smooth, cv2.blur(smooth, (width, width)), plan.polarity)
         nearby = cv2.dilate(response, np.ones((width // 3 | 1, width // 3 | 1), np.uint8))
-    floor, ceiling = settings.floor_fraction * typical, settings.ceiling_fraction * typical
-    threshold = np.clip(np.arange(256) * settings.peak_fraction, floor, ceiling).astype(np.uint8)
+    floor, ceiling = FLOOR_FRACTION * typical, CEILING_FRACTION * typical
+    threshold = np.clip(np.arange(256) * PEAK_FRACTION, floor, ceiling).astype(np.uint8)
     mask = cv2.compare(response, cv2.LUT(nearby, threshold), cv2.CMP_GT)
-    edge = np.clip(np.arange(256) * settings.edge_fraction, settings.edge_fraction * floor, ceiling).astype(
-        np.uint8
-    )
+    edge = np.clip(np.arange(256) * EDGE_FRACTION, EDGE_FRACTION * floor, ceiling).astype(np.uint8)
     foot = cv2.compare(response, cv2.LUT(nearby, edge), cv2.CMP_GT)
-    count, labels, boxes, centres = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=cv2.CV_16U)
+    _, labels, boxes, centres = cv2.connectedComponentsWithStats(mask, connectivity=8, ltype=cv2.CV_16U)
     leftover = cv2.mean(response, cv2.bitwise_not(mask))[0]
-    return Blobs(labels, boxes[1:], centres[1:], typical, leftover, foot) if count > 1 else None
+    keep = _alike(boxes[1:], mask.shape)
+    keep = _has_neighbours(centres[1:], keep)
+    return Blobs(labels, boxes[1:], centres[1:], typical, leftover, foot, keep) if keep.any() else None
 
 
-def keep_markers(blobs: Blobs, settings: SegmentationSettings) -> np.ndarray:
-    """Return (N,) bool: blobs that agree with the rest in size, shape and spacing."""
-    area = blobs.boxes[:, 4]
+def _alike(boxes: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return (N,) bool: blobs in an image of (h, w) that agree with the rest in size and shape."""
+    left, top, width, height, area = boxes.T
     solid = area >= 4
-    if solid.sum() < settings.min_markers:
+    if solid.sum() < MIN_MARKERS:
         return np.zeros(len(area), bool)
-    median, sides, borders = (
-        np.median(area[solid]),
-        blobs.boxes[:, 2:4].astype(float),
-        _borders_touched(blobs),
-    )
-    lowest, highest = settings.area_range
-    least = np.where(borders == 1, lowest * settings.cut_fraction, lowest) * median
+    median, sides = np.median(area[solid]), boxes[:, 2:4].astype(float)
+    # a blob at one border may be a cut marker, one at two is a dark corner
+    touched = [left == 0, top == 0, left + width == shape[1], top + height == shape[0]]
+    borders = np.sum(touched, axis=0)
+    lowest, highest = AREA_RANGE
+    least = np.where(borders == 1, lowest * CUT_FRACTION, lowest) * median
     keep = solid & (area >= least) & (area <= highest * median)
     elongation = sides.max(axis=1) / sides.min(axis=1)
-    shapely = elongation <= settings.elongation_max * np.median(elongation[solid])
-    cut = (borders == 1) & (sides.max(axis=1) <= settings.cut_side_max * np.sqrt(median))
+    shapely = elongation <= ELONGATION_MAX * np.median(elongation[solid])
+    cut = (borders == 1) & (sides.max(axis=1) <= CUT_SIDE_MAX * np.sqrt(median))
     extent = area / sides.prod(axis=1)
-    keep &= (shapely | cut) & (borders < 2) & (extent >= settings.min_extent * np.median(extent[solid]))
-    return keep & _has_neighbours(blobs.centres, keep, settings)
+    return keep & (shapely | cut) & (borders < 2) & (extent >= MIN_EXTENT * np.median(extent[solid]))
 
 
-def grow_mask(
-    mask: np.ndarray, foot: np.ndarray, centres: np.ndarray, settings: SegmentationSettings
-) -> np.ndarray:
-    """Return an (h, w) mask grown out to the markers' edges.
+def marker_mask(blobs: Blobs) -> np.ndarray:
+    """Return the (h, w) mask in {0, 255} of the kept blobs, grown out to the markers' edges.
 
-    ``foot`` holds every pixel above the edge fraction; growth stays inside it and within ``grow_px``, less where
-    (M, 2) markers stand close. So blurred markers gain their skirts and sharp ones keep their size.
+    Growth stays inside the foot and within ``GROW_PX``, less where markers stand close. So blurred markers gain their
+    skirts and sharp ones keep their size.
     """
-    spacing = float(np.median(cKDTree(centres).query(centres, k=2)[0][:, 1]))
-    grow = min(settings.grow_px, int(spacing / settings.grow_spacing_px))
+    mask = np.concatenate([[0], np.where(blobs.keep, 255, 0)]).astype(np.uint8)[blobs.labels]
+    grow = min(GROW_PX, int(spacing(blobs.markers) / GROW_SPACING_PX))
     if grow == 0:
         return mask
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * grow + 1, 2 * grow + 1))
-    return cv2.bitwise_or(mask, cv2.bitwise_and(foot, cv2.dilate(mask, kernel)))
+    return cv2.bitwise_or(mask, cv2.bitwise_and(blobs.foot, cv2.dilate(mask, kernel)))
+
+
+def spacing(points: np.ndarray) -> float:
+    """Return the median distance of (M, 2) points to their nearest neighbours."""
+    return float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
 
 
 def _response(smooth: np.ndarray, background: np.ndarray, polarity: int) -> np.ndarray:
@@ -150,13 +154,10 @@ def _response(smooth: np.ndarray, background: np.ndarray, polarity: int) -> np.n
     return cv2.subtract(smooth, background) if polarity > 0 else cv2.subtract(background, smooth)
 
 
-def _tame_outliers(
-    smooth: np.ndarray, width: int, amplitude: float, settings: SegmentationSettings
-) -> np.ndarray:
+def _tame_outliers(smooth: np.ndarray, width: int, amplitude: float) -> np.ndarray:
     """Return ``smooth`` held within the range that markers of signed ``amplitude`` and gel explain."""
     background = cv2.blur(smooth, (width, width))
-    beyond = settings.outlier_fraction * abs(amplitude)
-    against = settings.against_fraction * abs(amplitude)
+    beyond, against = OUTLIER_FRACTION * abs(amplitude), AGAINST_FRACTION * abs(amplitude)
     above, below = (beyond, against) if amplitude > 0 else (against, beyond)
     levels = np.arange(256)  # tables: OpenCV adds scalars to images the slow way
     highest = cv2.LUT(background, np.clip(levels + above, 0, 255).astype(np.uint8))
@@ -177,19 +178,11 @@ def _typical_peak(peaks: np.ndarray) -> float:
     return float(np.searchsorted(np.cumsum(strong), strong.sum() / 2))
 
 
-def _borders_touched(blobs: Blobs) -> np.ndarray:
-    """Return (N,) how many image borders each blob touches: 1 may be a cut marker, 2 is a dark corner."""
-    rows, columns = blobs.labels.shape
-    left, top, width, height = blobs.boxes[:, :4].T
-    touched = np.stack([left == 0, top == 0, left + width == columns, top + height == rows])
-    return touched.sum(axis=0)
-
-
-def _has_neighbours(centres: np.ndarray, keep: np.ndarray, settings: SegmentationSettings) -> np.ndarray:
+def _has_neighbours(centres: np.ndarray, keep: np.ndarray) -> np.ndarray:
     """Return (N,) bool: kept blobs whose second neighbour is about as near as everyone's."""
     if keep.sum() < 4:
         return keep
     distance = cKDTree(centres[keep]).query(centres[keep], k=3)[0][:, 2]
     near = keep.copy()
-    near[keep] = distance <= settings.isolation_max * np.median(distance)
+    near[keep] = distance <= ISOLATION_MAX * np.median(distance)
     return near

@@ -7,7 +7,7 @@ frame (the left finger's own).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -44,7 +44,14 @@ def to_finger_frame[Array: (np.ndarray, "torch.Tensor")](force_N: Array, finger:
     Raises:
         ContractError: unknown finger, a last axis other than 3, or anything but finite numbers.
     """
-    _check_force(force_N)
+    shape, kind = getattr(force_N, "shape", ()), str(getattr(force_N, "dtype", type(force_N).__name__))
+    numbers = ("float", "int") if isinstance(force_N, np.ndarray) else ("torch.float",)
+    if not shape or shape[-1] != 3 or not kind.startswith(numbers):
+        came = f"{kind} {tuple(shape)}"
+        raise ContractError(expected("force", "numbers (..., 3) N", came, "Pass an array of fx, fy, fz."))
+    finite = np.isfinite(force_N) if isinstance(force_N, np.ndarray) else force_N.isfinite()
+    if not bool(finite.all()):
+        raise ContractError(expected("force", "finite numbers", "NaN or inf", "Check what gave it."))
     if check_finger(finger) == "left":
         return force_N
     if isinstance(force_N, np.ndarray):
@@ -59,14 +66,3 @@ def mirrored(contact: ContactState) -> ContactState:
     """
     force_N = (contact.force_N * np.asarray(MIRROR_FORCE, np.float32)).astype(np.float32)
     return ContactState(np.ascontiguousarray(contact.gap_mm[:, :, ::-1]), force_N, -contact.torsion_Nmm)
-
-
-def _check_force(force_N: Any) -> None:
-    shape, kind = getattr(force_N, "shape", ()), str(getattr(force_N, "dtype", type(force_N).__name__))
-    numbers = ("float", "int") if isinstance(force_N, np.ndarray) else ("torch.float",)
-    if not shape or shape[-1] != 3 or not kind.startswith(numbers):
-        came = f"{kind} {tuple(shape)}"
-        raise ContractError(expected("force", "numbers (..., 3) N", came, "Pass an array of fx, fy, fz."))
-    finite = np.isfinite(force_N) if isinstance(force_N, np.ndarray) else force_N.isfinite()
-    if not bool(finite.all()):
-        raise ContractError(expected("force", "finite numbers", "NaN or inf", "Check what gave it."))

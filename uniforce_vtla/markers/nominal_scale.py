@@ -6,8 +6,6 @@ pad is known without any recording, so marker images of flat gels and of domes c
 the TacTip that pretraining is centred on. Taxels are rendered, not seen, and keep their own.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 
@@ -37,19 +35,14 @@ def to_nominal_scale(images: np.ndarray, spec: SensorSpec) -> np.ndarray:
     """
     if is_nominal(spec):
         return images
+    zoom, size = np.array(nominal_zoom(spec)), images.shape[:-3:-1]
+    matrix = np.column_stack([np.diag(zoom), (1 - zoom) * (np.array(size) - 1) / 2])
     flat = images.reshape(-1, *images.shape[-2:])
-    return np.stack([_zoomed(image, *nominal_zoom(spec)) for image in flat]).reshape(images.shape)
+    smooth = np.stack([cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR) for image in flat])
+    return np.where(smooth >= 128, 255, 0).astype(np.uint8).reshape(images.shape)  # an edge stays an edge
 
 
 def points_to_nominal_scale(points_px: np.ndarray, spec: SensorSpec, size_px: tuple[int, int]) -> np.ndarray:
     """Return (M, 2) image points, x right and y down, where ``to_nominal_scale`` puts them; size is (H, W)."""
     centre = (np.array(size_px[::-1]) - 1) / 2
     return ((points_px - centre) * np.array(nominal_zoom(spec)) + centre).astype(points_px.dtype)
-
-
-def _zoomed(image: np.ndarray, zoom_x: float, zoom_y: float) -> np.ndarray:
-    height, width = image.shape
-    centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
-    matrix = np.array([[zoom_x, 0, centre_x * (1 - zoom_x)], [0, zoom_y, centre_y * (1 - zoom_y)]])
-    smooth = cv2.warpAffine(image, matrix, (width, height), flags=cv2.INTER_LINEAR)
-    return np.where(smooth >= 128, 255, 0).astype(np.uint8)  # an edge stays an edge

@@ -1,7 +1,5 @@
 """How markers moved, in one picture."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,97 +22,75 @@ if TYPE_CHECKING:
     import torch
 
 
-@dataclass(frozen=True)
-class NoContactCheck:
-    """When a reference counts as touched."""
-
-    min_frames: int = 3  # fewer can't show motion
-    max_taxel_std: float = 15.0  # counts, from the median deviation; real sensors at rest: 1.1–5
-    max_rest_offset: float = 150.0  # counts from the stored resting level; a light touch gives 300
-    max_marker_motion_px: float = 2.0  # 90th percentile over markers; segmentation jitter stays below 0.5
-    pressed_counts: float = 300.0  # a taxel this far *below* its reference was pressed then
-    pressed_taxels: int = (
-        4  # so many of 16: one alone may be cross-talk (0.4 % of real taxels read below −30)
-    )
+# when a reference counts as touched
+MIN_FRAMES = 3  # fewer can't show motion
+MAX_TAXEL_STD = 15.0  # counts, from the median deviation; real sensors at rest: 1.1–5
+MAX_REST_OFFSET = 150.0  # counts from the stored resting level; a light touch gives 300
+MAX_MARKER_MOTION_PX = 2.0  # 90th percentile over markers; segmentation jitter stays below 0.5
+PRESSED_COUNTS = 300.0  # a taxel this far *below* its reference was pressed then
+PRESSED_TAXELS = 4  # so many of 16: one alone may be cross-talk (0.4 % of real taxels read below −30)
 
 
-def capture_taxel_reference(
-    scans: Sequence[np.ndarray], check: NoContactCheck | None = None, resting_level: np.ndarray | None = None
-) -> np.ndarray:
+def capture_taxel_reference(scans: Sequence[np.ndarray], resting_level: np.ndarray | None = None) -> np.ndarray:
     """Return the (16, 3) int64 median of several free-air scans of (16, 3) counts.
 
     Args:
-        scans: consecutive raw scans, at least ``check.min_frames``.
-        check: limits.
+        scans: consecutive raw scans, at least three.
         resting_level: (16, 3) counts known to be free air, if any; without it a steady touch can't be seen.
 
     Raises:
         ContractError: too few scans, or one that isn't (16, 3) integers.
         SensorError: dead, moving between scans, or far from the resting level.
     """
-    limits = check or NoContactCheck()
-    _check_enough(len(scans), limits)
+    _check_enough(len(scans))
     counts = np.stack([check_counts(np.asarray(scan), "uSkin reference") for scan in scans])  # (N, 16, 3)
     for scan in counts:
         check_alive(scan, "uSkin reference")
     spread = np.median(np.abs(counts - np.median(counts, axis=0)), axis=0)
     moved = float(1.4826 * spread.max())  # one garbled scan isn't a touch
-    if moved > limits.max_taxel_std:
-        _refuse(f"taxels steady within {limits.max_taxel_std:g} counts", f"a spread of {moved:.0f}")
+    if moved > MAX_TAXEL_STD:
+        _refuse(f"taxels steady within {MAX_TAXEL_STD:g} counts", f"a spread of {moved:.0f}")
     reference = np.rint(np.median(counts, axis=0)).astype(np.int64)
     if resting_level is not None:
-        _check_resting(reference, check_counts(np.asarray(resting_level), "resting level"), limits)
+        resting = check_counts(np.asarray(resting_level), "resting level")
+        offset = int(np.abs(reference - resting).max())
+        if offset > MAX_REST_OFFSET:
+            _refuse(f"taxels within {MAX_REST_OFFSET:g} counts of the resting level", f"{offset} counts off")
     return reference
 
 
-def capture_camera_reference(
-    frames: Sequence[np.ndarray], centres_px: Sequence[np.ndarray], check: NoContactCheck | None = None
-) -> np.ndarray:
+def capture_camera_reference(frames: Sequence[np.ndarray], centres_px: Sequence[np.ndarray]) -> np.ndarray:
     """Return the pixel-wise median of several (H, W, 3) uint8 frames whose markers hold still.
 
     Args:
         frames: consecutive camera frames of one size.
         centres_px: their marker centres, from ``Canonicalizer.markers``.
-        check: limits.
 
     Raises:
         ContractError: too few frames, or of different sizes.
         SensorError: markers move between the frames.
     """
-    limits = check or NoContactCheck()
-    _check_enough(min(len(frames), len(centres_px)), limits)
+    _check_enough(min(len(frames), len(centres_px)))
     if len({frame.shape for frame in frames}) > 1:
         raise ContractError(expected("reference frames", "one size", "several", "Use one camera setting."))
-    motion = max(marker_motion_px(centres_px[0], centres) for centres in centres_px[1:])
-    if motion > limits.max_marker_motion_px:
-        _refuse(f"markers still within {limits.max_marker_motion_px:g} px", f"a motion of {motion:.1f} px")
+    nearest_px = [cKDTree(centres).query(centres_px[0])[0] for centres in centres_px[1:]]
+    motion = max(float(np.percentile(distance, 90)) for distance in nearest_px)
+    if motion > MAX_MARKER_MOTION_PX:
+        _refuse(f"markers still within {MAX_MARKER_MOTION_PX:g} px", f"a motion of {motion:.1f} px")
     return np.median(np.stack(frames), axis=0).astype(np.uint8)
 
 
-def marker_motion_px(before: np.ndarray, after: np.ndarray) -> float:
-    """Return the 90th percentile of the distance from (M, 2) markers to the nearest in (N, 2)."""
-    return float(np.percentile(cKDTree(after).query(before)[0], 90))
-
-
-def refuse_pressed_reference(delta_counts: np.ndarray, check: NoContactCheck) -> None:
+def refuse_pressed_reference(delta_counts: np.ndarray) -> None:
     """Raise SensorError where (16, 3) counts above the reference show that the reference was pressed."""
-    released = int((delta_counts[:, 2] < -check.pressed_counts).sum())
-    if released >= check.pressed_taxels and delta_counts[:, 2].sum() < 0:
+    released = int((delta_counts[:, 2] < -PRESSED_COUNTS).sum())
+    if released >= PRESSED_TAXELS and delta_counts[:, 2].sum() < 0:
         _refuse("taxels at or above it", f"{released} of {TAXEL_SHAPE[0]} far below it")
 
 
-def _check_enough(count: int, limits: NoContactCheck) -> None:
-    if count < limits.min_frames:
-        wanted = f"at least {limits.min_frames} frames"
+def _check_enough(count: int) -> None:
+    if count < MIN_FRAMES:
+        wanted = f"at least {MIN_FRAMES} frames"
         raise ContractError(expected("reference", wanted, count, "Record a little longer in free air."))
-
-
-def _check_resting(reference: np.ndarray, resting: np.ndarray, limits: NoContactCheck) -> None:
-    offset = int(np.abs(reference - resting).max())
-    if offset > limits.max_rest_offset:
-        _refuse(
-            f"taxels within {limits.max_rest_offset:g} counts of the resting level", f"{offset} counts off"
-        )
 
 
 def _refuse(wanted: str, came: str) -> None:

@@ -4,8 +4,6 @@ The picture is the one the GenForce collection rig draws (facts: canvas axes −
 column i mod 4, row i div 4 *from the bottom*. Shear counts move the disc, normal counts grow its area.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 
@@ -70,10 +68,6 @@ class Saturation:
         self.frames_saturated += int((discs.radius_saturated | discs.xy_saturated).any())
         self.taxels_radius += int(discs.radius_saturated.sum())
         self.taxels_xy += int(discs.xy_saturated.sum())
-
-    def as_dict(self) -> dict[str, int]:
-        """Return the counts by name."""
-        return asdict(self)
 
 
 def check_counts(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:

@@ -1,7 +1,5 @@
 """Marker layouts: where markers sit on an undeformed pad, in mm, x right and y down, centred."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

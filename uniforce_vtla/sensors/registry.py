@@ -1,7 +1,5 @@
 """The sensors this project knows. Adding one: a file beside this one and a line below."""
 
-from __future__ import annotations
-
 from uniforce_vtla.errors import SensorError, expected
 from uniforce_vtla.sensors.gelsight import GELSIGHT
 from uniforce_vtla.sensors.spec import SensorSpec

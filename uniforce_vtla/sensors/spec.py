@@ -1,7 +1,5 @@
 """What a tactile sensor is, as far as this project needs to know."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Transformer parts: attention over patches, causal attention over two frames, sinusoidal codes."""
 
-from __future__ import annotations
-
 import math
 
 import torch

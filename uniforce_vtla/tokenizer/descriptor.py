@@ -3,8 +3,6 @@
 Beside every learnt row stands this one, so that the tokenizer isn't credited for what it didn't need to learn.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2
@@ -40,9 +38,7 @@ def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
         do = "Capture it again."
         raise ContractError(expected("reference", f"at least {MIN_MATCHES} markers", len(before.area_px), do))
     reach = marker_pitch_px(before.centre_px)
-    return np.stack(
-        [_describe_one(before, find_blobs(check_marker_image(image)), reach) for image in current]
-    )
+    return np.stack([_describe_one(before, find_blobs(check_marker_image(image)), reach) for image in current])
 
 
 def find_blobs(image: np.ndarray) -> Blobs:

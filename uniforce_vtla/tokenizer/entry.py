@@ -3,8 +3,6 @@
 Training, evaluation and the policy all come through here, so they can't disagree about a resize or a flip.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch.nn import functional as F  # noqa: N812  (its name everywhere)

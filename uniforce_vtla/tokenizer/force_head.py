@@ -70,9 +70,7 @@ class ForceRegressor(nn.Module):
         self.cell = ConvGRUCell(config.channels, config.hidden)
         self.drop = nn.Dropout(config.dropout)
         self.linear = nn.Linear(config.channels * cells, 3)
-        self.mlp = nn.Sequential(
-            nn.Linear(config.hidden * cells, config.mlp), nn.GELU(), nn.Linear(config.mlp, 3)
-        )
+        self.mlp = nn.Sequential(nn.Linear(config.hidden * cells, config.mlp), nn.GELU(), nn.Linear(config.mlp, 3))
 
     def maps(self, z: torch.Tensor) -> torch.Tensor:
         """Return standardised (B, L, g, g) maps of latents (B, P, L)."""

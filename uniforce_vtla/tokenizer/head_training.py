@@ -1,7 +1,5 @@
 """Train a force head on one source sensor's labelled sequences; no other sensor's label is ever seen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -42,9 +42,7 @@ class Latent(torch.Tensor):
         return self.clone()  # torch's own needs an empty tensor of this class
 
     @classmethod
-    def __torch_function__(
-        cls, func: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
-    ) -> Any:
+    def __torch_function__(cls, func: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Run one of torch's functions; its result has an origin if all of its tensors have the same."""
         with torch._C.DisableTorchFunctionSubclass():
             result = func(*args, **(kwargs or {}))

@@ -3,8 +3,6 @@
 UniForce paper, section "Objective Function"; the paper gives no λ, ours are measured starts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

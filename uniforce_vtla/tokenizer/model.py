@@ -74,9 +74,7 @@ class PatchEmbed(nn.Module):
         pixels = config.patch**2
         self.project: nn.Module = nn.Linear(pixels, config.width)
         if hidden:
-            self.project = nn.Sequential(
-                nn.Linear(pixels, hidden), nn.GELU(), nn.Linear(hidden, config.width)
-            )
+            self.project = nn.Sequential(nn.Linear(pixels, hidden), nn.GELU(), nn.Linear(hidden, config.width))
         self.register_buffer("position", grid_code(config.grid, config.width), persistent=False)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
@@ -92,9 +90,7 @@ class MotionEmbed(nn.Module):
         self.scales = config.motion_scales
         self.cells = config.patch // CELL_PX
         inputs = CHANNELS * config.motion_scales * self.cells**2
-        self.project = nn.Sequential(
-            nn.Linear(inputs, config.width), nn.GELU(), nn.Linear(config.width, config.width)
-        )
+        self.project = nn.Sequential(nn.Linear(inputs, config.width), nn.GELU(), nn.Linear(config.width, config.width))
 
     def forward(self, reference: list[torch.Tensor], current: torch.Tensor) -> torch.Tensor:
         """Return (B, P, D) from the reference at every scale and current images; a batch of 1 serves any B."""
@@ -191,9 +187,7 @@ class Decoder(nn.Module):
         nn.init.zeros_(self.draw[1].weight)  # starts from the reference itself (or from black)
         self.flow = FlowHead(config) if config.warp else None
 
-    def forward(
-        self, reference: torch.Tensor, z: torch.Tensor, material: torch.Tensor | None = None
-    ) -> torch.Tensor:
+    def forward(self, reference: torch.Tensor, z: torch.Tensor, material: torch.Tensor | None = None) -> torch.Tensor:
         """Return (B, 1, S, S) current images from references, latents (B, P, latent) and units (B, material).
 
         Without ``material`` the unit is taken for an average one.
@@ -287,9 +281,7 @@ class ForceAutoencoder(nn.Module):
         self.config = config
         self.encoder = Encoder(config)
         self.decoder = Decoder(config)
-        self.material = (
-            MaterialEncoder(config.patch, config.latent, config.material) if config.material else None
-        )
+        self.material = MaterialEncoder(config.patch, config.latent, config.material) if config.material else None
 
     def forward(self, reference: torch.Tensor, current: torch.Tensor) -> Posterior:
         """Return the posterior over the latent force map."""

@@ -4,8 +4,6 @@ A product of "what changed" and "which way the edge faces" is what optical flow 
 embedding has no products, and learning them from equilibrium alone takes long.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -4,8 +4,6 @@
 of the cameras may be procedural instead (contact/family.py), always paired by equal traction.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -105,12 +103,8 @@ def _stacked(batches: list[PairBatch]) -> dict[str, np.ndarray]:
 
 def _canonical(*images: np.ndarray) -> Pairs:
     """Return a batch for the model from images (…, S, S) uint8 by ``NAMES``, as the sensors saw them."""
-    flat = [
-        torch.from_numpy(np.ascontiguousarray(i.reshape(-1, 1, *i.shape[-2:]))).float() / 255 for i in images
-    ]
-    return Pairs(
-        *(to_canonical(i, "left" if "left" in name else "right") for name, i in zip(NAMES, flat, strict=True))
-    )
+    flat = [torch.from_numpy(np.ascontiguousarray(i.reshape(-1, 1, *i.shape[-2:]))).float() / 255 for i in images]
+    return Pairs(*(to_canonical(i, "left" if "left" in name else "right") for name, i in zip(NAMES, flat, strict=True)))
 
 
 def _draw_unit(rng: np.random.Generator, config: PairCacheConfig, rig: tuple[str, str]) -> PairBatch:

@@ -4,8 +4,6 @@ Controls of the benchmark: the first asks whether learning was needed, the secon
 Views and policies both come through here, so they can't disagree about a mirror or a size.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

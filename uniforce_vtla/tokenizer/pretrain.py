@@ -4,8 +4,6 @@ The same command runs on one CPU or, through ``accelerate launch``, on many GPUs
 one process so far).
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import time
@@ -81,9 +79,7 @@ class Pretraining:
             self.accelerator.init_trackers("uniforce_tokenizer")
         resumes = (folder / STATE).exists()  # then ``init`` is history, and may be gone
         model = starting_model(replace(settings, init="") if resumes else settings)
-        optimizer = torch.optim.AdamW(
-            model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
-        )
+        optimizer = torch.optim.AdamW(model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
         self.model, self.optimizer = self.accelerator.prepare(model, optimizer)
         self.step = 0
         if resumes:

@@ -1,7 +1,5 @@
 """Settings of the tokenizer, its pretraining and its calibration; importing them takes no torch."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 

@@ -3,8 +3,6 @@
 The tokenizer remembers the reference's keys and values; what is kept from frame to frame is the force head's state.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

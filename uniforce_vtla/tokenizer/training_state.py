@@ -1,7 +1,5 @@
 """A training run's state on disk: weights, optimiser and step as safetensors, so that resuming unpickles nothing."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Checkpoints: a folder with ``model.safetensors`` and ``config.json``, loaded strictly, named by content."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import tempfile

@@ -1,7 +1,5 @@
 """Opening what users bring: only inside the folder they named, never unpickled, whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -36,9 +34,7 @@ def subfolders(folder: Path, root: Path) -> list[Path]:
     """Return the sorted folders in ``folder``, hidden ones left out, none leading outside ``root``."""
     if not folder.is_dir():
         return []
-    return [
-        inside(root, p) for p in sorted(folder.iterdir()) if p.is_dir() and not p.name.startswith((".", "__"))
-    ]
+    return [inside(root, p) for p in sorted(folder.iterdir()) if p.is_dir() and not p.name.startswith((".", "__"))]
 
 
 def numbered_images(folder: Path, root: Path, endings: Iterable[str]) -> list[Path]:
@@ -79,9 +75,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise DatasetError(
-            expected(str(path), "a readable file", error, "Restore it from a copy.")
-        ) from error
+        raise DatasetError(expected(str(path), "a readable file", error, "Restore it from a copy.")) from error
 
 
 def decode_picture(data: bytes, where: str, colour: bool) -> np.ndarray:

@@ -5,8 +5,6 @@ white above 50. Forces: first three columns of ft.csv, N; Fz is negative in comp
 up; none of the authors' code is used.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -80,9 +78,7 @@ def check_compression(force_N: np.ndarray, where: str) -> None:
 class ReadOptions:
     """What to do where a trial isn't as the protocol promises, and how much to hold in memory."""
 
-    reference: Literal["first", "quietest"] = (
-        "first"  # frame taken as free air; a trial begins before contact
-    )
+    reference: Literal["first", "quietest"] = "first"  # frame taken as free air; a trial begins before contact
     max_reference_force_N: float = 0.5  # |F| in it; drift of a tared cell, less than any labelled press
     pressed_reference: Literal["refuse", "skip"] = "refuse"  # a trial that has no such frame
     max_frames: int = 256  # per recording, 79 MB of images; a longer trial comes in parts

@@ -4,8 +4,6 @@ Images are as the sensor saw them, never flipped; only {0, 255}. Forces follow t
 the right, y = rows down, z = compression positive, the force of the object on the pad.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,9 +63,7 @@ def check_images(reference: np.ndarray, frames: np.ndarray, where: str) -> None:
     if getattr(frames, "ndim", 0) != 3 or len(frames) == 0 or frames.shape[1:] != reference.shape:
         wanted = f"(T, {', '.join(map(str, reference.shape))}) with T > 0"
         came = getattr(frames, "shape", type(frames).__name__)
-        raise DatasetError(
-            expected(f"{where}, frames", wanted, came, "One image size per trial, at least one frame.")
-        )
+        raise DatasetError(expected(f"{where}, frames", wanted, came, "One image size per trial, at least one frame."))
     try:
         check_marker_image(reference, f"{where}, reference")
         check_marker_image(frames.reshape(-1, frames.shape[-1]), f"{where}, frames")
@@ -83,6 +79,4 @@ def check_forces(force_N: np.ndarray, frames: int, where: str) -> None:
         raise DatasetError(expected(f"{where}, force", wanted, came, "One force per frame."))
     if not np.isfinite(force_N).all():
         row = int(np.flatnonzero(~np.isfinite(force_N).all(axis=1))[0])
-        raise DatasetError(
-            expected(f"{where}, force", wanted, f"NaN or inf in row {row}", "Leave this trial out.")
-        )
+        raise DatasetError(expected(f"{where}, force", wanted, f"NaN or inf in row {row}", "Leave this trial out."))

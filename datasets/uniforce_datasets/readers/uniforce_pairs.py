@@ -5,8 +5,6 @@ its ``collection_log.txt``. The layout names no free-air reference. This project
 frames, or one for the whole sensor a level higher; where there is none, the caller names the frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -36,9 +34,7 @@ HALF_WAY = 127  # grey level: a quality-100 JPEG of a binary image stays far on 
 class PairConfig:
     """What to read of a folder of pairs."""
 
-    reference_index: int | None = (
-        None  # frame of free air where there is no reference.jpg; None refuses such a set
-    )
+    reference_index: int | None = None  # frame of free air where there is no reference.jpg; None refuses such a set
     indenters: tuple[str, ...] = ()  # names to read; empty for all
     max_frames: int = 256  # pairs per recording: two stacks of 79 MB; more come in parts
 
@@ -102,16 +98,12 @@ def _recordings(
         alone = sorted(left ^ right)
         came = f"{len(alone)} on one side only, e.g. {alone[0]:06d}"
         raise DatasetError(expected(f"{pairs}, {indenter}", "the same indices", came, "Same index = pair."))
-    references = [
-        _reference(folder, side, root, config) for folder, side in zip(folders, images, strict=True)
-    ]
+    references = [_reference(folder, side, root, config) for folder, side in zip(folders, images, strict=True)]
     name = "/".join(pairs.relative_to(root).parts) or pairs.name
     for start in range(0, len(images[0]), config.max_frames):
         rows = slice(start, start + config.max_frames)
         left_frames, right_frames = (_stack(side[rows]) for side in images)
-        yield PairRecording(
-            sensors, indenter, name, references[0], references[1], left_frames, right_frames, start
-        )
+        yield PairRecording(sensors, indenter, name, references[0], references[1], left_frames, right_frames, start)
 
 
 def _reference(folder: Path, images: list[Path], root: Path, config: PairConfig) -> np.ndarray:
@@ -132,9 +124,7 @@ def _stack(paths: list[Path]) -> np.ndarray:
     return np.stack([read_marker_picture(path, HALF_WAY) for path in paths])
 
 
-def write_uniforce_pairs(
-    root: str | Path, recording: PairRecording, pattern: str, date: str | None = None
-) -> Path:
+def write_uniforce_pairs(root: str | Path, recording: PairRecording, pattern: str, date: str | None = None) -> Path:
     """Append pairs to the layout and return the ``<left>_<right>`` folder; reading gives the same images back.
 
     Frames go on from the last index of their indenter. The outermost 4 px become black, as the format has it. The
@@ -160,9 +150,7 @@ def write_uniforce_pairs(
         _write_reference(folder / REFERENCE_FILE, reference)
     start = _next_index(folders[0])  # the left side counts: it is written last
     _log(pairs, recording.indenter, f"{len(recording.left_frames)} pairs from {start:06d}")
-    for index, (left, right) in enumerate(
-        zip(recording.left_frames, recording.right_frames, strict=True), start
-    ):
+    for index, (left, right) in enumerate(zip(recording.left_frames, recording.right_frames, strict=True), start):
         _write_picture(folders[1] / f"{index:06d}.jpg", right)
         _write_picture(folders[0] / f"{index:06d}.jpg", left)
     return pairs

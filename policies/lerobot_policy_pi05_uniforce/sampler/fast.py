@@ -6,8 +6,6 @@ read; copies of the prefix cache in every flow step; the norms' modulation, whic
 kept in a table per step; attention matrices, by torch's fused attention; masks, positions and rotations built again.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

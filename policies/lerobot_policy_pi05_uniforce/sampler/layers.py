@@ -5,8 +5,6 @@ runs at half of oneDNN's speed (docs/experiments/policy_speed.md). Results agree
 another device, in another dtype, where a gradient is wanted, or where torch.compile traces, torch runs.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -107,9 +107,7 @@ class PrefixEncoder:
             raise ContractError(expected("touch of the prefix", tuple(touch.tokens.shape), came, do))
         return self.with_suffix(prefix.prefill, touch, chunk)
 
-    def with_suffix(
-        self, prefill: Prefill, touch: SuffixTouch | None, chunk: int, always_mask: bool = False
-    ) -> Prefix:
+    def with_suffix(self, prefill: Prefill, touch: SuffixTouch | None, chunk: int, always_mask: bool = False) -> Prefix:
         """Return whom the suffix attends to and where it stands; ``always_mask`` as in :meth:`prefill`."""
         expert = self._network.paligemma_with_expert.gemma_expert.model
         gated, behind = prefill.gated, prefill.pads.new_ones(len(prefill.pads), chunk)
@@ -164,9 +162,7 @@ def _positions(real: Tensor, gated: GatedColumns | None) -> Tensor:
     return positions if gated is None else gated.placed(positions, real.shape[1])
 
 
-def _additive(
-    mask: Tensor | None, real: Tensor, gated: GatedColumns | None, dtype: torch.dtype
-) -> Tensor | None:
+def _additive(mask: Tensor | None, real: Tensor, gated: GatedColumns | None, dtype: torch.dtype) -> Tensor | None:
     """Return a bool mask (B, 1, rows, L) as an additive one with touch's logits; unchanged without a gate."""
     if gated is None:
         return mask

@@ -30,9 +30,7 @@ class TransferredTouch(nn.Module):
     training data.
     """
 
-    def __init__(
-        self, transfer: SensorTransfer, worn: Sequence[str], share: float, spread: float = SPREAD
-    ) -> None:
+    def __init__(self, transfer: SensorTransfer, worn: Sequence[str], share: float, spread: float = SPREAD) -> None:
         super().__init__()
         self.share, self.spread, self._rows = share, spread, [transfer.row(kind) for kind in worn]
         self._transfer = (transfer,)  # in a tuple: no part of the policy, which saves its modules

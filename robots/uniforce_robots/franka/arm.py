@@ -4,8 +4,6 @@ Poses are (4, 4) ``ee_to_base``: the frame between the finger tips in the robot'
 the fingers close along that frame's y axis and z points out of the hand.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -28,30 +26,19 @@ CLIENT_WORDS |= dict.fromkeys(("timeout", "connection", "network", "tcp", "udp")
 
 @dataclass(frozen=True)
 class ArmState:
-    """One reading of the arm.
+    """One reading of the arm."""
 
-    Attributes:
-        time_s: host clock (``time.monotonic``) at receipt.
-        robot_time_s: the robot's own clock.
-        q_rad: (7,) joint angles.
-        dq_rad_s: (7,) joint speeds.
-        ee_to_base: (4, 4) measured pose.
-        wrench_N: (6,) the robot's estimate of the external force N and moment Nm at the hand, base frame. An estimate
-            from motor currents, poor near singularities: never the only guard.
-        mode: ``idle``, ``move``, ``guiding``, ``reflex``, ``user_stopped``, ``recovery`` or ``other``.
-        success_rate: share of the last 100 control commands that reached the robot in time; 0 without control.
-        errors: the robot's own names of what stopped it, as libfranka spells them.
-    """
-
-    time_s: float
-    robot_time_s: float
-    q_rad: np.ndarray
-    dq_rad_s: np.ndarray
-    ee_to_base: np.ndarray
+    time_s: float  # host clock (``time.monotonic``) at receipt
+    robot_time_s: float  # the robot's own clock
+    q_rad: np.ndarray  # (7,) joint angles
+    dq_rad_s: np.ndarray  # (7,) joint speeds
+    ee_to_base: np.ndarray  # (4, 4) measured pose
+    # (6,) the robot's estimate of the external force N and moment Nm at the hand, base frame: from motor currents,
+    # poor near singularities, never the only guard
     wrench_N: np.ndarray
-    mode: str
-    success_rate: float
-    errors: tuple[str, ...] = ()
+    mode: str  # idle, move, guiding, reflex, user_stopped, recovery or other
+    success_rate: float  # share of the last 100 control commands that reached the robot in time; 0 without control
+    errors: tuple[str, ...] = ()  # the robot's own names of what stopped it, as libfranka spells them
 
 
 def refuse_stopped(state: ArmState) -> None:
@@ -70,7 +57,8 @@ def refuse_stopped(state: ArmState) -> None:
 
 def fault_of_errors(errors: Iterable[str]) -> str:
     """Return the ``RobotError.fault`` of the robot's own error names."""
-    return _first(ERROR_WORDS, " ".join(errors), "reflex")
+    text = " ".join(errors)
+    return next((fault for word, fault in ERROR_WORDS.items() if word in text), "reflex")
 
 
 def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
@@ -81,13 +69,9 @@ def fault_of(fault: str, text: str, errors: Iterable[str] = ()) -> str:
         text: the client's message.
         errors: the robot's own error names.
     """
-    fault = _first(CLIENT_WORDS, text.lower(), "other") if fault == "other" else fault
+    if fault == "other":
+        fault = next((named for word, named in CLIENT_WORDS.items() if word in text.lower()), "other")
     return fault_of_errors((*errors, text)) if fault == "reflex" else fault
-
-
-def _first(words: dict[str, str], text: str, otherwise: str) -> str:
-    """Return what the first word that stands in a text means."""
-    return next((fault for word, fault in words.items() if word in text), otherwise)
 
 
 @dataclass(frozen=True)
@@ -96,16 +80,11 @@ class Gains:
 
     The spring's force is bounded by stiffness × ``clip_m`` whatever target comes: the cheapest hard bound there is. Its
     length, over every turn of a hand that points down, stays below ``limits.FORCE_N``.
-
-    Attributes:
-        stiffness_N_m: along the hand's x, y (the fingers close along y) and z.
-        rotation_Nm_rad: about the same axes.
-        clip_m: largest position error the spring sees along the base frame's x, y, z.
-        clip_rad: largest rotation error it sees, about each axis.
     """
 
-    stiffness_N_m: tuple[float, float, float]
-    rotation_Nm_rad: tuple[float, float, float] = (60.0, 60.0, 60.0)
+    stiffness_N_m: tuple[float, float, float]  # along the hand's x, y (the fingers close along y) and z
+    rotation_Nm_rad: tuple[float, float, float] = (60.0, 60.0, 60.0)  # about the same axes
+    # largest position error the spring sees, along the base frame's x, y, z; and rotation error, about each axis
     clip_m: tuple[float, float, float] = (0.018, 0.018, 0.018)
     clip_rad: float = 0.2
 
@@ -124,10 +103,7 @@ class Gains:
         """Return the (6, 6) stiffness in the base frame, K = R K_ee Rᵀ for each block.
 
         A tracker takes its gains in the base frame; with the hand turned, the closing axis is stiff only through
-        off-diagonal terms.
-
-        Args:
-            rotation: (3, 3) of ``ee_to_base``.
+        off-diagonal terms. ``rotation`` is the (3, 3) of ``ee_to_base``.
         """
         K = np.zeros((6, 6))
         K[:3, :3] = rotation @ np.diag(self.stiffness_N_m) @ rotation.T

@@ -1,7 +1,5 @@
 """A child process that talks JSON lines: what may hang or hold the GIL lives there, and can be killed."""
 
-from __future__ import annotations
-
 import json
 import logging
 import queue
@@ -40,14 +38,12 @@ class Child:
     def connect(self, deadline_s: float) -> None:
         """Start the process, wait until the client is loaded, then for the connection within the deadline.
 
-        Raises:
-            RobotError: as ``wait``; the process is gone then.
+        Raises RobotError: as ``wait``; the process is gone then.
         """
         begun = time.monotonic()
         self._answers = queue.Queue()
-        self._process = subprocess.Popen(
-            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(self._command, stdin=pipe, stdout=pipe, text=True)
         # A daemon, so that a program that forgets close() can end; it never is inside a C++ client.
         self._reader = threading.Thread(target=self._read, args=(self._process, self._answers), daemon=True)
         self._reader.start()
@@ -79,11 +75,7 @@ class Child:
         return self._process.pid if self._process else None
 
     def send(self, do: str, **details: object) -> None:
-        """Send an order.
-
-        Raises:
-            RobotError: there is no process, or no longer.
-        """
+        """Send an order; raises RobotError: there is no process, or no longer."""
         pipe = self._running().stdin
         assert pipe is not None
         try:
@@ -96,8 +88,7 @@ class Child:
     def wait(self, word: str, deadline_s: float) -> None:
         """Wait for the line that says ``word``; kill the process if it does not come in time.
 
-        Raises:
-            RobotError: an error came instead, the process ended, or the deadline passed.
+        Raises RobotError: an error came instead, the process ended, or the deadline passed.
         """
         end = time.monotonic() + deadline_s
         while True:
@@ -108,37 +99,32 @@ class Child:
                 do = "Is it switched on, unlocked, FCI activated, and no other program connected?"
                 came = f"none after {deadline_s:.1f} s"
                 raise RobotError(expected(self._what, "an answer", came, do), "connection") from None
-            if line["say"] == word:
+            if self._sound(line)["say"] == word:
                 return
-            if (error := self._error(line)) is not None:
-                raise error
 
     def poll(self) -> dict | None:
         """Return the next line that is no state, None when there is none.
 
-        Raises:
-            RobotError: it is an error, or the process has ended.
+        Raises RobotError: it is an error, or the process has ended.
         """
         self._running()
         try:
-            line = self._answers.get_nowait()
+            return self._sound(self._answers.get_nowait())
         except queue.Empty:
             return None
-        if (error := self._error(line)) is not None:
-            raise error
-        return line
 
     def forget(self) -> None:
         """Drop what was said so far."""
         while not self._answers.empty():
             self._answers.get_nowait()
 
-    def _error(self, line: dict) -> RobotError | None:
+    def _sound(self, line: dict) -> dict:
+        """Return a line; raise what it says went wrong."""
         if line["say"] not in ("error", "gone"):
-            return None
+            return line
         text = line.get("text", "the client process ended; see its output. Connect again.")
         fault = fault_of(line.get("fault", "connection"), text, line.get("errors", ()))
-        return RobotError(f"{self._what}: {text}", fault)
+        raise RobotError(f"{self._what}: {text}", fault)
 
     def _running(self) -> subprocess.Popen[str]:
         if self._process is None:

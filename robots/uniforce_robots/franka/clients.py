@@ -40,11 +40,7 @@ def make_backend(config: UniforceFrankaConfig) -> tuple[Arm, HandClient]:
 
 
 def require_installed(client: str) -> None:
-    """Refuse a client that is not there.
-
-    Raises:
-        RobotError: names the extra that brings it.
-    """
+    """Refuse a client that is not there; raises RobotError: names the extra that brings it."""
     if importlib.util.find_spec(client) is None:
         do = f'Install it: pip install "{DISTRIBUTION}[{EXTRAS[client]}]" (Linux x86_64 only).'
         raise RobotError(expected("Franka client", f"{client} installed", "none", do), "backend")
@@ -119,8 +115,7 @@ class Arm:
     def stop(self, at_once: bool = False) -> None:
         """Give up control; the arm comes to rest and holds. Does nothing without control.
 
-        Args:
-            at_once: leave the braking to the robot: for readings that can't be believed, by which nothing can brake.
+        ``at_once`` leaves the braking to the robot: for readings that can't be believed, by which nothing can brake.
         """
         controls, self._controls = self._controls, False
         if not controls or self._fault is not None or not self._child.is_alive:
@@ -155,11 +150,7 @@ class Arm:
 
 
 class HandClient:
-    """A gripper's client.
-
-    Attributes:
-        reads_while_busy: whether ``read`` gives new readings while a command is in flight.
-    """
+    """A gripper's client; ``reads_while_busy`` says whether ``read`` gives new readings while a command runs."""
 
     def __init__(self, config: UniforceFrankaConfig) -> None:
         self._config, self._what = config, f"hand at {config.address}"

@@ -1,7 +1,5 @@
 """Settings of the robot ``uniforce_franka``; nested ones are set as ``--robot.guards.step_m=0.03``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -21,38 +19,25 @@ NESTED = {"gains": Gains, "guards": GuardLimits, "stream": StreamSettings, "grip
 @RobotConfig.register_subclass("uniforce_franka")
 @dataclass(kw_only=True)
 class UniforceFrankaConfig(RobotConfig):
-    """A Franka Research 3 with its hand; hard limits of every number in ``limits.HARD_LIMITS``.
+    """A Franka Research 3 with its hand; hard limits of every number in ``limits.HARD_LIMITS``."""
 
-    Attributes:
-        address: of the robot's controller; 127.0.0.N for the stand-in.
-        backend: ``franky`` (extra ``franka``) or ``pylibfranka`` (extra ``franka-official``).
-        fps: actions per second; a target is reached within one period.
-        gains: stiffness and clip; the force bound is their product.
-        guards: limits every action passes.
-        stream: rhythm and watchdog; its ``action_period_s`` follows ``fps``.
-        gripper: how widths become commands.
-        reflex_torque_Nm, reflex_force_N: the robot's own stop, at any joint and along any axis. 40 N lies above the
-            press that 800 N/m × 18 mm allows and below what breaks a gel.
-        connect_deadline_s: for an answer, once the client is loaded; with the client's own start a person waits 3 s.
-        realtime: ``ignore`` or ``enforce`` (needs PREEMPT_RT).
-        cameras: scene and tactile cameras by name; each is one image of the observation, and a tactile one two: its
-            free-air reference is ``NAME_ref``.
-        open_width_m: fingers at least so far apart count as open, which a free-air reference needs.
-    """
-
-    address: str = "172.16.0.2"  # the controller's default
-    backend: Literal["franky", "pylibfranka"] = "franky"
-    fps: float = 30.0
-    gains: Gains = field(default_factory=lambda: ROLLOUT)
-    guards: GuardLimits = field(default_factory=GuardLimits)
+    address: str = "172.16.0.2"  # of the robot's controller, its default; 127.0.0.N for the stand-in
+    backend: Literal["franky", "pylibfranka"] = "franky"  # extra ``franka`` or ``franka-official``
+    fps: float = 30.0  # actions per second; a target is reached within one period
+    gains: Gains = field(default_factory=lambda: ROLLOUT)  # stiffness and clip; the force bound is their product
+    guards: GuardLimits = field(default_factory=GuardLimits)  # limits every action passes
+    # rhythm and watchdog; its ``action_period_s`` follows ``fps``
     stream: StreamSettings = field(default_factory=StreamSettings)
-    gripper: HandSettings = field(default_factory=HandSettings)
+    gripper: HandSettings = field(default_factory=HandSettings)  # how widths become commands
+    # The robot's own stop, at any joint and along any axis. 40 N lies above the press that 800 N/m × 18 mm allows and
+    # below what breaks a gel.
     reflex_torque_Nm: float = 40.0
     reflex_force_N: float = 40.0
-    connect_deadline_s: float = 2.5
-    realtime: Literal["ignore", "enforce"] = "ignore"
+    connect_deadline_s: float = 2.5  # for an answer, once the client is loaded; with its start a person waits 3 s
+    realtime: Literal["ignore", "enforce"] = "ignore"  # enforce needs PREEMPT_RT
+    # By name; each is one image of the observation, and a tactile one two: its free-air reference is ``NAME_ref``.
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
-    open_width_m: float = 0.06  # the hand opens to 0.08
+    open_width_m: float = 0.06  # fingers so far apart count as open, as a free-air reference needs; 0.08 is the widest
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -4,8 +4,6 @@ Behind it stand the check of what is sent (``send_check``), the tracker's clip (
 the robot's own reflex.
 """
 
-from __future__ import annotations
-
 import logging
 from dataclasses import dataclass
 
@@ -25,23 +23,18 @@ class GuardLimits:
     """Limits in the robot's base frame, axes as in ``keys.AXES``: x, y, z m, yaw rad, width m.
 
     Each has a hard limit in ``limits.HARD_LIMITS``.
-
-    Attributes:
-        low, high: the workspace box; measure your own before the first run.
-        step_m, step_rad: largest distance of a target from the measured pose. Wider than the tracker's clip, so that
-            it catches a policy gone astray rather than one that presses.
-        speed_m_s, speed_rad_s, speed_width_m_s: largest speed of the target.
-        longest_gap_s: after a longer pause the rate is counted from here, so that a pause does not buy a jump.
     """
 
-    low: tuple[float, ...] = (0.30, -0.30, 0.005, -np.pi / 2, 0.0)
+    low: tuple[float, ...] = (0.30, -0.30, 0.005, -np.pi / 2, 0.0)  # the workspace box: measure your own
     high: tuple[float, ...] = (0.70, 0.30, 0.50, np.pi / 2, 0.08)
+    # Largest distance of a target from the measured pose. Wider than the tracker's clip, so that it catches a policy
+    # gone astray rather than one that presses.
     step_m: float = 0.05
     step_rad: float = 0.35
-    speed_m_s: float = 0.25
+    speed_m_s: float = 0.25  # of the target
     speed_rad_s: float = 1.5
     speed_width_m_s: float = 0.1
-    longest_gap_s: float = 0.1
+    longest_gap_s: float = 0.1  # a longer pause counts as this long, so that it does not buy a jump
 
     def __post_init__(self) -> None:
         require_in_limits(self)

@@ -57,21 +57,14 @@ class HandReading:
 
 @dataclass(frozen=True)
 class HandSettings:
-    """How widths become commands; hard limits in ``limits.HARD_LIMITS``.
+    """How widths become commands; hard limits in ``limits.HARD_LIMITS``."""
 
-    Attributes:
-        speed_m_s: of the fingers.
-        grip_force_N: of a grasp. Gels and domes are rated for about 11 N; the real hand's smallest force is unverified.
-        grasp_below_m: a closing target below this is a grasp (force-bound), above it a move (position).
-        hysteresis_m: a smaller change of the target is no new command.
-        reading_age_s: an older reading stops the arm; the hand gives about ten a second.
-    """
-
-    speed_m_s: float = 0.05
+    speed_m_s: float = 0.05  # of the fingers
+    # of a grasp; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
     grip_force_N: float = 10.0
-    grasp_below_m: float = 0.04
-    hysteresis_m: float = 0.003
-    reading_age_s: float = 0.5
+    grasp_below_m: float = 0.04  # a closing target below this is a grasp (force-bound), above it a move (position)
+    hysteresis_m: float = 0.003  # a smaller change of the target is no new command
+    reading_age_s: float = 0.5  # an older reading stops the arm; the hand gives about ten a second
 
     def __post_init__(self) -> None:
         require_in_limits(self)
@@ -92,8 +85,7 @@ def next_command(target_m: float, last: HandCommand | None, settings: HandSettin
 def require_open(reading: HandReading, open_width_m: float) -> None:
     """Refuse a free-air reference while the fingers may hold something.
 
-    Raises:
-        SensorError: they hold something, or are closer than ``open_width_m``.
+    Raises SensorError: they hold something, or are closer than ``open_width_m``.
     """
     if reading.is_grasped or reading.width_m < open_width_m:
         came = "holding something" if reading.is_grasped else f"{reading.width_m * 1000:.0f} mm"
@@ -119,17 +111,13 @@ class Hand:
         self._reading: HandReading | None = None
         self._target_m: float | None = None
         self._last: HandCommand | None = None
-        self._in_flight = False
+        self.is_busy = False  # a command is in flight
         self._deadline_s = self._ended_s = 0.0  # of the command in flight; when the last one ended
         self._held_s: float | None = None  # when it last said that it holds something; None: nothing to lose
         self._fault: RobotError | None = None
 
     def start(self) -> None:
-        """Connect and read the hand once.
-
-        Raises:
-            RobotError: no connection, or no first reading.
-        """
+        """Connect and read the hand once; raises RobotError: no connection, or no first reading."""
         self._client.connect()
         self._take_reading()
         if self._reading is None:
@@ -140,8 +128,7 @@ class Hand:
     def reading(self) -> HandReading:
         """The newest reading, whatever its age: while a command runs some clients give none.
 
-        Raises:
-            RobotError: the hand has a fault.
+        Raises RobotError: the hand has a fault.
         """
         if self._fault is not None:
             raise self._fault
@@ -149,16 +136,10 @@ class Hand:
             raise RobotError("hand: expected start() first, got no reading. Connect the robot.", "ended")
         return self._reading
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether a command is in flight."""
-        return self._in_flight
-
     def submit(self, width_m: float) -> None:
         """Want a width from now on; the newest one counts once the hand is free.
 
-        Raises:
-            RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
+        Raises RobotError: the hand has a fault; ``guard``: a width that no layer above should have let through.
         """
         if self._fault is not None:
             raise self._fault
@@ -170,12 +151,11 @@ class Hand:
     def tick(self) -> None:
         """Take the newest reading and outcome, begin the next command, and check; one thread at a time.
 
-        Raises:
-            RobotError: as ``check``; a fault of the client stays until the robot connects again.
+        Raises RobotError: as ``check``; a fault of the client stays until the robot connects again.
         """
         try:
             self._take_reading()
-            if self._in_flight:
+            if self.is_busy:
                 self._finish(self._client.poll())
             else:
                 self._begin()
@@ -193,7 +173,7 @@ class Hand:
         if self._fault is not None:
             raise self._fault
         self._client.refuse_closed()
-        if self._in_flight and self._clock() > self._deadline_s:
+        if self.is_busy and self._clock() > self._deadline_s:
             came, do = f"an answer to {self._last}", "Is something in its way? Free it, then connect again."
             raise RobotError(expected("hand", came, "none in time", do), "hand_deadline")
         self._refuse_old()
@@ -203,7 +183,7 @@ class Hand:
             raise RobotError(expected("hand", "what was grasped", "nothing any more", do), "grasp_lost")
 
     def _refuse_old(self) -> None:
-        if self._reading is None or (self._in_flight and not self._client.reads_while_busy):
+        if self._reading is None or (self.is_busy and not self._client.reads_while_busy):
             return  # the deadline of the command bounds the time without readings
         age_s = self._clock() - max(self._reading.time_s, self._ended_s)
         if age_s > self.settings.reading_age_s:
@@ -212,11 +192,7 @@ class Hand:
             raise RobotError(expected("hand", wanted, f"{age_s:.2f} s", do), "hand_stale")
 
     def recover(self) -> None:
-        """Forget a lost grasp on an operator's word.
-
-        Raises:
-            RobotError: anything else is wrong still.
-        """
+        """Forget a lost grasp on an operator's word; raises RobotError: anything else is wrong still."""
         self._held_s = None
         self.tick()
 
@@ -228,7 +204,7 @@ class Hand:
         if not all(-THINNEST_m <= width <= WIDEST_m for width in widths):  # NaN is not, either
             came, do = f"{widths[0]} of {widths[1]} m", "Home the hand, then connect again."
             raise RobotError(expected("hand", f"widths of 0 to {WIDEST_m} m", came, do), "hand_state")
-        grasps = self._last is not None and self._last.force_N > 0 and not self._in_flight
+        grasps = self._last is not None and self._last.force_N > 0 and not self.is_busy
         if grasps and reading.is_grasped:
             self._held_s = reading.time_s
         self._reading = reading
@@ -237,7 +213,7 @@ class Hand:
         if outcome is None:
             return
         self._ended_s = self._clock()  # first: another thread may check in between
-        self._in_flight = False
+        self.is_busy = False
         if not outcome:
             self.failed_grasps += 1
             log.warning("hand: %s did not succeed", self._last)
@@ -250,4 +226,4 @@ class Hand:
         travel_s = abs(self._reading.width_m - end_m) / command.speed_m_s
         self._client.begin(command)
         self._deadline_s = self._clock() + travel_s + GRACE_s
-        self._held_s, self._last, self._in_flight = None, command, True
+        self._held_s, self._last, self.is_busy = None, command, True

@@ -4,8 +4,6 @@ A setting says what its owner wants, within these. They are chosen so that a Fra
 slow and soft, whatever a file or a command line says. Nothing here has been tried on hardware.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Real
 
@@ -84,8 +82,7 @@ HARD_LIMITS: dict[str, dict[str, Range | tuple[Range, ...]]] = {
 def require_in_limits(settings: object) -> None:
     """Check each number of a settings object, tuples number by number, against ``HARD_LIMITS``.
 
-    Raises:
-        ContractError: a value that is no finite number, or outside; names the field, the value and the range.
+    Raises ContractError: a value that is no finite number, or outside; names the field, the value and the range.
     """
     name = type(settings).__name__
     for field, allowed in HARD_LIMITS[name].items():
@@ -102,8 +99,7 @@ def require_in_limits(settings: object) -> None:
 def require_kind(what: str, value: object, kind: type) -> None:
     """Check that settings are of a class that was checked when it was made; a subclass may have left that out.
 
-    Raises:
-        ContractError: anything else.
+    Raises ContractError: anything else.
     """
     if type(value) is not kind:
         raise ContractError(expected(what, kind.__name__, repr(value), "Give one."))

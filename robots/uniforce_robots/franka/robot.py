@@ -1,10 +1,9 @@
 """The LeRobot robot: five axes and cameras in, five guarded axes out."""
 
-from __future__ import annotations
-
 import logging
 import math
 import reprlib
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -21,12 +20,28 @@ from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardChain
 from uniforce_robots.franka.hand import Hand, HandReading, require_open
 from uniforce_robots.franka.poses import ToolPose
-from uniforce_robots.franka.shutdown import forbid_return_motion
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_vtla.errors import RobotError, SensorError, expected
 from uniforce_vtla.keys import AXES
 
 log = logging.getLogger(__name__)
+STRATEGIES = "lerobot.rollout.strategies.core"
+
+
+def forbid_return_motion() -> bool:
+    """Replace the return motion of LeRobot's rollout by a line in the log; return whether a rollout is loaded.
+
+    It would lead the arm back to where it began, through whatever is there, also one that has just been stopped. The
+    robot can't know those actions from a policy's.
+    """
+    module = sys.modules.get(STRATEGIES)
+    if module is not None:
+        module.RolloutStrategy._return_to_initial_position = staticmethod(_stay)
+    return module is not None
+
+
+def _stay(*_: object, **__: object) -> None:
+    log.info("uniforce_franka stays where it is: no motion after the end")
 
 
 class UniforceFranka(Robot):
@@ -39,6 +54,8 @@ class UniforceFranka(Robot):
 
     config_class = UniforceFrankaConfig
     name = "uniforce_franka"
+    is_calibrated = True  # the arm knows its joints
+    action_features = dict.fromkeys(AXES, float)  # the target axes
 
     def __init__(self, config: UniforceFrankaConfig, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(config)
@@ -59,25 +76,14 @@ class UniforceFranka(Robot):
         return {**dict.fromkeys(AXES, float), **images}
 
     @property
-    def action_features(self) -> dict[str, type]:
-        """Five target axes."""
-        return dict.fromkeys(AXES, float)
-
-    @property
     def is_connected(self) -> bool:
         """Whether arm, hand and cameras are; a fault does not disconnect, so that its data can be kept."""
         return self._stream is not None
 
-    @property
-    def is_calibrated(self) -> bool:
-        """Always: the arm knows its joints."""
-        return True
-
     def calibrate(self) -> None:
-        """Do nothing; the hand is homed on the robot's own page, since that moves the fingers."""
+        """Do nothing: the hand is homed on the robot's own page, since that moves the fingers."""
 
-    def configure(self) -> None:
-        """Do nothing; ``connect`` sets the reflex thresholds."""
+    configure = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
         """Connect arm, hand and cameras. Nothing moves before the first action.
@@ -104,22 +110,18 @@ class UniforceFranka(Robot):
             require_open(hand.reading, self.config.open_width_m)
         for camera in self.cameras.values():
             camera.connect()
-        self._start_stream()
+        self._start_stream(hand)
 
     def require_open_hand(self) -> None:
         """Refuse a free-air reference while the fingers may hold something.
 
-        Raises:
-            SensorError: the hand is not open.
-            RobotError: a fault of the hand, or not connected.
+        Raises SensorError: the hand is not open; RobotError: a fault of the hand, or not connected.
         """
         require_open(self._parts()[1].reading, self.config.open_width_m)
 
-    def _start_stream(self) -> None:
-        if self._hand is None:
-            raise RobotError("robot: expected a hand, got none. Call connect().", "ended")
+    def _start_stream(self, hand: Hand) -> None:
         settings = replace(self.config.stream, action_period_s=1 / self.config.fps)
-        stream = ArmStream(self._arm, settings, self.config.guards, self._hand.tick, self._clock)
+        stream = ArmStream(self._arm, settings, self.config.guards, hand.tick, self._clock)
         stream.start()
         self._stream = stream
         self._fault = None
@@ -135,7 +137,7 @@ class UniforceFranka(Robot):
         stream.stop()  # first: its thread ticks the hand
         hand.recover()
         self._arm.recover()
-        self._start_stream()
+        self._start_stream(hand)
 
     def disconnect(self) -> None:
         """Stop the arm where it is, stop the fingers, join every thread, hang up. Safe to call twice."""
@@ -154,8 +156,7 @@ class UniforceFranka(Robot):
     def measured(self) -> np.ndarray:
         """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.
 
-        Raises:
-            RobotError: not connected, a fault of arm or hand, or a reading too old.
+        Raises RobotError: not connected, a fault of arm or hand, or a reading too old.
         """
         stream, hand = self._parts()
         pose = ToolPose.from_ee(stream.state.ee_to_base)
@@ -163,11 +164,7 @@ class UniforceFranka(Robot):
 
     @property
     def reading(self) -> tuple[ArmState, HandReading]:
-        """The newest readings of arm and hand, for a recorder. Never blocks.
-
-        Raises:
-            RobotError: as ``measured``.
-        """
+        """The newest readings of arm and hand, for a recorder. Never blocks; raises RobotError: as ``measured``."""
         stream, hand = self._parts()
         return stream.state, hand.reading
 
@@ -187,11 +184,9 @@ class UniforceFranka(Robot):
         with self._halting():
             axes = dict(zip(AXES, self.measured().tolist(), strict=True))
         images = {name: self._image(name, camera) for name, camera in self.cameras.items()}
-        # Copies: what LeRobot gets it may write to.
-        references = {
-            f"{name}_ref": self.cameras[name].reference_image().copy() for name in self.config.fingers
-        }
-        return {**axes, **images, **references}
+        for name in self.config.fingers:  # copies: what LeRobot gets it may write to
+            images[f"{name}_ref"] = self.cameras[name].reference_image().copy()
+        return {**axes, **images}
 
     def _image(self, name: str, camera: Camera) -> np.ndarray:
         try:

@@ -1,7 +1,5 @@
 """The last check of a pose that is about to be sent, whatever computed it. It corrects nothing: it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uniforce_robots.franka.guards import GuardLimits
@@ -26,11 +24,7 @@ class SendCheck:
         self._last_s = 0.0
 
     def __call__(self, pose: ToolPose, measured: ToolPose, now_s: float) -> None:
-        """Accept a pose as sent at ``now_s``.
-
-        Raises:
-            RobotError: ``guard``: the pose must not be sent.
-        """
+        """Accept a pose as sent at ``now_s``; raises RobotError: ``guard``: the pose must not be sent."""
         target, here = _axes(pose), _axes(measured)
         last = here if self._last is None else self._last
         gap_s = self._limits.longest_gap_s

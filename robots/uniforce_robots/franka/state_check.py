@@ -1,7 +1,5 @@
 """Is what the robot reports possible? Finite, continuous, within its own speed limits, from a clock that advances."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from uniforce_robots.fr3 import DQ_MAX_rad_s

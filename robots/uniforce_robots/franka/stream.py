@@ -5,8 +5,6 @@ pressed lets go; a fault ends the stream and nothing moves until the arm is reco
 before it is used, and each pose before it is sent.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time
@@ -29,19 +27,12 @@ GOOD_RATE = 0.9  # share of commands in time, below which someone should look at
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """Rhythm of the stream; hard limits in ``limits.HARD_LIMITS``.
+    """Rhythm of the stream; hard limits in ``limits.HARD_LIMITS``."""
 
-    Attributes:
-        rate_hz: targets per second.
-        action_period_s: how long a ramp to a new action takes; the policy's own period.
-        stale_s: an action older than this is no longer followed.
-        state_age_s: a reading older than this is not used; a robot whose clock stands still for so long is gone.
-    """
-
-    rate_hz: float = 100.0
-    action_period_s: float = 1 / 30
-    stale_s: float = 0.2
-    state_age_s: float = 0.2
+    rate_hz: float = 100.0  # targets per second
+    action_period_s: float = 1 / 30  # how long a ramp to a new action takes; the policy's own period
+    stale_s: float = 0.2  # an action older than this is no longer followed
+    state_age_s: float = 0.2  # an older reading is not used; a robot whose clock stands still for so long is gone
 
     def __post_init__(self) -> None:
         require_in_limits(self)
@@ -99,11 +90,7 @@ class ArmStream:
         self._thread = threading.Thread(target=self._run, name="arm-stream")
 
     def start(self) -> None:
-        """Read the arm once, so that a state is there, and begin.
-
-        Raises:
-            RobotError: no reading, or one that can't be.
-        """
+        """Read the arm once, so that a state is there, and begin; RobotError: no reading, or one that can't be."""
         self.read_first()
         self._thread.start()
 
@@ -133,8 +120,7 @@ class ArmStream:
     def state(self) -> ArmState:
         """The newest reading. Never blocks.
 
-        Raises:
-            RobotError: the arm has a fault, or the reading is older than ``state_age_s``.
+        Raises RobotError: the arm has a fault, or the reading is older than ``state_age_s``.
         """
         self._check()
         with self._lock:
@@ -157,8 +143,7 @@ class ArmStream:
     def submit(self, target: ToolPose) -> None:
         """Go to a pose within an action's period. Never blocks.
 
-        Raises:
-            RobotError: the arm has a fault, or the stream has ended.
+        Raises RobotError: the arm has a fault, or the stream has ended.
         """
         self._check()
         if self._ending.is_set():
@@ -200,8 +185,7 @@ class ArmStream:
     def tick(self) -> None:
         """Read, check, and send the next pose; what the thread does at ``rate_hz``.
 
-        Raises:
-            RobotError: nothing may be sent any more.
+        Raises RobotError: nothing may be sent any more.
         """
         state = self._read()
         self._watch()

@@ -3,11 +3,14 @@
 Forces and places are estimates of the same readers that score the pairs: the map steers an operator, it labels nothing.
 """
 
-from __future__ import annotations
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from uniforce_robots.pairs.finger_force import CHANNELS, GRID
+from uniforce_vtla.figure_file import save_figure
 
 NORMAL_EDGES_N = (0.0, 2.0, 4.0, 6.0, 9.0, 12.0)  # the paper's range, finer where grasps are gentle
 SHEAR_EDGES_N = (0.0, 0.5, 1.5, 3.0)  # magnitude
@@ -19,10 +22,7 @@ def contact_place(field: np.ndarray) -> np.ndarray:
     """Return (N, 2) where the pad is pressed, x right and y down, −1 … 1 over the image.
 
     The centre of what moves against the pad's mean motion: shear moves all markers alike, pressing drives those around
-    the contact apart and lets them grow.
-
-    Args:
-        field: (N, 192) touch fields, canonical.
+    the contact apart and lets them grow. ``field`` holds (N, 192) touch fields, canonical.
     """
     maps = field.reshape(-1, CHANNELS, GRID * GRID)
     own = maps - np.median(maps, axis=2, keepdims=True)
@@ -35,12 +35,7 @@ def contact_place(field: np.ndarray) -> np.ndarray:
 
 
 class Coverage:
-    """Counts of kept pairs; empty at first.
-
-    Attributes:
-        force: (normal, shear) counts.
-        place: (rows, columns) counts over the pad.
-    """
+    """Counts of kept pairs: ``force`` by (normal, shear), ``place`` by (row, column) over the pad; empty at first."""
 
     def __init__(self) -> None:
         self.force = np.zeros((len(NORMAL_EDGES_N) - 1, len(SHEAR_EDGES_N) - 1), int)
@@ -74,3 +69,25 @@ class Coverage:
 
 def _bin(value: float, edges: tuple[float, ...]) -> int:
     return int(np.clip(np.digitize(value, edges) - 1, 0, len(edges) - 2))
+
+
+def draw_coverage(names: Sequence[str], coverage: Sequence[Coverage], path: Path) -> Path:
+    """Write two rows of maps, a column per indenter: force above, place on the pad below."""
+    figure = Figure(figsize=(1.9 * len(names) + 0.8, 4.6), layout="constrained")
+    axes = figure.subplots(2, len(names), squeeze=False)
+    for (force, place), name, covered in zip(axes.T, names, coverage, strict=True):
+        force.imshow(covered.force, origin="lower", cmap="Blues", aspect="auto")
+        force.set_title(f"{name}, {covered.force.sum()}", fontsize=9)
+        for ticks, edges in ((force.set_xticks, SHEAR_EDGES_N), (force.set_yticks, NORMAL_EDGES_N)):
+            ticks(range(len(edges) - 1), [f"≤{edge:g}" for edge in edges[1:]], fontsize=7)
+        force.set_xlabel("shear, N", fontsize=7)
+        place.imshow(covered.place, cmap="Greens", aspect="equal")
+        place.set(xticks=[], yticks=[])
+        for axis, counts in ((force, covered.force), (place, covered.place)):
+            for (row, column), count in zip(np.ndindex(counts.shape), counts.flat, strict=True):
+                colour = "white" if count > counts.max() / 2 else "black"
+                axis.text(column, row, str(count), ha="center", va="center", fontsize=6, color=colour)
+    axes[0][0].set_ylabel("normal force, N")
+    axes[1][0].set_ylabel("place on the left pad")
+    figure.suptitle("Kept pairs per cell; forces and places are estimates")
+    return save_figure(figure, path)

@@ -100,8 +100,7 @@ class FingerForce(nn.Module):
     def from_pretrained(cls, sensor: str, folder: str | Path | None = None) -> FingerForce:
         """Load the reader of a kind of sensor, shipped or from a folder.
 
-        Raises:
-            CheckpointError: none for that sensor, or damaged.
+        Raises CheckpointError: none for that sensor, or damaged.
         """
         path = Path(folder) if folder else ASSETS / sensor
         if not path.is_dir():
@@ -109,8 +108,6 @@ class FingerForce(nn.Module):
             do = "Train one: python -m benchmarks.pair_quality train=true rigs=…"
             raise CheckpointError(expected(f"force reader of {sensor}", known, "none", do))
         facts = read_config(path)
-        if facts.get("sensor") != sensor:
-            raise CheckpointError(
-                expected(str(path), f"a reader of {sensor}", facts.get("sensor"), "Name another.")
-            )
+        if (came := facts.get("sensor")) != sensor:
+            raise CheckpointError(expected(str(path), f"a reader of {sensor}", came, "Name another."))
         return load_model(path, cls).eval()

@@ -12,8 +12,6 @@ object is in equilibrium with what holds it from outside, unless one of the faul
 Magnitudes are plausible, not measured. Nothing here knows sensors or images.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,16 +60,10 @@ class GuidedGrasp:
     fault: str = "none"  # one of ``FAULTS``, or "none"
 
 
-def draw_grasp(
-    rng: np.random.Generator, settings: GraspSettings, mass_kg: float, friction: float = 1.0
-) -> GuidedGrasp:
-    """Return a random guided grasp.
+def draw_grasp(rng: np.random.Generator, settings: GraspSettings, mass_kg: float, friction: float = 1.0) -> GuidedGrasp:
+    """Return a random guided grasp of an object whose mass counts with what moves of its holder.
 
-    Args:
-        rng: draws everything.
-        settings: how.
-        mass_kg: of the object with what moves of its holder.
-        friction: of the pads; the loads asked for stay below it.
+    The loads asked for stay below the pads' friction.
     """
     fault = str(rng.choice(settings.faults)) if rng.random() < settings.fault_share else "none"
     T, dt, led = settings.frames, 1 / settings.rate_hz, _after_rest(settings)

@@ -12,8 +12,6 @@ How two units' normals compare depends on what is held and where, so every grasp
 fingers close with the hand at rest, both pads carry the same growing force.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -53,13 +51,9 @@ class GraspSignals:
 
 @dataclass(frozen=True)
 class PairQuality:
-    """The score of T pairs.
+    """The score of T pairs."""
 
-    Attributes:
-        error: (T,) estimated ‖F_left − F_right‖ over the mean of both; 2 where one finger doesn't touch.
-    """
-
-    error: np.ndarray
+    error: np.ndarray  # (T,) estimated ‖F_left − F_right‖ over the mean of both; 2 where one finger doesn't touch
 
     @property
     def flagged(self) -> np.ndarray:

@@ -58,18 +58,9 @@ class SessionReport:
 
 
 class PairRecorder:
-    """One session: references are taken once, then grasps come in.
+    """One session: references are taken once, then grasps come in; ``show`` is called with the live status."""
 
-    Args:
-        rig: delivers frames.
-        store: keeps pairs.
-        plan: what to record.
-        show: called with the live status.
-    """
-
-    def __init__(
-        self, rig: PairRig, store: PairStore, plan: RecordingPlan, show: Callable[[Status], None]
-    ) -> None:
+    def __init__(self, rig: PairRig, store: PairStore, plan: RecordingPlan, show: Callable[[Status], None]) -> None:
         self._rig, self._store, self._plan, self._show = rig, store, plan, show
         self._judge = PairJudge()
         self.report = SessionReport()

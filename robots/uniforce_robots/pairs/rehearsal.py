@@ -4,8 +4,6 @@ Yields what a rig would deliver. The truth beside it is for judging the score, n
 canonical (the left finger's frame), so that in equilibrium both are equal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -51,30 +49,23 @@ class GraspTruth:
 def equilibrium_error(left_N: np.ndarray, right_N: np.ndarray) -> np.ndarray:
     """Return (T,) ‖F_left − F_right‖ over the mean of both magnitudes, or over ``FLOOR_N`` where they are lighter.
 
-    Args:
-        left_N: (T, 3) force the left pad carries, canonical frame.
-        right_N: (T, 3) the right pad's, canonical frame.
+    Forces are (T, 3), what each pad carries in the canonical frame.
     """
     mean = (np.linalg.norm(left_N, axis=-1) + np.linalg.norm(right_N, axis=-1)) / 2
     return np.linalg.norm(left_N - right_N, axis=-1) / np.maximum(mean, FLOOR_N)
 
 
 class SimulatedRig:
-    """A ``PairRig``: two units that live for a session, and as many grasps of any indenter as one asks for.
-
-    Attributes:
-        truths: of each grasp so far.
-    """
+    """A ``PairRig``: two units that live for a session, and as many grasps of any indenter as one asks for."""
 
     def __init__(self, rehearsal: Rehearsal) -> None:
         self.rehearsal = rehearsal
         self.rate_hz = rehearsal.grasps.rate_hz
         self.sensors: dict[Finger, str] = {"left": rehearsal.left_sensor, "right": rehearsal.right_sensor}
-        self.truths: list[GraspTruth] = []
+        self.truths: list[GraspTruth] = []  # of each grasp so far
         self._rng = np.random.default_rng([rehearsal.seed, 77])
-        self._fingers = {
-            f: draw_simulator(self._rng, sensor, UNIT_STRENGTH, OPTIONS) for f, sensor in self.sensors.items()
-        }
+        worn = self.sensors.items()
+        self._fingers = {f: draw_simulator(self._rng, name, UNIT_STRENGTH, OPTIONS) for f, name in worn}
         self._true_mass_kg = float(self._rng.uniform(*MASS_kg))
         self.mass_kg = self._true_mass_kg * (1 + MASS_KNOWN * float(self._rng.standard_normal()))
 

@@ -40,17 +40,11 @@ class RigFrame:
 
 
 class PairRig(Protocol):
-    """A hand with two tactile fingers.
+    """A hand with two tactile fingers."""
 
-    Attributes:
-        sensors: finger → registry name.
-        rate_hz: frames per second.
-        mass_kg: of the held object with what moves of its holder, as weighed.
-    """
-
-    sensors: dict[Finger, str]
-    rate_hz: float
-    mass_kg: float
+    sensors: dict[Finger, str]  # finger → registry name
+    rate_hz: float  # frames per second
+    mass_kg: float  # of the held object with what moves of its holder, as weighed
 
     def references(self) -> dict[Finger, np.ndarray]:
         """Return the session's free-air references (480, 640)."""
@@ -69,8 +63,7 @@ class HandMotion:
     def __call__(self, time_s: float, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Take a measured pose (5,) and return both; zeros before there are enough poses.
 
-        Raises:
-            ContractError: time stood still or ran backwards.
+        Raises ContractError: time stood still or ran backwards.
         """
         if self._times and time_s <= self._times[-1]:
             do = "Give each pose once, with its time."
@@ -80,9 +73,7 @@ class HandMotion:
         if len(self._times) < POSES:
             return np.zeros(3), np.zeros(3)
         now = np.array(self._times) - self._times[-1]
-        curve = np.polynomial.polynomial.polyfit(
-            now, np.array(self._positions), 2
-        )  # (3, 3) by power and axis
+        curve = np.polynomial.polynomial.polyfit(now, np.array(self._positions), 2)  # (3, 3) by power and axis
         c, s = np.cos(axes[3]), np.sin(axes[3])  # at yaw 0 the fingers close along the base's x
         to_hand = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
         return to_hand @ curve[1], 2 * to_hand @ curve[2]
@@ -91,15 +82,8 @@ class HandMotion:
 class RobotRig:
     """A ``PairRig`` on a robot that is connected and soft, and fingers that are connected.
 
-    Args:
-        robot: measures poses.
-        fingers: finger → tactile camera.
-        sensors: finger → registry name.
-        rate_hz: frames per second.
-        mass_kg: of the object and what moves of its holder: weigh it.
-        grip_N: force the gripper is commanded to hold with.
-        steer: called with each measured pose (5,); lets a soft arm follow the hand that leads it.
-        clock: seconds; tests put their own.
+    The gripper is commanded to hold with ``grip_N``. ``steer`` is called with each measured pose (5,): it lets a soft
+    arm follow the hand that leads it.
     """
 
     def __init__(
@@ -120,19 +104,13 @@ class RobotRig:
         self._is_open, self._turning_m = True, 0.0  # widest since they opened, or narrowest since they closed
 
     def references(self) -> dict[Finger, np.ndarray]:
-        """Return the references taken when the fingers were opened, in free air.
-
-        Raises:
-            ContractError: none was taken.
-        """
+        """Return the references taken when the fingers were opened, in free air; ContractError: none was taken."""
         return {f: np.ascontiguousarray(c.reference_image()[..., 0]) for f, c in self._fingers.items()}
 
     def frames(self, indenter: str) -> Iterator[RigFrame]:
         """Yield a frame whenever both fingers have a new image.
 
-        Raises:
-            SensorError: a finger is lost, frozen or stale.
-            RobotError: the robot has a fault.
+        Raises SensorError: a finger is lost, frozen or stale; RobotError: the robot has a fault.
         """
         motion = HandMotion()
         while True:

@@ -22,21 +22,9 @@ from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import Episode, Source, episode_frames
 from uniforce_robots.pairs.coverage import Coverage
 from uniforce_robots.pairs.rig import RigFrame
+from uniforce_vtla import keys
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.keys import (
-    PAIR_ACCELERATION,
-    PAIR_ERROR,
-    PAIR_GRIP,
-    PAIR_INDENTER,
-    PAIR_PLACE,
-    PAIR_SESSION,
-    PAIR_VELOCITY,
-    TACTILE_KEYS,
-    pair_force_key,
-    sensor_key,
-    tactile_key,
-)
 
 LAYOUT, DATASET = "uniforce_pairs", "lerobot"
 PATTERN = "uniforce"
@@ -67,42 +55,34 @@ class Pair:
 
     def row(self) -> dict[str, Any]:
         """Return the frame with the dataset's keys, all but the chunk's own."""
-        numbers = {pair_force_key(f): self.force_N[f] for f in FINGERS} | {
-            PAIR_PLACE: self.place,
-            PAIR_ERROR: [self.error],
-            PAIR_VELOCITY: self.frame.velocity_m_s,
-            PAIR_ACCELERATION: self.frame.acceleration_m_s2,
-            PAIR_GRIP: [self.frame.grip_N],
+        numbers = {keys.pair_force_key(f): self.force_N[f] for f in FINGERS} | {
+            keys.PAIR_PLACE: self.place,
+            keys.PAIR_ERROR: [self.error],
+            keys.PAIR_VELOCITY: self.frame.velocity_m_s,
+            keys.PAIR_ACCELERATION: self.frame.acceleration_m_s2,
+            keys.PAIR_GRIP: [self.frame.grip_N],
         }
         row: dict[str, Any] = {key: np.asarray(value, np.float32) for key, value in numbers.items()}
-        return row | {tactile_key(f): self.frame.images[f] for f in FINGERS}
+        return row | {keys.tactile_key(f): self.frame.images[f] for f in FINGERS}
 
 
 def pair_features() -> dict[str, dict]:
     """Return LeRobot's features dict of recorded pairs."""
     video = {"dtype": "video", "shape": MARKER_VIDEO_SHAPE, "names": ["height", "width", "channels"]}
-    features: dict[str, dict] = {key: dict(video) for key in TACTILE_KEYS}
-    features |= {pair_force_key(f): vector_column(["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
-    features |= {key: vector_column(["x", "y", "z"]) for key in (PAIR_VELOCITY, PAIR_ACCELERATION)}
-    features[PAIR_PLACE] = vector_column(["x", "y"])
-    features |= {key: scalar_column("float32") for key in (PAIR_ERROR, PAIR_GRIP)}
-    integers = (PAIR_INDENTER, PAIR_SESSION, *(sensor_key(f) for f in FINGERS))
+    features: dict[str, dict] = {key: dict(video) for key in keys.TACTILE_KEYS}
+    features |= {keys.pair_force_key(f): vector_column(["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
+    features |= {key: vector_column(["x", "y", "z"]) for key in (keys.PAIR_VELOCITY, keys.PAIR_ACCELERATION)}
+    features[keys.PAIR_PLACE] = vector_column(["x", "y"])
+    features |= {key: scalar_column("float32") for key in (keys.PAIR_ERROR, keys.PAIR_GRIP)}
+    integers = (keys.PAIR_INDENTER, keys.PAIR_SESSION, *(keys.sensor_key(f) for f in FINGERS))
     return features | {key: flat_column(1, "int64") for key in integers}
 
 
 class PairStore:
     """Appends chunks, or goes on with what is at ``root``.
 
-    Args:
-        root: folder; ``lerobot/`` and ``uniforce_pairs/`` below it.
-        left_sensor, right_sensor: registry names.
-        indenters: names, in the order of their indices.
-        rate_hz: frames per second, a whole number.
-
-    Attributes:
-        counts: saved pairs of each indenter.
-        coverage: of each indenter.
-        next_session: number of a session that begins now.
+    ``lerobot/`` and ``uniforce_pairs/`` lie below the root; sensors are registry names, indenters names in the order of
+    their indices. ``counts`` and ``coverage`` are of each indenter; ``next_session`` numbers one that begins now.
 
     Raises:
         DatasetError: another recorder writes here, or other sensors, rates or features are there.
@@ -136,8 +116,8 @@ class PairStore:
             came = f"indenter {indenter}, {len(pairs)} pairs"
             wanted = f"one of {len(self.indenters)} indenters and ≥ {MIN_CHUNK} pairs"
             raise ContractError(expected("chunk", wanted, came, "Collect more before saving."))
-        fixed = {tactile_key(f, reference=True): session.references[f] for f in FINGERS}
-        fixed |= {PAIR_INDENTER: np.array([indenter]), PAIR_SESSION: np.array([session.number])}
+        fixed = {keys.tactile_key(f, reference=True): session.references[f] for f in FINGERS}
+        fixed |= {keys.PAIR_INDENTER: np.array([indenter]), keys.PAIR_SESSION: np.array([session.number])}
         for pair in pairs:
             self._recorder.add(fixed | pair.row(), f"hold the {self.indenters[indenter]}")
         self._recorder.save(success=True, outcome="success", seed=0)  # a pair dataset has no such columns
@@ -163,16 +143,16 @@ class PairStore:
 
     def _go_on(self, source: Source) -> None:
         """Count what is there and bring the layout up to it."""
-        left, right = (pair_force_key(f) for f in FINGERS)
-        columns = source.columns((PAIR_INDENTER, PAIR_SESSION, PAIR_PLACE, left, right))
-        indenter, session = (columns[key].reshape(-1) for key in (PAIR_INDENTER, PAIR_SESSION))
+        left, right = (keys.pair_force_key(f) for f in FINGERS)
+        columns = source.columns((keys.PAIR_INDENTER, keys.PAIR_SESSION, keys.PAIR_PLACE, left, right))
+        indenter, session = (columns[key].reshape(-1) for key in (keys.PAIR_INDENTER, keys.PAIR_SESSION))
         if indenter.max() >= len(self.indenters):
             came = f"indenter {indenter.max()}"
             do = "Give the same indenters as before."
             raise DatasetError(expected(str(self.root), f"{len(self.indenters)} indenters", came, do))
         force_N = (columns[left] + columns[right]) / 2
         for index in np.unique(indenter):
-            self._count(int(index), force_N[indenter == index], columns[PAIR_PLACE][indenter == index])
+            self._count(int(index), force_N[indenter == index], columns[keys.PAIR_PLACE][indenter == index])
         self.next_session = int(session.max()) + 1
         for place in sorted(set(zip(indenter.tolist(), session.tolist(), strict=True))):
             self._catch_up(source, *place, rows=(indenter == place[0]) & (session == place[1]))
@@ -190,8 +170,8 @@ class PairStore:
             seen += episode.length
             if seen > have:
                 skip = max(have - seen + episode.length, 0)
-                references = {f: _decoded(source, episode, tactile_key(f, True), 1)[0] for f in FINGERS}
-                images = {f: _decoded(source, episode, tactile_key(f))[skip:] for f in FINGERS}
+                references = {f: _decoded(source, episode, keys.tactile_key(f, True), 1)[0] for f in FINGERS}
+                images = {f: _decoded(source, episode, keys.tactile_key(f))[skip:] for f in FINGERS}
                 self._write_layout(indenter, Session(session, references), images)
 
     def _write_layout(self, indenter: int, session: Session, images: Mapping[Finger, np.ndarray]) -> None:

@@ -5,8 +5,6 @@ are equal only where nothing is accelerated. A fast hand also smears a camera's 
 different delays apart, so speed is limited beside acceleration.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +13,6 @@ from uniforce_robots.pairs.finger_force import FingerForce, TouchField
 from uniforce_robots.pairs.pair_judge import GraspSignals
 from uniforce_robots.pairs.rig import PairRig, RigFrame
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import ContractError, expected
 
 
 @dataclass(frozen=True)
@@ -26,10 +23,6 @@ class MotionLimits:
     acceleration_m_s2: float = 1.0  # of the hand; 0.3 kg × 1 m/s² is 0.3 N, a tenth of a light grip
     settle_s: float = 0.1  # how long it must have been slow: the rubber needs some time to come to rest
     grip_N: float = 0.8  # a lighter grip says nothing of equilibrium
-
-    def __post_init__(self) -> None:
-        if min(self.speed_m_s, self.acceleration_m_s2) <= 0 or min(self.settle_s, self.grip_N) < 0:
-            raise ContractError(expected("motion limits", "positive", self, "Check the config."))
 
 
 def quasi_static(
@@ -43,12 +36,7 @@ def quasi_static(
 
     Causal, so that it can be asked anew as frames come.
 
-    Args:
-        velocity_m_s: (T, 3) of the hand.
-        acceleration_m_s2: (T, 3) of the hand.
-        contact_N: (T,) the stronger finger's normal force, estimated.
-        rate_hz: of the frames.
-        limits: what counts as slow.
+    Velocity and acceleration (T, 3) are the hand's, ``contact_N`` (T,) is the stronger finger's estimated normal force.
     """
     fast = np.linalg.norm(velocity_m_s, axis=1) > limits.speed_m_s
     jerked = np.linalg.norm(acceleration_m_s2, axis=1) > limits.acceleration_m_s2
@@ -60,12 +48,7 @@ def quasi_static(
 
 
 class FingerReaders:
-    """Both fingers of a session: marker image → touch field and force.
-
-    Args:
-        rig: whose sensors they are.
-        references: (480, 640) free-air images by finger.
-    """
+    """Both fingers of a session: marker image → touch field and force, with their (480, 640) free-air images."""
 
     def __init__(self, rig: PairRig, references: dict[Finger, np.ndarray]) -> None:
         self._fields = {f: TouchField(references[f], f) for f in FINGERS}
@@ -80,9 +63,7 @@ class FingerReaders:
 class GraspTrack:
     """Frames of one grasp with what was read off them; images stay, since the good ones are kept.
 
-    Attributes:
-        frames: so far.
-        fields, forces: of each frame by finger, (192,) and (3,) N, canonical.
+    ``fields`` and ``forces`` hold (192,) and (3,) N of each frame by finger, canonical.
     """
 
     def __init__(self, mass_kg: float, readers: FingerReaders) -> None:

@@ -1,7 +1,5 @@
 """Connect the parts, run a session, and take everything apart again in order, whatever happens."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -52,17 +50,10 @@ def run_session(
     out: TextIO | None = None,
     open_store: Callable[[RigFacts, StoreSettings], Store] = StoreProcess,
 ) -> SessionEnd:
-    """Connect, record, disconnect.
+    """Connect, record, disconnect; nothing is connected before.
 
-    Args:
-        rig: not connected.
-        teleop: not connected.
-        operator: not started.
-        store: where to.
-        settings: what.
-        seed: of the first episode of an empty dataset.
-        out: where progress goes; None shows nothing.
-        open_store: opens the recorder; tests store in this process.
+    ``seed`` is that of the first episode of an empty dataset; without ``out`` no progress is shown; tests use another
+    ``open_store`` and store in this process.
 
     Raises:
         UniForceError: nothing could be connected.

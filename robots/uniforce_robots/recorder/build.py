@@ -1,8 +1,5 @@
 """From a command line to devices: ``robot.KEY=…`` and ``teleop.KEY=…`` as LeRobot spells them, or a file."""
 
-from __future__ import annotations
-
-import importlib.util
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -12,12 +9,12 @@ import yaml
 from lerobot.robots import RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleoperator_from_config
 
+import uniforce_robots.teleop  # noqa: F401  registers ours
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_vtla.arguments import Option, check, options_of, own_cause, read_value, refuse_unknown
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import check_text
 
-OUR_TELEOPERATORS = "uniforce_robots.teleop"
 FRANKA = "uniforce_franka"
 
 
@@ -90,8 +87,6 @@ def _decode[ConfigT](config_class: type[ConfigT], part: str, settings: dict[str,
 
 def teleoperator_names() -> dict[str, str]:
     """Return short name → registered name; ours (``keyboard`` → ``uniforce_keyboard``) come before LeRobot's."""
-    if importlib.util.find_spec(OUR_TELEOPERATORS) is not None:
-        importlib.import_module(OUR_TELEOPERATORS)
     known = list(TeleoperatorConfig.get_known_choices())
     ours = {name.removeprefix("uniforce_"): name for name in known if name.startswith("uniforce_")}
     return {name: name for name in known} | ours

@@ -1,7 +1,5 @@
 """Room on the disk: an estimate before each episode, and a stop at the next tick where it runs out."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Mapping
@@ -23,18 +21,13 @@ def free_bytes(path: Path) -> int:
 
 
 class DiskGuard:
-    """Watch the disk a dataset is on.
+    """Watch the disk a dataset is on; its folder exists.
 
-    Args:
-        root: the dataset's folder; it exists.
-        features: LeRobot's, for the first estimate.
-        raw_pixels: of all raw tactile frames of a tick.
-        reserve_MB: what has to stay free, so that a stopped episode can still be stored.
+    ``features`` (LeRobot's) and the ``raw_pixels`` of a tick give the first estimate. ``reserve_MB`` has to stay free,
+    so that a stopped episode can still be stored.
     """
 
-    def __init__(
-        self, root: Path, features: Mapping[str, dict[str, Any]], raw_pixels: int, reserve_MB: float
-    ) -> None:
+    def __init__(self, root: Path, features: Mapping[str, dict], raw_pixels: int, reserve_MB: float) -> None:
         self._root, self._reserve_MB = root, reserve_MB
         self._guess_B = sum(_frame_bytes(key, f) for key, f in features.items()) + raw_pixels * RAW_B_px
 
@@ -48,8 +41,7 @@ class DiskGuard:
     def before_episode(self, frames: int, recorded_frames: int) -> str:
         """Return the estimate in words; raise DiskFullError where an episode of ``frames`` wouldn't fit."""
         need_MB = self.estimate_MB(frames, recorded_frames)
-        why = f" (episode {need_MB:.0f} MB × {MARGIN} + reserve)"
-        free_MB = self.check(need_MB * MARGIN, why)
+        free_MB = self.check(need_MB * MARGIN, f" (episode {need_MB:.0f} MB × {MARGIN} + reserve)")
         return f"{need_MB:.0f} MB, {free_MB / 1000:.1f} GB free"
 
     def check(self, beside_MB: float = 0.0, why: str = "") -> float:

@@ -1,7 +1,5 @@
 """One episode: tick by tick observe, steer, act, store. Whatever ends it, the rig holds before anything is said."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from uniforce_robots.recorder.rows import make_row, raw_frames
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.store import StoreProcess
 from uniforce_robots.recorder.ticker import Ticker, TickStats
-from uniforce_vtla.errors import TeleoperatorError, UniForceError
+from uniforce_vtla.errors import UniForceError
 
 Store = EpisodeRecorder | StoreProcess
 
@@ -87,13 +85,7 @@ class _Over(Exception):  # noqa: N818  not an error: an operator's command, from
 
 
 class EpisodeLoop:
-    """Run one episode of at most ``max_frames`` rows; their storing is the session's business.
-
-    Args:
-        parts: the session's.
-        prompt: the instruction every row is stored with.
-        max_frames: the time limit.
-    """
+    """Run one episode of at most ``max_frames`` rows, each with ``prompt``; their storing is the session's business."""
 
     def __init__(self, parts: Parts, prompt: str, max_frames: int) -> None:
         self._parts, self._prompt, self._max_frames = parts, prompt, max_frames
@@ -113,9 +105,7 @@ class EpisodeLoop:
         except UniForceError as error:
             fault = error
         self._parts.rig.hold()
-        if isinstance(fault, TeleoperatorError) and fault.fault == "ended":  # a replay that came to its end
-            ending = {"message": str(fault)}
-        elif fault is not None:
+        if fault is not None:
             held_s = time.perf_counter() - self._tick_begun_s
             ending = {"how": "aborted", "cause": cause_of(fault), "message": str(fault), "held_s": held_s}
         return Ending(self._ticker.stats, notes=tuple(self._notes), pauses=self._pauses, **ending)

@@ -1,7 +1,5 @@
 """The scripted expert's demonstrations in the simulated scene: nothing waits, seeds repeat exactly."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from typing import Any
@@ -26,9 +24,7 @@ def record_expert(
 ) -> None:
     """Record what is missing; ``uniforce record --help`` says what each setting is.
 
-    Raises:
-        ContractError: an expert that fails too often.
-        DatasetError: see ``EpisodeRecorder``.
+    Raises ContractError: an expert that fails too often; DatasetError: see ``EpisodeRecorder``.
     """
     worn, fps = env.sensors, int(env.metadata["render_fps"])
     with EpisodeRecorder(root, repo_id, worn["left"], worn["right"], fps) as recorder:

@@ -1,7 +1,5 @@
 """Every fault of a recording by one name, the ``<cause>`` of ``aborted:<cause>``; Ctrl-C is one too."""
 
-from __future__ import annotations
-
 import logging
 import signal
 from collections.abc import Iterator
@@ -10,21 +8,13 @@ from types import FrameType
 from typing import Literal
 
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
-from uniforce_vtla.errors import (
-    DatasetError,
-    DiskFullError,
-    DroppedFrameError,
-    RobotError,
-    SensorError,
-    TeleoperatorError,
-    UniForceError,
-)
+from uniforce_vtla import errors
 from uniforce_vtla.keys import ABORT_CAUSES
 
 log = logging.getLogger(__name__)
 
 
-class DeviceError(UniForceError):
+class DeviceError(errors.UniForceError):
     """A camera or finger can't be recorded from; ``cause`` is one of ``keys.ABORT_CAUSES``."""
 
     def __init__(self, cause: str, message: str) -> None:
@@ -32,18 +22,18 @@ class DeviceError(UniForceError):
         self.cause = cause
 
 
-class StopRequestedError(UniForceError):
+class StopRequestedError(errors.UniForceError):
     """Ctrl-C or SIGTERM: the program is to end."""
 
 
-HOW = {LostSensorError: "lost", StaleSensorError: "stale", FrozenSensorError: "frozen", SensorError: "bad"}
-CAUSES: dict[type[UniForceError], str] = {  # the first that fits
-    TeleoperatorError: "teleop",
-    DiskFullError: "disk_full",
-    DroppedFrameError: "dropped_frame",
-    DatasetError: "storage",
+HOW = {LostSensorError: "lost", StaleSensorError: "stale", FrozenSensorError: "frozen"}
+CAUSES: dict[type[errors.UniForceError], str] = {  # the first that fits
+    errors.TeleoperatorError: "teleop",
+    errors.DiskFullError: "disk_full",
+    errors.DroppedFrameError: "dropped_frame",
+    errors.DatasetError: "storage",
     StopRequestedError: "interrupt",
-    UniForceError: "other",
+    errors.UniForceError: "other",
 }
 
 
@@ -52,16 +42,16 @@ def named(kind: Literal["camera", "touch"], device: str) -> Iterator[None]:
     """Turn a sensor's error into the fault of the device with this name in the robot's config."""
     try:
         yield
-    except SensorError as error:
-        how = next(name for error_type, name in HOW.items() if isinstance(error, error_type))
+    except errors.SensorError as error:
+        how = next((name for error_type, name in HOW.items() if isinstance(error, error_type)), "bad")
         raise DeviceError(f"{how}_{kind}", f"{device}: {error}") from error
 
 
-def cause_of(error: UniForceError) -> str:
+def cause_of(error: errors.UniForceError) -> str:
     """Return the cause, one of ``keys.ABORT_CAUSES``."""
     if isinstance(error, DeviceError):
         return error.cause
-    if isinstance(error, RobotError):
+    if isinstance(error, errors.RobotError):
         return name if (name := f"robot_{error.fault}") in ABORT_CAUSES else "robot_other"
     return next(cause for error_type, cause in CAUSES.items() if isinstance(error, error_type))
 

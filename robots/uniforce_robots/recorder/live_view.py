@@ -1,7 +1,5 @@
 """What the operator sees while it records: force against its limits, the age of the oldest sensor, what to press."""
 
-from __future__ import annotations
-
 import time
 from typing import TextIO
 
@@ -16,14 +14,9 @@ WARN_N, STOP_N = ScoreLimits.mean_press_N, ScoreLimits.peak_press_N  # above the
 
 
 class LiveView:
-    """Writes one line again and again on a terminal, and lines that stay in between.
+    """Writes one line again and again on a terminal, and lines that stay in between; without ``out`` nothing.
 
-    Args:
-        out: where to; None shows nothing.
-        fps: of what is shown.
-
-    Attributes:
-        peak_N: largest force of the episode so far.
+    ``peak_N`` is the largest force of the episode so far.
     """
 
     def __init__(self, out: TextIO | None, fps: int = 30) -> None:

@@ -1,7 +1,5 @@
 """What begins an episode and judges it: a person at the keys, or a fixed rule."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -62,13 +60,9 @@ class Operator:
 
 
 class Unattended(Operator):
-    """Begins at once, and gives every episode that ended in time the same verdict.
+    """Begins at once, and gives every episode that ended in time the same verdict; a person can look at it later.
 
-    Args:
-        verdict: the outcome to store; a person can look at the videos later.
-
-    Raises:
-        ContractError: another verdict than ``VERDICTS``.
+    Raises ContractError: another verdict than ``VERDICTS``.
     """
 
     is_attended = False
@@ -85,11 +79,9 @@ class Unattended(Operator):
 
 
 class KeyOperator(Operator):
-    """A person at a keyboard; ``t`` begins a note, Enter ends it, digits add a prepared one.
+    """A person at a keyboard; ``t`` begins a note, Enter ends it, digits 1, 2, … add one of ``quick_notes``.
 
-    Args:
-        keys: of a keyboard teleoperator, which reads this terminal already; None reads it here.
-        quick_notes: what the digits 1, 2, … mean.
+    ``keys`` are those of a keyboard teleoperator, which reads this terminal already; None reads it here.
     """
 
     def __init__(self, keys: TerminalKeys | None = None, quick_notes: Sequence[str] = ()) -> None:

@@ -4,8 +4,6 @@ LeRobot's cameras keep the newest frame and when it came (``latest_timestamp``, 
 see is a picture that stopped changing, and a camera whose thread has died still calls itself connected.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -22,15 +20,7 @@ STRIDE = 4  # every 4th row and column is enough to see whether a noisy picture 
 
 
 class PlainCamera:
-    """Read one camera.
-
-    Args:
-        name: how errors call it.
-        camera: any LeRobot camera with a ``latest_timestamp``.
-
-    Raises:
-        ContractError: the camera doesn't say when its frames were taken.
-    """
+    """Read any LeRobot camera with a ``latest_timestamp``; ContractError: it doesn't say when frames were taken."""
 
     def __init__(self, name: str, camera: Camera) -> None:
         if not hasattr(camera, "latest_timestamp"):

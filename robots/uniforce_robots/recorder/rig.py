@@ -3,8 +3,6 @@
 All times of one rig are seconds on one clock: the host's monotonic one on a robot, the scene's own in simulation.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -30,9 +28,7 @@ class FingerTouch(Picture):
     """One finger's newest sample; ``image`` is (480, 640) uint8, the marker image as the sensor sees it."""
 
     reference: np.ndarray  # the same in free air; one array for the whole episode
-    raw: np.ndarray | None = (
-        None  # (H, W, 3) uint8 camera frame or (16, 3) counts, upright; None: no raw signal
-    )
+    raw: np.ndarray | None = None  # (H, W, 3) uint8 frame or (16, 3) counts, upright; None: no raw signal
     # of taxels only: the newest scans (size, 16, 3), oldest first, the oldest repeated where there were fewer
     window: np.ndarray | None = None
     window_times_s: np.ndarray | None = None  # (size,) when each was taken
@@ -46,9 +42,7 @@ class Observation:
     axes: np.ndarray  # (5,) measured x, y, z, yaw, width as in ``keys.AXES``
     cameras: dict[str, Picture]
     fingers: dict[Finger, FingerTouch]
-    measured: dict[str, np.ndarray] = field(
-        default_factory=dict
-    )  # further columns, as ``RigFacts.measured`` says
+    measured: dict[str, np.ndarray] = field(default_factory=dict)  # columns, as ``RigFacts.measured`` says
     # (3,) of the world on the hand since the references were taken, base frame; on a robot an estimate
     force_N: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
@@ -66,30 +60,20 @@ class RigFacts:
     fps: int  # ticks per second
     sensors: dict[Finger, str]  # registry name by finger
     cameras: dict[str, Shape]  # (rows, columns, 3) by scene camera
-    raw_frames: dict[Finger, Shape] = field(
-        default_factory=dict
-    )  # of raw camera frames to be kept; no taxels
+    raw_frames: dict[Finger, Shape] = field(default_factory=dict)  # raw camera frames to be kept; no taxels
     windows: dict[Finger, int] = field(default_factory=dict)  # taxel scans kept per tick, by finger
-    measured: dict[str, dict[str, Any]] = field(
-        default_factory=dict
-    )  # LeRobot feature of each further column
+    measured: dict[str, dict[str, Any]] = field(default_factory=dict)  # LeRobot feature of each further column
     paced: bool = True  # whether ticks keep to the wall clock; False runs as fast as the scene steps
     # whether it is the scene: ``measured`` holds the true pad wrenches, and it steps only inside an episode
     simulated: bool = False
 
 
 class Rig(Protocol):
-    """A robot with its sensors, or the scene. Every method but ``hold`` may raise a UniForceError.
+    """A robot with its sensors, or the scene. Every method but ``hold`` may raise a UniForceError."""
 
-    Attributes:
-        facts: what it delivers.
-        prompt: the instruction a scene comes with; None where a person gives it.
-        is_done: whether the task itself has ended; a robot never knows.
-    """
-
-    facts: RigFacts
-    prompt: str | None = None
-    is_done: bool = False
+    facts: RigFacts  # what it delivers
+    prompt: str | None = None  # the instruction a scene comes with; None where a person gives it
+    is_done: bool = False  # whether the task itself has ended; a robot never knows
 
     def now_s(self) -> float:
         """Return the time on the clock of all its stamps."""

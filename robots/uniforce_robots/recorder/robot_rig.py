@@ -1,11 +1,10 @@
 """The Franka with its fingers and cameras as a rig. Never run on hardware."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -26,34 +25,21 @@ from uniforce_vtla.sensors import get_sensor
 COLUMNS = {
     "q": [f"q{n}_rad" for n in range(1, 8)],
     "dq": [f"dq{n}_rad_s" for n in range(1, 8)],
-    "wrench": [
-        "fx_N",
-        "fy_N",
-        "fz_N",
-        "tx_Nm",
-        "ty_Nm",
-        "tz_Nm",
-    ],  # the robot's estimate, base frame, not tared
+    "wrench": ["fx_N", "fy_N", "fz_N", "tx_Nm", "ty_Nm", "tz_Nm"],  # robot's estimate, base frame, not tared
     "hand": ["width_m", "is_grasped"],
     "link": ["success_rate", "arm_age_s", "hand_age_s"],
 }
 GARBAGE_OVER_s = 1.0
-GARBAGE_MOST = (
-    5  # bad pieces in that time: a few are a bad plug; a driver drops each, so nothing else shows them
-)
+GARBAGE_MOST = 5  # bad pieces in that time: a few are a bad plug; a driver drops each, so nothing else shows them
 
 
 class RobotRig(Rig):
-    """A connected robot, read and driven through LeRobot's interface and its own readings.
+    """A robot, read and driven through LeRobot's interface and its own readings; not connected at first.
 
-    Args:
-        robot: not connected; its tactile cameras are ``tactile_left`` and ``tactile_right``, everything else looks at
-            the scene.
-        window: taxel scans kept per tick; 17 are one tick at 500 Hz.
-        keep_raw: whether raw tactile frames are kept beside the dataset.
+    Its tactile cameras are ``tactile_left`` and ``tactile_right``, everything else looks at the scene. ``window`` taxel
+    scans are kept per tick (17 are one at 500 Hz), and raw tactile frames beside the dataset if ``keep_raw``.
 
-    Raises:
-        ContractError: a finger without a tactile camera, or a camera of unknown age.
+    Raises ContractError: a finger without a tactile camera, or a camera of unknown age.
     """
 
     def __init__(self, robot: UniforceFranka, window: int = 17, keep_raw: bool = True) -> None:
@@ -121,9 +107,8 @@ class RobotRig(Rig):
             "link": [arm.success_rate, now_s - arm.time_s, now_s - hand.time_s],
         }
         measured = {measured_key(name): np.asarray(column, np.float32) for name, column in columns.items()}
-        return Observation(
-            self.now_s(), axes, cameras, fingers, measured, force_N=arm.wrench_N[:3] - self._rest_N
-        )
+        force_N = arm.wrench_N[:3] - self._rest_N
+        return Observation(self.now_s(), axes, cameras, fingers, measured, force_N)
 
     def act(self, action: np.ndarray) -> np.ndarray:
         """Send five absolute targets through the guards."""
@@ -141,10 +126,8 @@ class RobotRig(Rig):
 
     def summary(self) -> dict[str, Any]:
         """Return how often each guard acted so far, and how the sensors read in the background did."""
-        return {
-            "guards": self.robot.guard_counts,
-            "sensors": {name: _summary(device) for name, device in self._sampled.items()},
-        }
+        sensors = {name: _summary(device) for name, device in self._sampled.items()}
+        return {"guards": self.robot.guard_counts, "sensors": sensors}
 
     def _picture(self, name: str, camera: SampledCamera | PlainCamera) -> Picture:
         with named("camera", name):
@@ -201,12 +184,10 @@ def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _summary(device: SampledCamera) -> dict[str, Any]:
-    counts = device.counts
+    rate_hz, settings = round(device.rate_hz, 2), device.settings_read_back
     return {
-        "rate_hz": round(device.rate_hz, 2),
-        "samples": counts.samples,
-        "lost": counts.lost,
-        "bad": counts.bad,
+        "rate_hz": rate_hz,
+        **asdict(device.counts),
         "reconnects": device.reconnects,
-        "settings": device.settings_read_back,
+        "settings": settings,
     }

@@ -3,8 +3,6 @@
 Rows go to the storing process through memory that both share: nothing is pickled.
 """
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Mapping
 from multiprocessing.context import SpawnContext
@@ -14,51 +12,36 @@ import numpy as np
 
 from uniforce_datasets.features import dataset_features, flat_column, scalar_column, vector_column
 from uniforce_robots.recorder.rig import FingerTouch, Observation, RigFacts
+from uniforce_vtla import keys
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, TAXEL_SHAPE, Finger
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.keys import (
-    ACTION,
-    AXES,
-    CAUSE,
-    OUTCOME,
-    REQUESTED,
-    SEED,
-    STAMP_NAMES,
-    STAMPS,
-    STATE,
-    SUCCESS,
-    TACTILE_KEYS,
-    age_key,
-    camera_key,
-    counts_key,
-    index_key,
-    sensor_key,
-    tactile_key,
-    tactile_name,
-    time_key,
-    window_key,
-    window_time_key,
-)
 
 TAXEL_NUMBERS = int(np.prod(TAXEL_SHAPE))
-RECORDERS_OWN = {SUCCESS, OUTCOME, SEED, CAUSE, *(sensor_key(finger) for finger in FINGERS)}
-REFERENCES = tuple(tactile_key(finger, reference=True) for finger in FINGERS)
+RECORDERS_OWN = {
+    keys.SUCCESS,
+    keys.OUTCOME,
+    keys.SEED,
+    keys.CAUSE,
+    *(keys.sensor_key(finger) for finger in FINGERS),
+}
+REFERENCES = tuple(keys.tactile_key(finger, reference=True) for finger in FINGERS)
 
 
 def further_columns(facts: RigFacts) -> dict[str, dict[str, Any]]:
     """Return the features of all columns a rig needs beside ``dataset_features``' own."""
     columns: dict[str, dict[str, Any]] = {
-        REQUESTED: vector_column(AXES),
-        STAMPS: vector_column(STAMP_NAMES, "float64"),
-        CAUSE: scalar_column("int64"),
+        keys.REQUESTED: vector_column(keys.AXES),
+        keys.STAMPS: vector_column(keys.STAMP_NAMES, "float64"),
+        keys.CAUSE: scalar_column("int64"),
     }
     for camera in facts.cameras:
-        columns |= {time_key(camera): scalar_column("float64"), age_key(camera): scalar_column("float32")}
-    columns |= {index_key(source): scalar_column("int64") for source in (*facts.cameras, *facts.sensors)}
+        columns[keys.time_key(camera)] = scalar_column("float64")
+        columns[keys.age_key(camera)] = scalar_column("float32")
+    columns |= {keys.index_key(source): scalar_column("int64") for source in (*facts.cameras, *facts.sensors)}
     for finger, size in facts.windows.items():
-        columns[counts_key(finger)] = flat_column(TAXEL_NUMBERS, "int32")
-        columns[window_key(finger)] = flat_column(size * TAXEL_NUMBERS, "int32")
-        columns[window_time_key(finger)] = flat_column(size, "float64")
+        columns[keys.counts_key(finger)] = flat_column(TAXEL_NUMBERS, "int32")
+        columns[keys.window_key(finger)] = flat_column(size * TAXEL_NUMBERS, "int32")
+        columns[keys.window_time_key(finger)] = flat_column(size, "float64")
     return columns | facts.measured
 
 
@@ -72,27 +55,23 @@ def make_row(
 ) -> dict[str, Any]:
     """Return a row for ``EpisodeRecorder.add``.
 
-    Args:
-        seen: what was observed.
-        requested: (5,) what the teleoperator asked for.
-        sent: (5,) what went to the robot.
-        stamps_s: one time per ``keys.STAMP_NAMES``, rig's clock.
-        begun_s: when the episode began; times are stored relative to it.
+    ``requested`` and ``sent`` are (5,) what the teleoperator asked for and what went to the robot; ``stamps_s`` has one
+    time per ``keys.STAMP_NAMES``. Times are on the rig's clock, and stored relative to ``begun_s``.
     """
     row: dict[str, Any] = {
-        STATE: seen.axes.astype(np.float32),
-        ACTION: sent.astype(np.float32),
-        REQUESTED: requested.astype(np.float32),
-        STAMPS: np.array(stamps_s) - begun_s,
+        keys.STATE: seen.axes.astype(np.float32),
+        keys.ACTION: sent.astype(np.float32),
+        keys.REQUESTED: requested.astype(np.float32),
+        keys.STAMPS: np.array(stamps_s) - begun_s,
         **seen.measured,
     }
-    row |= {camera_key(camera): picture.image for camera, picture in seen.cameras.items()}
+    row |= {keys.camera_key(camera): picture.image for camera, picture in seen.cameras.items()}
     for finger, touch in seen.fingers.items():
         row |= _touch(finger, touch, begun_s)
     for source, sample in seen.samples.items():
-        row[index_key(source)] = np.array([sample.index])
-        row[time_key(source)] = np.array([sample.time_s - begun_s])
-        row[age_key(source)] = np.array([seen.time_s - sample.time_s], dtype=np.float32)
+        row[keys.index_key(source)] = np.array([sample.index])
+        row[keys.time_key(source)] = np.array([sample.time_s - begun_s])
+        row[keys.age_key(source)] = np.array([seen.time_s - sample.time_s], dtype=np.float32)
     return row
 
 
@@ -102,23 +81,20 @@ def raw_frames(seen: Observation) -> dict[Finger, np.ndarray]:
 
 
 def _touch(finger: Finger, touch: FingerTouch, begun_s: float) -> dict[str, np.ndarray]:
-    row = {tactile_key(finger): touch.image, tactile_key(finger, reference=True): touch.reference}
+    row = {keys.tactile_key(finger): touch.image, keys.tactile_key(finger, reference=True): touch.reference}
     if touch.raw is None or touch.window is None or touch.window_times_s is None:
         return row
     return row | {
-        counts_key(finger): touch.raw.reshape(-1).astype(np.int32),
-        window_key(finger): touch.window.reshape(-1).astype(np.int32),
-        window_time_key(finger): touch.window_times_s - begun_s,
+        keys.counts_key(finger): touch.raw.reshape(-1).astype(np.int32),
+        keys.window_key(finger): touch.window.reshape(-1).astype(np.int32),
+        keys.window_time_key(finger): touch.window_times_s - begun_s,
     }
 
 
 class RowSlots:
-    """A fixed number of rows in shared memory; goes into a child process as it is.
+    """``count`` rows in shared memory, which go into a child process as they are.
 
-    Args:
-        facts: of the rig; a marker image takes one channel, since its three are equal.
-        count: rows.
-        context: of the child process.
+    A marker image takes one channel, since its three are equal.
     """
 
     def __init__(self, facts: RigFacts, count: int, context: SpawnContext) -> None:
@@ -137,8 +113,7 @@ class RowSlots:
     def write(self, slot: int, row: Mapping[str, Any], raw: Mapping[Finger, np.ndarray]) -> None:
         """Copy a row, every column but the recorder's own, and raw frames by finger into a slot.
 
-        Raises:
-            ContractError: a key missing or too many, another shape or dtype.
+        Raises ContractError: a key missing or too many, another shape or dtype.
         """
         whole = {**row, **{_raw(finger): frame for finger, frame in raw.items()}}
         places = self._slot(slot)
@@ -166,9 +141,9 @@ class RowSlots:
 
 
 def _form(key: str, feature: Mapping[str, Any]) -> tuple[str, tuple[int, ...]]:
-    shape = MARKER_IMAGE_SHAPE if key in TACTILE_KEYS else tuple(feature["shape"])
+    shape = MARKER_IMAGE_SHAPE if key in keys.TACTILE_KEYS else tuple(feature["shape"])
     return "u1" if feature["dtype"] == "video" else feature["dtype"], shape
 
 
 def _raw(finger: Finger) -> str:
-    return f"raw frame {tactile_name(finger)}"
+    return f"raw frame {keys.tactile_name(finger)}"

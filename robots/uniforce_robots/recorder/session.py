@@ -1,7 +1,5 @@
 """Episodes until the dataset holds as many as wanted: wait, take references, record, judge, store, and go on."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from dataclasses import dataclass, field, replace
@@ -11,14 +9,7 @@ from typing import Any
 from uniforce_robots.recorder.episode import ENDINGS, Ending, EpisodeLoop, Parts
 from uniforce_robots.recorder.faults import StopRequestedError, cause_of
 from uniforce_robots.recorder.operators import Command, Event, Phase
-from uniforce_vtla.errors import (
-    ContractError,
-    DatasetError,
-    DiskFullError,
-    RobotError,
-    UniForceError,
-    expected,
-)
+from uniforce_vtla import errors
 
 MIN_FRAMES = 2  # of an aborted episode worth keeping: LeRobot stores no shorter one
 ABORTS_IN_A_ROW = 3  # end an unattended session: a fault that comes back each time needs a person
@@ -39,10 +30,6 @@ class SessionSettings:
     late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is ``aborted:late``
     settings: dict[str, Any] = field(default_factory=dict)  # of the whole command, for the cards
 
-    def __post_init__(self) -> None:
-        if not 0 <= self.late_share <= 1:  # NaN is not, either
-            raise ContractError(expected("late_share", "a share from 0 to 1", self.late_share, "Give one."))
-
 
 @dataclass(frozen=True)
 class SessionEnd:
@@ -62,11 +49,7 @@ class _End(Exception):  # noqa: N818  the way out of nested phases
 class RecordingSession:
     """Record with parts that are connected.
 
-    Args:
-        parts: connected.
-        settings: what.
-        judged: episodes in the dataset that count already.
-        seed: of the first attempt; counts up.
+    ``judged`` episodes of the dataset count already; ``seed`` is the first attempt's and counts up.
     """
 
     def __init__(self, parts: Parts, settings: SessionSettings, judged: int, seed: int) -> None:
@@ -97,10 +80,8 @@ class RecordingSession:
         frames = round(self._settings.episode_s * self._fps)
         if self._quits or not self._prepare(frames):
             return False
-        prompts, own = self._settings.prompts, self._parts.rig.prompt
-        if not prompts and own is None:
-            raise ContractError(expected("prompts", "an instruction", "none", "Give at least one."))
-        prompt = prompts[self._judged % len(prompts)] if prompts else str(own)
+        prompts = self._settings.prompts or (str(self._parts.rig.prompt),)  # the command asks for one on a robot
+        prompt = prompts[self._judged % len(prompts)]
         begun = datetime.now(UTC).isoformat(timespec="milliseconds")
         self._parts.view.begin(f"episode {self._judged + 1}/{self._settings.episodes}: {prompt}")
         ending = self._judge(self._not_late(EpisodeLoop(self._parts, prompt, frames).run()))
@@ -117,7 +98,7 @@ class RecordingSession:
             return ending
         do = "Free the computer, record fewer pixels, or set late_share."
         came = f"{ticks.missed} of {ticks.ticks + ticks.missed} missed"
-        message = expected("episode", f"at most {allowed:.0%} of its ticks missed", came, do)
+        message = errors.expected("episode", f"at most {allowed:.0%} of its ticks missed", came, do)
         return replace(ending, how="aborted", cause="late", message=message)
 
     def _wait_for_go(self) -> None:
@@ -138,7 +119,7 @@ class RecordingSession:
             try:
                 self._parts.rig.recover()
                 self._say("recovered; nothing has moved")
-            except RobotError as error:
+            except errors.RobotError as error:
                 self._say(f"not recovered: {error}")
         return event.command in (Command.GO, Command.QUIT)
 
@@ -152,7 +133,7 @@ class RecordingSession:
             if not driving:
                 steering.start_from(axes)
             rig.act(steering.target(axes))
-        except UniForceError:
+        except errors.UniForceError:
             return False  # it is said at the next start, where it matters
         return True
 
@@ -160,7 +141,7 @@ class RecordingSession:
         """See to room and references; a refusal is said, and attended it means waiting again."""
         try:
             room = self._parts.disk.before_episode(frames, self._parts.recorder.total_frames)
-        except DiskFullError as error:
+        except errors.DiskFullError as error:
             raise _End(DISK_FULL, str(error)) from error
         self._say(f"the episode may take {room}")
         deadline_s, said = time.monotonic() + self._settings.unwell_s, ""
@@ -169,13 +150,13 @@ class RecordingSession:
             try:
                 self._parts.rig.begin_episode(self._seed)
                 return True
-            except UniForceError as error:
+            except errors.UniForceError as error:
                 if str(error) != said:
                     said = str(error)
                     self._say(f"can't begin: {error}")
                 if self._is_attended:
                     return False
-                if isinstance(error, RobotError) or time.monotonic() > deadline_s:
+                if isinstance(error, errors.RobotError) or time.monotonic() > deadline_s:
                     raise _End(FAULT, f"can't begin ({cause_of(error)}): {error}") from error
             time.sleep(RETRY_s)
 
@@ -209,9 +190,12 @@ class RecordingSession:
             return
         try:
             recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card | self._card(ending))
-        except (DatasetError, ContractError) as error:  # ContractError: a row the storing process refused
+        except (
+            errors.DatasetError,
+            errors.ContractError,
+        ) as error:  # ContractError: a row the storing process refused
             self._say(f"not stored: {error}")
-            raise _End(DISK_FULL if isinstance(error, DiskFullError) else FAULT, str(error)) from error
+            raise _End(DISK_FULL if isinstance(error, errors.DiskFullError) else FAULT, str(error)) from error
         self._judged += ending.how == "judged"
         counted = f"{self._judged}/{self._settings.episodes} episodes"
         self._say(f"stored {ending.label}, {frames / self._fps:.1f} s; {counted}")

@@ -1,7 +1,5 @@
 """The simulated wiping scene as a rig."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -15,12 +13,7 @@ from uniforce_vtla.keys import CAMERAS, tactile_name, truth_wrench_key
 
 
 class SimRig(Rig):
-    """A scene at its own clock; sensors are captured at the observation itself.
-
-    Args:
-        env: the scene.
-        paced: keep to the wall clock, so that a person can steer.
-    """
+    """A scene at its own clock, or at the wall's if ``paced``; sensors are captured at the observation itself."""
 
     def __init__(self, env: WipeEnv, paced: bool = True) -> None:
         self.env = env

@@ -1,7 +1,5 @@
 """Any LeRobot teleoperator whose actions are the five absolute axes, as a function of the measured ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -15,22 +13,15 @@ class Steering:
     """Drive by a teleoperator; TeleoperatorError where it fails.
 
     Beyond LeRobot's interface it uses what is there: ``start_from(axes)`` at each start, ``send_feedback(axes)`` where
-    ``feedback_features`` lists the five axes.
-
-    Args:
-        teleop: not connected.
-
-    Raises:
-        ContractError: its actions aren't the five axes.
+    ``feedback_features`` lists the five axes. Not connected at first; ContractError: its actions aren't the five axes.
     """
 
     def __init__(self, teleop: Teleoperator) -> None:
         missing = [axis for axis in AXES if axis not in teleop.action_features]
         if missing:
             do = "Take one of ours (teleop=keyboard, spacemouse, gello, hand_guide), or wrap it."
-            raise ContractError(
-                expected(f"teleop {teleop.name}", f"actions {AXES}", f"{missing} missing", do)
-            )
+            came = f"{missing} missing"
+            raise ContractError(expected(f"teleop {teleop.name}", f"actions {AXES}", came, do))
         self._teleop: Any = teleop
         self.name = str(teleop.name)
         self._wants_feedback = all(axis in teleop.feedback_features for axis in AXES)
@@ -52,9 +43,7 @@ class Steering:
     def target(self, axes: np.ndarray) -> np.ndarray:
         """Return (5,) absolute targets for the (5,) measured axes.
 
-        Raises:
-            TeleoperatorError: the device failed, or its target isn't finite. ``fault`` is ``ended`` where a recording
-                is over.
+        Raises TeleoperatorError: the device failed, or its target isn't finite.
         """
         if self._wants_feedback:
             self._call("send_feedback", _named(axes))

@@ -6,8 +6,6 @@ dies the pipe ends: what was ordered is finished, the running episode is dropped
 session. That is why this is no ``ProcessPoolExecutor``, whose workers outlive a killed parent.
 """
 
-from __future__ import annotations
-
 import logging
 import multiprocessing
 import os
@@ -50,8 +48,7 @@ class StoreSettings:
 def open_recorder(facts: RigFacts, settings: StoreSettings) -> EpisodeRecorder:
     """Return the recorder of a rig's columns, in this process.
 
-    Raises:
-        DatasetError: another recorder writes there, or the dataset has other features.
+    Raises DatasetError: another recorder writes there, or the dataset has other features.
     """
     return EpisodeRecorder(
         settings.root,
@@ -77,12 +74,7 @@ class StoreProcess:
     """``EpisodeRecorder`` elsewhere. An error of ``add`` shows at a later call, at the latest at ``save``.
 
     The child starts in the background; the first question waits until it is ready, and raises what kept it from it.
-    A folder that can't be written to is a DatasetError at once.
-
-    Attributes:
-        features: LeRobot's features dict of what is recorded.
-        num_frames: frames of the running episode.
-        pid: of the child.
+    A folder that can't be written to is a DatasetError at once. ``num_frames`` are those of the running episode.
     """
 
     def __init__(self, facts: RigFacts, settings: StoreSettings) -> None:
@@ -117,9 +109,7 @@ class StoreProcess:
         """Frames of all saved episodes."""
         return self._known()[1]
 
-    def add(
-        self, frame: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None
-    ) -> None:
+    def add(self, row: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None) -> None:
         """Hand a row over; see ``EpisodeRecorder.add``.
 
         Raises:
@@ -133,7 +123,7 @@ class StoreProcess:
                 raise DroppedFrameError(expected("storing", f"≤ {SLOTS} frames behind", "more", do))
             self._take_answer()
         slot = self._rows % SLOTS
-        self._slots.write(slot, frame, raw or {})
+        self._slots.write(slot, row, raw or {})
         self._rows += 1
         self._order("add", slot, task)
         self.num_frames += 1

@@ -1,7 +1,5 @@
 """A steady beat with absolute deadlines, and how well it was kept."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -31,13 +29,7 @@ class TickStats:
 
 
 class Ticker:
-    """Wait for the beats of ``rate_hz``; the first one is now.
-
-    Args:
-        rate_hz: beats per second.
-        paced: False never waits: for a scene that steps as fast as it can.
-        clock, sleep: seconds; tests put their own.
-    """
+    """Wait for the beats of ``rate_hz``; the first one is now. Not ``paced``, for a scene, it never waits."""
 
     def __init__(
         self,

@@ -6,8 +6,6 @@ exist; size, rate, buffer; then the automatics off before the values they would 
 never tried on hardware here: what a camera refuses is an error that names the control, and None leaves it alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,12 +14,11 @@ import cv2
 import numpy as np
 
 from uniforce_robots.sensors.config_uniforce import CapturedCameraConfig
-from uniforce_robots.sensors.faults import LostSensorError, ProtocolError, WrongSensorError
-from uniforce_robots.sensors.reader import NS_PER_MS, NS_PER_S, SampleSource, Stamped, now_ns
+from uniforce_robots.sensors.faults import LostSensorError, WrongSensorError
+from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
 from uniforce_vtla.errors import expected, without_credentials
 
 FAILED_READS = 10  # in a row: the device is gone
-OLDEST_S = 30.0  # a driver stamp older than this isn't on our clock
 MANUAL_EXPOSURE = 1.0  # V4L2: 1 manual, 3 aperture priority
 TOLERANCE = 0.5  # drivers report whole units
 
@@ -38,31 +35,22 @@ def open_capture(source: str) -> cv2.VideoCapture:
 
 
 class FrameSource(SampleSource):
-    """What a camera and a stream share: frames (H, W, 3) uint8 RGB of the size asked for, stamped.
-
-    With ``clock="host"`` a frame is stamped when it arrives, with "driver" when the camera took it (V4L2 stamps on the
-    host's monotonic clock; never tried on hardware).
-    """
+    """What a camera and a stream share: frames (H, W, 3) uint8 RGB of the size asked for, stamped on arrival."""
 
     def __init__(self, config: CapturedCameraConfig) -> None:
         super().__init__(without_credentials(f"{config.label} ({config.source})"))
         self._config = config
 
-    def _stamped(self, bgr: np.ndarray, taken_ms: float) -> Stamped:
-        """Return a frame that has just come; raises WrongSensorError for its size, ProtocolError for its time."""
+    def _stamped(self, bgr: np.ndarray) -> Stamped:
+        """Return a frame that has just come; raises WrongSensorError for its size."""
         arrived_ns = now_ns()
         width, height = self._config.capture_size
         if bgr.shape[:2] != (height, width) and None not in (height, width):
             came = f"{bgr.shape[1]}×{bgr.shape[0]}"
             do = "Is this the right camera? Set its size in the config."
             raise WrongSensorError(expected(self.name, f"frames of {width}×{height}", came, do))
-        stamp_ns = arrived_ns if self._config.clock == "host" else round(taken_ms * NS_PER_MS)
-        if not arrived_ns - OLDEST_S * NS_PER_S < stamp_ns <= arrived_ns:
-            came = f"{(arrived_ns - stamp_ns) / NS_PER_S:.3f} s ago"
-            do = "This driver's clock isn't the host's: use clock=host."
-            raise ProtocolError(expected(self.name, "a time stamp on the host's clock", came, do))
         self.counts.samples += 1
-        return Stamped(stamp_ns, cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+        return Stamped(arrived_ns, cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
 
 
 class CameraSource(FrameSource):
@@ -89,9 +77,8 @@ class CameraSource(FrameSource):
         for name, _, value in wanted:
             if name != "buffer" and abs(is_now[name] - value) > TOLERANCE:  # few report the buffer
                 do = f"Choose a value it offers (`v4l2-ctl --list-ctrls`), or {name}=null to leave it."
-                raise WrongSensorError(
-                    expected(f"{self.name}, {name}", f"{value:g}", f"{is_now[name]:g}", do)
-                )
+                what, came = f"{self.name}, {name}", f"{is_now[name]:g}"
+                raise WrongSensorError(expected(what, f"{value:g}", came, do))
         self.settings_read_back = is_now
 
     def read(self) -> list[Stamped]:
@@ -99,7 +86,7 @@ class CameraSource(FrameSource):
         ok, bgr = self._capture.read()
         if ok and bgr is not None:
             self._failed = 0
-            return [self._stamped(bgr, self._capture.get(cv2.CAP_PROP_POS_MSEC))]
+            return [self._stamped(bgr)]
         self._failed, self.counts.bad = self._failed + 1, self.counts.bad + 1
         if self._failed >= FAILED_READS:
             came = f"{self._failed} failed reads in a row"

@@ -1,7 +1,5 @@
 """Settings of the tactile fingers, as LeRobot camera configs: a robot lists them like any other camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from lerobot.cameras.configs import CameraConfig
@@ -55,11 +53,6 @@ class CapturedCameraConfig(SampledCameraConfig):
     exposure_100us: float | None = None  # locked exposure, 100 µs units; null leaves the camera's automatic
     white_balance_K: float | None = None  # locked; null leaves it
     gain: float | None = None  # locked; null leaves it
-    clock: str = "host"  # host: stamped on arrival | driver: stamped by the camera's driver
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._one_of("clock", "host", "driver")
 
     @property
     def label(self) -> str:

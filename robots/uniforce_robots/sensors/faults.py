@@ -1,7 +1,5 @@
 """How a tactile device fails, one class per way.  Each is also the exception LeRobot's camera contract names."""
 
-from __future__ import annotations
-
 from uniforce_vtla.errors import SensorError
 
 

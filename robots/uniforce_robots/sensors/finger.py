@@ -5,8 +5,6 @@ here: the marker image as the sensor sees it (never mirrored), the raw signal be
 age.  A sensor that is lost, stale or frozen is an error, never an old or empty image.
 """
 
-from __future__ import annotations
-
 import threading
 from abc import abstractmethod
 from contextlib import ExitStack
@@ -77,8 +75,7 @@ class SampledCamera(Camera):
     def connect(self, warmup: bool = True) -> None:
         """Open the device and wait for its first sample.
 
-        Raises:
-            SensorError: no device, no samples, another sensor than configured, or a reference taken in contact.
+        Raises SensorError: no device, no samples, another sensor than configured, or a reference taken in contact.
         """
         if self.is_connected:
             return
@@ -104,10 +101,7 @@ class SampledCamera(Camera):
         return self._image(sample.raw)
 
     def read_latest(self, max_age_ms: float | None = None) -> np.ndarray:
-        """Return the newest sample's image at once.
-
-        Args:
-            max_age_ms: the oldest that is good enough; None takes the config's.
+        """Return the newest sample's image at once; None takes the config's ``max_age_ms``.
 
         Raises:
             StaleSensorError: older than that, or none yet (also a TimeoutError).

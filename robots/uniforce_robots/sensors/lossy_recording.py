@@ -4,8 +4,6 @@ LeRobot has one codec for all cameras, with loss unless its flags say otherwise,
 are in the frame of the function that connects the robot and its cameras, so they are read there.
 """
 
-from __future__ import annotations
-
 import inspect
 
 from lerobot.configs.dataset import DatasetRecordConfig
@@ -19,9 +17,7 @@ LOSSLESS = "--dataset.rgb_encoder.vcodec=h264 --dataset.rgb_encoder.crf=0 --data
 def refuse_lossy_recording(label: str, only_markers: bool) -> None:
     """Raise where the caller is one of LeRobot's recorders and would store a tactile sensor's images with loss.
 
-    Args:
-        label: names the sensor.
-        only_markers: its images hold 0 and 255 alone; raw frames survive no video that LeRobot writes.
+    With ``only_markers`` its images hold 0 and 255 alone; raw frames survive no video that LeRobot writes.
 
     Raises:
         DatasetError: saying which flags store the images exactly.
@@ -31,9 +27,7 @@ def refuse_lossy_recording(label: str, only_markers: bool) -> None:
         return
     encoder = settings.rgb_encoder
     exact = encoder.vcodec == "h264" and encoder.crf == 0 and not encoder.extra_options
-    if (
-        only_markers and exact and not settings.streaming_encoding
-    ):  # a late streaming encoder leaves frames out
+    if only_markers and exact and not settings.streaming_encoding:  # a late streaming encoder leaves frames out
         return
     came = f"{encoder.vcodec} crf {encoder.crf}, streaming_encoding={settings.streaming_encoding}"
     flags = f"{LOSSLESS}, or --dataset.video=false" if only_markers else "--dataset.video=false"

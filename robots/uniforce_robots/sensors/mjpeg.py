@@ -3,19 +3,16 @@
 The form is ``multipart/x-mixed-replace`` (RFC 2046 parts in one endless answer), as MJPEG streamers send it; each part
 says its ``Content-Length``.  Every buffer is bounded: a server that never ends a header is an error, not a full memory.
 
-Not PyAV: it hides when a frame was sent (fault ``late``) and ends at the first image that is none (``garbage``).  Not
+Not PyAV: it ends at the first image that is none (fault ``garbage``).  Not
 httpx: its stream is over after one read that timed out, and the parts would still be parsed here.  OpenCV's own reader
 takes a second to open and waits 30 s for a silent server.
 """
-
-from __future__ import annotations
 
 import base64
 import re
 import socket
 import time
 from contextlib import ExitStack
-from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 import cv2
@@ -37,40 +34,28 @@ _END = b"\r\n\r\n"
 _BOUNDARY = re.compile(rb'boundary\s*=\s*"?([^"\s;]{1,200})"?', re.IGNORECASE)
 
 
-class JpegPart(NamedTuple):
-    """One image: its bytes, and when the server says it was taken (``X-Timestamp``, s; 0 if it doesn't say)."""
-
-    jpeg: bytes
-    taken_s: float
-
-
 class MultipartJpeg:
-    """Collects the parts of one answer; no I/O.
-
-    Args:
-        name: how errors call the sensor.
-    """
+    """Collects the parts of one answer; no I/O. Errors call the sensor ``name``."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._buffer = bytearray()
         self._boundary = b""  # empty until the answer's own header has come
         self._length: int | None = None  # of the image that comes next; None where its header does
-        self._taken_s = 0.0
 
-    def feed(self, chunk: bytes) -> list[JpegPart]:
+    def feed(self, chunk: bytes) -> list[bytes]:
         """Return the images that ``chunk`` completes.
 
         Raises:
             ProtocolError: another status than 200, no multipart, no boundary, no length, or something beyond its limit.
         """
         self._buffer += chunk
-        parts: list[JpegPart] = []
+        parts: list[bytes] = []
         while self._length is not None or self._take_header():
             if self._length is not None:
                 if len(self._buffer) < self._length:
                     break
-                parts.append(JpegPart(bytes(self._buffer[: self._length]), self._taken_s))
+                parts.append(bytes(self._buffer[: self._length]))
                 del self._buffer[: self._length]
                 self._length = None
         return parts
@@ -103,12 +88,11 @@ class MultipartJpeg:
     def _begin_part(self, first: bytes, fields: dict[bytes, bytes]) -> None:
         if not first.startswith(self._boundary):
             raise self._error("a boundary", repr(first[:40]))
-        length, taken_s = fields.get(b"content-length", b"none"), fields.get(b"x-timestamp", b"")
+        length = fields.get(b"content-length", b"none")
         if not re.fullmatch(rb"[0-9]{1,10}", length) or int(length) > MAX_JPEG_BYTES:
             wanted = f"a Content-Length of at most {MAX_JPEG_BYTES} bytes"
             raise self._error(wanted, length[:40].decode("latin-1"))
         self._length = int(length)
-        self._taken_s = float(taken_s) if re.fullmatch(rb"[0-9]{1,12}(\.[0-9]{1,9})?", taken_s) else 0.0
 
     def _error(self, wanted: str, came: str) -> ProtocolError:
         return ProtocolError(expected(self._name, wanted, came, "Is this the address of an MJPEG stream?"))
@@ -127,7 +111,7 @@ class StreamSource(FrameSource):
 
     def read(self) -> list[Stamped]:
         """Return the newest whole image that came, or nothing; older ones that came with it are left out."""
-        parts: list[JpegPart] = []
+        parts: list[bytes] = []
         deadline_s = time.monotonic() + READ_S
         for _ in range(MAX_CHUNKS):
             # once there is an image, take what else waits in the kernel but wait for nothing: the newest counts
@@ -138,11 +122,11 @@ class StreamSource(FrameSource):
         if not parts:
             return []
         self.counts.lost += len(parts) - 1
-        bgr = decode_bgr(parts[-1].jpeg)
+        bgr = decode_bgr(parts[-1])
         if bgr is None:
             self.counts.bad += 1
             return []
-        return [self._stamped(bgr, 1e3 * parts[-1].taken_s)]
+        return [self._stamped(bgr)]
 
     def _receive(self, timeout_s: float) -> bytes:
         """Return what came; nothing when nothing does in time."""

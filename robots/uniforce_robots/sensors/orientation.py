@@ -4,8 +4,6 @@ Which way a uSkin's rows run on a finger wasn't seen on hardware, so it is a set
 check=orientation`` finds it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

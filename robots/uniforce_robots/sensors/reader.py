@@ -7,8 +7,6 @@ Stamps are int64 nanoseconds of ``time.perf_counter_ns``: on Linux CLOCK_MONOTON
 with, so that camera, taxels and arm can be laid side by side.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 import time
@@ -21,19 +19,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from uniforce_robots.sensors.faults import (
-    FrozenSensorError,
-    LostSensorError,
-    StaleSensorError,
-    WrongSensorError,
-)
+from uniforce_robots.sensors import faults
 from uniforce_vtla.errors import ContractError, SensorError, expected
 
 log = logging.getLogger(__name__)
 
 NS_PER_MS = 1e6
 NS_PER_S = 1e9
-MAX_BEHIND_S = 1.0
 JOIN_S = 3.0  # a driver may sit in a blocking read that long; see the capture's read time-outs
 now_ns = time.perf_counter_ns  # the clock of every stamp
 
@@ -55,18 +47,15 @@ class SourceCounts:
 
 
 class SampleSource(ABC):
-    """One device, used by one thread.
+    """One device, used by one thread; errors call it ``name``."""
 
-    Attributes:
-        name: how errors call it.
-        settings_read_back: what a camera's driver said each setting was, for the dataset; empty for other devices.
-    """
+    max_behind_s = 1.0  # how long reading may lag behind before that is an error
 
-    def __init__(self, name: str, max_behind_s: float = MAX_BEHIND_S) -> None:
+    def __init__(self, name: str) -> None:
         self.name, self.counts = name, SourceCounts()
-        self.settings_read_back: dict[str, float] = {}
+        self.settings_read_back: dict[str, float] = {}  # what a camera's driver said each setting was
         self._closing = ExitStack()
-        self._max_behind_s, self._behind_since_s = max_behind_s, float("inf")
+        self._behind_since_s = float("inf")
 
     def open(self) -> None:
         """Connect anew; raise SensorError where that fails, within seconds, with nothing left open."""
@@ -106,11 +95,11 @@ class SampleSource(ABC):
         now_s = time.monotonic()
         self._behind_since_s = min(self._behind_since_s, now_s) if is_full else float("inf")
         behind_s = now_s - self._behind_since_s
-        if behind_s > self._max_behind_s:
+        if behind_s > self.max_behind_s:
             self._behind_since_s = float("inf")
             do = "Free the CPU of this machine; what waited is thrown away by opening anew."
             came = f"a queue for {behind_s:.2f} s"
-            raise StaleSensorError(expected(self.name, "a reader that keeps up", came, do))
+            raise faults.StaleSensorError(expected(self.name, "a reader that keeps up", came, do))
         return is_full
 
 
@@ -198,8 +187,7 @@ class SampleReader:
     def wait_newer(self, index: int, max_age_ms: float, wait_ms: float | None = None) -> Sample:
         """Return the newest sample after ``index``, waiting for it as long as it may be old.
 
-        Raises:
-            SensorError: as ``newest``, where no sample comes in time.
+        Raises SensorError: as ``newest``, where no sample comes in time.
         """
         with self._changed:
             wait_s = (max_age_ms if wait_ms is None else wait_ms) / 1e3
@@ -208,11 +196,11 @@ class SampleReader:
         self._check_alive()
         do = "Stop pressing; check cable, USB load and the sensor's rate."
         if not in_time:
-            raise StaleSensorError(expected(self.name, f"a sample within {max_age_ms:g} ms", "none", do))
+            raise faults.StaleSensorError(expected(self.name, f"a sample within {max_age_ms:g} ms", "none", do))
         age_ms = (now_ns() - stamp_ns) / NS_PER_MS
         if age_ms > max_age_ms:
             wanted, came = f"a sample younger than {max_age_ms:g} ms", f"{age_ms:.0f} ms"
-            raise StaleSensorError(expected(self.name, wanted, came, do))
+            raise faults.StaleSensorError(expected(self.name, wanted, came, do))
         return Sample(raw.copy(), newest, stamp_ns, age_ms)
 
     def window(self, size: int, max_age_ms: float) -> tuple[np.ndarray, np.ndarray]:
@@ -220,9 +208,7 @@ class SampleReader:
 
         Where fewer are kept the oldest is repeated, so that nothing is made up.
 
-        Raises:
-            ContractError: a size outside 1 … capacity.
-            SensorError: as ``newest``.
+        Raises ContractError: a size outside 1 … capacity; SensorError: as ``newest``.
         """
         if not 1 <= size <= self._limits.capacity:
             do = "Ask for fewer."
@@ -260,7 +246,7 @@ class SampleReader:
             silent_s = (now_ns() - self._last_sample_ns) / NS_PER_S
             if silent_s > self._limits.silent_s:
                 do = "Opening it anew; check power, cable and bus."
-                raise StaleSensorError(expected(self.name, "samples", f"none for {silent_s:.1f} s", do))
+                raise faults.StaleSensorError(expected(self.name, "samples", f"none for {silent_s:.1f} s", do))
         except SensorError as error:
             if self._fault is None:  # once per loss, not once per attempt
                 log.warning("%s: %s", self.name, error)
@@ -291,7 +277,7 @@ class SampleReader:
                 before = self._kept[-1].raw if self._kept else sample.raw
                 if form != (before.dtype, before.shape):
                     do = "Keep one setting per connection."
-                    raise WrongSensorError(expected("sample", (before.dtype, before.shape), form, do))
+                    raise faults.WrongSensorError(expected("sample", (before.dtype, before.shape), form, do))
                 self._kept.append(sample)
                 self._received += 1
                 self._changed.notify_all()
@@ -302,11 +288,11 @@ class SampleReader:
     def _check_alive(self) -> None:
         if not self.is_running:
             came = "not connected" if self._thread is None else "its reader died"
-            raise LostSensorError(expected(self.name, "a running reader", came, "Call connect()."))
+            raise faults.LostSensorError(expected(self.name, "a running reader", came, "Call connect()."))
         fault = self._fault
         if fault is not None:
             text = str(fault)  # a socket knows its address, not whose finger it serves
             raise type(fault)(text if self.name in text else f"{self.name}: {text}") from fault
         if self._limits.frozen_after and self._repeats >= self._limits.frozen_after:
             came = f"the same content {self._repeats + 1} times in a row"
-            raise FrozenSensorError(expected(self.name, "changing samples", came, "Replug the sensor."))
+            raise faults.FrozenSensorError(expected(self.name, "changing samples", came, "Replug the sensor."))

@@ -8,8 +8,6 @@ First comes ``{"message": "Welcome", …}``, then messages of ``type`` "routine"
 null and not used: newtons are read from latents.  Source: XELA uSPa manual, 2023, and clients published by users.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import socket
@@ -23,12 +21,7 @@ from websockets.frames import DATA_OPCODES, Frame
 from websockets.protocol import State
 from websockets.uri import parse_uri
 
-from uniforce_robots.sensors.faults import (
-    LostSensorError,
-    ProtocolError,
-    SimulatedSensorError,
-    WrongSensorError,
-)
+from uniforce_robots.sensors import faults
 from uniforce_robots.sensors.reader import SampleSource, Stamped, now_ns
 from uniforce_vtla.contracts import TAXEL_SHAPE
 from uniforce_vtla.errors import ContractError, expected
@@ -62,15 +55,13 @@ class XelaMessages:
     def feed(self, chunk: bytes) -> list[str]:
         """Return the texts that ``chunk`` completes; empty means the end of the stream.
 
-        Raises:
-            ProtocolError: no handshake, frames the RFC forbids, or text that isn't UTF-8.
+        Raises ProtocolError: no handshake, frames the RFC forbids, or text that isn't UTF-8.
         """
         self.protocol.receive_data(chunk) if chunk else self.protocol.receive_eof()
         error = self.protocol.handshake_exc or self.protocol.parser_exc
         if error is not None and not isinstance(error, EOFError):
-            raise ProtocolError(
-                expected(self._name, "a WebSocket server (RFC 6455)", error, IS_IT)
-            ) from error
+            wanted = "a WebSocket server (RFC 6455)"
+            raise faults.ProtocolError(expected(self._name, wanted, error, IS_IT)) from error
         frames = [event for event in self.protocol.events_received() if isinstance(event, Frame)]
         texts = [self._assembled(frame) for frame in frames if frame.opcode in DATA_OPCODES]
         return [text for text in texts if text is not None]
@@ -84,16 +75,13 @@ class XelaMessages:
         try:
             return whole.decode()
         except UnicodeDecodeError as error:
-            raise ProtocolError(expected(self._name, "UTF-8 text", error, IS_IT)) from error
+            raise faults.ProtocolError(expected(self._name, "UTF-8 text", error, IS_IT)) from error
 
 
 class ServerUSkin(SampleSource):
-    """Whole scans, (16, 3) uint16 raw counts each, from xela_server.
+    """Whole scans, (16, 3) uint16 raw counts each, of one sensor of xela_server's messages.
 
-    Args:
-        address: ``host`` or ``host:port``; ContractError where it has no such form.
-        sensor: which sensor of the server's message.
-        name: how errors call it.
+    Its address is ``host`` or ``host:port``; ContractError where it has no such form.
     """
 
     _socket: socket.socket
@@ -113,19 +101,19 @@ class ServerUSkin(SampleSource):
             self._socket = undo.enter_context(socket.create_connection(self._address, CONNECT_S))
         except OSError as error:
             do = "Is the server running, and at this address (not only on its LAN address)?"
-            raise LostSensorError(expected(self.name, "a server", error, do)) from error
+            raise faults.LostSensorError(expected(self.name, "a server", error, do)) from error
         undo.callback(self._leave)
         self._send()
         deadline_s = time.monotonic() + CONNECT_S
         while self._messages.protocol.state is State.CONNECTING:
             if time.monotonic() > deadline_s:
-                raise ProtocolError(expected(self.name, "a WebSocket handshake", "none in time", IS_IT))
+                raise faults.ProtocolError(expected(self.name, "a WebSocket handshake", "none in time", IS_IT))
             self._early += self._receive(CONNECT_S)[0]
 
     def _leave(self) -> None:
         if self._messages.protocol.state is State.OPEN:
             self._messages.protocol.send_close(1000)
-        with suppress(LostSensorError):  # the other side went first
+        with suppress(faults.LostSensorError):  # the other side went first
             self._send()
 
     def read(self) -> list[Stamped]:
@@ -164,17 +152,15 @@ class ServerUSkin(SampleSource):
         except OSError as error:
             raise self._gone(error) from error
 
-    def _gone(self, came: object) -> LostSensorError:
+    def _gone(self, came: object) -> faults.LostSensorError:
         do = "Is the server still running? Connecting again."
-        return LostSensorError(expected(self.name, "an open connection", came, do))
+        return faults.LostSensorError(expected(self.name, "an open connection", came, do))
 
     def _scan(self, text: str) -> np.ndarray | None:
         try:
             number, scan = read_message(text, self._sensor, self.name)
-        except ProtocolError:
-            self.counts.bad += (
-                1  # one garbled message; if none makes sense, the reader finds the sensor stale
-            )
+        except faults.ProtocolError:
+            self.counts.bad += 1  # one garbled message; if none makes sense, the reader finds the sensor stale
             return None
         if scan is None or (number is not None and number == self._number):
             return None  # a greeting, or the same scan again
@@ -198,16 +184,16 @@ def read_message(text: str, sensor: str, name: str) -> tuple[int | None, np.ndar
     try:
         message = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ProtocolError(expected(name, "JSON", error, IS_IT)) from error
+        raise faults.ProtocolError(expected(name, "JSON", error, IS_IT)) from error
     if not isinstance(message, dict):
-        raise ProtocolError(expected(name, "a JSON object", type(message).__name__, IS_IT))
+        raise faults.ProtocolError(expected(name, "a JSON object", type(message).__name__, IS_IT))
     _refuse_simulation(message, name)
     if message.get("type") != "routine":
         return None, None
     entry = message.get(sensor)
     if not isinstance(entry, dict):
         there = sorted(key for key, value in message.items() if key.isdigit() and isinstance(value, dict))
-        raise WrongSensorError(expected(name, f"sensor {sensor}", there, "Set server_sensor to one of them."))
+        raise faults.WrongSensorError(expected(name, f"sensor {sensor}", there, "Set server_sensor to one of them."))
     number = message.get("message")
     return number if type(number) is int else None, _counts(entry.get("data"), f"{name}, data")
 
@@ -218,15 +204,15 @@ def _refuse_simulation(message: dict[str, Any], name: str) -> None:
     buses = [part.get(field) for part in (message, *nested) for field in _BUS_FIELDS]
     if any(isinstance(bus, str) and bus.strip().lower() == "sim" for bus in buses):
         do = "Set bustype in xServ.ini to the real adapter and restart xela_server."
-        raise SimulatedSensorError(expected(f"{name}, bustype", "a real bus", "sim", do))
+        raise faults.SimulatedSensorError(expected(f"{name}, bustype", "a real bus", "sim", do))
 
 
 def _counts(data: object, what: str) -> np.ndarray:
     words = data.split(",") if isinstance(data, str) else data
     if not isinstance(words, list):
-        raise ProtocolError(expected(what, "48 words", type(data).__name__, "Is the sensor running?"))
+        raise faults.ProtocolError(expected(what, "48 words", type(data).__name__, "Is the sensor running?"))
     if len(words) != WORDS:
-        raise WrongSensorError(expected(what, f"{WORDS} words", len(words), "Is it a 4×4 patch?"))
+        raise faults.WrongSensorError(expected(what, f"{WORDS} words", len(words), "Is it a 4×4 patch?"))
     return np.array([_word(word, what) for word in words], np.uint16).reshape(TAXEL_SHAPE)
 
 
@@ -236,7 +222,7 @@ def _word(word: object, what: str) -> int:
     if type(word) is int and 0 <= word <= FULL_SCALE:
         return word
     wanted = f"hex words or 0 … {FULL_SCALE}"
-    raise ProtocolError(expected(what, wanted, repr(word)[:40], "Is this the raw stream?"))
+    raise faults.ProtocolError(expected(what, wanted, repr(word)[:40], "Is this the raw stream?"))
 
 
 def _split(address: str) -> tuple[str, int]:

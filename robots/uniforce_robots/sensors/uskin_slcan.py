@@ -10,8 +10,6 @@ Not ``python-can``: it reads byte by byte (1,860 µs of CPU per scan against 130
 refusing adapter for an open one, ends at the first garbage, and is LGPL.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import termios
@@ -21,7 +19,7 @@ import numpy as np
 import serial
 
 from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
-from uniforce_robots.sensors.reader import MAX_BEHIND_S, SampleSource, SourceCounts, Stamped, now_ns
+from uniforce_robots.sensors.reader import SampleSource, SourceCounts, Stamped, now_ns
 from uniforce_vtla.contracts import TAXEL_SHAPE
 from uniforce_vtla.errors import ContractError, expected
 
@@ -50,17 +48,13 @@ class SlcanScans:
     A scan begins with the patch's first id and is delivered once all 16 were seen.  One that repeats a taxel or
     begins anew before it is whole is dropped and counted, up to the next beginning: taxels of two scans never mix.
 
-    Args:
-        controller: the patch's microcontroller id; ContractError where it is outside 0 … 15.
-
-    Attributes:
-        counts: scans delivered, scans broken, lines that made no sense.
+    ``controller`` is the patch's microcontroller id; ContractError where it is outside 0 … 15.
     """
 
     def __init__(self, controller: int = 0) -> None:
         if not 0 <= controller <= 15:
             raise ContractError(expected("controller", "0 … 15", controller, "Read it off `candump`."))
-        self.counts = SourceCounts()
+        self.counts = SourceCounts()  # scans delivered, scans broken, lines that made no sense
         self._taxel_of = {(n // 4) << 8 | (n % 4) << 4 | controller: n for n in range(TAXEL_SHAPE[0])}
         self._scan = np.zeros(TAXEL_SHAPE, np.uint16)
         self.forget()
@@ -100,21 +94,12 @@ class SlcanScans:
 
 
 class SlcanUSkin(SampleSource):
-    """Whole scans, (16, 3) uint16 raw counts each, from a serial port.
-
-    Args:
-        port: e.g. ``/dev/serial/by-id/usb-…``.
-        name: how errors call the sensor.
-        controller: the patch's microcontroller id.
-        max_behind_s: how long reading may lag behind before that is an error.
-    """
+    """Whole scans, (16, 3) uint16 raw counts each, from a serial port, e.g. ``/dev/serial/by-id/usb-…``."""
 
     _serial: serial.Serial
 
-    def __init__(
-        self, port: str, name: str = "uskin", controller: int = 0, max_behind_s: float = MAX_BEHIND_S
-    ) -> None:
-        super().__init__(f"{name} ({port})", max_behind_s)
+    def __init__(self, port: str, name: str = "uskin", controller: int = 0) -> None:
+        super().__init__(f"{name} ({port})")
         self._port, self._scans = port, SlcanScans(controller)
         self.counts = self._scans.counts
 

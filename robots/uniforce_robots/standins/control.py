@@ -1,7 +1,5 @@
 """What every stand-in shares: it keeps a rate, breaks on command, and obeys lines on its standard input."""
 
-from __future__ import annotations
-
 import os
 import select
 import stat
@@ -48,10 +46,8 @@ class StandInServer:
 
     On standard input: ``fault NAME`` breaks it, ``fault none`` mends it, ``stats`` prints its counts.
 
-    Args:
-        plug: how clients reach it, at ``address``; the faults ``unplug`` and ``stop`` take it away.
-        config: with ``fault``, one of ``faults`` that is there from the start, or "none"; and ``seed``.
-        rate_hz: of its beats.
+    Clients reach it by ``plug``, at ``address``; the faults ``unplug`` and ``stop`` take it away. ``config.fault``, one
+    of ``faults`` or "none", is there from the start. ``rate_hz`` is that of its beats.
     """
 
     faults: ClassVar[tuple[str, ...]]

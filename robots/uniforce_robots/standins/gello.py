@@ -1,7 +1,5 @@
 """A GELLO: eight Dynamixel motors that speak protocol 2.0 on a pseudo-terminal; see ``--help``."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import time
@@ -102,9 +100,8 @@ class GelloStandIn(StandInServer):
     def _position(self, motor: int, counts: np.ndarray) -> bytes:
         if not 1 <= motor <= len(counts) or (self.fault == "missing" and motor == MISSING):
             return b""
-        answer = status(
-            motor, struct.pack("<i", int(counts[motor - 1])), 0x80 if self.fault == "alert" else 0
-        )
+        error = 0x80 if self.fault == "alert" else 0
+        answer = status(motor, struct.pack("<i", int(counts[motor - 1])), error)
         if self.fault == "crc" and motor == MISSING:
             return answer[:-1] + bytes([answer[-1] ^ 0x55])
         return answer

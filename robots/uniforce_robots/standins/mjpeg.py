@@ -1,10 +1,6 @@
 """A tactile camera behind HTTP: multipart MJPEG on loopback: ``python -m uniforce_robots.standins.mjpeg --help``."""
 
-from __future__ import annotations
-
 import sys
-import time
-from collections import deque
 from dataclasses import dataclass
 
 import cv2
@@ -18,7 +14,6 @@ from uniforce_vtla.arguments import parse
 BOUNDARY = b"uniforceframe"
 KIND = b"multipart/x-mixed-replace; boundary=" + BOUNDARY
 WELCOME = b"HTTP/1.0 200 OK\r\nContent-Type: " + KIND + b"\r\n\r\n"
-LATE_S = 0.6  # how long "late" holds frames back
 JPEG_QUALITY = 90
 
 
@@ -41,37 +36,30 @@ def encode(frame: np.ndarray) -> bytes:
     return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
-def part(jpeg: bytes, taken_s: float) -> bytes:
-    """Return one part of the stream; ``taken_s`` is on the host's monotonic clock."""
-    header = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\nX-Timestamp: %.6f\r\n\r\n"
-    return header % (BOUNDARY, len(jpeg), taken_s) + jpeg + b"\r\n"
+def part(jpeg: bytes) -> bytes:
+    """Return one part of the stream."""
+    header = b"--%s\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n"
+    return header % (BOUNDARY, len(jpeg)) + jpeg + b"\r\n"
 
 
 class MjpegStandIn(StandInServer):
     """The streamer: one simulated camera, any number of clients."""
 
-    faults = ("stop", "stall", "freeze", "size", "late", "garbage")
+    faults = ("stop", "stall", "freeze", "size", "garbage")
 
     def __init__(self, config: MjpegConfig) -> None:
         cv2.setNumThreads(1)
         frames = frame_cycle(config.sensor, config, config.rate_hz)
         self._jpegs = [encode(frame) for frame in frames]
         self._small = encode(cv2.resize(frames[0], (320, 240)))
-        self._held: deque[tuple[float, int]] = deque()  # frames "late" holds back: when taken, which
         self._server = Sockets(("127.0.0.1", config.port), lambda client: WELCOME)
         address = "http://{}:{}/stream".format(*self._server.where)
         super().__init__(self._server, address, config, config.rate_hz)
 
     def beat(self) -> None:
         """Send a frame; the cycle begins, in free air, with the first client."""
-        if not self._server.clients:
-            return
-        self._held.append((time.monotonic(), self.next_step()))
-        wait_s = LATE_S if self.fault == "late" else 0.0
-        while self._held and self._held[0][0] <= time.monotonic() - wait_s:
-            taken_s, step = self._held.popleft()
-            if self.fault not in ("stall", "stop"):
-                self.plug.send(part(self._jpeg(step), taken_s))
+        if self._server.clients and self.fault not in ("stall", "stop"):
+            self.plug.send(part(self._jpeg(self.next_step())))
 
     def _jpeg(self, step: int) -> bytes:
         if self.fault == "garbage" and step % 2:

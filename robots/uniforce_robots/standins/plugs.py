@@ -3,8 +3,6 @@
 Both can be unplugged and put back, and count messages ``sent``, and ``dropped`` whole because a client doesn't read.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket

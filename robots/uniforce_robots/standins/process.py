@@ -1,12 +1,11 @@
 """Starts a stand-in as a process of its own and talks to it."""
 
-from __future__ import annotations
-
 import os
 import select
 import subprocess
 import sys
 import time
+from typing import Self
 
 from uniforce_vtla.errors import SensorError, expected
 
@@ -26,7 +25,7 @@ class StandIn:
         # what we can import, it can
         env = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
         pipe = subprocess.PIPE
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0, env=env)
+        self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, bufsize=0, env=env)
         self.address = self._answer("ready", READY_S)
 
     def inject(self, fault: str) -> None:
@@ -38,34 +37,38 @@ class StandIn:
         words = self._ask("stats").split()
         return {name: int(value) for name, value in (word.split("=") for word in words)}
 
-    def stop(self) -> None:
+    def close(self) -> None:
         """End it."""
-        if self._process.poll() is None:
-            self._process.terminate()
-        self._process.communicate(timeout=ANSWER_S)
+        if self.process.poll() is None:
+            self.process.terminate()
+        try:
+            self.process.communicate(timeout=ANSWER_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.communicate()
 
-    def __enter__(self) -> StandIn:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.stop()
+        self.close()
 
     def _ask(self, line: str) -> str:
-        assert self._process.stdin is not None
-        self._process.stdin.write(f"{line}\n".encode())
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{line}\n".encode())
         return self._answer(line.split()[0], ANSWER_S)
 
     def _answer(self, word: str, timeout_s: float) -> str:
-        assert self._process.stdout is not None
+        assert self.process.stdout is not None
         deadline_s, chunk = time.monotonic() + timeout_s, b"?"
         while b"\n" not in self._pending and chunk:
             wait_s = max(deadline_s - time.monotonic(), 0.0)
-            is_there = select.select([self._process.stdout], [], [], wait_s)[0]
-            chunk = self._process.stdout.read(4096) if is_there else b""
+            is_there = select.select([self.process.stdout], [], [], wait_s)[0]
+            chunk = self.process.stdout.read(4096) if is_there else b""
             self._pending += chunk
         line, _, self._pending = self._pending.partition(b"\n")
         if not line.startswith(f"{word} ".encode()):
-            self._process.kill()
+            self.process.kill()
             do = "Run it by hand to see why."
             raise SensorError(expected(f"stand-in {self.name}", f"'{word} …'", repr(line.decode()), do))
         return line.decode().removeprefix(f"{word} ").strip()

@@ -3,8 +3,6 @@
 Signals come from the project's contact simulator, so that the chain device → canonicalizer → tokenizer can be checked.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,8 +57,7 @@ def taxel_cycle(scene: Scene, rate_hz: float) -> np.ndarray:
 def frame_cycle(sensor: str, scene: Scene, rate_hz: float) -> np.ndarray:
     """Return (N, 480, 640, 3) uint8 RGB raw frames of one cycle of a camera sensor.
 
-    Raises:
-        ContractError: a sensor that isn't a camera.
+    Raises ContractError: a sensor that isn't a camera.
     """
     simulator = TactileSimulator(sensor, seed=scene.seed)
     if simulator.spec.signal != "camera":

@@ -1,7 +1,5 @@
 """A uSkin behind an SLCAN adapter, on a pseudo-terminal: ``python -m uniforce_robots.standins.slcan --help``."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 
@@ -31,18 +29,24 @@ class SlcanConfig(Scene):
 def scan_lines(cycle: np.ndarray, controller: int) -> list[list[bytes]]:
     r"""Return, per scan of (N, 16, 3) uint16, its 16 SLCAN lines, ``\r`` included."""
     ids = [(row << 8) | (column << 4) | controller for row in range(4) for column in range(4)]
-    return [
-        [b"t%03X893%04X%04X%04X0F\r" % (can_id, *xyz) for can_id, xyz in zip(ids, scan, strict=True)]
-        for scan in cycle.tolist()
-    ]
+    line = b"t%03X893%04X%04X%04X0F\r"
+    return [[line % (n, *xyz) for n, xyz in zip(ids, scan, strict=True)] for scan in cycle.tolist()]
 
 
 class SlcanStandIn(StandInServer):
     """The adapter: answers commands, and streams scans while its channel is open."""
 
     faults = (
-        *("bel", "garbage", "split", "missing", "duplicate", "stall"),
-        *("freeze", "unplug", "refuse", "mute"),
+        "bel",
+        "garbage",
+        "split",
+        "missing",
+        "duplicate",
+        "stall",
+        "freeze",
+        "unplug",
+        "refuse",
+        "mute",
     )
 
     def __init__(self, config: SlcanConfig) -> None:

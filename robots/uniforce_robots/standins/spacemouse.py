@@ -1,7 +1,5 @@
 """A SpaceMouse that delivers HID reports on a local packet socket (SOCK_SEQPACKET); see ``--help``."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import tempfile

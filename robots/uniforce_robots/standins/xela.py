@@ -1,7 +1,5 @@
 """xela_server with one uSkin patch: JSON over a WebSocket (RFC 6455, server side) on loopback; see ``--help``."""
 
-from __future__ import annotations
-
 import json
 import socket
 import sys
@@ -71,9 +69,7 @@ def message(number: int, scan: np.ndarray, fault: str) -> str:
     sensor = {"time": now, "sensor": "1", "model": "XR1944", "taxels": 16, "data": data, "temp": [301.0] * 16}
     body: dict[str, object] = {"message": number, "time": now, "sensors": 1, "type": "routine"}
     body["2" if fault == "absent" else "1"] = sensor | ({"calibrated": None} if fault == "null" else {})
-    return json.dumps(
-        body | ({"bustype": "sim"} if fault == "sim" else {}) | {"version": "1.7.6", "sendtime": now}
-    )
+    return json.dumps(body | ({"bustype": "sim"} if fault == "sim" else {}) | {"version": "1.7.6", "sendtime": now})
 
 
 class XelaStandIn(StandInServer):

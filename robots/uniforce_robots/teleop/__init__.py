@@ -4,7 +4,6 @@ No device or library is touched before ``connect``.  None of them has ever run o
 """
 
 from uniforce_robots.teleop.base import UniforceTeleoperator
-from uniforce_robots.teleop.expert import UniforceExpert, UniforceExpertConfig
 from uniforce_robots.teleop.gello import UniforceGello, UniforceGelloConfig
 from uniforce_robots.teleop.keyboard import (
     UniforceHandGuide,
@@ -12,27 +11,15 @@ from uniforce_robots.teleop.keyboard import (
     UniforceKeyboard,
     UniforceKeyboardConfig,
 )
-from uniforce_robots.teleop.lerobots_own import (
-    UniforceGamepad,
-    UniforceGamepadConfig,
-    UniforcePhone,
-    UniforcePhoneConfig,
-)
 from uniforce_robots.teleop.spacemouse import UniforceSpaceMouse, UniforceSpaceMouseConfig
 
 __all__ = [
-    "UniforceExpert",
-    "UniforceExpertConfig",
-    "UniforceGamepad",
-    "UniforceGamepadConfig",
     "UniforceGello",
     "UniforceGelloConfig",
     "UniforceHandGuide",
     "UniforceHandGuideConfig",
     "UniforceKeyboard",
     "UniforceKeyboardConfig",
-    "UniforcePhone",
-    "UniforcePhoneConfig",
     "UniforceSpaceMouse",
     "UniforceSpaceMouseConfig",
     "UniforceTeleoperator",

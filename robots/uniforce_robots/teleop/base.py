@@ -4,8 +4,6 @@ The order of an episode: ``start_from(measured)``, then per tick ``send_feedback
 fault stays until the next ``start_from``: an arm must not go on by itself because a plug found its socket again.
 """
 
-from __future__ import annotations
-
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
@@ -37,16 +35,10 @@ def checked_axes(axes: Mapping[str, Any] | np.ndarray, what: str) -> np.ndarray:
 
 
 class UniforceTeleoperator(Teleoperator):
-    """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame.
+    """A LeRobot teleoperator whose actions are absolute targets of ``keys.AXES``, robot base frame."""
 
-    Attributes:
-        wants_gains: stiffness the robot needs while this one steers; None for the robot's own.
-        clock: seconds; tests put their own.
-        device: what is read, with ``start``, ``stop`` and ``is_running``.
-    """
-
-    wants_gains: ClassVar[Gains | None] = None
-    device: Any = None
+    wants_gains: ClassVar[Gains | None] = None  # stiffness the robot needs meanwhile; None for the robot's own
+    device: Any = None  # what is read, with ``start``, ``stop`` and ``is_running``
     is_calibrated = True  # there is nothing to calibrate
     action_features = feedback_features = dict.fromkeys(AXES, float)  # target and measured axes
 
@@ -79,10 +71,7 @@ class UniforceTeleoperator(Teleoperator):
         self._close()
 
     def start_from(self, measured: Mapping[str, Any] | np.ndarray) -> None:
-        """Begin an episode with the target on the measured pose; forget an earlier fault.
-
-        Args:
-            measured: (5,) or a dict, axes as in ``keys.AXES``.
+        """Begin an episode with the target on the measured pose, (5,) or by ``keys.AXES``; forget an earlier fault.
 
         Raises:
             TeleoperatorError: not connected, the device has a fault, or it stands too far from the robot (``far``).
@@ -104,8 +93,7 @@ class UniforceTeleoperator(Teleoperator):
     def get_action(self) -> dict[str, float]:
         """Return the five absolute target axes.
 
-        Raises:
-            TeleoperatorError: not connected, not started, or the device has a fault; see its ``fault``.
+        Raises TeleoperatorError: not connected, not started, or the device has a fault; see its ``fault``.
         """
         self._check_connected()
         if self._fault is not None:

@@ -4,8 +4,6 @@ Every teleoperator that does not simply repeat measured poses moves its target t
 target on the measured pose; from then on it moves by at most speed × time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,18 +21,14 @@ LONGEST_GAP_S = 0.1  # a longer pause counts as this long, so that it buys no ju
 
 @dataclass(frozen=True)
 class TargetLimits:
-    """How a target may move; axes as in ``keys.AXES``: x, y, z m, yaw rad, width m, robot base frame.
+    """How a target may move; axes as in ``keys.AXES``: x, y, z m, yaw rad, width m, robot base frame."""
 
-    Attributes:
-        speed: of each axis, per second. The robot's own guards allow 0.25 m/s; a person wants less near contact.
-        low, high: the box; the robot's own by default. A start outside widens it, so that the start is no jump.
-        leash: how far each axis may lead the measured pose, so that a target pushed into a table does not run on
-            and take seconds to come back. 20 mm is just above the arm's clip of 18 mm, beyond which nothing grows.
-    """
-
+    # per second; the robot's own guards allow 0.25 m/s, a person wants less near contact
     speed: tuple[float, ...] = (0.10, 0.10, 0.10, 0.6, 0.06)
-    low: tuple[float, ...] = GuardLimits.low
+    low: tuple[float, ...] = GuardLimits.low  # the robot's own box; a start outside widens it: the start is no jump
     high: tuple[float, ...] = GuardLimits.high
+    # How far each axis may lead the measured pose, so that a target pushed into a table does not run on and take
+    # seconds to come back. 20 mm is just above the arm's clip of 18 mm, beyond which nothing grows.
     leash: tuple[float, ...] = (0.02, 0.02, 0.02, 0.2, 0.03)
 
     def __post_init__(self) -> None:

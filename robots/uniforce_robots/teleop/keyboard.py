@@ -4,8 +4,6 @@ A terminal says when a key goes down, never when it comes up: a key is a short p
 renews. LeRobot's ``TerminalKeyListener`` reads them. Never used on a real robot.
 """
 
-from __future__ import annotations
-
 import contextlib
 import select
 import sys

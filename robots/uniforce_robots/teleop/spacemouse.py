@@ -4,8 +4,6 @@ Not pyspacemouse or hidapi: they open nothing but a real HID node, so none of th
 (pyspacemouse also needs easyhid, which has no wheel).
 """
 
-from __future__ import annotations
-
 import os
 import re
 import select
@@ -20,13 +18,7 @@ import numpy as np
 from lerobot.teleoperators import TeleoperatorConfig
 
 from uniforce_robots.sensors.faults import LostSensorError, ProtocolError
-from uniforce_robots.sensors.reader import (
-    ReaderLimits,
-    SampleReader,
-    SampleSource,
-    Stamped,
-    now_ns,
-)
+from uniforce_robots.sensors.reader import ReaderLimits, SampleReader, SampleSource, Stamped, now_ns
 from uniforce_robots.teleop.base import UniforceTeleoperator
 from uniforce_robots.teleop.integrator import SteeringConfig
 from uniforce_vtla.errors import TeleoperatorError, expected
@@ -56,12 +48,7 @@ class UniforceSpaceMouseConfig(SteeringConfig):
 
     device: str = ""  # e.g. /dev/hidraw3, or a local packet socket; empty looks for the only one plugged in
     deadband: float = 0.08  # share of full deflection that is rest; a cap never comes back to zero exactly
-    signs: tuple[int, int, int, int] = (
-        1,
-        -1,
-        -1,
-        -1,
-    )  # of right, forward, up, counter-clockwise in its counts
+    signs: tuple[int, int, int, int] = (1, -1, -1, -1)  # of right, forward, up, counter-clockwise in counts
     operator_yaw_rad: float = 0.0  # which way "forward" is in the base frame; 0: the operator looks along +x
 
 

@@ -1,7 +1,5 @@
 """Published encoders: key layout, strict loading, input, features. Official weights were never at hand here."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Every row that trains a whole network: it learns, and it never reads a target's label."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -127,9 +125,7 @@ def test_translation_needs_paired_sets_of_a_fitting_size(table: Table) -> None:
         genforce_style_row(one, 1, TRANSLATION)
 
 
-def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(
-    table: Table, tiny: TokenizerConfig
-) -> None:
+def test_fine_tuning_starts_from_the_tokenizer_and_leaves_it_alone(table: Table, tiny: TokenizerConfig) -> None:
     tokenizer = Tokenizer.random(tiny)
     before = {k: v.clone() for k, v in tokenizer.model.state_dict().items()}
     encoder = TokenizerEncoder(tokenizer)

@@ -1,7 +1,5 @@
 """Sets that are hard on purpose: recipes kept apart from pretraining, drawn the same every time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from pathlib import Path

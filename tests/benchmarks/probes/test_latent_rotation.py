@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -48,9 +46,7 @@ def test_rotation_fitted_to_shuffled_labels_finds_nothing() -> None:
     assert abs_r(wrong(other), truth).mean() < 0.7
 
 
-@pytest.mark.parametrize(
-    ("spoil", "says"), [("nan", "NaN"), ("shape", "finite"), ("flat", "three directions")]
-)
+@pytest.mark.parametrize(("spoil", "says"), [("nan", "NaN"), ("shape", "finite"), ("flat", "three directions")])
 def test_bad_input_raises(spoil: str, says: str) -> None:
     z, force, _ = mixed(6)
     if spoil == "nan":

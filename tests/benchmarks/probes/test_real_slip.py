@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +11,8 @@ from benchmarks.probes.real_slip import balance, real_slip
 from benchmarks.probes.real_slip_figure import draw_real_slip
 from benchmarks.probes.real_trials import SlipConfig, encode_trial, read_trials
 from benchmarks.probes.slip_detector import auroc, change_energy, leave_one_out, starts
+from benchmarks.probes.uskin_csv import COLUMNS
 from uniforce_vtla.errors import ContractError, DatasetError
-from uniforce_vtla.sensors.uskin_csv import COLUMNS
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 

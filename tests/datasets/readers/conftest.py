@@ -1,7 +1,5 @@
 """Small data sets in each format, drawn by the simulator and written here: nothing is read from the network."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

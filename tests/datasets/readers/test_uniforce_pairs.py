@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -60,9 +58,7 @@ def test_what_is_written_is_read_back(recorded: Path, marker_trials: Any) -> Non
 
 @examples(8)
 @given(seed=st.integers(0, 2**32 - 1), split=st.integers(1, 3), cell=st.sampled_from([1, 3, 8, 40]))
-def test_any_binary_image_survives(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, split: int, cell: int
-) -> None:
+def test_any_binary_image_survives(tmp_path_factory: pytest.TempPathFactory, seed: int, split: int, cell: int) -> None:
     """Blocks of any size, single pixels included, written in two goes."""
     rng = np.random.default_rng(seed)
     coarse = (rng.random((2, 5, 480 // cell + 1, 640 // cell + 1)) > 0.5) * np.uint8(255)

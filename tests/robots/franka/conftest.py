@@ -1,27 +1,11 @@
-from __future__ import annotations
-
-import itertools
-import os
-import sys
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 from uniforce_robots.franka.limits import HARD_LIMITS, Range
 from uniforce_robots.franka.stream import StreamSettings
 from uniforce_robots.standins.fci.process import wait_until
-
-sys.path.insert(0, str(Path(__file__).parent))  # robot_fakes.py: importlib mode gives test folders no package
-
-_numbers = itertools.count(2)
-
-
-@pytest.fixture
-def address() -> str:
-    """A loopback address of its own: the ports are fixed, and tests may run side by side."""
-    return f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250}.{next(_numbers) % 250}"
 
 
 @pytest.fixture

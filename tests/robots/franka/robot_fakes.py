@@ -1,7 +1,5 @@
 """An arm and a hand that do what they are asked at once, and fail when they are asked to."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 
@@ -49,16 +47,9 @@ class FakeArm:
         if self.silent_since_s is None:  # what it repeats is the same pose, too
             self._move(now)
         robot_s = now if self.silent_since_s is None else self.silent_since_s
-        return ArmState(
-            now,
-            robot_s,
-            np.full(7, 1e-9 * self.readings),  # encoders never read the same twice
-            np.zeros(7),
-            self.pose.copy(),
-            self.wrench_N,
-            self.mode,
-            self.success_rate,
-        )
+        q_rad = np.full(7, 1e-9 * self.readings)  # encoders never read the same twice
+        measured = q_rad, np.zeros(7), self.pose.copy(), self.wrench_N
+        return ArmState(now, robot_s, *measured, self.mode, self.success_rate)
 
     def set_target(self, ee_to_base: np.ndarray) -> None:
         if self.fault is not None:

@@ -1,7 +1,5 @@
 """Every guard by itself and in turn: NaN stops, the rest clamps, and all count."""
 
-from __future__ import annotations
-
 import logging
 from itertools import pairwise
 

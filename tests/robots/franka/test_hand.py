@@ -1,7 +1,5 @@
 """What is asked of the hand and when it is at fault, on a fake client and a clock that is set."""
 
-from __future__ import annotations
-
 import os
 import socket
 import time
@@ -95,9 +93,7 @@ def test_a_grasp_that_holds_nothing_is_counted_and_not_fatal() -> None:
 
 
 @pytest.mark.parametrize("width", [None, float("nan"), float("inf"), -0.1, 0.5])
-def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(
-    bench: Bench, width: float | None
-) -> None:
+def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(bench: Bench, width: float | None):
     if width is None:
         bench.client.fault = RobotError("gone", "hand_connection")
     else:
@@ -105,12 +101,8 @@ def test_a_lost_hand_and_a_width_that_cannot_be_are_faults_for_good(
     fault = bench.run(TICK_s)
     assert fault == ("hand_connection" if width is None else "hand_state")
     bench.client.fault, bench.client.width_m = None, 0.08
-    for use in (
-        lambda: bench.hand.submit(0.05),
-        lambda: bench.hand.reading,
-        bench.hand.check,
-        bench.hand.recover,
-    ):
+    hand = bench.hand
+    for use in (lambda: hand.submit(0.05), lambda: hand.reading, hand.check, hand.recover):
         with pytest.raises(RobotError) as caught:
             use()
         assert caught.value.fault == fault

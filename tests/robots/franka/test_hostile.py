@@ -1,7 +1,5 @@
 """Every named fault of the stand-in against both real clients, once; ``make faults`` runs each ten times."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import psutil
@@ -30,7 +28,5 @@ def test_a_wrong_name_a_late_hold_and_a_taken_action_are_seen() -> None:
 def test_a_client_that_hangs_ends_with_the_robot(address: str, tmp_path: Path) -> None:
     row = begun_trial("franky", "garbage_state", address, tmp_path)
     assert row.named in RIGHT_NAMES["garbage_state"]
-    left = [
-        word for child in psutil.Process().children() for word in child.cmdline() if "franka/children" in word
-    ]
+    left = [word for child in psutil.Process().children() for word in child.cmdline() if "franka/children" in word]
     assert not left

@@ -1,7 +1,5 @@
 """No number of the robot's settings goes beyond the hard limits, and every number has one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The project's axes against the hand's pose and the stiffness in the base frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,9 +18,7 @@ def test_a_pose_comes_back(yaw: float) -> None:
     R = pose.ee_to_base()[:3, :3]
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(R) == pytest.approx(1) and R[2, 2] == pytest.approx(-1), "the tool points down"
-    np.testing.assert_allclose(
-        R[:, 1], [np.cos(yaw), np.sin(yaw), 0], atol=1e-12
-    )  # the fingers close along y
+    np.testing.assert_allclose(R[:, 1], [np.cos(yaw), np.sin(yaw), 0], atol=1e-12)  # the fingers close along y
 
 
 def test_yaw_of_the_arms_home_is_a_quarter_turn_and_zero_lies_within_joint_7() -> None:

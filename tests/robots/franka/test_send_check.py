@@ -1,7 +1,5 @@
 """The last check before a pose is sent, alone and under the whole chain."""
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np

@@ -1,12 +1,14 @@
 """The 100 Hz stream on a fake arm: ramps, watchdog, faults, and that every thread ends."""
 
-from __future__ import annotations
-
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,12 +25,23 @@ def arm() -> FakeArm:
 
 
 @pytest.fixture
-def stream(arm: FakeArm, patient: StreamSettings) -> Iterator[ArmStream]:
-    stream = ArmStream(arm, patient)
-    stream.start()
-    yield stream
-    stream.stop()
+def started(arm: FakeArm, patient: StreamSettings) -> Iterator[Callable[..., ArmStream]]:
+    """Return a function that starts a stream with changed settings; it is stopped at the end."""
+    with ExitStack() as ending:
+
+        def start(watch: Callable[[], None] | None = None, **changes: float) -> ArmStream:
+            stream = ArmStream(arm, replace(patient, **changes), watch=watch)
+            stream.start()
+            ending.callback(stream.stop)
+            return stream
+
+        yield start
     assert not [t for t in threading.enumerate() if t.name == "arm-stream"]
+
+
+@pytest.fixture
+def stream(started: Callable[..., ArmStream]) -> ArmStream:
+    return started()
 
 
 def away(dz: float, yaw: float = 0.0) -> ToolPose:
@@ -48,11 +61,8 @@ def test_nothing_moves_before_the_first_action(arm: FakeArm, stream: ArmStream, 
     assert not arm.targets
 
 
-def test_an_action_is_reached_through_steps_between(
-    arm: FakeArm, patient: StreamSettings, eventually: Callable
-) -> None:
-    stream = ArmStream(arm, replace(patient, action_period_s=0.2))
-    stream.start()
+def test_an_action_is_reached_through_steps_between(arm: FakeArm, started: Callable, eventually: Callable):
+    stream = started(action_period_s=0.2)
     stream.submit(away(-0.02))
     eventually(lambda: bool(arm.targets) and abs(arm.targets[-1][1][2, 3] - 0.28) < 1e-9)
     stream.stop()
@@ -65,11 +75,10 @@ def test_an_action_is_reached_through_steps_between(
 
 
 def test_when_actions_stop_the_target_becomes_the_measured_pose_once(
-    arm: FakeArm, patient: StreamSettings, eventually: Callable
+    arm: FakeArm, started: Callable, eventually: Callable
 ) -> None:
     arm.follows = False  # it presses on something: measured stays above the target
-    stream = ArmStream(arm, replace(patient, stale_s=0.2))
-    stream.start()
+    stream = started(stale_s=0.2)
     stream.submit(away(-0.015))
     submitted = time.monotonic()
     eventually(lambda: stream.stale_count == 1)
@@ -82,12 +91,9 @@ def test_when_actions_stop_the_target_becomes_the_measured_pose_once(
     assert arm.targets[-1][1][2, 3] == pytest.approx(0.3) and stream.stale_count == 1
     stream.submit(away(-0.02))
     eventually(lambda: abs(arm.targets[-1][1][2, 3] - 0.28) < 1e-9)
-    stream.stop()
 
 
-@pytest.mark.parametrize(
-    "mode, fault", [("reflex", "reflex"), ("user_stopped", "user_stop"), ("guiding", "guiding")]
-)
+@pytest.mark.parametrize("mode, fault", [("reflex", "reflex"), ("user_stopped", "user_stop"), ("guiding", "guiding")])
 def test_a_stopped_arm_ends_the_stream_by_name(
     arm: FakeArm, stream: ArmStream, eventually: Callable, mode: str, fault: str
 ) -> None:
@@ -112,11 +118,8 @@ def test_a_lost_arm_is_let_go_within_a_tick(arm: FakeArm, stream: ArmStream, eve
     assert arm.refusals <= 2, "a tick in which it was lost, and one look for a better reason"
 
 
-def test_a_robot_that_says_nothing_new_is_gone(
-    arm: FakeArm, patient: StreamSettings, eventually: Callable
-) -> None:
-    stream = ArmStream(arm, replace(patient, state_age_s=0.2))
-    stream.start()
+def test_a_robot_that_says_nothing_new_is_gone(arm: FakeArm, started: Callable, eventually: Callable) -> None:
+    stream = started(state_age_s=0.2)
     stream.submit(away(-0.01))
     begun = arm.silent_since_s = time.monotonic()
     eventually(lambda: bool(arm.stopped_at))
@@ -124,12 +127,9 @@ def test_a_robot_that_says_nothing_new_is_gone(
     with pytest.raises(RobotError, match="new states") as caught:
         _ = stream.state
     assert caught.value.fault == "connection"
-    stream.stop()
 
 
-def test_holding_takes_the_measured_pose_at_once(
-    arm: FakeArm, stream: ArmStream, eventually: Callable
-) -> None:
+def test_holding_takes_the_measured_pose_at_once(arm: FakeArm, stream: ArmStream, eventually: Callable):
     stream.hold()
     assert not arm.targets, "nothing to hold before the first action"
     arm.follows = False
@@ -142,9 +142,7 @@ def test_holding_takes_the_measured_pose_at_once(
     assert stream.stale_count == 0
 
 
-def test_a_mistake_in_a_backend_lets_the_arm_go_too(
-    arm: FakeArm, stream: ArmStream, eventually: Callable
-) -> None:
+def test_a_mistake_in_a_backend_lets_the_arm_go_too(arm: FakeArm, stream: ArmStream, eventually: Callable):
     arm.set_target = lambda pose: 1 / 0  # type: ignore[method-assign]
     stream.submit(away(-0.01))
     eventually(lambda: bool(arm.stopped_at))
@@ -162,9 +160,7 @@ def test_late_commands_are_logged_once(
     assert sum("in time" in record.message for record in caplog.records) == 1
 
 
-def test_after_the_end_nothing_is_taken(arm: FakeArm, patient: StreamSettings) -> None:
-    stream = ArmStream(arm, patient)
-    stream.start()
+def test_after_the_end_nothing_is_taken(arm: FakeArm, stream: ArmStream) -> None:
     stream.stop()
     stream.stop()
     assert arm.stopped_at
@@ -185,10 +181,6 @@ def test_an_old_reading_is_not_given_out(arm: FakeArm) -> None:
 
 @pytest.mark.slow
 def test_a_program_that_forgets_to_disconnect_still_ends(tmp_path) -> None:
-    import subprocess
-    import sys
-    from pathlib import Path
-
     program = tmp_path / "forgetful.py"
     program.write_text(
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
@@ -217,23 +209,19 @@ def test_a_reading_that_cannot_be_ends_the_stream_by_name(
     assert all(np.isfinite(target).all() for _, target in arm.targets)
 
 
-def test_what_else_must_be_well_ends_the_stream(
-    arm: FakeArm, patient: StreamSettings, eventually: Callable
-) -> None:
+def test_what_else_must_be_well_ends_the_stream(arm: FakeArm, started: Callable, eventually: Callable):
     faults: list[RobotError] = []
 
     def watch() -> None:
         if faults:
             raise faults[0]
 
-    stream = ArmStream(arm, patient, watch=watch)
-    stream.start()
+    stream = started(watch)
     stream.submit(away(-0.01))
     faults.append(RobotError("the hand hangs", "hand_deadline"))
     eventually(lambda: bool(arm.stopped_at))
     with pytest.raises(RobotError, match="the hand hangs"):
         stream.submit(away(0.0))
-    stream.stop()
 
 
 def test_halting_does_not_wait_for_a_client_that_blocks(arm: FakeArm, stream: ArmStream) -> None:
@@ -258,9 +246,7 @@ def test_the_speed_limit_holds_also_for_a_far_target_and_a_late_thread(arm: Fake
         stream.tick()
     z = [pose[2, 3] for _, pose in arm.targets]
     steps = [a - b for a, b in pairwise(z)]
-    assert steps == pytest.approx([0.0025, 0.0025, 0.025, 0.0025, 0.0025], abs=1e-9), (
-        "0.25 m/s, 0.1 s at most"
-    )
+    assert steps == pytest.approx([0.0025, 0.0025, 0.025, 0.0025, 0.0025], abs=1e-9), "0.25 m/s, 0.1 s at most"
 
 
 def test_start_comes_first() -> None:

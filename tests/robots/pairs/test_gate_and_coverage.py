@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,16 +7,13 @@ from hypothesis.extra.numpy import arrays
 from uniforce_robots.pairs.coverage import ENOUGH, Coverage, contact_place
 from uniforce_robots.pairs.finger_force import CHANNELS, GRID
 from uniforce_robots.pairs.track import MotionLimits, quasi_static
-from uniforce_vtla.errors import ContractError
 
 STILL = np.zeros((20, 3))
 HELD = np.full(20, 5.0)
 LIMITS = MotionLimits()
 
 
-@pytest.mark.parametrize(
-    ("what", "reason"), [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")]
-)
+@pytest.mark.parametrize(("what", "reason"), [("speed", "fast"), ("acceleration", "jerked"), ("grip", "no contact")])
 def test_each_limit_closes_it_and_says_why(what: str, reason: str) -> None:
     speed, acceleration, grip = STILL.copy(), STILL.copy(), HELD.copy()
     {"speed": speed, "acceleration": acceleration, "grip": grip}[what][10] = 0.0 if what == "grip" else 2.0
@@ -31,8 +26,6 @@ def test_it_stays_closed_until_the_rubber_has_settled() -> None:
     speed[5] = 1.0
     reasons = quasi_static(speed, STILL, HELD, 30.0, MotionLimits(settle_s=0.1)).tolist()
     assert reasons[6:9] == ["settling"] * 3 and not reasons[9]
-    with pytest.raises(ContractError, match="motion limits"):
-        MotionLimits(speed_m_s=0.0)
 
 
 @given(arrays(np.float64, (20, 3), elements=st.floats(-1, 1)), st.integers(1, 20))

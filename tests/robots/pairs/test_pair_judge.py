@@ -1,7 +1,5 @@
 """The score, on forces made by hand: what it must flag, and what it must leave alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -47,12 +45,12 @@ def test_a_strong_lean_is_flagged_and_a_light_one_is_not(calm: GraspSignals) -> 
         assert bool(PairJudge().judge(replace(calm, right_N=right)).flagged[LED][2:-2].all()) is flagged
 
 
-def test_the_grasp_itself_tells_how_normals_compare(calm: GraspSignals) -> None:
+def test_the_grasp_itself_shows_how_normals_compare(calm: GraspSignals) -> None:
     stiffer = calm.right_N * [1, 1, 1.5]  # one unit reads half as much again, from the first touch on
     assert not PairJudge().judge(replace(calm, right_N=stiffer)).flagged.any()
 
 
-def test_the_session_tells_how_shears_compare(calm: GraspSignals) -> None:
+def test_the_session_shows_how_shears_compare(calm: GraspSignals) -> None:
     softer = replace(calm, right_N=calm.right_N * [0.5, 0.5, 1])
     judge = PairJudge()
     assert judge.judge(softer).flagged[LED].any()

@@ -1,7 +1,5 @@
 """The whole recorder in simulation: keeps what is good, goes on, gives up; and its flags mean something."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -39,9 +37,7 @@ def rehearse(
 def test_it_records_exactly_what_was_asked_for(tmp_path: Path) -> None:
     report, seen = rehearse(tmp_path)
     assert report.outcomes[KEPT] == len(report.kept) == 24
-    assert {recording.indenter for recording in read_uniforce_pairs(tmp_path / "uniforce_pairs")} == set(
-        NAMES
-    )
+    assert {pair.indenter for pair in read_uniforce_pairs(tmp_path / "uniforce_pairs")} == set(NAMES)
     assert seen[-1].have == 12 and seen[-1].indenter == 2 and seen[0].name == "sphere"
     again, _ = rehearse(tmp_path)
     assert not again.kept  # nothing is missing, so nothing is recorded
@@ -101,9 +97,7 @@ def test_a_reader_is_trained_saved_and_loaded(tmp_path: Path) -> None:
     before = np.abs(FingerForce().read(fields) - forces).mean()
     assert np.abs(model.read(fields) - forces).mean() < 0.6 * before
     save_finger_force(model, "uskin", training, tmp_path / "uskin")
-    assert np.array_equal(
-        FingerForce.from_pretrained("uskin", tmp_path / "uskin").read(fields), model.read(fields)
-    )
+    assert np.array_equal(FingerForce.from_pretrained("uskin", tmp_path / "uskin").read(fields), model.read(fields))
     with pytest.raises(CheckpointError, match="uskin"):
         FingerForce.from_pretrained("tactip", tmp_path / "uskin")
     with pytest.raises(CheckpointError, match="train=true"):

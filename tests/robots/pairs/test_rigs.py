@@ -1,7 +1,5 @@
 """Both rigs: the simulated one obeys equilibrium where it should, the robot's motion comes out of its poses."""
 
-from __future__ import annotations
-
 import itertools
 from types import SimpleNamespace
 

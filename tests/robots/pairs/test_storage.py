@@ -1,7 +1,5 @@
 """Kept pairs: both forms hold the same images, and survive whatever stops the recorder."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -63,9 +61,7 @@ def test_it_goes_on_where_it_stopped(tmp_path: Path, make_chunk: Make) -> None:
 
 
 @pytest.mark.parametrize("damage", ["behind", "half a pair", "ahead", "gone"])
-def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
-    tmp_path: Path, make_chunk: Make, damage: str
-) -> None:
+def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(tmp_path: Path, make_chunk: Make, damage: str):
     with opened(tmp_path) as store:
         store.add(*make_chunk(n=3))
         store.add(*make_chunk(n=3, seed=7))
@@ -84,7 +80,7 @@ def test_a_layout_a_kill_left_wrong_is_mended_from_the_dataset(
         assert all(np.array_equal(a, b) for a, b in zip(pair, found[name], strict=True))
 
 
-def test_two_sensors_of_one_kind_are_told_apart(tmp_path: Path, make_chunk: Make) -> None:
+def test_two_sensors_of_one_kind_are_kept_apart(tmp_path: Path, make_chunk: Make) -> None:
     with opened(tmp_path, left_sensor="tactip") as store:
         store.add(*make_chunk())
     assert list(layout(tmp_path)) == ["uniforce/session_000/tactip_l_tactip_r/sphere"]

@@ -1,7 +1,5 @@
 """A whole rig without hardware or processes: fake arm and hand, captures that break on command, a scripted person."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,17 +11,12 @@ import numpy as np
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 from robot_fakes import FakeArm, FakeHand
 
+from uniforce_robots import sensors
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.stream import StreamSettings
 from uniforce_robots.recorder.operators import Command, Event, Operator, Phase
 from uniforce_robots.recorder.robot_rig import RobotRig
-from uniforce_robots.sensors import (
-    UniforceSceneCamera,
-    UniforceSceneCameraConfig,
-    UniforceTactileCamera,
-    UniforceTactileCameraConfig,
-)
 from uniforce_robots.standins.scene import Scene, frame_cycle
 from uniforce_vtla.keys import AXES
 
@@ -44,8 +37,7 @@ def gel_frames(sensor: str) -> tuple[np.ndarray, ...]:
 def room_frames() -> tuple[np.ndarray, ...]:
     ramp = np.linspace(0, 200, SMALL[1], dtype=np.uint8)
     return tuple(
-        np.ascontiguousarray(np.broadcast_to(np.roll(ramp, n)[None, :, None], (*SMALL, 3)))
-        for n in range(0, 120, 7)
+        np.ascontiguousarray(np.broadcast_to(np.roll(ramp, n)[None, :, None], (*SMALL, 3))) for n in range(0, 120, 7)
     )
 
 
@@ -91,14 +83,12 @@ class FakeRig:
         monkeypatch.setattr(robot_module, "make_backend", lambda config: (self.arm, self.hand))
         tactile = {"capture_width": 640, "capture_height": 480, "reference_samples": 3}
         rows, columns = SMALL
+        left = {"source": "1", "finger": "left", "sensor": "gelsight"} | tactile
+        right = {"source": "2", "finger": "right", "sensor": "tactip"} | tactile
         configs = {
-            "front": UniforceSceneCameraConfig(source="0", width=columns, height=rows),
-            "tactile_left": UniforceTactileCameraConfig(
-                source="1", finger="left", sensor="gelsight", **tactile
-            ),
-            "tactile_right": UniforceTactileCameraConfig(
-                source="2", finger="right", sensor="tactip", **tactile
-            ),
+            "front": sensors.UniforceSceneCameraConfig(source="0", width=columns, height=rows),
+            "tactile_left": sensors.UniforceTactileCameraConfig(**left),
+            "tactile_right": sensors.UniforceTactileCameraConfig(**right),
         }
         self.captures = {
             "front": FakeCapture(room_frames()),
@@ -109,8 +99,8 @@ class FakeRig:
         config = UniforceFrankaConfig(id="test", calibration_dir=folder, cameras=configs, stream=patient)
         self.robot = UniforceFranka(config)
         self.robot.cameras = {
-            "front": UniforceSceneCamera(configs["front"], self._factory("front")),
-            **{n: UniforceTactileCamera(configs[n], self._factory(n)) for n in configs if n != "front"},
+            "front": sensors.UniforceSceneCamera(configs["front"], self._factory("front")),
+            **{n: sensors.UniforceTactileCamera(configs[n], self._factory(n)) for n in configs if n != "front"},
         }
         self.rig = RobotRig(self.robot)
 
@@ -136,27 +126,21 @@ class Sway(Teleoperator):
         self.starts: list[dict[str, float]] = []
         self.error: Exception | None = None
         self.calls = 0
-        self._connected = False
 
-    action_features = property(lambda self: dict.fromkeys(AXES, float))
-    feedback_features = property(lambda self: {})
-    is_connected = property(lambda self: self._connected)
-    is_calibrated = property(lambda self: True)
+    action_features = dict.fromkeys(AXES, float)
+    feedback_features: dict[str, type] = {}  # noqa: RUF012
+    is_calibrated, is_connected = True, False
 
     def connect(self, calibrate: bool = True) -> None:
-        self._connected = True
+        self.is_connected = True
 
     def disconnect(self) -> None:
-        self._connected = False
+        self.is_connected = False
 
-    def calibrate(self) -> None:
+    def calibrate(self, *_: object) -> None:
         pass
 
-    def configure(self) -> None:
-        pass
-
-    def send_feedback(self, feedback: dict) -> None:
-        pass
+    configure = send_feedback = calibrate
 
     def start_from(self, axes: dict[str, float]) -> None:
         self.starts.append(axes)
@@ -167,11 +151,7 @@ class Sway(Teleoperator):
             raise self.error
         self.calls += 1
         start = self.starts[-1]
-        return {
-            **start,
-            "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5),
-            "width.pos": self.width_m,
-        }
+        return {**start, "x.pos": start["x.pos"] + 0.01 * np.sin(self.calls / 5), "width.pos": self.width_m}
 
 
 def sway(folder: Path) -> Sway:

@@ -1,7 +1,5 @@
 """``uniforce record`` itself: the scene steered by a teleoperator, and what it refuses."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

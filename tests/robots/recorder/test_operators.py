@@ -1,7 +1,5 @@
 """Keys become commands and notes; an unattended session begins at once with one verdict."""
 
-from __future__ import annotations
-
 import os
 import time
 

@@ -1,7 +1,5 @@
 """Disk guard, steering, live view, faults' names, and what is built from a command line."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from pathlib import Path
@@ -22,16 +20,7 @@ from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture
 from uniforce_robots.recorder.robot_rig import GarbageWatch
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
-from uniforce_vtla.errors import (
-    ContractError,
-    DatasetError,
-    DiskFullError,
-    DroppedFrameError,
-    RobotError,
-    SensorError,
-    TeleoperatorError,
-    UniForceError,
-)
+from uniforce_vtla import errors
 from uniforce_vtla.keys import ABORT_CAUSES, AXES
 
 MB = 10**6
@@ -48,10 +37,10 @@ def guard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], 
 
 def test_an_episode_needs_room_and_a_reserve(guard: Callable[[float], DiskGuard]) -> None:
     assert "GB free" in guard(9000).before_episode(900, 0)
-    with pytest.raises(DiskFullError, match="reserve"):
+    with pytest.raises(errors.DiskFullError, match="reserve"):
         guard(101).before_episode(900, 0)
     guard(101).check()
-    with pytest.raises(DiskFullError, match="100 MB free"):
+    with pytest.raises(errors.DiskFullError, match="100 MB free"):
         guard(99).check()
 
 
@@ -61,29 +50,29 @@ def test_what_was_recorded_is_the_best_estimate(tmp_path: Path, guard: Callable[
     assert 5 < guard(9000).estimate_MB(900, 0) < 100
 
 
-def fault(kind: Literal["camera", "touch"], device: str, error: SensorError) -> UniForceError:
+def fault(kind: Literal["camera", "touch"], device: str, error: errors.SensorError) -> errors.UniForceError:
     with pytest.raises(DeviceError, match=device) as caught, named(kind, device):
         raise error
     return caught.value
 
 
 def test_every_fault_has_a_name_that_datasets_know() -> None:
-    errors = {
+    faults = {
         "lost_camera": fault("camera", "front", LostSensorError("x")),
         "stale_touch": fault("touch", "tactile_left", StaleSensorError("x")),
         "frozen_touch": fault("touch", "tactile_left", FrozenSensorError("x")),
-        "bad_touch": fault("touch", "tactile_left", SensorError("x")),
-        "robot_reflex": RobotError("x", "reflex"),
-        "robot_other": RobotError("x", "none of ours"),
-        "teleop": TeleoperatorError("x"),
-        "disk_full": DiskFullError("x"),
-        "dropped_frame": DroppedFrameError("x"),
-        "storage": DatasetError("x"),
+        "bad_touch": fault("touch", "tactile_left", errors.SensorError("x")),
+        "robot_reflex": errors.RobotError("x", "reflex"),
+        "robot_other": errors.RobotError("x", "none of ours"),
+        "teleop": errors.TeleoperatorError("x"),
+        "disk_full": errors.DiskFullError("x"),
+        "dropped_frame": errors.DroppedFrameError("x"),
+        "storage": errors.DatasetError("x"),
         "interrupt": StopRequestedError("x"),
-        "other": ContractError("x"),
+        "other": errors.ContractError("x"),
     }
-    assert {name: cause_of(error) for name, error in errors.items()} == {name: name for name in errors}
-    assert set(errors) <= set(ABORT_CAUSES) and len(set(ABORT_CAUSES)) == len(ABORT_CAUSES)
+    assert {name: cause_of(error) for name, error in faults.items()} == {name: name for name in faults}
+    assert set(faults) <= set(ABORT_CAUSES) and len(set(ABORT_CAUSES)) == len(ABORT_CAUSES)
 
 
 def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
@@ -96,17 +85,17 @@ def test_steering_speaks_arrays_and_one_kind_of_error(tmp_path: Path) -> None:
     assert steering.target(start).shape == (5,)
     for broken in (RuntimeError("gone"), OSError("gone")):
         teleop.error = broken
-        with pytest.raises(TeleoperatorError, match="gone"):
+        with pytest.raises(errors.TeleoperatorError, match="gone"):
             steering.target(start)
     teleop.error = None
     teleop.width_m = float("nan")
-    with pytest.raises(TeleoperatorError, match="finite"):
+    with pytest.raises(errors.TeleoperatorError, match="finite"):
         steering.target(start)
 
     class Joints(Sway):
-        action_features = property(lambda self: {"joint_1.pos": float})
+        action_features = {"joint_1.pos": float}  # noqa: RUF012
 
-    with pytest.raises(ContractError, match=r"x\.pos"):
+    with pytest.raises(errors.ContractError, match=r"x\.pos"):
         Steering(Joints(SwayConfig(id="test", calibration_dir=tmp_path)))
 
 
@@ -164,7 +153,7 @@ def test_its_errors_are_ours_and_one_of_unknown_age_is_refused() -> None:
     for camera.error, kind in kinds.items():
         with pytest.raises(kind, match="front"):
             PlainCamera("front", camera).picture()  # type: ignore[arg-type]
-    with pytest.raises(ContractError, match="latest_timestamp"):
+    with pytest.raises(errors.ContractError, match="latest_timestamp"):
         PlainCamera("front", object())  # type: ignore[arg-type]
 
 
@@ -197,10 +186,8 @@ def test_file_and_flags_make_devices(tmp_path: Path) -> None:
         ([], "recording_test", "no.yaml", "rig"),
     ],
 )
-def test_unknown_devices_and_settings_are_refused(
-    flags: list[str], teleop: str, file: str, reason: str
-) -> None:
-    with pytest.raises(ContractError, match=reason):
+def test_unknown_devices_and_settings_are_refused(flags: list[str], teleop: str, file: str, reason: str):
+    with pytest.raises(errors.ContractError, match=reason):
         read_devices(flags, True, teleop, file)
 
 
@@ -211,7 +198,7 @@ def test_every_teleoperator_can_be_named() -> None:
     for name, registered in names.items():
         try:
             assert read_devices([], False, name)[1].type == registered
-        except ContractError as error:
+        except errors.ContractError as error:
             assert not registered.startswith("uniforce_") and "required field" in str(error)
 
 
@@ -219,6 +206,6 @@ def test_a_little_garbage_is_borne_and_much_is_not() -> None:
     watch = GarbageWatch("tactile_left")
     for step in range(300):
         watch.look(step / 30, step // 8)  # four a second
-    with pytest.raises(SensorError, match="bad pieces"):
+    with pytest.raises(errors.SensorError, match="bad pieces"):
         for step in range(30):
             watch.look(10 + step / 30, 38 + step)

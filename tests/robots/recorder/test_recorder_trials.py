@@ -3,8 +3,6 @@
 Outcomes are asserted, timings aren't: those are what ``python -m benchmarks.recorder`` is for, on a machine with time.
 """
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Iterator
 
@@ -28,20 +26,14 @@ pytestmark = [
         reason="franky is not installed: pip install '.[franka]' to run the real client",
     ),
 ]
-INJECTED = (
-    "arm_reflex",
-    "camera_stops",
-    "uskin_garbage",
-    "uskin_unplugged",
-)  # the first one has to be cleared
+INJECTED = ("arm_reflex", "camera_stops", "uskin_garbage", "uskin_unplugged")  # the first has to be cleared
 
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     work = tmp_path_factory.mktemp("trials")
-    gentle = Plan(
-        work, episodes=2, episode_s=2.0, fps=5, patience=20.0, uskin_hz=50.0
-    )  # any machine keeps up with it
+    # any machine keeps up with it
+    gentle = Plan(work, episodes=2, episode_s=2.0, fps=5, patience=20.0, uskin_hz=50.0)
     with Rig(gentle, work / "rig") as rig:
         yield rig
 

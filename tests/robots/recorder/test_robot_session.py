@@ -1,14 +1,12 @@
 """A whole session on a fake robot: episodes, labels, faults, resume."""
 
-from __future__ import annotations
-
 import io
 import signal
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TextIO
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,21 +23,8 @@ from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operato
 from uniforce_robots.recorder.session import SessionEnd, SessionSettings
 from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
-from uniforce_vtla.errors import ContractError, TeleoperatorError
-from uniforce_vtla.keys import (
-    ABORT_CAUSES,
-    ACTION,
-    CAUSE,
-    OUTCOME,
-    OUTCOME_NAMES,
-    STAMPS,
-    STATE,
-    age_key,
-    index_key,
-    measured_key,
-    tactile_key,
-    time_key,
-)
+from uniforce_vtla import keys
+from uniforce_vtla.errors import ContractError
 
 SHORT_S = 0.5
 
@@ -50,25 +35,13 @@ def fake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRig:
 
 
 def go(
-    fake: FakeRig,
-    root: Path,
-    operator: Operator,
-    teleop: Sway | None = None,
-    out: TextIO | None = None,
-    **settings: object,
+    fake: FakeRig, root: Path, operator: Operator, teleop: Any = None, out: Any = None, **settings: Any
 ) -> SessionEnd:
     plain = {"episodes": 1, "episode_s": SHORT_S, "prompts": ("wipe",), "unwell_s": 1.0, "late_share": 1.0}
     teleop = teleop or sway(root.parent)
     store = StoreSettings(root, "local/test", reserve_MB=1.0)
-    end = run_session(
-        fake.rig,
-        teleop,
-        operator,
-        store,
-        SessionSettings(**(plain | settings)),  # type: ignore[arg-type]
-        out=out,
-        open_store=open_recorder,
-    )
+    wanted = SessionSettings(**(plain | settings))  # type: ignore[arg-type]
+    end = run_session(fake.rig, teleop, operator, store, wanted, out=out, open_store=open_recorder)
     assert not fake.robot.is_connected and not teleop.is_connected
     assert not [t.name for t in threading.enumerate() if t.name in ("arm-stream", "hand")]
     return end
@@ -82,7 +55,7 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
     dataset = open_dataset(root, return_uint8=True)
     assert dataset.num_episodes == 3 and len(dataset) == 45
     assert {dataset[i]["task"] for i in (0, 15)} == {"wipe", "clean the board"}
-    reference = dataset[3][tactile_key("left", reference=True)].numpy()
+    reference = dataset[3][keys.tactile_key("left", reference=True)].numpy()
     assert set(np.unique(reference)) == {0, 255}
     for episode in range(3):
         assert stored_frames(raw_path(root, "left", episode)) == 15
@@ -91,19 +64,21 @@ def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
 
 def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
     go(fake, tmp_path / "data", Unattended("success"))
-    times = tuple(key(source) for key in (time_key, age_key, index_key) for source in ("front", "left"))
-    keys = (STATE, ACTION, STAMPS, *times)
-    columns = read_source(tmp_path / "data").columns((*keys, measured_key("wrench"), measured_key("hand")))
-    ticks = columns[STAMPS]
+    times = tuple(key(source) for key in (keys.time_key, keys.age_key, keys.index_key) for source in ("front", "left"))
+    wanted = (keys.STATE, keys.ACTION, keys.STAMPS, *times)
+    wanted += keys.measured_key("wrench"), keys.measured_key("hand")
+    columns = read_source(tmp_path / "data").columns(wanted)
+    ticks = columns[keys.STAMPS]
     assert (np.diff(ticks, axis=1) >= 0).all() and ticks[0, 0] < 0.1
     assert (np.diff(ticks[:, 0]) > 0).all()  # how steadily, a busy machine can't say: see docs/recording.md
     for source in ("front", "left"):
-        age, taken = columns[age_key(source)], columns[time_key(source)]
+        age, taken = columns[keys.age_key(source)], columns[keys.time_key(source)]
         assert (age >= 0).all() and age.max() < 0.2
         np.testing.assert_allclose(taken + age, ticks[:, 1], atol=1e-4)
-        assert (np.diff(columns[index_key(source)]) >= 0).all() and columns[index_key(source)][-1] > 3
-    assert np.ptp(columns[ACTION][:, 0]) > 0.001, "the sway was stored"
-    np.testing.assert_allclose(columns[measured_key("hand")][:, 0], 0.08, atol=1e-6)
+        index = columns[keys.index_key(source)]
+        assert (np.diff(index) >= 0).all() and index[-1] > 3
+    assert np.ptp(columns[keys.ACTION][:, 0]) > 0.001, "the sway was stored"
+    np.testing.assert_allclose(columns[keys.measured_key("hand")][:, 0], 0.08, atol=1e-6)
 
 
 def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
@@ -111,12 +86,7 @@ def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
 ) -> None:
     teleop = sway(tmp_path)
     quick = teleop.get_action
-
-    def slow() -> dict[str, float]:
-        time.sleep(2.5 / 30)
-        return quick()
-
-    monkeypatch.setattr(teleop, "get_action", slow)
+    monkeypatch.setattr(teleop, "get_action", lambda: time.sleep(2.5 / 30) or quick())
     console = io.StringIO()
     end = go(fake, tmp_path / "data", Unattended("success"), teleop, out=console, late_share=0.1)
     assert end.exit_code == 3 and "missed" in end.message
@@ -127,10 +97,10 @@ def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
 
 def labels(root: Path) -> list[str]:
     source = read_source(root)
-    columns = source.columns((OUTCOME, CAUSE))
+    columns = source.columns((keys.OUTCOME, keys.CAUSE))
     starts = [episode.start for episode in source.episodes]
-    outcomes = [OUTCOME_NAMES[columns[OUTCOME][i]] for i in starts]
-    causes = [ABORT_CAUSES[columns[CAUSE][i]] for i in starts]
+    outcomes = [keys.OUTCOME_NAMES[columns[keys.OUTCOME][i]] for i in starts]
+    causes = [keys.ABORT_CAUSES[columns[keys.CAUSE][i]] for i in starts]
     return [o if c == "none" else f"{o}:{c}" for o, c in zip(outcomes, causes, strict=True)]
 
 
@@ -159,13 +129,12 @@ BREAKS: dict[str, tuple[str, str, str]] = {  # what breaks, how, the cause that 
 
 
 def break_it(fake: FakeRig, teleop: Sway, what: str, how: str) -> None:
-    match what:
-        case "arm":
-            fake.arm.mode = how
-        case "teleop":
-            teleop.error = RuntimeError(how)
-        case _:
-            fake.captures[what].fault = how
+    if what == "arm":
+        fake.arm.mode = how
+    elif what == "teleop":
+        teleop.error = RuntimeError(how)
+    else:
+        fake.captures[what].fault = how
 
 
 @pytest.mark.parametrize("name", BREAKS)
@@ -219,7 +188,7 @@ def test_discard_rerecord_pause_and_notes(fake: FakeRig, tmp_path: Path) -> None
     assert end.endings[2].pauses == 1 and len(teleop.starts) == 4, "three episodes and one going on"
     card = read_card(tmp_path / "data", 0)
     assert card["notes"] == ["slow"] and card["prompt"] == "wipe" and card["guards"]["sensor"] == 0
-    stamps = read_source(tmp_path / "data").columns((STAMPS,))[STAMPS][:, 0]
+    stamps = read_source(tmp_path / "data").columns((keys.STAMPS,))[keys.STAMPS][:, 0]
     assert np.diff(stamps).max() > 5 / 30, "the pause shows"
 
 
@@ -306,24 +275,7 @@ def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
     assert end.exit_code == 3 and "finite" in end.message and len(end.endings) == 1
 
 
-def test_a_replay_that_ends_is_judged(fake: FakeRig, tmp_path: Path) -> None:
-    teleop = sway(tmp_path)
-    real = teleop.get_action
-
-    def get_action() -> dict[str, float]:
-        if teleop.calls >= 7:
-            raise TeleoperatorError("the end", "ended")
-        return real()
-
-    teleop.get_action = get_action  # type: ignore[method-assign]
-    end = go(fake, tmp_path / "data", Unattended("residual"), teleop, episode_s=5.0)
-    assert end.exit_code == 0 and labels(tmp_path / "data") == ["residual"]
-    assert read_source(tmp_path / "data").num_frames == 7
-
-
-def test_another_sensor_than_configured_is_refused_before_anything_moves(
-    fake: FakeRig, tmp_path: Path
-) -> None:
+def test_another_sensor_than_configured_is_refused_before_anything_moves(fake: FakeRig, tmp_path: Path):
     captures = fake.captures
     captures["tactile_left"], captures["tactile_right"] = captures["tactile_right"], captures["tactile_left"]
     with pytest.raises(WrongSensorError, match="Another sensor answers"):

@@ -1,7 +1,5 @@
 """The recorder in its own process: the same dataset, errors that come back, an end that comes whatever happens."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
@@ -23,9 +21,8 @@ from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import STATE, camera_key, tactile_key
 
-FACTS = RigFacts(
-    "test", 30, {"left": "uskin", "right": "tactip"}, {"front": (48, 64, 3)}, windows={"left": 3}, paced=False
-)
+WORN, CAMERAS = {"left": "uskin", "right": "tactip"}, {"front": (48, 64, 3)}
+FACTS = RigFacts("test", 30, WORN, CAMERAS, windows={"left": 3}, paced=False)
 REFERENCE = dots(0)
 
 
@@ -81,9 +78,7 @@ def test_it_stores_what_the_recorder_itself_would(store: StoreProcess, tmp_path:
 
 
 @pytest.mark.slow
-def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(
-    store: StoreProcess, tmp_path: Path
-) -> None:
+def test_a_killed_process_is_an_error_and_loses_the_running_episode_only(store: StoreProcess, tmp_path: Path):
     record(store)
     store.add(row(0), "wipe")
     os.kill(store.pid, signal.SIGKILL)

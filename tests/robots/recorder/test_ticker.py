@@ -1,7 +1,5 @@
 """The beat on a clock that the test sets."""
 
-from __future__ import annotations
-
 import pytest
 
 from uniforce_robots.recorder.ticker import Ticker

@@ -1,7 +1,5 @@
 """What the trials measure with, on cases whose answer is known."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -56,11 +54,10 @@ def test_an_arm_that_goes_on_was_not_held() -> None:
     assert find_hold([], fault_s=1.0) is None
 
 
-def test_stored_times_tell_what_the_ticker_counted() -> None:
+def test_stored_times_show_what_the_ticker_counted() -> None:
     now_s, busy = [0.0], iter([0.0, 0.0, 0.004, 0.05, 0.08, 0.0, 0.0, 0.0])
-    ticker = Ticker(
-        30, clock=lambda: now_s[0], sleep=lambda seconds: now_s.__setitem__(0, now_s[0] + seconds)
-    )
+    sleep = lambda seconds: now_s.__setitem__(0, now_s[0] + seconds)  # noqa: E731
+    ticker = Ticker(30, clock=lambda: now_s[0], sleep=sleep)
     tick_s = []
     for took_s in busy:
         ticker.wait()
@@ -109,9 +106,8 @@ def test_a_small_disk_gets_full_and_empty_again(tmp_path: Path) -> None:
 
 
 def test_verdicts() -> None:
-    findings = [
-        {"right_outcome": True, "hold_s": 0.1 * n, "label": "aborted:x", "exit_code": 3} for n in range(10)
-    ]
+    plain = {"right_outcome": True, "label": "aborted:x", "exit_code": 3}
+    findings = [plain | {"hold_s": 0.1 * n} for n in range(10)]
     result = {
         "faults": {"camera_stops": summary(findings), "mute_at_connect": summary(findings[:2])},
         "runs": {"faults": {"judged": True}},

@@ -1,16 +1,9 @@
 """How much of a core this machine gives us: deadlines scale with it."""
 
-from __future__ import annotations
-
-import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
-
-# scripted: importlib mode gives test folders no package
-sys.path.insert(0, str(Path(__file__).parent))
 
 from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import SensorError
@@ -74,14 +67,7 @@ def fails_and_recovers(outcome: Callable, recovers: Callable) -> Callable[..., N
     ``newest`` gives a sample younger than so many ms, ``wait_newer`` one after an index within so many ms.
     """
 
-    def check(
-        stand_in: StandIn,
-        fault: str,
-        kind: type[SensorError],
-        newest: Callable,
-        wait_newer: Callable,
-        age_ms: float,
-    ) -> None:
+    def check(stand_in: StandIn, fault: str, kind: type, newest: Callable, wait_newer: Callable, age_ms: float):
         for _ in range(TIMES):
             stand_in.inject(fault)
             error = outcome(lambda: newest(age_ms), kind)

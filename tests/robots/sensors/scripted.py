@@ -1,7 +1,5 @@
 """Devices that do as their test says: a camera in place of ``cv2.VideoCapture``, and a source of any samples."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Stock ``lerobot-record`` with our camera, from its entry on: exact tactile video, or no episode at all."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -46,11 +44,9 @@ class Still:
     is_calibrated, is_connected = True, False
     cameras: dict[str, Any] = {}  # noqa: RUF012
 
-    def calibrate(self) -> None: ...
+    def calibrate(self, *_: object) -> None: ...
 
-    def configure(self) -> None: ...
-
-    def send_feedback(self, feedback: dict[str, Any]) -> None: ...
+    configure = send_feedback = calibrate
 
     def connect(self, calibrate: bool = True) -> None:
         for camera in self.cameras.values():

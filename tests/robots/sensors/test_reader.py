@@ -1,7 +1,5 @@
 """The reader: what goes in comes out, in order, whole; a dead sensor never looks alive, and comes back by itself."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable
@@ -14,12 +12,7 @@ from hypothesis import strategies as st
 from properties import examples
 from scripted import ScriptedSource
 
-from uniforce_robots.sensors.faults import (
-    FrozenSensorError,
-    LostSensorError,
-    StaleSensorError,
-    WrongSensorError,
-)
+from uniforce_robots.sensors import faults
 from uniforce_robots.sensors.reader import NS_PER_MS, ReaderLimits, SampleReader, Stamped, now_ns
 from uniforce_vtla.errors import ContractError, SensorError
 
@@ -48,7 +41,7 @@ def test_the_rate_is_measured():
 
 @pytest.mark.parametrize("bad", [np.zeros(3, np.int32), np.zeros(2, np.int64), np.zeros((), np.int32)])
 def test_another_shape_or_dtype_is_refused(bad: np.ndarray):
-    with pytest.raises(WrongSensorError, match="sample"):
+    with pytest.raises(faults.WrongSensorError, match="sample"):
         filled(1).keep([Stamped(0, bad)])
 
 
@@ -66,7 +59,7 @@ def pair():
 def test_a_window_repeats_the_oldest_sample_instead_of_inventing_zeros(pair):
     source, reader = pair
     source.mode = "silent"
-    with pytest.raises(StaleSensorError):
+    with pytest.raises(faults.StaleSensorError):
         reader.wait_newer(10**9, 50)  # waiting ends
     kept = reader.since(-1)
     kept = [kept[0]] * (16 - len(kept)) + kept
@@ -98,10 +91,10 @@ def test_waiting_ends_with_the_next_sample(pair):
 @pytest.mark.parametrize(
     ("mode", "kind", "says"),
     [
-        ("gone", LostSensorError, "Plug it in"),
-        ("silent", StaleSensorError, "scripted"),
-        ("frozen", FrozenSensorError, "same content"),
-        ("bug", LostSensorError, "reader died"),
+        ("gone", faults.LostSensorError, "Plug it in"),
+        ("silent", faults.StaleSensorError, "scripted"),
+        ("frozen", faults.FrozenSensorError, "same content"),
+        ("bug", faults.LostSensorError, "reader died"),
     ],
 )
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
@@ -134,9 +127,9 @@ def test_opening_a_missing_device_fails_at_once():
     source = ScriptedSource()
     source.mode = "gone"
     reader = SampleReader(source, LIMITS)
-    with pytest.raises(LostSensorError, match="Plug it in"):
+    with pytest.raises(faults.LostSensorError, match="Plug it in"):
         reader.start()
-    with pytest.raises(LostSensorError, match="not connected"):
+    with pytest.raises(faults.LostSensorError, match="not connected"):
         reader.newest(100)
     assert not reader.since(-1)
 
@@ -153,7 +146,7 @@ def test_stopping_closes_the_device_and_nothing_is_delivered_after(pair):
     source, reader = pair
     reader.stop()
     assert source.closed == 1 and not reader.is_running
-    with pytest.raises(LostSensorError):
+    with pytest.raises(faults.LostSensorError):
         reader.newest(10_000)
     reader.start()
     reader.wait_newer(source.counts.samples - 1, 30_000)
@@ -161,11 +154,11 @@ def test_stopping_closes_the_device_and_nothing_is_delivered_after(pair):
 
 def test_a_backlog_is_an_error_only_while_it_lasts(monkeypatch: pytest.MonkeyPatch):
     clock, source = [0.0], ScriptedSource()
-    source._max_behind_s = 0.25
+    source.max_behind_s = 0.25
     monkeypatch.setattr("uniforce_robots.sensors.reader.time.monotonic", lambda: clock[0])
     for is_full in (True, True, False, True):  # one short read: it caught up
         assert source._more_waits(is_full) == is_full
         clock[0] += 0.2
     clock[0] += 0.1
-    with pytest.raises(StaleSensorError, match="keeps up"):
+    with pytest.raises(faults.StaleSensorError, match="keeps up"):
         source._more_waits(True)

@@ -1,7 +1,5 @@
 """The uSkin as a LeRobot camera: marker image, reference, orientation; and the whole chain to a latent."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """uSkin through xela_server: every form its messages take, every fault ten times."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import socket
@@ -15,14 +13,7 @@ from hypothesis import strategies as st
 from properties import examples
 from websockets.frames import Opcode
 
-from uniforce_robots.sensors.faults import (
-    FrozenSensorError,
-    LostSensorError,
-    ProtocolError,
-    SimulatedSensorError,
-    StaleSensorError,
-    WrongSensorError,
-)
+from uniforce_robots.sensors import faults
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
 from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, ServerUSkin, XelaMessages, read_message
 from uniforce_robots.standins.process import StandIn
@@ -54,20 +45,14 @@ def test_scans_are_those_of_the_contact_simulator(reader: SampleReader):
     assert all(scan.tobytes() in truth for scan in scans) and reader.counts.lost == 0
 
 
+DEAD = dict.fromkeys(("welcome", "stall"), faults.StaleSensorError)
+DEAD |= {"freeze": faults.FrozenSensorError, "stop": faults.LostSensorError}
+WRONG = {"sim": faults.SimulatedSensorError, "badframe": faults.ProtocolError}
+WRONG |= dict.fromkeys(("short", "absent"), faults.WrongSensorError)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("fault", "kind"),
-    [
-        ("welcome", StaleSensorError),
-        ("stall", StaleSensorError),
-        ("freeze", FrozenSensorError),
-        ("stop", LostSensorError),
-        ("sim", SimulatedSensorError),
-        ("short", WrongSensorError),
-        ("absent", WrongSensorError),
-        ("badframe", ProtocolError),
-    ],
-)
+@pytest.mark.parametrize(("fault", "kind"), (DEAD | WRONG).items())
 def test_a_dead_or_wrong_server_is_a_typed_error_and_comes_back(
     xela: StandIn, reader: SampleReader, fails_and_recovers: Callable, fault: str, kind: type
 ):
@@ -110,16 +95,16 @@ def test_counts_of_a_message(form: str):
 @pytest.mark.parametrize(
     ("text", "kind"),
     [
-        ("", ProtocolError),
-        ("[" * 100_000, ProtocolError),
-        ("[1]", ProtocolError),
-        (json.dumps({"type": "routine"}), WrongSensorError),
-        (json.dumps({"type": "routine", "1": {"data": None}}), ProtocolError),
-        (json.dumps({"type": "routine", "1": {"data": ["+1"] * 48}}), ProtocolError),
-        (json.dumps({"type": "routine", "1": {"data": [True] * 48}}), ProtocolError),
-        (json.dumps({"type": "routine", "1": {"data": [65_536] * 48}}), ProtocolError),
-        (json.dumps({"type": "routine", "1": {"data": "1,2,3"}}), WrongSensorError),
-        (json.dumps({"message": "Welcome", "server": {"bustype": "SIM"}}), SimulatedSensorError),
+        ("", faults.ProtocolError),
+        ("[" * 100_000, faults.ProtocolError),
+        ("[1]", faults.ProtocolError),
+        (json.dumps({"type": "routine"}), faults.WrongSensorError),
+        (json.dumps({"type": "routine", "1": {"data": None}}), faults.ProtocolError),
+        (json.dumps({"type": "routine", "1": {"data": ["+1"] * 48}}), faults.ProtocolError),
+        (json.dumps({"type": "routine", "1": {"data": [True] * 48}}), faults.ProtocolError),
+        (json.dumps({"type": "routine", "1": {"data": [65_536] * 48}}), faults.ProtocolError),
+        (json.dumps({"type": "routine", "1": {"data": "1,2,3"}}), faults.WrongSensorError),
+        (json.dumps({"message": "Welcome", "server": {"bustype": "SIM"}}), faults.SimulatedSensorError),
     ],
 )
 def test_messages_that_are_no_scan(text: str, kind: type):
@@ -170,7 +155,7 @@ def test_how_frames_are_cut_makes_no_difference(cuts: list[int], pieces: int):
     ],
 )
 def test_what_the_rfc_forbids_is_a_typed_error(data: bytes):
-    with pytest.raises(ProtocolError):
+    with pytest.raises(faults.ProtocolError):
         open_messages().feed(data)
 
 
@@ -180,7 +165,7 @@ def test_fragments_without_end_stay_bounded():
     for _ in range(5000):
         messages.feed(frame(Opcode.CONT, b"", False))
     assert len(messages._parts) == 1
-    with pytest.raises(ProtocolError, match="limit"):
+    with pytest.raises(faults.ProtocolError, match="limit"):
         for _ in range(20):
             messages.feed(frame(Opcode.CONT, b"x" * 60_000, False))
 
@@ -196,12 +181,12 @@ def test_what_is_no_websocket_server_is_a_typed_error(answer: bytes):
                 connection.sendall(answer)
 
         threading.Thread(target=serve, daemon=True).start()
-        with pytest.raises((ProtocolError, LostSensorError)):
+        with pytest.raises((faults.ProtocolError, faults.LostSensorError)):
             ServerUSkin("{}:{}".format(*listener.getsockname())).open()
 
 
 def test_an_address_without_a_server():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         address = "{}:{}".format(*listener.getsockname())
-    with pytest.raises(LostSensorError, match="running"):
+    with pytest.raises(faults.LostSensorError, match="running"):
         ServerUSkin(address).open()

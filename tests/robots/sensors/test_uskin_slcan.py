@@ -1,7 +1,5 @@
 """uSkin over SLCAN against the stand-in on a pseudo-terminal: exact data, every fault ten times, the full rate."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import warnings
@@ -52,17 +50,12 @@ def test_scans_are_those_of_the_contact_simulator_in_order(reader: SampleReader)
     assert np.all(np.diff(stamps_ns) >= 0)
 
 
+DEAD = dict.fromkeys(("stall", "missing", "duplicate"), StaleSensorError)
+DEAD |= {"freeze": FrozenSensorError, "unplug": LostSensorError}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("fault", "kind"),
-    [
-        ("stall", StaleSensorError),
-        ("missing", StaleSensorError),
-        ("duplicate", StaleSensorError),
-        ("freeze", FrozenSensorError),
-        ("unplug", LostSensorError),
-    ],
-)
+@pytest.mark.parametrize(("fault", "kind"), DEAD.items())
 def test_a_dead_patch_is_a_typed_error_and_comes_back(
     slcan: StandIn, reader: SampleReader, fails_and_recovers: Callable, fault: str, kind: type
 ):
@@ -104,10 +97,9 @@ def test_no_port_and_a_port_that_is_none(tmp_path: Path):
 
 def test_a_reader_that_cannot_keep_up_says_so(slcan: StandIn, monkeypatch: pytest.MonkeyPatch):
     """Scans that waited in the kernel would carry stamps that make them look new."""
-    monkeypatch.setattr(
-        "uniforce_robots.sensors.uskin_slcan.FULL_BYTES", 1
-    )  # whatever comes counts as a full read
-    source = SlcanUSkin(slcan.address, max_behind_s=0.05)
+    monkeypatch.setattr("uniforce_robots.sensors.uskin_slcan.FULL_BYTES", 1)  # whatever comes is a full read
+    source = SlcanUSkin(slcan.address)
+    source.max_behind_s = 0.05
     source.open()
     with pytest.raises(StaleSensorError, match="keeps up"):
         for _ in range(10_000):

@@ -1,24 +1,15 @@
 """The stand-in's kinematics and dynamics, without sockets: in the robot's own milliseconds."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
 
-from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, Q_MAX_rad, Q_MIN_rad, posture
-from uniforce_robots.standins.fci.arm import Arm, Wall, Watch
+from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm, posture
+from uniforce_robots.standins.fci.arm import Arm, TORQUE_STEP_Nm, Wall, Watch, broken_rules
 from uniforce_robots.standins.fci.arm_service import urdf
 from uniforce_robots.standins.fci.hand import Hand
-from uniforce_robots.standins.fci.protocol import (
-    ErrorBit,
-    Generator,
-    Grasp,
-    HandMove,
-    HandStatus,
-    RobotCommand,
-)
+from uniforce_robots.standins.fci.protocol import ErrorBit, Grasp, HandMove, HandStatus
 
 
 def test_home_is_where_the_manual_shows_it() -> None:
@@ -50,55 +41,35 @@ def test_the_model_has_the_names_a_client_asks_for() -> None:
         assert {"velocity_offset", "deceleration_limit"} <= set(limits.keys())
 
 
-def spring(arm: Arm, goal_m: np.ndarray, stiffness: float) -> RobotCommand:
+def spring(arm: Arm, goal_m: np.ndarray, stiffness: float) -> np.ndarray:
     twist = arm.jacobian @ arm.dq_rad_s
     error = np.concatenate([goal_m - arm.ee_to_base[:3, 3], np.zeros(3)])
     force = stiffness * error - np.array([90.0] * 3 + [10.0] * 3) * twist
-    return RobotCommand(0, tau_J_d=arm.jacobian.T @ force)
-
-
-def test_a_spring_pulls_the_hand_to_its_target() -> None:
-    arm = Arm()
-    goal = arm.ee_to_base[:3, 3] + [0.02, -0.01, -0.03]
-    for _ in range(1500):
-        arm.drive(spring(arm, goal, 1000.0), Generator.NONE)
-    np.testing.assert_allclose(arm.ee_to_base[:3, 3], goal, atol=1e-3)
+    return arm.jacobian.T @ force
 
 
 def test_pressing_on_the_wall_gives_stiffness_times_depth() -> None:
     arm = Arm(wall=Wall(height_m=0.47, stiffness_N_m=50000.0))
     goal = arm.ee_to_base[:3, 3] * [1, 1, 0] + [0, 0, 0.46]
     for _ in range(2500):
-        arm.drive(spring(arm, goal, 800.0), Generator.NONE)
+        arm.drive(spring(arm, goal, 800.0))
     assert arm.contact_N[2] == pytest.approx(800 * 0.01, rel=0.05)
 
 
-@pytest.mark.parametrize("generator", [Generator.CARTESIAN_POSITION, Generator.JOINT_POSITION])
-def test_position_commands_are_followed(generator: Generator) -> None:
-    arm = Arm()
-    pose = arm.ee_to_base.copy()
-    pose[2, 3] -= 0.02
-    q = arm.q_rad + 0.05
-    for _ in range(300):
-        arm.drive(RobotCommand(0, q_c=q, O_T_EE_c=pose.T.ravel()), generator)
-    if generator == Generator.JOINT_POSITION:
-        np.testing.assert_allclose(arm.q_rad, q, atol=1e-4)
-    else:
-        np.testing.assert_allclose(arm.ee_to_base, pose, atol=1e-3)
-
-
-def test_velocity_commands_are_followed_and_a_brake_stops_the_arm_within_a_tenth_of_a_second() -> None:
-    arm = Arm()
-    for _ in range(100):
-        arm.drive(RobotCommand(0, dq_c=np.full(7, 0.1)), Generator.JOINT_VELOCITY)
-    np.testing.assert_allclose(arm.q_rad, HOME_q_rad + 0.01, atol=1e-9)
-    z = arm.ee_to_base[2, 3]
-    for _ in range(50):
-        arm.drive(RobotCommand(0, O_dP_EE_c=np.array([0, 0, 0.1, 0, 0, 0])), Generator.CARTESIAN_VELOCITY)
-    assert arm.ee_to_base[2, 3] - z == pytest.approx(0.005, abs=3e-4)
+def test_a_brake_stops_the_arm_within_a_tenth_of_a_second() -> None:
+    arm = Arm(dq_rad_s=np.full(7, 0.1))
     for _ in range(100):
         arm.hold()
     assert np.abs(arm.dq_rad_s).max() < 1e-4
+
+
+@pytest.mark.parametrize("share", [1.0, -1.0, 1.1, -1.1])
+def test_a_torque_at_the_limit_is_followed_and_one_beyond_it_is_named(share: float) -> None:
+    beyond = abs(share) > 1
+    step, strong = np.full(7, share * TORQUE_STEP_Nm), share * TAU_MAX_Nm
+    assert broken_rules(step) == ({ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY} if beyond else set())
+    assert broken_rules(5 + step, np.full(7, 5.0)) == broken_rules(step)
+    assert broken_rules(strong, strong) == ({ErrorBit.TAU_J_RANGE_VIOLATION} if beyond else set())
 
 
 def test_what_goes_beyond_a_threshold_is_named() -> None:

@@ -1,7 +1,5 @@
 """Stand-ins as processes: ready lines, help, control, and clients that aren't our own drivers."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -20,12 +18,10 @@ NAMES = ("slcan", "xela", "mjpeg")
 @pytest.mark.parametrize("name", NAMES)
 def test_each_is_ready_obeys_and_ends(name: str):
     with StandIn(name, "press_s=0", "rest_s=0.5") as stand_in:
-        assert stand_in.address.startswith(
-            ("/tmp/", "127.0.0.1:", "http://127.0.0.1:")
-        )  # never beyond this machine
+        assert stand_in.address.startswith(("/tmp/", "127.0.0.1:", "http://127.0.0.1:")), "this machine only"
         stand_in.inject("stall")
         assert stand_in.stats()["sent"] == 0
-        process = stand_in._process
+        process = stand_in.process
     assert process.poll() is not None
     with pytest.raises((SensorError, ValueError)):
         stand_in.inject("stall")

@@ -1,7 +1,5 @@
 """What stand-ins show: free air first, then a press where it was asked for, as the contact simulator says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,9 +1,6 @@
 """Each teleoperator, connected to a stand-in or a fake, so that one contract test serves all."""
 
-from __future__ import annotations
-
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -13,10 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(
-    0, str(Path(__file__).parent)
-)  # teleop_fakes.py: importlib mode gives test folders no package
 
 # LeRobot's base class makes a calibration folder below its cache as soon as a teleoperator is made
 os.environ.setdefault("HF_LEROBOT_CALIBRATION", tempfile.mkdtemp(prefix="uniforce-calibration-"))
@@ -45,16 +38,14 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[bytes], None
 
 
 @pytest.fixture
-def connected(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest, terminal: object
-) -> Iterator[Callable[[str], Any]]:
+def connected(tmp_path: Path, request: pytest.FixtureRequest, terminal: object) -> Iterator[Callable[[str], Any]]:
     """Return a function: registered name → that teleoperator, connected; all are disconnected at the end."""
     import teleop_fakes
 
     with ExitStack() as closing:
 
         def make(name: str) -> Any:
-            teleoperator = teleop_fakes.MAKERS[name](request, tmp_path, monkeypatch)
+            teleoperator = teleop_fakes.MAKERS[name](request, tmp_path)
             teleoperator.connect()
             closing.callback(teleoperator.disconnect)
             return teleoperator

@@ -1,8 +1,7 @@
 """What every registered teleoperator promises."""
 
-from __future__ import annotations
-
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -53,9 +52,8 @@ def test_life_of_a_teleoperator(name: str, connected: Callable[[str], Any], meas
         action = device.get_action()
         assert tuple(action) == AXES and all(type(value) is float for value in action.values())
         now = np.array([action[axis] for axis in AXES])
-        if name != "uniforce_expert":  # its scene has another pose than this test's
-            assert np.all(np.abs(now - before) <= LARGEST_STEP), name
-            before = now
+        assert np.all(np.abs(now - before) <= LARGEST_STEP), name
+        before = now
 
     device.disconnect()
     device.disconnect()
@@ -82,4 +80,36 @@ def test_it_can_be_connected_again(name: str, connected: Callable[[str], Any], m
     device.connect()
     device.start_from(measured)
     device.send_feedback(dict(zip(AXES, measured.tolist(), strict=True)))
+    assert device.get_action()
+
+
+FAULTS = {
+    "gello": {
+        **dict.fromkeys(("crc", "missing", "garbage"), ("garbage", "stale")),
+        **dict.fromkeys(("mute", "unplug"), ("connection", "stale")),
+        "jump": ("garbage",),
+    },
+    "spacemouse": {"unplug": ("connection",), "garbage": ("garbage",), "short": ("garbage",)},
+}
+
+
+@pytest.mark.parametrize("name, fault", [(name, fault) for name in FAULTS for fault in FAULTS[name]])
+def test_faults_stay_until_the_next_start(
+    name: str,
+    fault: str,
+    connected: Callable[[str], Any],
+    measured: np.ndarray,
+    fault_of: Callable[..., str],
+    starts: Callable[[Any], None],
+    request: pytest.FixtureRequest,
+) -> None:
+    device, stand_in = connected(f"uniforce_{name}"), request.getfixturevalue(name)
+    device.start_from(measured)
+    stand_in.inject(fault)
+    assert fault_of(device.get_action) in FAULTS[name][fault]
+    stand_in.inject("none")
+    time.sleep(0.1)
+    with pytest.raises(TeleoperatorError):  # plugged in again, but no start has allowed the arm to go on
+        device.get_action()
+    starts(device)
     assert device.get_action()

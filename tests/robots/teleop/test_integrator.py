@@ -1,7 +1,5 @@
 """The one place that moves a target: never a jump, never out of the box, never far ahead of the robot."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -77,9 +75,7 @@ def test_a_leash_lets_go_towards_the_robot() -> None:
     integrator = TargetIntegrator()
     start = np.array([0.5, 0, 0.2, 0, 0.05])
     integrator.start_from(start)
-    away = start + np.array(
-        [0.1, 0, 0, 0, 0]
-    )  # somebody pushed the robot; the target is behind it by more than the leash
+    away = start + np.array([0.1, 0, 0, 0, 0])  # pushed; the target is behind it by more than the leash
     assert integrator.advance(np.array([1, 0, 0, 0, 0]), 0.1, away)[0] > start[0]
     assert integrator.advance(np.array([-1, 0, 0, 0, 0]), 0.1, away)[0] >= start[0]
 

@@ -1,7 +1,5 @@
 """Keys of a terminal: pulses of speed, hand guiding's width, and a terminal that goes away."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any
@@ -32,9 +30,7 @@ def test_each_key_moves_its_axis(keyboard: Any, terminal: Type, until: Callable[
     start = np.array([0.5, 0.0, 0.2, 0.0, 0.04])  # inside the box on every axis
     keyboard.start_from(start)
     terminal(key.encode())
-    moved = until(
-        lambda: np.array(list(keyboard.get_action().values())), lambda now: now[axis] != start[axis]
-    )
+    moved = until(lambda: np.array(list(keyboard.get_action().values())), lambda now: now[axis] != start[axis])
     assert np.sign(moved[axis] - start[axis]) == direction
     assert np.array_equal(np.delete(moved, axis), np.delete(start, axis))
 
@@ -63,9 +59,7 @@ def test_a_press_before_the_start_moves_nothing(keyboard: Any, measured: np.ndar
     assert not keyboard.keys.rates().any()
 
 
-def test_a_terminal_that_hangs_up_is_a_fault(
-    keyboard: Any, terminal: Type, fault_of: Callable[..., str]
-) -> None:
+def test_a_terminal_that_hangs_up_is_a_fault(keyboard: Any, terminal: Type, fault_of: Callable) -> None:
     terminal(b"")
     assert fault_of(keyboard.get_action) == "connection"
 
@@ -77,9 +71,6 @@ def test_without_a_terminal_there_is_no_keyboard(tmp_path: Any, monkeypatch: pyt
         with pytest.raises(TeleoperatorError, match="terminal"):
             device.connect()
     assert not device.is_connected
-
-
-# --- hand guiding ------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -100,9 +91,8 @@ def test_the_measured_pose_is_the_action(guide: Any, measured: np.ndarray) -> No
 
 
 def test_the_width_is_commanded_by_keys(guide: Any, measured: np.ndarray) -> None:
-    assert (
-        action_at(guide, measured - np.array([0, 0, 0, 0, 0.01]))[4] == measured[4]
-    )  # the fingers' own motion is no command
+    own = action_at(guide, measured - np.array([0, 0, 0, 0, 0.01]))
+    assert own[4] == measured[4], "the fingers' own motion is no command"
     guide.keys.press("p")
     time.sleep(0.02)
     assert action_at(guide, measured)[4] < measured[4]

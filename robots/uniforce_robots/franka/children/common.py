@@ -1,12 +1,12 @@
 """What the children share: JSON lines to and from the parent. A plain module: our package would load torch."""
 
-from __future__ import annotations
-
+import importlib
 import json
 import os
 import select
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 REPORT_s = 0.01  # a state for the parent that often, by the host's clock: also when the loop is late
@@ -51,10 +51,15 @@ def connect(client: Any, kind: str, *arguments: Any, **options: Any) -> Any:
     return connected
 
 
-def say_why(error: Exception) -> None:
-    """Tell the parent that the connection has failed."""
-    fault = "version" if "ncompatible" in str(error) else "connection"
-    say("error", fault=fault, text=str(error))
+def serve(name: str, run: Callable[[Any], None]) -> None:
+    """Say ``loaded`` once the client is imported, then run with it; ``error`` when the connection has failed."""
+    client = importlib.import_module(name)
+    say("loaded")
+    try:
+        run(client)
+    except client_errors(client) as error:
+        fault = "version" if "ncompatible" in str(error) else "connection"
+        say("error", fault=fault, text=str(error))
 
 
 def report(state: Any, pose: list[float]) -> None:
@@ -74,12 +79,12 @@ def report(state: Any, pose: list[float]) -> None:
 
 
 def say_lost(state: Any, text: str) -> None:
-    """Tell the parent that control is gone, and the mode that says why."""
+    """Report to the parent that control is gone, and the mode that says why."""
     say("error", fault=STOPPED.get(mode_of(state), "other"), text=text, errors=error_names(state))
 
 
 def say_recovered(state: Any) -> bool:
-    """Tell the parent whether the arm may move again, and return it."""
+    """Report to the parent whether the arm may move again, and return it."""
     mode = mode_of(state)
     if mode in STOPPED:
         text = f"recovery: expected an arm that may move, got mode {mode}. Release the stop or the joints by hand."

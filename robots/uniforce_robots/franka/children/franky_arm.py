@@ -3,26 +3,13 @@
 The client's tracker runs the torque loop at 1 kHz in a C++ thread of this process; targets and gains are passed on.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import time
 from typing import Any
 
+import common
 import numpy as np
-from common import (
-    REPORT_s,
-    SILENCE_s,
-    client_errors,
-    connect,
-    orders,
-    report,
-    say,
-    say_lost,
-    say_recovered,
-    say_why,
-)
 
 
 class Loop:
@@ -38,12 +25,12 @@ class Loop:
 
     def run(self) -> None:
         """Serve until the parent closes the pipe or the robot dies."""
-        while (todo := orders(REPORT_s)) is not None:
+        while (todo := common.orders(common.REPORT_s)) is not None:
             for order in todo:
                 self.ordered_s = time.monotonic()
                 self.obey(order)
             self.rest_when_alone()
-            if time.monotonic() - self.reported_s >= REPORT_s:
+            if time.monotonic() - self.reported_s >= common.REPORT_s:
                 self.report()
         self.stop()
 
@@ -58,7 +45,7 @@ class Loop:
                     self.tracker.set_gains(gains=self.native_gains())
             case "stop":
                 self.stop(order["at_once"])
-                say("stopped")
+                common.say("stopped")
             case "recover":
                 self.recover()
 
@@ -75,9 +62,9 @@ class Loop:
             self.tracker.set_target(self.client.Affine(pose))
         except self.client.NetworkException:
             raise
-        except client_errors(self.client) as error:
+        except common.client_errors(self.client) as error:
             self.lost_control, self.tracker = True, None
-            say_lost(self.report(), str(error))
+            common.say_lost(self.report(), str(error))
 
     def take_control(self) -> None:
         """Start the tracker; it pulls at nothing before its first target."""
@@ -96,7 +83,7 @@ class Loop:
 
     def rest_when_alone(self) -> None:
         """Pull towards the measured pose, once, when the parent has fallen silent."""
-        if self.tracker is not None and time.monotonic() - self.ordered_s > SILENCE_s:
+        if self.tracker is not None and time.monotonic() - self.ordered_s > common.SILENCE_s:
             self.ordered_s = float("inf")
             self.tracker.set_target(self.robot.state.O_T_EE)
 
@@ -107,7 +94,7 @@ class Loop:
             return
         try:
             (self.robot if at_once else tracker).stop()
-        except client_errors(self.client):
+        except common.client_errors(self.client):
             return  # it had lost control before; the state says why
 
     def recover(self) -> None:
@@ -116,36 +103,30 @@ class Loop:
         try:
             self.robot.recover_from_errors()  # its answer may be of a state from before
         except self.client.CommandException as error:
-            say_lost(self.report(), str(error))
+            common.say_lost(self.report(), str(error))
             return
         _ = self.robot.state  # a queued one may be from before
-        self.lost_control = not say_recovered(self.report())
+        self.lost_control = not common.say_recovered(self.report())
 
     def report(self) -> Any:
         """Pass the newest state on; about 0.3 ms, up to 1 s when the robot has died."""
         self.reported_s, state = time.monotonic(), self.robot.state
-        report(state, np.array(state.O_T_EE.matrix).T.ravel().tolist())
+        common.report(state, np.array(state.O_T_EE.matrix).T.ravel().tolist())
         return state
 
 
-def main() -> None:
-    """Say ``loaded``, ``connected``, then states until the parent closes the pipe; ``error`` when the robot is lost."""
-    import franky
-
-    say("loaded")
+def run(client: Any) -> None:
+    """Say ``connected``, then states until the parent closes the pipe."""
     address, realtime, torque_Nm, force_N = sys.argv[1:5]
-    mode = franky.RealtimeConfig.Ignore if realtime == "ignore" else franky.RealtimeConfig.Enforce
-    try:
-        # 0.05: motions of franky's own, of which we use none, would be slow
-        robot = connect(franky, "Robot", address, relative_dynamics_factor=0.05, realtime_config=mode)
-        robot.set_collision_behavior(float(torque_Nm), float(force_N))
-        _ = robot.state  # a queued one may be from before
-        say("connected")
-        Loop(franky, robot).run()
-    except client_errors(franky) as error:
-        say_why(error)
+    mode = client.RealtimeConfig.Ignore if realtime == "ignore" else client.RealtimeConfig.Enforce
+    # 0.05: motions of franky's own, of which we use none, would be slow
+    robot = common.connect(client, "Robot", address, relative_dynamics_factor=0.05, realtime_config=mode)
+    robot.set_collision_behavior(float(torque_Nm), float(force_N))
+    _ = robot.state  # a queued one may be from before
+    common.say("connected")
+    Loop(client, robot).run()
 
 
 if __name__ == "__main__":
-    main()
+    common.serve("franky", run)
     os._exit(0)  # the client's destructor waits for states that may never come

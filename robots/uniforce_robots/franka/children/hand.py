@@ -3,21 +3,18 @@
 franky's commands are futures, and states go on while the fingers move. pylibfranka's hold this process until they end.
 """
 
-from __future__ import annotations
-
-import importlib
 import os
 import sys
 import time
 from typing import Any
 
-from common import client_errors, connect, orders, say, say_why
+from common import connect, orders, say, serve
 
 END_s = 2.0  # for the answer to a command that was stopped
 
 
-def serve(client: Any, gripper: Any) -> None:
-    """Tell states and outcomes until the parent closes the pipe; then stop the fingers."""
+def exchange(client: Any, gripper: Any) -> None:
+    """Report states and outcomes until the parent closes the pipe; then stop the fingers."""
     future = None
     while (todo := orders()) is not None:
         for order in todo:
@@ -37,9 +34,9 @@ def begin(client: Any, gripper: Any, order: dict) -> Any:
         order["do"],
         ("width_m", "speed_m_s", "force_N", "inner_m", "outer_m"),
     )  # a move has two of them
-    arguments = [order[key] for key in keys if key in order]
     try:
-        return getattr(gripper, f"{name}_async", getattr(gripper, name))(*arguments)
+        command = getattr(gripper, f"{name}_async", getattr(gripper, name))
+        return command(*(order[key] for key in keys if key in order))
     except client.CommandException:
         return False
 
@@ -63,18 +60,13 @@ def report(gripper: Any) -> None:
     say("state", state={"time_s": time.monotonic(), **reading})
 
 
-def main() -> None:
-    """Say ``loaded``, ``connected``, then states and outcomes until the parent closes the pipe."""
-    client = importlib.import_module(sys.argv[1])
-    say("loaded")
-    try:
-        gripper = connect(client, "Gripper", sys.argv[2])
-        say("connected")
-        serve(client, gripper)
-    except client_errors(client) as error:
-        say_why(error)
+def run(client: Any) -> None:
+    """Say ``connected``, then states and outcomes until the parent closes the pipe."""
+    gripper = connect(client, "Gripper", sys.argv[2])
+    say("connected")
+    exchange(client, gripper)
 
 
 if __name__ == "__main__":
-    main()
+    serve(sys.argv[1], run)
     os._exit(0)  # a client's destructor may wait for an answer that never comes

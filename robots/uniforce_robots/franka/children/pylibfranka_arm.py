@@ -5,25 +5,12 @@ Without a target it reads states; with one it runs a Cartesian impedance control
 and the target replaced by the measured pose when the parent falls silent.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from typing import Any
 
+import common
 import numpy as np
-from common import (
-    REPORT_s,
-    SILENCE_s,
-    client_errors,
-    connect,
-    orders,
-    report,
-    say,
-    say_lost,
-    say_recovered,
-    say_why,
-)
 
 TICK_s = 1e-3
 TORQUE_STEP_Nm = 0.9  # per millisecond; the robot refuses more than 1
@@ -53,10 +40,9 @@ class Impedance:
         self._goal_D = 2 * vectors @ np.diag(np.sqrt(np.clip(values, 0, None))) @ vectors.T
         self.clip = np.array([*clip_m, *[clip_rad] * 3])
 
-    def torques(
-        self, q: np.ndarray, dq: np.ndarray, pose: np.ndarray, J: np.ndarray, coriolis: np.ndarray
-    ) -> np.ndarray:
-        """(7,) Nm for the next millisecond."""
+    def torques(self, state: Any, J: np.ndarray, coriolis: np.ndarray) -> np.ndarray:
+        """(7,) Nm for the next millisecond, with the Jacobian (6, 7) and the Coriolis torques (7,) at a state."""
+        q, dq, pose = np.array(state.q), np.array(state.dq), matrix(state.O_T_EE)
         share = TICK_s / GAINS_TAU_s
         self.K = self.K + share * (self._goal_K - self.K)
         self.D = self.D + share * (self._goal_D - self.D)
@@ -102,7 +88,7 @@ class Loop:
             if order["do"] == "recover":
                 self.recover()
             elif order["do"] == "stop":
-                say("stopped")
+                common.say("stopped")
             else:
                 self.remember(order)
 
@@ -113,17 +99,22 @@ class Loop:
             self.robot.automatic_error_recovery()
         except self.client.CommandException as error:
             text = str(error)
-        self.robot.read_once()  # a queued one may be from before
+        state = self.state_of_now()
+        if text:
+            common.say_lost(state, text)
+        else:
+            self.lost_control = not common.say_recovered(state)
+
+    def state_of_now(self) -> Any:
+        """Pass a state on and return it; a queued one may be from before."""
+        self.robot.read_once()
         state = self.robot.read_once()
         self.report(state)
-        if text:
-            say_lost(state, text)
-        else:
-            self.lost_control = not say_recovered(state)
+        return state
 
     def take(self) -> list[dict]:
         """Return the orders so far; a closed pipe ends the child."""
-        todo = orders()
+        todo = common.orders()
         if todo is None:
             self.ended = True
         return todo or []
@@ -141,17 +132,14 @@ class Loop:
         try:
             control = self.robot.start_torque_control()
             if self.control(control):
-                say("stopped")
+                common.say("stopped")
         except self.client.NetworkException:
             raise
-        except client_errors(self.client) as error:
+        except common.client_errors(self.client) as error:
             text = str(error)
             control = error.__traceback__ = None  # either would keep the client's lock
             self.lost_control = True
-            self.robot.read_once()  # a queued one may be from before
-            state = self.robot.read_once()
-            self.report(state)
-            say_lost(state, text)
+            common.say_lost(self.state_of_now(), text)
         self.target = None
 
     def control(self, control: Any) -> bool:
@@ -183,14 +171,14 @@ class Loop:
         control.writeOnce(command)
         self.report(state)
         if not is_whole(state):
-            say("error", fault="bad_state", text="arm state: expected finite numbers, got NaN or infinity.")
+            common.say("error", fault="bad_state", text="arm state: expected finite numbers, got NaN or infinity.")
 
     def update(self, law: Impedance, state: Any, silence_s: float) -> None:
         """Give the law the newest target and gains."""
         if self.gains:
             law.set_gains(np.array(self.gains["stiffness"]), self.gains["clip_m"], self.gains["clip_rad"])
             self.gains = {}
-        if self.target is not None and silence_s < SILENCE_s:
+        if self.target is not None and silence_s < common.SILENCE_s:
             law.target = self.target
         elif self.target is not None:
             law.target, self.target = matrix(state.O_T_EE), matrix(state.O_T_EE)
@@ -198,8 +186,7 @@ class Loop:
     def torques(self, law: Impedance, state: Any) -> np.ndarray:
         """Evaluate the law at a state."""
         J = np.array(self.model.zero_jacobian(state)).reshape(7, 6).T
-        coriolis = np.array(self.model.coriolis(state))
-        return law.torques(np.array(state.q), np.array(state.dq), matrix(state.O_T_EE), J, coriolis)
+        return law.torques(state, J, np.array(self.model.coriolis(state)))
 
     def brake(self, control: Any, law: Impedance, state: Any) -> None:
         """Damp the joints to rest, let the torques fade, and end the motion in order."""
@@ -216,13 +203,13 @@ class Loop:
 
     def report_in_time(self, state: Any) -> None:
         """Pass a state on if the parent has waited long enough for one."""
-        if time.monotonic() - self.reported_s >= REPORT_s:
+        if time.monotonic() - self.reported_s >= common.REPORT_s:
             self.report(state)
 
     def report(self, state: Any) -> None:
         """Pass a state on."""
         self.reported_s = time.monotonic()
-        report(state, list(state.O_T_EE))
+        common.report(state, list(state.O_T_EE))
 
 
 def is_whole(state: Any) -> bool:
@@ -235,25 +222,17 @@ def matrix(column_major: list[float]) -> np.ndarray:
     return np.array(column_major).reshape(4, 4).T
 
 
-def main() -> None:
-    """Say ``loaded``, ``connected``, then states until the parent closes the pipe; ``error`` when the robot is lost."""
-    import pylibfranka
-
-    say("loaded")
-    address, realtime = sys.argv[1:3]
-    torque_Nm, force_N = map(float, sys.argv[3:5])
-    modes = pylibfranka.RealtimeConfig
-    try:
-        robot = connect(
-            pylibfranka, "Robot", address, modes.kIgnore if realtime == "ignore" else modes.kEnforce
-        )
-        robot.set_collision_behavior([torque_Nm] * 7, [torque_Nm] * 7, [force_N] * 6, [force_N] * 6)
-        loop = Loop(pylibfranka, robot)
-        say("connected")
-        loop.run()
-    except client_errors(pylibfranka) as error:
-        say_why(error)
+def run(client: Any) -> None:
+    """Say ``connected``, then states until the parent closes the pipe."""
+    address, realtime, torque, force = sys.argv[1:5]
+    mode = client.RealtimeConfig.kIgnore if realtime == "ignore" else client.RealtimeConfig.kEnforce
+    robot = common.connect(client, "Robot", address, mode)
+    torque_Nm, force_N = [float(torque)] * 7, [float(force)] * 6
+    robot.set_collision_behavior(torque_Nm, torque_Nm, force_N, force_N)
+    loop = Loop(client, robot)
+    common.say("connected")
+    loop.run()
 
 
 if __name__ == "__main__":
-    main()
+    common.serve("pylibfranka", run)

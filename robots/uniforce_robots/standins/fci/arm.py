@@ -4,8 +4,6 @@ Gravity and Coriolis forces are taken as compensated, as the real controller pre
 enough that commanded targets are reached and that pressing on the wall gives stiffness × distance; no dynamics model.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass, field
 
@@ -16,29 +14,23 @@ from uniforce_robots.fr3 import (
     JOINTS,
     DQ_MAX_rad_s,
     HOME_q_rad,
-    Posture,
     Q_MAX_rad,
     Q_MIN_rad,
     TAU_MAX_Nm,
     posture,
-    rotation_error,
 )
-from uniforce_robots.standins.fci.protocol import (
-    STATE_FLOAT_COUNT,
-    STATE_SLICES,
-    ErrorBit,
-    Generator,
-    RobotCommand,
-)
+from uniforce_robots.standins.fci.protocol import STATE_FLOAT_COUNT, STATE_SLICES, ErrorBit
 
 TICK_s = 0.001
 INERTIA_kgm2 = np.array([1.0, 1.0, 0.8, 0.8, 0.25, 0.25, 0.12])  # at each joint, about 3 kg at the hand
 FRICTION_Nms = np.array([0.5, 0.5, 0.5, 0.5, 0.2, 0.2, 0.1])
-FOLLOW_1_s = 50.0  # how fast the internal controllers close a position error
 BRAKE_SHARE = 0.9  # of the joint speed left each millisecond when something stops the arm: still after 50 ms
 STILL_rad_s = 1e-9
 GUIDING_DAMPING_Nms = 5.0  # a hand that pushes moves the arm, and it stops when the push does
-PINV_DAMPING = 0.05
+# The limits are those of the FR3 in Franka's interface specification and in libfranka's rate_limiting.h; how much a
+# real controller tolerates beyond them is not published, so a small share is allowed.
+TOLERANCE = 1.01  # states are float32, and a client's rounding is no fault
+TORQUE_STEP_Nm = 1.0  # a millisecond: 1000 Nm/s
 SPEED_MAX_m_s = 3.0  # of the hand (FR3 specification)
 MOVING_m_s, MOVING_rad_s = 0.002, 0.02  # of the tool; below both the arm is at rest
 TORQUE_CHANGE_Nm = 0.1  # smaller ones are a steady push
@@ -60,12 +52,7 @@ class Arm:
     q_rad: np.ndarray = field(default_factory=HOME_q_rad.copy)
     dq_rad_s: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
     tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
-    ne_to_flange: np.ndarray = field(default_factory=HAND_TO_FLANGE.copy)
-    ee_to_ne: np.ndarray = field(default_factory=lambda: np.eye(4))
-    k_to_ee: np.ndarray = field(default_factory=lambda: np.eye(4))
-    wrench_N: np.ndarray = field(
-        default_factory=lambda: np.zeros(6)
-    )  # set from outside; base frame, at the hand
+    wrench_N: np.ndarray = field(default_factory=lambda: np.zeros(6))  # from outside; base frame, at the hand
     wall: Wall | None = None
     upper_torque_Nm: np.ndarray = field(default_factory=lambda: np.full(JOINTS, 20.0))
     upper_force_N: np.ndarray = field(default_factory=lambda: np.full(6, 30.0))
@@ -76,9 +63,9 @@ class Arm:
     def refresh(self) -> None:
         """Recompute what follows from the joint angles and from what was set from outside."""
         self._floats: np.ndarray | None = None
-        self.posture: Posture = posture(self.q_rad)
-        self.ee_to_base = self.posture.flange_to_base @ self.ne_to_flange @ self.ee_to_ne
-        self.jacobian = self.posture.jacobian(self.ee_to_base[:3, 3])
+        here = posture(self.q_rad)
+        self.ee_to_base = here.flange_to_base @ HAND_TO_FLANGE
+        self.jacobian = here.jacobian(self.ee_to_base[:3, 3])
         self.twist = self.jacobian @ self.dq_rad_s  # of the hand, m/s and rad/s
         self.contact_N = self._contact()
         self.tau_ext_Nm = self.jacobian.T @ self.contact_N
@@ -93,27 +80,10 @@ class Arm:
                 wrench[2] += max(self.wall.stiffness_N_m * depth - self.wall.damping_Ns_m * speed, 0.0)
         return wrench
 
-    def drive(self, command: RobotCommand, generator: Generator) -> None:
-        """Follow a client's command for a millisecond."""
-        if generator == Generator.NONE:
-            self.tau_Nm = np.clip(command.tau_J_d, -TAU_MAX_Nm, TAU_MAX_Nm)
-            self._accelerate(self.tau_Nm + self.tau_ext_Nm - FRICTION_Nms * self.dq_rad_s)
-        else:
-            self.dq_rad_s = np.clip(self._wanted_speed(command, generator), -DQ_MAX_rad_s, DQ_MAX_rad_s)
-        self._integrate()
-
-    def _wanted_speed(self, command: RobotCommand, generator: Generator) -> np.ndarray:
-        if generator == Generator.JOINT_POSITION:
-            return FOLLOW_1_s * (command.q_c - self.q_rad)
-        if generator == Generator.JOINT_VELOCITY:
-            return command.dq_c
-        twist = command.O_dP_EE_c
-        if generator == Generator.CARTESIAN_POSITION:
-            target = command.O_T_EE_c.reshape(4, 4).T
-            turn = rotation_error(target[:3, :3], self.ee_to_base[:3, :3])
-            twist = FOLLOW_1_s * np.concatenate([target[:3, 3] - self.ee_to_base[:3, 3], turn])
-        J = self.jacobian
-        return J.T @ np.linalg.solve(J @ J.T + PINV_DAMPING**2 * np.eye(6), twist)
+    def drive(self, tau_Nm: np.ndarray) -> None:
+        """Follow torques (7,) for a millisecond."""
+        self.tau_Nm = np.clip(tau_Nm, -TAU_MAX_Nm, TAU_MAX_Nm)
+        self._accelerate(self.tau_Nm + self.tau_ext_Nm - FRICTION_Nms * self.dq_rad_s)
 
     def hold(self) -> None:
         """Brake for a millisecond: nothing commands the arm."""
@@ -127,10 +97,10 @@ class Arm:
         """Be pushed for a millisecond."""
         self.tau_Nm = np.zeros(JOINTS)
         self._accelerate(self.tau_ext_Nm - GUIDING_DAMPING_Nms * self.dq_rad_s)
-        self._integrate()
 
     def _accelerate(self, torque_Nm: np.ndarray) -> None:
         self.dq_rad_s = self.dq_rad_s + TICK_s * torque_Nm / INERTIA_kgm2
+        self._integrate()
 
     def _integrate(self) -> None:
         self.q_rad = self.q_rad + TICK_s * self.dq_rad_s
@@ -143,7 +113,7 @@ class Arm:
             found.add(ErrorBit.CARTESIAN_REFLEX)
         if np.any(np.abs(self.tau_ext_Nm) > self.upper_torque_Nm):
             found.add(ErrorBit.JOINT_REFLEX)
-        if np.any(np.abs(self.dq_rad_s) > DQ_MAX_rad_s * 1.001):  # drive() clips to the limit itself
+        if np.any(np.abs(self.dq_rad_s) > DQ_MAX_rad_s * 1.001):
             found.add(ErrorBit.JOINT_VELOCITY_VIOLATION)
         if self.twist[:3] @ self.twist[:3] > SPEED_MAX_m_s**2:
             found.add(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)
@@ -152,7 +122,7 @@ class Arm:
         return frozenset(found)
 
     def state_floats(self) -> np.ndarray:
-        """(320,) float32 of a state, in the order of ``STATE_FLOATS``."""
+        """(320,) float32 of a state, cut by ``STATE_SLICES``."""
         if self._floats is None:
             self._floats = np.zeros(STATE_FLOAT_COUNT, np.float32)
             for name, value in self._state_values().items():
@@ -160,16 +130,12 @@ class Arm:
         return self._floats
 
     def _state_values(self) -> dict[str, np.ndarray]:
-        pose = self.ee_to_base.T.ravel()
-        ee_to_flange = self.ne_to_flange @ self.ee_to_ne
-        turn = (self.ee_to_base @ self.k_to_ee)[:3, :3].T
+        pose, turn = self.ee_to_base.T.ravel(), self.ee_to_base[:3, :3].T
         motor = {"q": self.q_rad, "dq": self.dq_rad_s, "tau_J": self.tau_Nm}
         return {
             **dict.fromkeys(("O_T_EE", "O_T_EE_d", "O_T_EE_c"), pose),
-            "F_T_EE": ee_to_flange.T.ravel(),
-            "EE_T_K": self.k_to_ee.T.ravel(),
-            "F_T_NE": self.ne_to_flange.T.ravel(),
-            "NE_T_EE": self.ee_to_ne.T.ravel(),
+            **dict.fromkeys(("F_T_EE", "F_T_NE"), HAND_TO_FLANGE.T.ravel()),
+            **dict.fromkeys(("EE_T_K", "NE_T_EE"), np.eye(4).ravel()),
             **motor,
             **{f"{name}_d": value for name, value in motor.items()},
             "theta": self.q_rad,
@@ -193,21 +159,24 @@ class Arm:
         }
 
 
+def broken_rules(tau_Nm: np.ndarray, before_Nm: np.ndarray | float = 0.0) -> frozenset[int]:
+    """Return the error bits of torques (7,) that follow on others, which the real arm would not follow."""
+    found = set()
+    if (np.abs(tau_Nm - before_Nm) > TOLERANCE * TORQUE_STEP_Nm).any():
+        found.add(ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY)
+    if (np.abs(tau_Nm) > TOLERANCE * TAU_MAX_Nm).any():
+        found.add(ErrorBit.TAU_J_RANGE_VIOLATION)
+    return frozenset(found)
+
+
 @dataclass
 class Watch:
-    """Last times something happened; None: never.
+    """Last times something happened; None: never."""
 
-    Attributes:
-        last_moving_ms: the tool was faster than 2 mm/s or 0.02 rad/s.
-        last_moving_s: the same, CLOCK_MONOTONIC: a robot that waits for its client has the slower clock.
-        last_command_ms: a command of the control loop arrived.
-        last_torque_change_ms: the torque on the joints was another than before by more than 0.1 Nm.
-    """
-
-    last_moving_ms: int | None = None
-    last_moving_s: float | None = None
-    last_command_ms: int | None = None
-    last_torque_change_ms: int | None = None
+    last_moving_ms: int | None = None  # the tool was faster than 2 mm/s or 0.02 rad/s
+    last_moving_s: float | None = None  # the same, CLOCK_MONOTONIC: an arm that waits for its client is slower
+    last_command_ms: int | None = None  # a command of the control loop arrived
+    last_torque_change_ms: int | None = None  # the torque on the joints changed by more than 0.1 Nm
     _tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
 
     def look(self, arm: Arm, now_ms: int) -> None:

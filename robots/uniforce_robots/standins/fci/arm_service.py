@@ -1,30 +1,19 @@
 """The arm's side of the wire: requests by TCP, a Move under way, a millisecond driven and sent; and what stops it."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-
-import numpy as np
+from math import cos, sin
 
 from uniforce_robots.fr3 import DH, JOINTS, DQ_MAX_rad_s, FLANGE_m, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm
-from uniforce_robots.standins.fci.arm import Arm, Watch
+from uniforce_robots.standins.fci import protocol as p
+from uniforce_robots.standins.fci.arm import Arm, Watch, broken_rules
 from uniforce_robots.standins.fci.link import Journal, Link
 from uniforce_robots.standins.fci.protocol import (
-    ARM_HEADER,
-    ARM_PORT,
-    ARM_VERSION,
-    GUIDING,
-    SETTER_COUNTS,
-    UPPER_FORCE,
-    UPPER_TORQUE,
     ArmCommand,
-    Controller,
     ErrorBit,
-    Generator,
     Message,
     MoveStatus,
     ProtocolError,
@@ -32,37 +21,14 @@ from uniforce_robots.standins.fci.protocol import (
     RobotMode,
     RobotState,
     SetterStatus,
-    decode_move,
-    numbers,
-    unpack,
 )
-from uniforce_robots.standins.fci.rules import broken_rules
 
+PATIENCE_s = 0.02  # of a tick with its client: time passes slower instead of the arm following a stale torque
 KEPT = 200  # states sent, for faults that send them again
 SUCCESS_WINDOW = 100  # commands the success rate is about
 MISSES_ALLOWED = 20  # FCI: as many lost packets in a row end the motion
 STOPPED = (RobotMode.REFLEX, RobotMode.USER_STOPPED)
-ROUNDING = 1e-3  # of a rotation matrix a client computed
 LINK_MASS_kg = (3.0, 4.0, 2.5, 3.0, 2.5, 2.0, 1.5, 0.6, 0.05)  # link 0 to flange, plausible
-
-
-@dataclass(frozen=True)
-class ArmOptions:
-    """How the arm behaves on the wire.
-
-    Attributes:
-        version: what the server says it is; another than 10 refuses every client of version 10.
-        patience_s: how long a tick waits for the client's command. Time then passes slower instead of the arm flying
-            off on a stale torque, which keeps results the same on a busy machine.
-        miss_rule: end a motion after 20 missed commands, as the real arm does. Off by default: a test machine without
-            a real-time kernel would be tested, not the client. On, a tick waits 1 ms only.
-        rules: end a motion by reflex when a command breaks a limit (``rules.py``), as the real arm does.
-    """
-
-    version: int = ARM_VERSION
-    patience_s: float = 0.02
-    miss_rule: bool = False
-    rules: bool = True
 
 
 @dataclass
@@ -70,8 +36,6 @@ class Motion:
     """A Move under way."""
 
     command_id: int
-    controller: Controller
-    generator: Generator
     command: RobotCommand | None = None  # the newest
     answered: bool = False  # whether the last state has got its command
     misses: int = 0  # in a row
@@ -84,19 +48,23 @@ def whole(state: RobotState) -> Iterable[bytes]:
 
 
 class ArmService:
-    """An arm behind its port."""
+    """An arm behind its port; torque control is the only motion it knows.
 
-    def __init__(self, address: str, options: ArmOptions, journal: Journal) -> None:
-        self.link = Link(address, ARM_PORT, ARM_HEADER, journal)
-        self.options, self.journal = options, journal
+    The server says that it is of ``version``; another than 10 refuses every client of version 10. ``miss_rule`` ends a
+    motion after 20 missed commands, as the real arm does. Off at first: a test machine without a real-time kernel would
+    be tested, not the client. On, a tick waits 1 ms only.
+    """
+
+    def __init__(self, address: str, version: int, journal: Journal) -> None:
+        self.link = Link(address, p.ARM_PORT, p.ARM_HEADER, journal)
+        self.version, self.journal = version, journal
         self.arm, self.watch = Arm(), Watch()
         self.mode = RobotMode.IDLE
         self.motion: Motion | None = None
         self.errors: frozenset[int] = frozenset()
         self.reflex_reason: frozenset[int] = frozenset()
         self.success_rate = 0.0
-        self.miss_rule, self.rules = options.miss_rule, options.rules
-        self.milliseconds = 0
+        self.miss_rule, self.milliseconds = False, 0
         self.sent: deque[RobotState] = deque(maxlen=KEPT)  # the newest, until a fault
         self._sent_at = 0.0
         self.mend()
@@ -113,21 +81,12 @@ class ArmService:
 
     # --- requests ----------------------------------------------------------------------------------------------------
 
-    def handle(self, message: Message) -> None:
-        """Answer one request; a payload that can't be read ends the connection."""
-        name = ArmCommand(message.command).name if message.command in list(ArmCommand) else "?"
-        size = ARM_HEADER.layout.size + len(message.payload)
-        self.link.write("request", command=name, command_id=message.command_id, bytes=size)
-        try:
-            self._answer(message)
-        except ProtocolError as error:
-            self.client_gone()
-            self.link.drop(str(error))
-
-    def _answer(self, message: Message) -> None:
+    def answer(self, message: Message) -> None:
+        """Answer one request; ProtocolError: a payload that can't be read."""
+        self.link.write_request(message, ArmCommand)
         match message.command:
             case ArmCommand.CONNECT:
-                self.link.greet(message, self.options.version, struct.Struct("<BH").pack)
+                self.link.greet(message, self.version, struct.Struct("<BH").pack)
             case ArmCommand.MOVE:
                 self._move(message)
             case ArmCommand.STOP_MOVE:
@@ -142,16 +101,19 @@ class ArmService:
                 self._reply(message, self._set(message))
 
     def _move(self, message: Message) -> None:
-        controller, generator = decode_move(message.payload)
+        controller, generator, *_ = p.unpack(p.MOVE, message.payload, "Move")
+        if (controller, generator) != p.TORQUE_CONTROL:
+            self._reply(message, MoveStatus.INVALID_ARGUMENT)
+            return
         if self.mode not in (RobotMode.IDLE, RobotMode.MOVE):
             self._reply(message, MoveStatus.NOT_POSSIBLE)
             return
         if self.motion is not None:
             self.end_motion(MoveStatus.PREEMPTED)
         self._reply(message, MoveStatus.MOTION_STARTED)
-        self.motion = Motion(message.command_id, controller, generator)
+        self.motion = Motion(message.command_id)
         self.mode, self.success_rate = RobotMode.MOVE, 1.0
-        self.journal.write("motion", controller=controller.name, generator=generator.name)
+        self.journal.write("motion")
 
     def _recover(self, message: Message) -> None:
         if self.mode == RobotMode.USER_STOPPED:
@@ -162,46 +124,26 @@ class ArmService:
         self._reply(message, SetterStatus.SUCCESS)
 
     def _set(self, message: Message) -> SetterStatus:
-        """Obey a setter; while the arm moves, the real one refuses what would change its dynamics."""
+        """Obey a setter; while the arm moves, the real one refuses what would change its dynamics.
+
+        Its thresholds are the only ones that this arm's behaviour depends on.
+        """
         try:
-            apply = self._setting(message)
+            if message.command not in p.SETTERS:
+                raise ProtocolError("arm command", "0 to 11", message.command)
+            command = ArmCommand(message.command)
+            values = p.numbers(p.SETTERS[command], message.payload, command.name)
         except ProtocolError as error:
             self.journal.write("invalid", why=str(error))
             return SetterStatus.INVALID_ARGUMENT
         if self.motion is not None:
             return SetterStatus.NOT_POSSIBLE
-        apply()
+        if command == ArmCommand.SET_COLLISION_BEHAVIOR:
+            torque_Nm, force_N = values[p.UPPER_TORQUE], values[p.UPPER_FORCE]
+            self.arm.upper_torque_Nm, self.arm.upper_force_N = torque_Nm, force_N
+            limits = {"upper_torque_Nm": torque_Nm.tolist(), "upper_force_N": force_N.tolist()}
+            self.journal.write("thresholds", **limits)
         return SetterStatus.SUCCESS
-
-    def _setting(self, message: Message) -> Callable[[], None]:
-        """Return what applies a setter's values, which are read whole before anything changes.
-
-        Raises:
-            ProtocolError: no setter of this protocol, another size, or values that make no sense.
-        """
-        if message.command == ArmCommand.SET_GUIDING_MODE:
-            unpack(GUIDING, message.payload, "SetGuidingMode")
-            return lambda: None
-        if message.command not in SETTER_COUNTS:
-            raise ProtocolError("arm command", "0 to 11", message.command)
-        name = ArmCommand(message.command).name
-        values = numbers(message.payload, SETTER_COUNTS[ArmCommand(message.command)], name)
-        match message.command:
-            case ArmCommand.SET_COLLISION_BEHAVIOR:
-                return lambda: self._set_thresholds(values[UPPER_TORQUE], values[UPPER_FORCE])
-            case ArmCommand.SET_EE_TO_K | ArmCommand.SET_NE_TO_EE:
-                frame = "k_to_ee" if message.command == ArmCommand.SET_EE_TO_K else "ee_to_ne"
-                transform = _transform(values, name)
-                return lambda: self._set_frame(frame, transform)
-        return lambda: None  # the stand-in's dynamics don't depend on this value
-
-    def _set_thresholds(self, torque_Nm: np.ndarray, force_N: np.ndarray) -> None:
-        self.arm.upper_torque_Nm, self.arm.upper_force_N = torque_Nm, force_N
-        self.journal.write("thresholds", upper_torque_Nm=torque_Nm.tolist(), upper_force_N=force_N.tolist())
-
-    def _set_frame(self, name: str, transform: np.ndarray) -> None:
-        setattr(self.arm, name, transform)
-        self.arm.refresh()
 
     def _reply(self, message: Message, status: int) -> None:
         self.link.reply(message, bytes([status]))
@@ -218,12 +160,12 @@ class ArmService:
             self.journal.write("invalid", why=str(error), bytes=len(datagram))
             return
         if self.journal.is_on:
-            tau = [round(float(t), 4) for t in command.tau_J_d]
-            self.journal.write("command", id=command.message_id, tau_Nm=tau, finished=command.finished)
+            tau_Nm = command.tau_J_d.round(4).tolist()
+            self.journal.write("command", id=command.message_id, tau_Nm=tau_Nm, finished=command.finished)
         self.watch.last_command_ms = self.milliseconds
         if (motion := self.motion) is not None:
-            if self.rules:
-                motion.broken |= broken_rules(command, motion.command, motion.generator, self.arm)
+            before_Nm = motion.command.tau_J_d if motion.command else 0.0
+            motion.broken |= broken_rules(command.tau_J_d, before_Nm)
             motion.command, motion.answered = command, command.message_id >= self.milliseconds
 
     @property
@@ -234,7 +176,7 @@ class ArmService:
         """Whether the next millisecond may begin: the client has answered, or waited too long."""
         if self.motion is None or self.motion.answered:
             return True
-        patience = 0.001 if self._counts_misses or self.starved else self.options.patience_s
+        patience = 0.001 if self._counts_misses or self.starved else PATIENCE_s
         return now_s - self._sent_at >= patience
 
     def tick(self) -> None:
@@ -255,11 +197,10 @@ class ArmService:
         motion.answered = False
         violations = motion.broken
         if not violations:
-            self.arm.drive(command, motion.generator)
-            lost = self._counts_misses and motion.misses >= MISSES_ALLOWED
-            violations = self.arm.violations() | (
-                {ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION} if lost else set()
-            )
+            self.arm.drive(command.tau_J_d)
+            violations = self.arm.violations()
+            if self._counts_misses and motion.misses >= MISSES_ALLOWED:
+                violations |= {ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION}
         if violations:
             self.reflex(violations)
         elif command.finished:
@@ -269,8 +210,8 @@ class ArmService:
         self._sent_at = time.monotonic()
         state = self._state()
         if self.journal.is_on:
-            position = [round(float(x), 6) for x in self.arm.ee_to_base[:3, 3]]
-            self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position)
+            position_m = self.arm.ee_to_base[:3, 3].round(6).tolist()
+            self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position_m)
         if self.outgoing is whole:
             self.sent.append(state)
         for datagram in self.outgoing(state):
@@ -285,8 +226,8 @@ class ArmService:
         return RobotState(
             self.milliseconds,
             self.arm.state_floats(),
-            motion.generator + 1 if motion else 0,
-            motion.controller if motion else Controller.OTHER,
+            p.NO_GENERATOR + 1 if motion else 0,
+            p.EXTERNAL if motion else p.OTHER,
             self.errors,
             self.reflex_reason,
             self.mode,
@@ -342,14 +283,6 @@ class ArmService:
         }
 
 
-def _transform(values: np.ndarray, what: str) -> np.ndarray:
-    transform = values.reshape(4, 4).T
-    turn = transform[:3, :3]
-    if np.abs(transform).max() > 2 or np.abs(turn @ turn.T - np.eye(3)).max() > ROUNDING:
-        raise ProtocolError(what, "a rotation and at most 2 m", "another matrix")
-    return transform
-
-
 def urdf() -> str:
     """Return the model a client downloads: the names and limit tags are those libfranka's model loader asks for."""
     links = "".join(
@@ -360,7 +293,7 @@ def urdf() -> str:
     )
     joints = "".join(
         f'<joint name="fr3_joint{i + 1}" type="revolute"><parent link="link{i}"/><child link="link{i + 1}"/>'
-        f'<origin xyz="{a} {-d * np.sin(alpha):.12g} {d * np.cos(alpha):.12g}" rpy="{alpha:.12g} 0 0"/>'
+        f'<origin xyz="{a} {-d * sin(alpha):.12g} {d * cos(alpha):.12g}" rpy="{alpha:.12g} 0 0"/>'
         f'<axis xyz="0 0 1"/><limit lower="{Q_MIN_rad[i]}" upper="{Q_MAX_rad[i]}" velocity="{DQ_MAX_rad_s[i]}" '
         f'effort="{TAU_MAX_Nm[i]}"/>'
         '<position_based_velocity_limits velocity_offset="0.3" deceleration_limit="6.0"/></joint>'

@@ -1,25 +1,11 @@
 """The hand: how its fingers move, and its side of the wire: requests answered when they have arrived, slow states."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Callable, Iterable
 
+from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.link import Journal, Link
-from uniforce_robots.standins.fci.protocol import (
-    HAND_HEADER,
-    HAND_PORT,
-    HAND_VERSION,
-    Grasp,
-    HandCommand,
-    HandMove,
-    HandState,
-    HandStatus,
-    Message,
-    ProtocolError,
-    decode_hand,
-)
 
 MAX_WIDTH_m = 0.08
 HOMING_SPEED_m_s = 0.1
@@ -30,22 +16,18 @@ MIDWAY_s = 0.05  # a command is under way for
 
 
 class Hand:
-    """Two fingers and what may stand between them. ``start`` begins a motion; ``advance`` says how it ended.
-
-    Attributes:
-        object_m: width of what stands between the fingers; 0: nothing.
-        force_N: of the last grasp that held.
-    """
+    """Two fingers and what may stand between them. ``start`` begins a motion; ``advance`` says how it ended."""
 
     def __init__(self) -> None:
         self.width_m = MAX_WIDTH_m
-        self.object_m = self.force_N = 0.0
+        self.object_m = 0.0  # width of what stands between the fingers; 0: nothing
+        self.force_N = 0.0  # of the last grasp that held
         self.is_grasped = self._homing = False
         self._goal_m: float | None = None
         self._speed_m_s = 0.0
-        self._grasp: Grasp | None = None
+        self._grasp: p.Grasp | None = None
 
-    def start(self, request: Grasp | HandMove | None) -> bool:
+    def start(self, request: p.Grasp | p.HandMove | None) -> bool:
         """Begin to close until something is held, to go to a width, or (None) to home; return whether it is possible.
 
         Homing closes and opens fully, which measures the widest opening.
@@ -54,7 +36,7 @@ class Hand:
             self._begin(0.0, HOMING_SPEED_m_s)
             self._homing = True
             return True
-        grasp = request if isinstance(request, Grasp) else None
+        grasp = request if isinstance(request, p.Grasp) else None
         if not (0 <= request.width_m <= MAX_WIDTH_m and request.speed_m_s > 0):
             return False
         if grasp is not None and not grasp.force_N > 0:
@@ -77,7 +59,7 @@ class Hand:
         self._goal_m, self._speed_m_s = goal_m, speed_m_s
         self.is_grasped, self.force_N = False, 0.0
 
-    def advance(self, dt_s: float) -> HandStatus | None:
+    def advance(self, dt_s: float) -> p.HandStatus | None:
         """Move for ``dt_s``; return the motion's outcome when it ends, None otherwise."""
         if self._goal_m is None:
             return None
@@ -88,22 +70,23 @@ class Hand:
             return None
         return self._arrive(self._goal_m)
 
-    def _arrive(self, goal_m: float) -> HandStatus | None:
+    def _arrive(self, goal_m: float) -> p.HandStatus | None:
         if self._homing and goal_m == 0.0:
             self._goal_m = MAX_WIDTH_m  # the way back
             return None
         grasp = self._grasp
         self.stop()
         if grasp is None:
-            return HandStatus.SUCCESS if abs(goal_m - self.width_m) < ARRIVED_m else HandStatus.UNSUCCESSFUL
-        touches = self.object_m > 0 and self.width_m <= self.object_m + ARRIVED_m
-        inside = grasp.width_m - grasp.inner_m < self.width_m < grasp.width_m + grasp.outer_m
-        self.is_grasped = touches and inside
-        self.force_N = grasp.force_N if self.is_grasped else 0.0
-        return HandStatus.SUCCESS if self.is_grasped else HandStatus.UNSUCCESSFUL
+            succeeds = abs(goal_m - self.width_m) < ARRIVED_m
+        else:
+            touches = self.object_m > 0 and self.width_m <= self.object_m + ARRIVED_m
+            inside = grasp.width_m - grasp.inner_m < self.width_m < grasp.width_m + grasp.outer_m
+            succeeds = self.is_grasped = touches and inside
+            self.force_N = grasp.force_N if succeeds else 0.0
+        return p.HandStatus.SUCCESS if succeeds else p.HandStatus.UNSUCCESSFUL
 
 
-def whole(state: HandState) -> Iterable[bytes]:
+def whole(state: p.HandState) -> Iterable[bytes]:
     """Yield a state as it is: what a hand without a fault sends."""
     yield state.encode()
 
@@ -112,9 +95,9 @@ class HandService:
     """A hand behind its port."""
 
     def __init__(self, address: str, state_hz: float, journal: Journal) -> None:
-        self.link = Link(address, HAND_PORT, HAND_HEADER, journal)
+        self.link = Link(address, p.HAND_PORT, p.HAND_HEADER, journal)
         self.state_hz, self.hand = state_hz, Hand()
-        self._pending: Message | None = None  # what is to be answered when the fingers have arrived
+        self._pending: p.Message | None = None  # what is to be answered when the fingers have arrived
         self._states = 0
         self._begun_s = 0.0
         self.struck_s: float | None = None  # CLOCK_MONOTONIC, when a fault that waits for its moment came
@@ -126,7 +109,7 @@ class HandService:
 
         ``outgoing`` turns a state into datagrams. ``hung``: the fingers stand still and no command is answered.
         """
-        self.outgoing: Callable[[HandState], Iterable[bytes]] = whole
+        self.outgoing: Callable[[p.HandState], Iterable[bytes]] = whole
         self.hung = False
         self.link.garbage = None
 
@@ -135,36 +118,27 @@ class HandService:
         """Whether a command has been under way for a while and is not done."""
         return self._pending is not None and time.monotonic() - self._begun_s > MIDWAY_s
 
-    def handle(self, message: Message) -> None:
-        """Answer one request, or remember it until the fingers arrive."""
-        name = HandCommand(message.command).name if message.command in list(HandCommand) else "?"
-        details = {"command": name, "command_id": message.command_id, "busy": self._pending is not None}
-        self.link.write("request", bytes=HAND_HEADER.layout.size + len(message.payload), **details)
-        if self.hung and message.command != HandCommand.CONNECT:
+    def answer(self, message: p.Message) -> None:
+        """Answer one request, or remember it until the fingers arrive; ProtocolError: it can't be read."""
+        self.link.write_request(message, p.HandCommand, busy=self._pending is not None)
+        if self.hung and message.command != p.HandCommand.CONNECT:
             return
-        try:
-            self._dispatch(message)
-        except ProtocolError as error:
-            self.link.drop(str(error))
-            self.client_gone()
-
-    def _dispatch(self, message: Message) -> None:
         match message.command:
-            case HandCommand.CONNECT:
-                self.link.greet(message, HAND_VERSION, struct.Struct("<HH").pack)
-            case HandCommand.STOP:
+            case p.HandCommand.CONNECT:
+                self.link.greet(message, p.HAND_VERSION, struct.Struct("<HH").pack)
+            case p.HandCommand.STOP:
                 self._abort()
-                self._reply(message, HandStatus.SUCCESS)
-            case HandCommand.HOMING:
+                self._reply(message, p.HandStatus.SUCCESS)
+            case p.HandCommand.HOMING:
                 self._begin(message, None)
-            case HandCommand.MOVE:
-                self._begin(message, decode_hand(HandMove, message.payload))
-            case HandCommand.GRASP:
-                self._begin(message, decode_hand(Grasp, message.payload))
+            case p.HandCommand.MOVE:
+                self._begin(message, p.decode_hand(p.HandMove, message.payload))
+            case p.HandCommand.GRASP:
+                self._begin(message, p.decode_hand(p.Grasp, message.payload))
             case _:
-                raise ProtocolError("hand command", "0 to 4", message.command)
+                raise p.ProtocolError("hand command", "0 to 4", message.command)
 
-    def _begin(self, message: Message, request: Grasp | HandMove | None) -> None:
+    def _begin(self, message: p.Message, request: p.Grasp | p.HandMove | None) -> None:
         """Start a motion; one that is under way is aborted, which the real hand takes badly."""
         self._abort()
         if request is not None:
@@ -172,18 +146,18 @@ class HandService:
         if self.hand.start(request):
             self._pending, self._begun_s = message, time.monotonic()
         else:
-            self._reply(message, HandStatus.FAIL)
+            self._reply(message, p.HandStatus.FAIL)
 
     def _abort(self) -> None:
         self.hand.stop()
-        self._end(HandStatus.ABORTED)
+        self._end(p.HandStatus.ABORTED)
 
-    def _end(self, status: HandStatus) -> None:
+    def _end(self, status: p.HandStatus) -> None:
         pending, self._pending = self._pending, None
         if pending is not None:
             self._reply(pending, status)
 
-    def _reply(self, message: Message, status: HandStatus) -> None:
+    def _reply(self, message: p.Message, status: p.HandStatus) -> None:
         self.link.reply(message, struct.pack("<H", status))
 
     def client_gone(self) -> None:
@@ -200,8 +174,8 @@ class HandService:
         if now_s >= self._next_state_s:
             self._next_state_s = now_s + 1 / self.state_hz
             self._states += 1
-            widths = (self.hand.width_m, MAX_WIDTH_m)
-            for datagram in self.outgoing(HandState(self._states, *widths, self.hand.is_grasped, REST_C)):
+            state = p.HandState(self._states, self.hand.width_m, MAX_WIDTH_m, self.hand.is_grasped, REST_C)
+            for datagram in self.outgoing(state):
                 self.link.send_state(datagram)
 
     def describe(self) -> dict[str, object]:

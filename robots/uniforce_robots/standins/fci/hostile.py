@@ -14,9 +14,6 @@ can't answer (``starve``), the stand-in doesn't wait for it and drives the arm b
 stops after 20 lost packets; the order ``miss_rule`` makes this one do so too.
 """
 
-from __future__ import annotations
-
-import math
 import os
 import random
 import time
@@ -55,21 +52,13 @@ Change = Callable[[np.ndarray], None]  # of a state's floats, in place
 
 @dataclass(frozen=True)
 class Fault:
-    """One way to be broken.
+    """One way to be broken."""
 
-    Attributes:
-        does: one line.
-        source: DOCUMENTED, REPORTED or INVENTED.
-        begin: what happens at once.
-        watch: what happens each millisecond while the fault lasts.
-        end: what has to be taken back beside the wire.
-    """
-
-    does: str
-    source: str
-    begin: Act = lambda arm, hand: None
-    watch: Act = lambda arm, hand: None
-    end: Act = lambda arm, hand: None
+    does: str  # one line
+    source: str  # DOCUMENTED, REPORTED or INVENTED
+    begin: Act = lambda arm, hand: None  # what happens at once
+    watch: Act = lambda arm, hand: None  # what happens each millisecond while the fault lasts
+    end: Act = lambda arm, hand: None  # what has to be taken back beside the wire
 
 
 # --- the arm's states ------------------------------------------------------------------------------------------------
@@ -147,6 +136,11 @@ def drop(service: ArmService | HandService) -> None:
     service.client_gone()
 
 
+def lose_commands(arm: ArmService, hand: HandService) -> None:
+    """Let no command arrive."""
+    arm.takes_commands = False
+
+
 def die(arm: ArmService, hand: HandService) -> None:
     """End the process without a word to its clients."""
     arm.journal.flush()
@@ -196,6 +190,7 @@ def all_are(names: Iterable[str], value: float) -> Act:
     return corrupt(fill(dict.fromkeys(names, value)))
 
 
+TORQUE_STEP = reflex(ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY)
 FAST = corrupt(fill(dict.fromkeys(("dq", "dtheta"), BEYOND * DQ_MAX_rad_s)))
 GARBAGE = starve(lambda: [SOURCE.randbytes(STATE_BYTES)])
 WRONG_LENGTH = starve(lambda: [SOURCE.randbytes(SOURCE.choice(NO_STATE_BYTES))])
@@ -216,26 +211,15 @@ FAULTS = {
     "garbage_state": Fault("random bytes of a state's length", INVENTED, GARBAGE),
     "wrong_length_state": Fault("0 to 4000 random bytes", INVENTED, WRONG_LENGTH),
     # the arm's connection
-    "lost_commands": Fault(
-        "no command arrives; 20 in a row end a motion",
-        DOCUMENTED,
-        lambda arm, _: setattr(arm, "takes_commands", False),
-    ),
+    "lost_commands": Fault("no command arrives; 20 in a row end a motion", DOCUMENTED, lose_commands),
     "arm_garbage_reply": Fault("random bytes on the arm's TCP", INVENTED, lambda arm, _: babble(arm)),
     "arm_dropped": Fault("the arm closes its TCP connection", REPORTED, lambda arm, _: drop(arm)),
     "server_death": Fault("the process ends; every socket closes", INVENTED, die),
     # what stops a real arm
-    "user_stop": Fault(
-        "the stop button is pressed",
-        DOCUMENTED,
-        lambda arm, _: arm.user_stop(),
-        end=lambda arm, _: arm.release(),
-    ),
+    "user_stop": Fault("the user stop", DOCUMENTED, lambda a, _: a.user_stop(), end=lambda a, _: a.release()),
     "reflex": Fault("a collision at the hand", DOCUMENTED, reflex(ErrorBit.CARTESIAN_REFLEX)),
     "joint_reflex": Fault("a collision at a joint", DOCUMENTED, reflex(ErrorBit.JOINT_REFLEX)),
-    "torque_discontinuity": Fault(
-        "a torque step above 1 Nm/ms", DOCUMENTED, reflex(ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY)
-    ),
+    "torque_discontinuity": Fault("a torque step above 1 Nm/ms", DOCUMENTED, TORQUE_STEP),
     "joint_velocity": Fault("a joint too fast", DOCUMENTED, reflex(ErrorBit.JOINT_VELOCITY_VIOLATION)),
     "cartesian_velocity": Fault("a hand too fast", DOCUMENTED, reflex(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)),
     "joint_limit": Fault("a joint's end", DOCUMENTED, reflex(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)),
@@ -253,56 +237,34 @@ FAULTS = {
 
 
 class Faults:
-    """One fault at a time, on the robot's own clock: ordered, begun, lasting, ended."""
+    """One fault at a time, from one order to the next."""
 
     def __init__(self, arm: ArmService, hand: HandService, journal: Journal) -> None:
         self.arm, self.hand, self.journal = arm, hand, journal
         self.name = NONE  # the one that lasts
         self._last: dict[str, object] = {"last": NONE, "at_ms": None, "at_s": None}
-        self._ordered: str | None = None  # not begun yet
-        self._begin_ms = self._end_ms = self._duration_ms = math.inf
 
-    def order(self, name: str, after_ms: float = 0, duration_ms: float | None = None) -> None:
-        """End the fault that lasts, and begin another after some of the robot's milliseconds.
-
-        Raises:
-            ValueError: no such fault, or a time that is negative or no number.
-        """
+    def order(self, name: str) -> None:
+        """End the fault that lasts, and begin another; ValueError: no such fault."""
         if name != NONE and name not in FAULTS:
             raise ValueError(f"fault: expected {NONE} or one of {sorted(FAULTS)}, got {name!r}")
-        duration = math.inf if duration_ms is None else float(duration_ms)
-        if not (0 <= after_ms < math.inf and duration > 0):
-            raise ValueError(f"fault times: expected ≥ 0 and > 0 ms, got {after_ms} and {duration_ms}")
         self._end()
         if name != NONE:
-            self._ordered, self._duration_ms = name, duration
-            self._begin_ms = self.arm.milliseconds + after_ms
-            self._begin_if_due()
+            now_ms, self.name = self.arm.milliseconds, name
+            self._last = {"last": name, "at_ms": now_ms, "at_s": time.monotonic()}
+            self.journal.write("fault", name=name, milliseconds=now_ms)
+            FAULTS[name].begin(self.arm, self.hand)
 
     def tick(self) -> None:
-        """Do what is due in this millisecond."""
-        self._begin_if_due()
+        """Do what the fault does each millisecond."""
         if self.name != NONE:
             FAULTS[self.name].watch(self.arm, self.hand)
-            if self.arm.milliseconds >= self._end_ms:
-                self._end()
 
     def describe(self) -> dict[str, object]:
         """Return the fault that lasts, and when the last one began: the robot's time and CLOCK_MONOTONIC."""
         return {"name": self.name, **self._last}
 
-    def _begin_if_due(self) -> None:
-        now_ms = self.arm.milliseconds
-        if self._ordered is None or now_ms < self._begin_ms:
-            return
-        self.name, self._ordered = self._ordered, None
-        self._end_ms = now_ms + self._duration_ms
-        self._last = {"last": self.name, "at_ms": now_ms, "at_s": time.monotonic()}
-        self.journal.write("fault", name=self.name, milliseconds=now_ms)
-        FAULTS[self.name].begin(self.arm, self.hand)
-
     def _end(self) -> None:
-        self._ordered = None
         if self.name == NONE:
             return
         fault, self.name = FAULTS[self.name], NONE

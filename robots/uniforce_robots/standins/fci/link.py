@@ -1,22 +1,14 @@
 """One device's sockets: a TCP listener, its one client, and the UDP socket its states leave from; and the journal."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time
 from collections.abc import Callable, Iterator
+from enum import IntEnum
 from pathlib import Path
 from typing import TextIO
 
-from uniforce_robots.standins.fci.protocol import (
-    CONNECT,
-    ConnectStatus,
-    Header,
-    Message,
-    ProtocolError,
-    unpack,
-)
+from uniforce_robots.standins.fci import protocol as p
 
 DATAGRAM_BYTES = 65536
 UNREAD_s = 1.0  # how long an answer may wait for its client to read
@@ -53,7 +45,7 @@ def read_journal(path: Path, begin: int = 0) -> list[dict]:
 class Link:
     """Sockets of one device. FCI takes one client at a time: a second one is turned away."""
 
-    def __init__(self, address: str, port: int, header: Header, journal: Journal) -> None:
+    def __init__(self, address: str, port: int, header: p.Header, journal: Journal) -> None:
         self.header, self.journal = header, journal
         self.listener = socket.create_server((address, port), backlog=4)
         self.listener.setblocking(False)
@@ -68,6 +60,12 @@ class Link:
     def write(self, what: str, **details: object) -> None:
         """Add a line about this device to the journal."""
         self.journal.write(what, device=self.header.device, **details)
+
+    def write_request(self, message: p.Message, commands: type[IntEnum], **details: object) -> None:
+        """Add a request to the journal; ``commands`` names it."""
+        name = commands(message.command).name if message.command in list(commands) else "?"
+        size = self.header.layout.size + len(message.payload)
+        self.write("request", command=name, command_id=message.command_id, bytes=size, **details)
 
     def sockets(self) -> list[socket.socket]:
         """Return what to wait on."""
@@ -100,7 +98,7 @@ class Link:
         except ConnectionError:
             return True
 
-    def receive(self) -> Iterator[Message]:
+    def receive(self) -> Iterator[p.Message]:
         """Yield the whole requests that have arrived; drop a client that is gone or sends no protocol."""
         try:
             data = self.client.recv(DATAGRAM_BYTES) if self.client else b""
@@ -112,7 +110,7 @@ class Link:
         while self.client is not None:
             try:
                 message, self._buffer = self.header.decode(self._buffer)
-            except ProtocolError as error:
+            except p.ProtocolError as error:
                 self.drop(str(error))
                 return
             if message is None:
@@ -126,24 +124,23 @@ class Link:
             self.write("dropped", why=why)
         self.client, self.states_to = None, None
 
-    def greet(self, message: Message, version: int, reply: Callable[[int, int], bytes]) -> None:
+    def greet(self, message: p.Message, version: int, reply: Callable[[int, int], bytes]) -> None:
         """Answer Connect by status and version, and send states from now on if the version fits.
 
-        Raises:
-            ProtocolError: no Connect.
+        Raises ProtocolError: no Connect.
         """
-        wanted, udp_port = unpack(CONNECT, message.payload, "Connect")
+        wanted, udp_port = p.unpack(p.CONNECT, message.payload, "Connect")
         fits = wanted == version
-        status = ConnectStatus.SUCCESS if fits else ConnectStatus.INCOMPATIBLE_VERSION
+        status = p.ConnectStatus.SUCCESS if fits else p.ConnectStatus.INCOMPATIBLE_VERSION
         self.reply(message, reply(status, version))
         if fits and self.client is not None:
             self.states_to = (self._host, udp_port)  # not getpeername(): it may have left again
 
-    def reply(self, to: Message, payload: bytes) -> None:
+    def reply(self, to: p.Message, payload: bytes) -> None:
         """Answer a request."""
         size, status = self.header.layout.size + len(payload), payload[0] if payload else None
         self.write("reply", command=to.command, command_id=to.command_id, status=status, bytes=size)
-        answer = self.header.encode(Message(to.command, to.command_id, payload))
+        answer = self.header.encode(p.Message(to.command, to.command_id, payload))
         self.send_bytes(self.garbage() if self.garbage else answer)
 
     def send_bytes(self, data: bytes) -> None:

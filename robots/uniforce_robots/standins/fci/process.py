@@ -1,38 +1,24 @@
 """Start the stand-in as its own process, order its faults, and end it by its own handle."""
 
-from __future__ import annotations
-
 import json
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 
 from uniforce_robots.standins.fci.link import read_journal
 from uniforce_robots.standins.fci.server import CONTROL_PORT
+from uniforce_robots.standins.process import StandIn as AnyStandIn
 
-START_s = 30.0  # a busy machine needs long to import numpy
 ANSWER_s = 10.0
 
 
-class StandIn:
+class StandIn(AnyStandIn):
     """A running stand-in. Use as a context manager; ``do`` orders a fault and returns what the arm and hand show."""
 
     def __init__(self, address: str, *options: str, log: Path | None = None) -> None:
-        self.address, self.log = address, log
-        command = [sys.executable, "-m", "uniforce_robots.standins.fci", address, *options]
-        if log is not None:
-            command += ["--log", str(log)]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        line = self.process.stdout.readline() if self.process.stdout else ""
-        if line.strip() != "ready":
-            self.close()
-            raise RuntimeError(
-                f"stand-in at {address}: expected 'ready', got {line!r}. See its error output."
-            )
+        self.log = log
+        super().__init__("fci", address, *options, *(("--log", str(log)) if log else ()))
         self._control = socket.create_connection((address, CONTROL_PORT), ANSWER_s)
         self._answers = self._control.makefile("r")
 
@@ -58,25 +44,10 @@ class StandIn:
         return read_journal(self.log)
 
     def close(self) -> None:
-        """End the process."""
-        if self.process.poll() is None:
-            self.process.terminate()
-            try:
-                self.process.wait(ANSWER_s)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait()
-        if self.process.stdout:
-            self.process.stdout.close()
-        if hasattr(self, "_control"):
-            self._answers.close()
-            self._control.close()
-
-    def __enter__(self) -> StandIn:
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
+        """End the process, and hang up."""
+        super().close()
+        self._answers.close()
+        self._control.close()
 
 
 def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition") -> float:

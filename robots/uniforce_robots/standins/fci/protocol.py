@@ -53,6 +53,7 @@ class MoveStatus(IntEnum):
     MOTION_STARTED = 1
     PREEMPTED = 2
     NOT_POSSIBLE = 5
+    INVALID_ARGUMENT = 7
     REFLEX_ABORTED = 8
     EMERGENCY_ABORTED = 9
     ABORTED = 11
@@ -62,33 +63,22 @@ class MoveStatus(IntEnum):
 SetterStatus = IntEnum("SetterStatus", "SUCCESS NOT_POSSIBLE INVALID_ARGUMENT", start=0)
 HandStatus = IntEnum("HandStatus", "SUCCESS FAIL UNSUCCESSFUL ABORTED", start=0)
 ConnectStatus = IntEnum("ConnectStatus", "SUCCESS INCOMPATIBLE_VERSION", start=0)
-# What a Move asks for; a state shows the generator plus one, 0 meaning idle. OTHER is only seen in states.
-Generator = IntEnum(
-    "Generator", "JOINT_POSITION JOINT_VELOCITY CARTESIAN_POSITION CARTESIAN_VELOCITY NONE", start=0
-)
-Controller = IntEnum("Controller", "JOINT_IMPEDANCE CARTESIAN_IMPEDANCE EXTERNAL OTHER", start=0)
-RobotMode = IntEnum(
-    "RobotMode", "OTHER IDLE MOVE GUIDING REFLEX USER_STOPPED AUTOMATIC_ERROR_RECOVERY", start=0
-)
+# The torque control a Move asks for: controller, generator. Others exist; neither client here uses them.
+TORQUE_CONTROL = EXTERNAL, NO_GENERATOR = 2, 4
+OTHER = 3  # the controller that a state names without a motion
+RobotMode = IntEnum("RobotMode", "OTHER IDLE MOVE GUIDING REFLEX USER_STOPPED RECOVERY", start=0)
 
 
 class ErrorBit(IntEnum):
-    """Positions in a state's 41 error flags, those this stand-in raises; ``COMMAND``: by a motion generator."""
+    """Positions in a state's 41 error flags, those this stand-in raises."""
 
     JOINT_POSITION_LIMITS_VIOLATION = 0
     JOINT_VELOCITY_VIOLATION = 3
     CARTESIAN_VELOCITY_VIOLATION = 4
     JOINT_REFLEX = 6
     CARTESIAN_REFLEX = 7
-    JOINT_POSITION_START_POSE_INVALID = 11
-    JOINT_COMMAND_VELOCITY_LIMITS = 13
-    JOINT_COMMAND_VELOCITY_DISCONTINUITY = 14
-    CARTESIAN_POSITION_START_POSE_INVALID = 16
-    CARTESIAN_COMMAND_VELOCITY_LIMITS = 18
-    CARTESIAN_COMMAND_VELOCITY_DISCONTINUITY = 19
     COMMUNICATION_CONSTRAINTS_VIOLATION = 25
     POWER_LIMIT_VIOLATION = 26
-    CARTESIAN_COMMAND_INVALID_FRAME = 31
     CONTROLLER_TORQUE_DISCONTINUITY = 32
     TAU_J_RANGE_VIOLATION = 34
 
@@ -122,8 +112,7 @@ class Header:
     def decode(self, buffer: bytes) -> tuple[Message | None, bytes]:
         """Return the first whole message of a buffer (None while it is incomplete) and the bytes after it.
 
-        Raises:
-            ProtocolError: the announced size is smaller than a header or absurdly large.
+        Raises ProtocolError: the announced size is smaller than a header or absurdly large.
         """
         if len(buffer) < self.layout.size:
             return None, buffer
@@ -139,62 +128,34 @@ class Header:
 ARM_HEADER = Header(struct.Struct("<III"), "arm")
 HAND_HEADER = Header(struct.Struct("<HII"), "hand")
 CONNECT = struct.Struct("<HH")  # version, UDP port for the states
-MOVE = struct.Struct(
-    "<II3d3d?7d"
-)  # controller, generator, two deviations m rad rad, asynchronous, speeds rad/s
-GUIDING = struct.Struct("<7?")  # x, y, z, roll, pitch, yaw, elbow
-SETTER_COUNTS = {  # of float64 in each setter that has nothing else
-    ArmCommand.SET_COLLISION_BEHAVIOR: 52,  # lower, upper: torque 7 7, nominal 7 7, force 6 6, nominal 6 6
-    ArmCommand.SET_JOINT_IMPEDANCE: 7,
-    ArmCommand.SET_CARTESIAN_IMPEDANCE: 6,
-    ArmCommand.SET_EE_TO_K: 16,
-    ArmCommand.SET_NE_TO_EE: 16,
-    ArmCommand.SET_LOAD: 13,  # mass kg, centre m, inertia kg m²
+# controller, generator, two deviations m rad rad, asynchronous, speeds rad/s
+MOVE = struct.Struct("<II3d3d?7d")
+SETTERS = {
+    ArmCommand.SET_COLLISION_BEHAVIOR: struct.Struct("<52d"),  # lower, upper: torque 7 7, nominal 7 7, force likewise
+    ArmCommand.SET_JOINT_IMPEDANCE: struct.Struct("<7d"),
+    ArmCommand.SET_CARTESIAN_IMPEDANCE: struct.Struct("<6d"),
+    ArmCommand.SET_GUIDING_MODE: struct.Struct("<7?"),  # x, y, z, roll, pitch, yaw, elbow
+    ArmCommand.SET_EE_TO_K: struct.Struct("<16d"),
+    ArmCommand.SET_NE_TO_EE: struct.Struct("<16d"),
+    ArmCommand.SET_LOAD: struct.Struct("<13d"),  # mass kg, centre m, inertia kg m²
 }
-UPPER_TORQUE, UPPER_FORCE = (
-    slice(21, 28),
-    slice(46, 52),
-)  # the nominal ones, above which the arm stops by reflex
+# of the collision behaviour: the nominal ones, above which the arm stops by reflex
+UPPER_TORQUE, UPPER_FORCE = slice(21, 28), slice(46, 52)
 
 
 def unpack(layout: struct.Struct, payload: bytes, what: str) -> tuple:
-    """Return a payload's values.
-
-    Raises:
-        ProtocolError: the payload has another size.
-    """
+    """Return a payload's values; raises ProtocolError: the payload has another size."""
     if len(payload) != layout.size:
         raise ProtocolError(f"{what} payload", f"{layout.size} bytes", len(payload))
     return layout.unpack(payload)
 
 
-def numbers(payload: bytes, count: int, what: str) -> np.ndarray:
-    """Return a payload of ``count`` float64.
-
-    Raises:
-        ProtocolError: another size, or a number that is not finite.
-    """
-    if len(payload) != 8 * count:
-        raise ProtocolError(f"{what} payload", f"{8 * count} bytes", len(payload))
-    return _finite(np.frombuffer(payload, "<f8").copy(), what)
-
-
-def _finite(values: np.ndarray, what: str) -> np.ndarray:
+def numbers(layout: struct.Struct, payload: bytes, what: str) -> np.ndarray:
+    """Return a payload's values as float64; raises ProtocolError: another size, or a number that is not finite."""
+    values = np.array(unpack(layout, payload, what), float)
     if not np.isfinite(values).all():
         raise ProtocolError(what, "finite numbers", "NaN or inf")
     return values
-
-
-def decode_move(payload: bytes) -> tuple[Controller, Generator]:
-    """Return which controller and generator a Move asks for.
-
-    Raises:
-        ProtocolError: another size, or a controller or generator that does not exist.
-    """
-    controller, generator, *_ = unpack(MOVE, payload, "Move")
-    if controller > Controller.EXTERNAL or generator > Generator.NONE:
-        raise ProtocolError("Move controller and generator", "≤ 2 and ≤ 4", f"{controller} and {generator}")
-    return Controller(controller), Generator(generator)
 
 
 class Grasp(NamedTuple):
@@ -216,7 +177,7 @@ class HandMove(NamedTuple):
 
 def decode_hand[Request: (Grasp, HandMove)](kind: type[Request], payload: bytes) -> Request:
     """Return a request of the hand; raise ProtocolError for another size or numbers that are not finite."""
-    return kind(*numbers(payload, len(kind._fields), kind.__name__).tolist())
+    return kind(*numbers(struct.Struct(f"<{len(kind._fields)}d"), payload, kind.__name__).tolist())
 
 
 # --- UDP -------------------------------------------------------------------------------------------------------------
@@ -230,11 +191,9 @@ elbow_c 2 delbow_c 2 ddelbow_c 2 O_T_EE_c 16 O_dP_EE_c 6 O_ddP_EE_c 6 theta 7 dt
 accelerometer_top 18 accelerometer_bottom 18
 """
 _WORDS = _LAYOUT.split()
-STATE_FLOATS = {name: int(size) for name, size in zip(_WORDS[::2], _WORDS[1::2], strict=True)}
-_ENDS = np.cumsum(list(STATE_FLOATS.values())).tolist()
-STATE_SLICES = {
-    name: slice(end - size, end) for (name, size), end in zip(STATE_FLOATS.items(), _ENDS, strict=True)
-}
+_NAMES, _SIZES = _WORDS[::2], [int(size) for size in _WORDS[1::2]]
+_ENDS = np.cumsum(_SIZES).tolist()
+STATE_SLICES = {n: slice(end - size, end) for n, size, end in zip(_NAMES, _SIZES, _ENDS, strict=True)}
 STATE_FLOAT_COUNT = _ENDS[-1]  # 320
 _STATE = struct.Struct(f"<Q{4 * STATE_FLOAT_COUNT}sBB{ERRORS}s{ERRORS}sBf")
 STATE_BYTES = _STATE.size  # 1377
@@ -242,27 +201,16 @@ STATE_BYTES = _STATE.size  # 1377
 
 @dataclass(frozen=True)
 class RobotState:
-    """What the arm says of itself, once a millisecond. 4×4 matrices are column-major.
+    """What the arm says of itself, once a millisecond. 4×4 matrices are column-major."""
 
-    Attributes:
-        message_id: the robot's milliseconds; a command echoes it.
-        floats: (320,) float32, cut by ``STATE_SLICES``.
-        generator: 0 when idle, otherwise ``Generator`` + 1.
-        controller: a ``Controller``.
-        errors: (41,) flags of what is wrong now.
-        reflex_reason: (41,) flags of what caused the last reflex.
-        mode: a ``RobotMode``.
-        success_rate: share of the last 100 commands that arrived in time.
-    """
-
-    message_id: int
-    floats: np.ndarray
-    generator: int = 0
-    controller: int = Controller.OTHER
-    errors: frozenset[int] = frozenset()
-    reflex_reason: frozenset[int] = frozenset()
+    message_id: int  # the robot's milliseconds; a command echoes it
+    floats: np.ndarray  # (320,) float32, cut by ``STATE_SLICES``
+    generator: int = 0  # 0 when idle, otherwise the Move's + 1
+    controller: int = OTHER  # the Move's
+    errors: frozenset[int] = frozenset()  # of the 41 flags, those of what is wrong now
+    reflex_reason: frozenset[int] = frozenset()  # those of what caused the last reflex
     mode: int = RobotMode.IDLE
-    success_rate: float = 0.0
+    success_rate: float = 0.0  # share of the last 100 commands that arrived in time
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.floats[STATE_SLICES[name]]
@@ -277,11 +225,9 @@ class RobotState:
     @classmethod
     def decode(cls, datagram: bytes) -> RobotState:
         """Return the state; raise ProtocolError for another size."""
-        message_id, body, generator, controller, errors, reflex, mode, rate = unpack(
-            _STATE, datagram, "RobotState"
-        )
+        number, body, generator, controller, errors, reflex, mode, rate = unpack(_STATE, datagram, "RobotState")
         floats = np.frombuffer(body, "<f4").copy()
-        return cls(message_id, floats, generator, controller, _bits(errors), _bits(reflex), mode, rate)
+        return cls(number, floats, generator, controller, _bits(errors), _bits(reflex), mode, rate)
 
 
 def _flags(bits: frozenset[int]) -> bytes:
@@ -292,38 +238,29 @@ def _bits(flags: bytes) -> frozenset[int]:
     return frozenset(i for i, flag in enumerate(flags) if flag)
 
 
-_COMMAND = struct.Struct("<Q7d7d16d6d2d??7d?")
+# id, what motion generators use, elbow valid, motion finished, torques, torque control finished
+_COMMAND = struct.Struct("<Q304x??7d?")
 
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """What a client wants for the next millisecond. Only the field of the running generator counts."""
+    """What a client wants for the next millisecond, under torque control."""
 
     message_id: int
-    q_c: np.ndarray = field(default_factory=lambda: np.zeros(7))  # rad
-    dq_c: np.ndarray = field(default_factory=lambda: np.zeros(7))  # rad/s
-    O_T_EE_c: np.ndarray = field(default_factory=lambda: np.zeros(16))  # column-major
-    O_dP_EE_c: np.ndarray = field(default_factory=lambda: np.zeros(6))  # m/s, rad/s
-    elbow_c: np.ndarray = field(default_factory=lambda: np.zeros(2))
     tau_J_d: np.ndarray = field(default_factory=lambda: np.zeros(7))  # Nm, without gravity
     finished: bool = False  # the client ends the motion with this command
 
     def encode(self) -> bytes:
         """Return the 371-byte datagram."""
-        motion = (*self.q_c, *self.dq_c, *self.O_T_EE_c, *self.O_dP_EE_c, *self.elbow_c)
-        return _COMMAND.pack(self.message_id, *motion, False, False, *self.tau_J_d, self.finished)
+        return _COMMAND.pack(self.message_id, False, False, *self.tau_J_d, self.finished)
 
     @classmethod
     def decode(cls, datagram: bytes) -> RobotCommand:
-        """Return the command.
-
-        Raises:
-            ProtocolError: another size, or a number that is not finite.
-        """
-        values = unpack(_COMMAND, datagram, "RobotCommand")
-        floats = _finite(np.array([*values[1:39], *values[41:48]]), "RobotCommand")
-        q, dq, pose, twist, elbow, tau = np.split(floats, [7, 14, 30, 36, 38])
-        return cls(values[0], q, dq, pose, twist, elbow, tau, values[40] or values[48])
+        """Return the command; raise ProtocolError for another size, or a torque that is not finite."""
+        message_id, _, motion_finished, *tau, finished = unpack(_COMMAND, datagram, "RobotCommand")
+        if not np.isfinite(tau).all():
+            raise ProtocolError("RobotCommand", "finite numbers", "NaN or inf")
+        return cls(message_id, np.array(tau), motion_finished or finished)
 
 
 _HAND_STATE = struct.Struct("<IddBH")

@@ -1,22 +1,21 @@
 """Arm, hand and control socket in one single-threaded loop."""
 
-from __future__ import annotations
-
 import json
 import select
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from uniforce_robots.standins.fci.arm import TICK_s, Wall
-from uniforce_robots.standins.fci.arm_service import ArmOptions, ArmService
+from uniforce_robots.standins.fci.arm_service import ArmService
 from uniforce_robots.standins.fci.hand import STATE_HZ, HandService
 from uniforce_robots.standins.fci.hostile import Faults
 from uniforce_robots.standins.fci.link import Journal
+from uniforce_robots.standins.fci.protocol import ARM_VERSION, ProtocolError
 
 CONTROL_PORT = 1339  # ours, beside the robot's two
 CATCH_UP_s = 0.05  # a loop that lags more forgets the lag instead of racing through it
@@ -25,22 +24,13 @@ CONTROL_LINE_BYTES = 65536
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """Where to serve and how to misbehave from the start.
+    """Where to serve and how; see ``ArmService``."""
 
-    Attributes:
-        address: loopback unless the command line says otherwise.
-        hand_hz: states of the hand per second.
-        mute: accept connections and never answer.
-        log: file of JSON lines, one for each message.
-        fault: one of ``hostile.FAULTS`` from the first millisecond on.
-    """
-
-    address: str
-    arm: ArmOptions = field(default_factory=ArmOptions)
-    hand_hz: float = STATE_HZ
-    mute: bool = False
-    log: Path | None = None
-    fault: str = "none"
+    address: str  # loopback unless the command line says otherwise
+    server_version: int = ARM_VERSION
+    hand_hz: float = STATE_HZ  # states of the hand per second
+    mute: bool = False  # accept connections and never answer
+    log: Path | None = None  # file of JSON lines, one for each message
 
 
 class Server:
@@ -48,11 +38,10 @@ class Server:
 
     def __init__(self, options: ServerOptions) -> None:
         self.journal = Journal(options.log)
-        self.arm = ArmService(options.address, options.arm, self.journal)
+        self.arm = ArmService(options.address, options.server_version, self.journal)
         self.hand = HandService(options.address, options.hand_hz, self.journal)
         self.mute, self.stopped = options.mute, False
         self.faults = Faults(self.arm, self.hand, self.journal)
-        self.faults.order(options.fault)
         self._control = socket.create_server((options.address, CONTROL_PORT))
         self._controllers: dict[socket.socket, bytes] = {}
         self._orders: dict[str, Callable[..., object]] = {
@@ -65,17 +54,15 @@ class Server:
             "guide": self.arm.guide,
             "mute": lambda on=True: setattr(self, "mute", bool(on)),
             "miss_rule": lambda on=True: setattr(self.arm, "miss_rule", bool(on)),
-            "rules": lambda on=True: setattr(self.arm, "rules", bool(on)),
             "wrench": self._set_wrench,
             "wall": self._set_wall,
             "object": lambda width_m: setattr(self.hand.hand, "object_m", float(width_m)),
-            "hand_hz": self._set_hand_rate,
             "flush": self.journal.flush,
             "stop": lambda: setattr(self, "stopped", True),
         }
 
     def run(self) -> None:
-        """Serve until told to stop."""
+        """Serve until ordered to stop."""
         due = time.monotonic()
         while not self.stopped:
             now = time.monotonic()
@@ -123,7 +110,10 @@ class Server:
                 service.client_gone()
         elif ready is link.client:
             for message in link.receive():
-                service.handle(message)
+                try:
+                    service.answer(message)
+                except ProtocolError as error:  # a payload that can't be read ends the connection
+                    link.drop(str(error))
             if link.client is None:
                 service.client_gone()
 
@@ -164,8 +154,3 @@ class Server:
     def _set_wall(self, height_m: float | None, stiffness_N_m: float = 5000.0) -> None:
         self.arm.arm.wall = None if height_m is None else Wall(float(height_m), float(stiffness_N_m))
         self.arm.arm.refresh()
-
-    def _set_hand_rate(self, hz: float) -> None:
-        if not hz > 0:
-            raise ValueError(f"hand_hz: expected > 0, got {hz}")
-        self.hand.state_hz = float(hz)

@@ -1,13 +1,11 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks.probes.uskin_csv import COLUMNS, read_uskin_csv
 from uniforce_vtla.errors import SensorError
-from uniforce_vtla.sensors.uskin_csv import COLUMNS, read_uskin_csv
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Reads logged uSkin trials: one csv per finger, columns ``txl1_x … txl16_z``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,0 +1,152 @@
+"""Later frames are held against the reference: nothing is invented, and what is lost is said."""
+
+import warnings
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from uniforce_vtla.contact.indenters import SEEN, UNSEEN
+from uniforce_vtla.contact.sampling import sample_objects
+from uniforce_vtla.contact.simulator import TactileSimulator, free_air
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
+from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.errors import SensorError
+from uniforce_vtla.markers import Canonicalizer
+from uniforce_vtla.markers.camera_markers import fit_canonical, segment
+from uniforce_vtla.markers.marker_reference import REFUSE_SHARE, between_markers
+from uniforce_vtla.sensors import get_sensor
+from uniforce_vtla.sensors.layouts import rectangular
+
+CAMERAS = ("gelsight", "tactip")
+
+
+def loaded(n: int, share: float = 1.0) -> ContactState:
+    """Return ``n`` contacts of 16 N and 8 N of shear in any direction, or a share of that."""
+    rng = np.random.default_rng(n)
+    angle = rng.uniform(-np.pi, np.pi, n)
+    force = share * np.stack([8 * np.cos(angle), 8 * np.sin(angle), np.full(n, 16.0)], axis=1)
+    gap = sample_objects(rng, n, SEEN + UNSEEN, flat_share=0.25).gap_mm
+    return ContactState(gap, force.astype(np.float32), np.zeros(n, np.float32))
+
+
+def remembering(sensor: str, reference: np.ndarray) -> Canonicalizer:
+    canonicalizer = Canonicalizer(sensor)
+    canonicalizer.set_reference(reference)
+    return canonicalizer
+
+
+def counted(image: np.ndarray) -> int:
+    return cv2.connectedComponents(image)[0] - 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_crumbs_of_light_on_the_outer_pins_are_no_rim(seed: int) -> None:
+    simulator, rng = TactileSimulator("tactip", seed=0), np.random.default_rng(seed)
+    pins_px = simulator.markers_px(free_air(1))[0][0]
+    middle = pins_px.mean(axis=0)
+    radius = np.hypot(*(pins_px - middle).T).max()
+    image = simulator.reference()
+    for angle in np.linspace(0, 2 * np.pi, 20, endpoint=False):
+        out = radius * rng.uniform(0.95, 1.04) * np.array([np.cos(angle), np.sin(angle)])
+        at = np.rint(middle + out).astype(int).tolist()
+        cv2.circle(image, at, int(rng.integers(2, 4)), 255, cv2.FILLED)  # 5 to 7 px across
+    found = Canonicalizer("tactip").markers(np.repeat(image[..., None], 3, axis=2))
+    assert (cKDTree(found).query(pins_px)[0] < 4).all()
+
+
+@pytest.mark.parametrize("sensor", CAMERAS)
+def test_clean_contacts_are_read_as_without_a_reference(sensor: str) -> None:
+    """To the pixel, so that what was trained on such images stays valid; and no honest load is refused."""
+    simulator = TactileSimulator(sensor, seed=3)
+    canonicalizer = remembering(sensor, simulator.raw_reference())
+    dome, plan = get_sensor(sensor).dome_radius_mm is not None, canonicalizer._reference.plan
+    lost = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        for frame in simulator.raw_frames(loaded(52)):
+            alone = segment(fit_canonical(frame), dome, plan).image()
+            assert np.array_equal(canonicalizer.marker_image(frame), alone)
+            match = canonicalizer.match
+            assert match.dropped == 0
+            lost.append(match.lost / (match.lost + match.matched))
+    assert max(lost) < 0.8 * REFUSE_SHARE
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_coloured_reflections_are_looked_through(seed: int) -> None:
+    gel = as_virtual("gelsight")
+    spec = replace(
+        gel.spec,
+        name="dots",
+        layout_mm=rectangular(5, 5, (2.0, 2.0)),
+        marker_shape="disc",
+        marker_size_mm=0.9,
+    )
+    reference = TactileSimulator(VirtualSensor(spec, gel.material, like="gelsight"), seed=0).raw_reference()
+    rng, (y, x) = np.random.default_rng(seed), np.mgrid[:480, :640]
+    frame = reference * np.float32(0.5)
+    for lobe in range(24):  # eight each in red, green and blue
+        at = rng.uniform((220, 140), (420, 340))
+        frame[..., lobe % 3] += 150 * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2 * 28**2))
+    canonicalizer = remembering("gelsight", reference)
+    image = canonicalizer.marker_image(np.clip(frame, 0, 255).astype(np.uint8))
+    assert 23 <= counted(image) <= 25 and canonicalizer.match.lost <= 2
+
+
+def test_lost_markers_are_warned_of_once_and_then_refused() -> None:
+    reference = TactileSimulator("gelsight", seed=0).raw_reference()
+    canonicalizer, blurred = remembering("gelsight", reference), cv2.GaussianBlur(reference, (0, 0), 25)
+
+    def half_blind(share: float) -> np.ndarray:
+        frame = reference.copy()
+        frame[:, : int(640 * share)] = blurred[:, : int(640 * share)]
+        return frame
+
+    with pytest.warns(UserWarning, match="expected the 80 markers of the reference, got 72"):
+        canonicalizer.marker_image(half_blind(0.1))
+    assert (canonicalizer.match.matched, canonicalizer.match.lost) == (72, 8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        canonicalizer.marker_image(half_blind(0.1))
+    for share, left in ((0.5, 40), (0.75, 16)):
+        with pytest.raises(SensorError, match=f"expected the 80 markers of the reference, got {left} of them"):
+            canonicalizer.marker_image(half_blind(share))
+
+
+@pytest.mark.parametrize("sensor", CAMERAS)
+def test_a_plot_is_no_reference(sensor: str) -> None:
+    plot = np.full((480, 640, 3), 255, np.uint8)
+    for x, y in np.stack(np.meshgrid(np.arange(6, 640, 14), np.arange(6, 480, 10)), axis=-1).reshape(-1, 2):
+        cv2.circle(plot, (int(x), int(y)), 2, (20, 20, 160), cv2.FILLED)
+    with pytest.raises(SensorError, match=r"reference frame: expected .* markers, got 2"):
+        remembering(sensor, plot)
+    with pytest.raises(SensorError):
+        Canonicalizer(sensor).pair(plot, plot, "left")
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["in the reference", "later"])
+def test_reflections_between_pins_are_dropped(known: bool) -> None:
+    simulator = TactileSimulator("tactip", seed=0)
+    pins_px = simulator.markers_px(free_air(1))[0][0]
+    triples = pins_px[cKDTree(pins_px).query(pins_px[:64:13], k=3)[1]].mean(axis=1)
+    clean, *pressed = simulator.raw_reference(), *simulator.raw_frames(loaded(6, share=0.1))
+
+    def lit(frame: np.ndarray) -> np.ndarray:
+        for at in np.rint(triples).astype(int).tolist():
+            cv2.circle(frame, at, 4, (255, 255, 255), cv2.FILLED)
+        return frame
+
+    canonicalizer = remembering("tactip", lit(clean.copy()) if known else clean)
+    for frame in (clean, *pressed):
+        image = canonicalizer.marker_image(lit(frame.copy()))
+        assert counted(image) == 127 and canonicalizer.match.lost == 0
+        assert 1 <= canonicalizer.match.dropped <= len(triples)  # a pressed pin may run into one
+
+
+@pytest.mark.parametrize("sensor", [*CAMERAS, "gelsight_d"])
+def test_no_marker_of_a_pattern_stands_between_others(sensor: str) -> None:
+    points = TactileSimulator(sensor, seed=0).markers_px(free_air(1))[0][0]
+    assert not between_markers(points, np.ones(len(points), bool)).any()

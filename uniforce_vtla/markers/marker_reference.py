@@ -1,0 +1,140 @@
+"""The markers of a free-air frame, remembered: later frames of that camera are held against them.
+
+What was lost needs no correspondence: it is counted. A marker of the current frame is an extra where no reference
+marker lies within reach, where it stands between markers that hardly moved, or on a reflection that the reference
+showed. So a marker which the reference missed stays, as does a new reflection on a pattern in motion: a sheared dome's
+pin passes the place of its neighbour. A reflection may pass for a marker lost beside it.
+"""
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from uniforce_vtla.errors import SensorError, expected
+from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
+from uniforce_vtla.markers.marker_blobs import spacing
+
+WARN_SHARE = 0.05  # of the reference's markers lost: said once
+RETRY_SHARE = 0.20  # lost: other channels are tried
+REFUSE_SHARE = 0.25  # lost: refused; honest contacts at full load lose up to 12.5 % (GelSight) and 18.9 % (TacTip)
+RETRIES = ("least", "gray", "blue", "value")  # those channels, in this order
+REACH = 2.0  # spacings: a marker's greatest motion; simulated pins move 1.7 under 16 N and 8 N of shear
+STILL = 0.3  # spacings: where 98 % moved less, a marker's nearest reference is its own
+SAME_PLACE = 0.2  # spacings: a reflection of the reference is found again this near
+BETWEEN = 0.75  # spacings: what lies nearer than this to two markers is none of their pattern
+
+
+@dataclass(frozen=True)
+class MarkerMatch:
+    """How the markers of a camera frame answer to the reference's."""
+
+    matched: int  # markers of the reference found
+    lost: int  # and not found
+    dropped: int  # blobs that looked like markers and match none
+
+
+class MarkerReference:
+    """Reads frames as the free-air frame was read: same polarity, scale and rim, and the same markers.
+
+    Args:
+        frame: (H, W, 3) uint8 RGB, in free air.
+        dome: see ``segment``.
+        counts: fewest and most markers the sensor may have.
+
+    Raises:
+        ContractError: wrong shape or dtype.
+        SensorError: a dark frame, no markers, or a number of them that isn't this sensor's.
+    """
+
+    def __init__(self, frame: np.ndarray, dome: bool, counts: tuple[int, int]) -> None:
+        found = segment(fit_canonical(frame), dome)
+        between = between_markers(found.blobs.markers, np.ones(found.blobs.keep.sum(), bool))
+        self._reflections = found.blobs.markers[between]
+        self._found = replace(found, blobs=found.blobs.without(between))
+        points = self._found.blobs.markers
+        if not counts[0] <= len(points) <= counts[1]:
+            wanted = f"{counts[0]} to {counts[1]} markers"
+            do = "Is it this sensor's own picture, and in focus?"
+            raise SensorError(expected("reference frame", wanted, len(points), do))
+        self._dome, self._warned = dome, False
+        self._tree, self._spacing = cKDTree(points), spacing(points)
+        self.plan = self._found.plan
+        self.image = self._found.image()  # (480, 640) uint8 in {0, 255}
+
+    def read(self, frame: np.ndarray) -> tuple[np.ndarray, MarkerMatch]:
+        """Return the (480, 640) uint8 image in {0, 255} of a frame's markers, and how they match.
+
+        Other channels are tried where 20 % of the markers are lost. Warns once at 5 %.
+
+        Raises:
+            ContractError: wrong shape or dtype.
+            SensorError: a dark frame, no markers, 25 % of the reference's lost, or more extras than those.
+        """
+        found, match = self._best(fit_canonical(frame))
+        wanted = f"the {self._tree.n} markers of the reference"
+        if self._misses(match, REFUSE_SHARE):
+            came = f"{match.matched} of them and {match.dropped} others"
+            do = "Check light and focus, clean the gel, or take the reference again."
+            raise SensorError(expected("camera frame", wanted, came, do))
+        if match.lost >= WARN_SHARE * self._tree.n and not self._warned:
+            self._warned = True
+            do = "Force is misread where markers are missing: check light and focus."
+            warnings.warn(expected("camera frame", wanted, f"{match.matched} of them", do), stacklevel=3)
+        return found.image(), match
+
+    def _best(self, working: np.ndarray) -> tuple[Segmentation, MarkerMatch]:
+        """Return the first channel's markers that suffice, else those of the channel that shows most."""
+        seen, failures = [], []
+        for channel in dict.fromkeys((self.plan.channel, *RETRIES)):
+            try:
+                found = segment(working, self._dome, replace(self.plan, channel=channel), self._found.rim)
+            except SensorError as error:
+                failures.append(error)
+                continue
+            seen.append(self._match(found))
+            if not self._misses(seen[-1][1], RETRY_SHARE):
+                return seen[-1]
+        if not seen:
+            raise failures[0]
+        return max(seen, key=lambda pair: pair[1].matched)
+
+    def _misses(self, match: MarkerMatch, share: float) -> bool:
+        return match.lost >= share * self._tree.n or match.dropped > self._tree.n
+
+    def _match(self, found: Segmentation) -> tuple[Segmentation, MarkerMatch]:
+        extra = self._extras(found.blobs.markers)
+        dropped = int(extra.sum())
+        matched = min(self._tree.n, len(extra) - dropped)
+        return replace(found, blobs=found.blobs.without(extra)), MarkerMatch(matched, self._tree.n - matched, dropped)
+
+    def _extras(self, points: np.ndarray) -> np.ndarray:
+        """Return (M,) bool: which of (M, 2) points match no marker of the reference."""
+        distance, nearest = self._tree.query(points)
+        distance /= self._spacing
+        extra = distance > REACH
+        order = np.argsort(-distance)
+        closest = np.full(self._tree.n, -1)
+        closest[nearest[order]] = order  # of several that share a nearest one, the closest is written last
+        shared = ~extra
+        shared[closest[closest >= 0]] = False
+        if shared.any() and np.percentile(distance[~extra & ~shared], 98) < STILL:
+            extra[shared] = between_markers(points, shared)
+            return extra
+        surplus = len(points) - int(extra.sum()) - self._tree.n
+        if surplus > 0 and len(self._reflections):
+            offset = cKDTree(self._reflections).query(points)[0] / self._spacing
+            extra[[i for i in np.argsort(offset)[:surplus] if offset[i] < SAME_PLACE]] = True
+        return extra
+
+
+def between_markers(points: np.ndarray, asked: np.ndarray) -> np.ndarray:
+    """Return which of the (M,) bool ``asked`` of (M, 2) points stand between others of a pattern, as reflections do.
+
+    Such a point is nearer to two others than each of these is to its own second neighbour.
+    """
+    tree = cKDTree(points)
+    distance, index = tree.query(points[asked], k=7)
+    second = tree.query(points[index[:, 1:]], k=3)[0][..., 2]
+    return (distance[:, 1:] < BETWEEN * second).sum(axis=1) >= 2
