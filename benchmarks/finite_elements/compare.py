@@ -1,7 +1,5 @@
 """The fast contact model against friction on finite elements: marker motion and depth of the same loads."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +17,7 @@ _LEAST_N = 0.2  # contacts that carry less are left out: their motion is below a
 
 
 def compare(sensor: VirtualSensor, n: int, seed: int, friction: float = 1.0) -> dict[str, Any]:
-    """Return how well the fast model agrees with ``n`` contacts: correlation, slope and depth error, press and shear."""
+    """Return how well the fast model agrees with ``n`` contacts: correlation, slope, depth error."""
     contacts = solve_contacts(np.random.default_rng(seed), sensor, n, friction=friction)
     simulator = TactileSimulator(sensor, options=replace(ContactOptions().quiet(), friction=friction))
     taxel = sensor.spec.signal == "taxel"

@@ -3,8 +3,6 @@
 It shares library and constants with the fast model, so it checks that model's approximations; it is not another world.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ The normal part by an active set (p ≥ 0, no cell sinks in), the tangential par
 incompressible gel bulges under pressure, and friction holds it. The simulator's fast model knows neither.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

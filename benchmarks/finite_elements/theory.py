@@ -3,8 +3,6 @@
 Every check returns what was computed over what theory says, so that 1 is right.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.finite_elements.friction import CellForces, FrictionContact, Motion
@@ -31,7 +29,7 @@ def hertz(radius_mm: float = 7.0, thickness_mm: float = 4.0) -> dict[str, float]
     depths_mm = (0.3, 0.45, 0.6)
     found = _pressed(gel, _sphere_mm(cell_centres_mm(gel), radius_mm), depths_mm)
     return {
-        f"{depth} mm": float(forces.press_N.sum() / _dimitriadis_N(depth, radius_mm, thickness_mm))
+        f"{depth} mm": float(forces.press_N.sum() / _layer_force(depth, radius_mm, thickness_mm))
         for depth, forces in zip(depths_mm, found, strict=True)
     }
 
@@ -61,7 +59,9 @@ def cattaneo_mindlin(radius_mm: float = 6.0, friction: float = 0.5) -> dict[str,
     whole = 0.02 / stuck[1].shear_N[0].sum() - (2 - _POISSON) / (8 * shear_MPa * contact_mm)  # mm per newton
     path = [Motion(depth_mm), *(Motion(depth_mm, (float(s), 0.0)) for s in slides_mm)]
     found = {}
-    for slide_mm, state in zip(slides_mm, FrictionContact(skin, position, friction).follow(gap_mm, path)[1:], strict=True):
+    for slide_mm, state in zip(
+        slides_mm, FrictionContact(skin, position, friction).follow(gap_mm, path)[1:], strict=True
+    ):
         press_N, shear_N = state.press_N.sum(), state.shear_N[0].sum()
         share = shear_N / (friction * press_N)
         contact_mm = _hertz_radius_mm(press_N, radius_mm)
@@ -96,7 +96,7 @@ def _sphere_mm(position_mm: np.ndarray, radius_mm: float) -> np.ndarray:
     return np.where(r2 < radius_mm**2, gap, np.inf)
 
 
-def _dimitriadis_N(depth_mm: float, radius_mm: float, thickness_mm: float) -> float:
+def _layer_force(depth_mm: float, radius_mm: float, thickness_mm: float) -> float:
     chi = np.sqrt(radius_mm * depth_mm) / thickness_mm
     series = 1 + 1.133 * chi + 1.283 * chi**2 + 0.769 * chi**3 + 0.0975 * chi**4
     return float(16 / 9 * np.sqrt(radius_mm) * depth_mm**1.5 * series)  # E = 1 MPa

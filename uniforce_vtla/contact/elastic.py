@@ -5,9 +5,8 @@ locks.  The back is bonded, and the rim of a dome is clamped.  Checked against t
 Axes are the image's: x right, y down, z into the pad.
 """
 
-from __future__ import annotations
-
 import hashlib
+import itertools
 import json
 import os
 from collections.abc import Iterator
@@ -106,7 +105,7 @@ def compute_influence(gel: Gel, progress: bool = True) -> Influence:
         for flip_y, flip_x, sign in _mirrors():
             jj, ii = (rows - 1 - j if flip_y else j), (columns - 1 - i if flip_x else i)
             c = cell_of[jj, ii]
-            turned = [f[:, ::-1 if flip_y else 1, ::-1 if flip_x else 1] * sign for f in (top, deep)]
+            turned = [f[:, :: -1 if flip_y else 1, :: -1 if flip_x else 1] * sign for f in (top, deep)]
             skin[:, :, :, c] = _cell_means(turned[0])[:, mesh.inside]
             inside[..., c] = turned[1]
     return Influence(skin, inside, mesh.x_mm, mesh.y_mm)
@@ -146,9 +145,7 @@ class _Mesh:
         grid = MeshHex.init_tensor(self.x_mm, self.y_mm, levels)
         x, y = ((e[1:] + e[:-1]) / 2 for e in (self.x_mm, self.y_mm))
         radius = np.hypot(*np.meshgrid(x, y))
-        self.inside = (
-            radius <= gel.size_mm[0] / 2 if gel.dome_radius_mm else np.ones(self.cell_shape, dtype=bool)
-        )
+        self.inside = radius <= gel.size_mm[0] / 2 if gel.dome_radius_mm else np.ones(self.cell_shape, dtype=bool)
         centre = grid.p[:, grid.t].mean(axis=1)
         column, row = np.searchsorted(self.x_mm, centre[0]) - 1, np.searchsorted(self.y_mm, centre[1]) - 1
         grid = grid.restrict(np.flatnonzero(self.inside[row, column]))
@@ -200,10 +197,7 @@ def _levels(gel: Gel) -> np.ndarray:
     borders = np.cumsum([0.0, *(layer.thickness_mm for layer in gel.layers)])
     wanted = np.unique(np.round([*borders, gel.readout_mm], 6))
     largest = gel.thickness_mm / (_HEIGHTS - 1)
-    parts = [
-        np.linspace(a, b, max(1, round((b - a) / largest)), endpoint=False)
-        for a, b in zip(wanted[:-1], wanted[1:], strict=True)
-    ]
+    parts = [np.linspace(a, b, max(1, round((b - a) / largest)), endpoint=False) for a, b in itertools.pairwise(wanted)]
     return np.concatenate([*parts, wanted[-1:]])
 
 

@@ -136,9 +136,7 @@ def flat_gap(
     return _grounded(np.where(inside, np.tan(np.asarray(tilt_rad)) @ position_mm.T, np.inf))
 
 
-def _local(
-    center_mm: np.ndarray, angle_rad: np.ndarray, position_mm: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _local(center_mm: np.ndarray, angle_rad: np.ndarray, position_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return positions as (B, N) x and y in each object's own frame."""
     arm = position_mm[None] - np.asarray(center_mm)[:, None]
     cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]

@@ -73,9 +73,7 @@ def _place(edges: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray
 class CameraResponse:
     """Markers of one unit as its camera sees them."""
 
-    def __init__(
-        self, influence: Influence, rest_mm: np.ndarray, material: PadMaterial, scale: float = 1.0
-    ) -> None:
+    def __init__(self, influence: Influence, rest_mm: np.ndarray, material: PadMaterial, scale: float = 1.0) -> None:
         self._rest_mm, self._material = rest_mm, material
         self._motion = PointMotion(influence, rest_mm, scale)
 
