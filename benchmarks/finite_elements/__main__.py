@@ -36,8 +36,8 @@ class FiniteElementsCommand:
     results: OutFolder = "outputs/finite_elements"  # contact_model.json
 
 
-def dome_slope_N_per_mm() -> float:
-    """Return the TacTip's stiffness under a flat face between 3 and 6 N."""
+def dome_slope() -> float:
+    """Return the TacTip's stiffness in N/mm under a flat face between 3 and 6 N."""
     tactip = as_virtual("tactip")
     face = flat_face_gap(np.zeros((2, 2)), np.full((2, 2), 60.0), np.zeros(2), np.zeros((2, 2)))
     depth = solve_pressure(build_pad(gel_of(tactip.spec, tactip.material)), face, np.array([3.0, 6.0])).depth_mm
@@ -52,7 +52,7 @@ def measure(contacts: int, seed: int) -> dict[str, Any]:
         "cattaneo_mindlin": theory.cattaneo_mindlin,
         "mesh_convergence": theory.mesh_convergence,
         "reciprocity": theory.reciprocity,
-        "tactip_slope_N_per_mm": dome_slope_N_per_mm,
+        "tactip_slope_N_per_mm": dome_slope,
     }
     parts |= {name: (lambda s=name: compare(as_virtual(s), contacts, seed)) for name in SENSORS}
     found = {name: part() for name, part in tqdm(parts.items(), desc="finite elements")}
