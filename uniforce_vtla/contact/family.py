@@ -47,8 +47,8 @@ class DomeFamily:
     px_per_mm: Span = (9.5, 12.5)  # lens
     fisheye: Span = (0.03, 0.11)  # shows in the spacing of the outer pins
     skin_mm: Span = (0.8, 1.2)
-    skin_MPa: Span = (0.55, 0.85)
-    filling_mm: Span = (7.0, 11.0)  # gel at the rim
+    skin_MPa: Span = (0.32, 0.5)
+    filling_mm: Span = (11.0, 17.0)  # gel at the rim
     pin_mm: Span = (1.5, 2.5)
 
 

@@ -31,10 +31,11 @@ class TaxelMaterial:
     layers: tuple[Layer, ...]
     readout_mm: float  # depth of the magnets
     hall_mm: float  # from a magnet at rest to its sensor
+    magnet_mm: float  # diameter: a stiff body that moves as the gel around it on average
     cell_mm: float = 1.25
     stiffness: float = 1.0
     # field of a magnet at rest, so that strong grasps give the 5 to 10 thousand counts of real ones
-    rest_counts: float = 16_000.0
+    rest_counts: float = 26_000.0
     baseline_shear: tuple[int, int] = (15_500, 16_800)  # raw x, y of real taxels at rest differ this much
     baseline_normal: tuple[int, int] = (36_000, 39_000)  # raw z likewise
 
@@ -49,7 +50,7 @@ MATERIALS: dict[str, PadMaterial | TaxelMaterial] = {
         pin_mm=2.0,
         fisheye=0.07,
     ),
-    "uskin": TaxelMaterial(layers=(Layer(5.0, 0.5, 0.42),), readout_mm=2.0, hall_mm=6.0),
+    "uskin": TaxelMaterial(layers=(Layer(5.0, 0.5, 0.42),), readout_mm=2.0, hall_mm=8.0, magnet_mm=4.0),
 }
 
 

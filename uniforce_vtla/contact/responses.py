@@ -39,8 +39,12 @@ class MarkerMotion:
 class PointMotion:
     """Displacement of points at a pad's readout depth, and its gradient along the skin; linear in traction."""
 
-    def __init__(self, influence: Influence, point_mm: np.ndarray, scale: float) -> None:
-        at = _interpolated(influence.fields, influence.x_mm, influence.y_mm, point_mm)  # (M, F, 3, C)
+    def __init__(self, influence: Influence, point_mm: np.ndarray, scale: float, reach_mm: float = 0.0) -> None:
+        """Take (M, 2) points; with a reach each moves as the mean of what lies within it."""
+        ring = [reach_mm / 2**0.5 * np.array(way) for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))] if reach_mm else [0]
+        around = np.concatenate([point_mm + offset for offset in ring])
+        at = _interpolated(influence.fields, influence.x_mm, influence.y_mm, around)  # (M, F, 3, C)
+        at = at.reshape(len(ring), len(point_mm), *at.shape[1:]).mean(axis=0)
         by_cell = (at * np.float32(scale)).transpose(3, 2, 1, 0)  # (C, 3, F, M)
         self._of_shear, self._of_press = (np.ascontiguousarray(part) for part in (by_cell[:, :2], by_cell[:, 2]))
 
@@ -108,7 +112,7 @@ class TaxelResponse:
         gain: np.ndarray,
         scale: float = 1.0,
     ) -> None:
-        self._motion = PointMotion(influence, taxel_mm, scale)
+        self._motion = PointMotion(influence, taxel_mm, scale, material.magnet_mm / 2)
         self._apart_mm = (taxel_mm[None] - taxel_mm[:, None]).astype(np.float32)  # (sensor, magnet, 2)
         self._material = material
         self._rest = self._field(np.zeros((1, 3, len(taxel_mm)), np.float32))
