@@ -48,7 +48,7 @@ def test_cells_cover_the_length_and_what_is_left_stands_at_both_ends() -> None:
     assert edges[0] == -12.3 and edges[-1] == 12.3
     widths = np.diff(edges)
     np.testing.assert_allclose(widths[1:-1], 1.25)
-    assert 0 < widths[0] == pytest.approx(widths[-1]) < 1.25
+    assert widths[0] == pytest.approx(widths[-1]) == pytest.approx(1.05)
     assert len(cell_edges(25.0, 1.25)) == 21
 
 
