@@ -36,7 +36,7 @@ def write_sheet(summary: EpisodeSummary, facts: Mapping[str, str], folder: Path,
 
     ``facts`` are the lines of the table at the top; whatever they hold is shown as text, never as HTML.
     """
-    # hardest
+    # where both fingers together press hardest
     held = max(summary.key_frames, key=lambda moment: float(summary.force_N[moment.frame, :, 2].sum()))
     timeline = draw_timeline(summary, folder / f"{stem}_timeline.png")
     moments = draw_key_frames(summary, folder / f"{stem}_moments.png")

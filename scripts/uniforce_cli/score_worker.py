@@ -103,9 +103,14 @@ def _build(
 
 
 def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Controller:
-    """Return the controller under a control, ``masked`` or ``shuffled``; "" leaves it as it is."""
+    """Return the controller under a control, ``masked`` or ``shuffled``; "" leaves it as it is.
+
+    Raises ContractError: an unknown control.
+    """
     if control == "shuffled":
         return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors))
+    if control not in ("", "masked"):
+        raise ContractError(expected("control", "masked | shuffled", repr(control), "Name one."))
     controller.policy.touch.masked |= control == "masked"
     return controller
 

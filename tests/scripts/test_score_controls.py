@@ -7,7 +7,7 @@ import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_cli.score import ScoreConfig
-from uniforce_cli.score_worker import Job, ShuffledTouch, donated_touch, score_job
+from uniforce_cli.score_worker import Job, ShuffledTouch, controlled, donated_touch, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.keys import TACTILE_NAMES
 
@@ -49,7 +49,9 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase: int, monkeypa
         assert not np.array_equal(images["tactile_left"], observation["pixels"]["tactile_left"])
 
 
-def test_controls_of_scripts_are_refused(tmp_path: Any) -> None:
+def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
+    with pytest.raises(ContractError, match="masked"):
+        controlled(None, "asleep", WipeEnv("easy"))  # type: ignore[arg-type]
     job = Job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(job)

@@ -152,9 +152,11 @@ def test_gradient_pyramid_sees_edges_only() -> None:
     assert gradient_pyramid(image.flip(-1), image, 3) > 0.05
 
 
-def test_an_absent_perceptual_term_raises() -> None:
+def test_absent_or_unknown_perceptual_terms_raise() -> None:
     with pytest.raises(CheckpointError, match="lpips"):
         perceptual(LossConfig(perceptual="lpips"))
+    with pytest.raises(ContractError, match="gradient_pyramid"):
+        perceptual(LossConfig(perceptual="else"))  # type: ignore[arg-type]
 
 
 def test_live_pairs_train_and_the_log_says_what_data_cost(settings: PretrainSettings, tmp_path: Path) -> None:

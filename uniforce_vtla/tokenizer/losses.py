@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch.nn import functional as F  # noqa: N812
 
-from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 from uniforce_vtla.tokenizer.model import Decoder, Posterior
 from uniforce_vtla.tokenizer.settings import LossConfig
@@ -124,11 +124,14 @@ def perceptual(config: LossConfig) -> Perceptual:
 
     Raises:
         CheckpointError: ``lpips`` without its package or backbone weights.
+        ContractError: no such distance.
     """
     if config.perceptual == "lpips":
         wanted, came = "the lpips package and its backbone weights", "neither is part of this installation"
         do = "Install them and register the distance here, or use perceptual=gradient_pyramid."
         raise CheckpointError(expected("perceptual=lpips", wanted, came, do))
+    if config.perceptual != "gradient_pyramid":
+        raise ContractError(expected("perceptual", "gradient_pyramid or lpips", repr(config.perceptual), "Choose one."))
     return lambda drawn, truth: gradient_pyramid(drawn, truth, config.pyramid_levels)
 
 

@@ -13,6 +13,7 @@ from uniforce_robots.pairs.finger_force import FingerForce, TouchField
 from uniforce_robots.pairs.pair_judge import GraspSignals
 from uniforce_robots.pairs.rig import PairRig, RigFrame
 from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import ContractError, expected
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,10 @@ class MotionLimits:
     acceleration_m_s2: float = 1.0  # of the hand; 0.3 kg × 1 m/s² is 0.3 N, a tenth of a light grip
     settle_s: float = 0.1  # how long it must have been slow: the rubber needs some time to come to rest
     grip_N: float = 0.8  # a lighter grip says nothing of equilibrium
+
+    def __post_init__(self) -> None:
+        if min(self.speed_m_s, self.acceleration_m_s2) <= 0 or min(self.settle_s, self.grip_N) < 0:
+            raise ContractError(expected("motion limits", "positive", self, "Check the config."))
 
 
 def quasi_static(

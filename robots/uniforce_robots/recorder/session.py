@@ -30,6 +30,11 @@ class SessionSettings:
     late_share: float = 0.1  # of its ticks that an episode may miss; one that missed more is ``aborted:late``
     settings: dict[str, Any] = field(default_factory=dict)  # of the whole command, for the cards
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.late_share <= 1:  # NaN is not, either
+            wanted = "a share from 0 to 1"
+            raise errors.ContractError(errors.expected("late_share", wanted, self.late_share, "Give one."))
+
 
 @dataclass(frozen=True)
 class SessionEnd:
@@ -80,8 +85,10 @@ class RecordingSession:
         frames = round(self._settings.episode_s * self._fps)
         if self._quits or not self._prepare(frames):
             return False
-        prompts = self._settings.prompts or (str(self._parts.rig.prompt),)  # the command asks for one on a robot
-        prompt = prompts[self._judged % len(prompts)]
+        prompts, own = self._settings.prompts, self._parts.rig.prompt
+        if not prompts and own is None:
+            raise errors.ContractError(errors.expected("prompts", "an instruction", "none", "Give at least one."))
+        prompt = prompts[self._judged % len(prompts)] if prompts else str(own)
         begun = datetime.now(UTC).isoformat(timespec="milliseconds")
         self._parts.view.begin(f"episode {self._judged + 1}/{self._settings.episodes}: {prompt}")
         ending = self._judge(self._not_late(EpisodeLoop(self._parts, prompt, frames).run()))
@@ -190,10 +197,7 @@ class RecordingSession:
             return
         try:
             recorder.save(ending.clean, ending.outcome, self._seed, ending.cause, card | self._card(ending))
-        except (
-            errors.DatasetError,
-            errors.ContractError,
-        ) as error:  # ContractError: a row the storing process refused
+        except (errors.DatasetError, errors.ContractError) as error:  # the latter: a row the storing process refused
             self._say(f"not stored: {error}")
             raise _End(DISK_FULL if isinstance(error, errors.DiskFullError) else FAULT, str(error)) from error
         self._judged += ending.how == "judged"

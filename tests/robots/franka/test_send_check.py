@@ -1,12 +1,15 @@
 """The last check before a pose is sent, alone and under the whole chain."""
 
 import logging
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
 
 from benchmarks.trust.guard_cases import drive
 from benchmarks.trust.guard_oracle import axes_of, pose_of, wrong_pose
+from benchmarks.trust.mutations import notice
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.send_check import SendCheck
@@ -74,6 +77,12 @@ def test_the_judge_reads_poses_by_itself() -> None:
     target = ToolPose(np.array([0.4, -0.1, 0.2]), 0.7)
     np.testing.assert_allclose(pose_of(axes(target)), target.ee_to_base(), atol=1e-12)
     np.testing.assert_allclose(axes_of(target.ee_to_base()), axes(target), atol=1e-12)
+
+
+def test_a_broken_guard_is_noticed_on_the_copy_that_was_broken() -> None:
+    """In a process of its own, as ``benchmarks.trust.mutations`` tries them: the copy must not be this process's."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        assert pool.submit(notice, "sent: box unchecked").result().startswith("box")
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from hypothesis.extra.numpy import arrays
 from uniforce_robots.pairs.coverage import ENOUGH, Coverage, contact_place
 from uniforce_robots.pairs.finger_force import CHANNELS, GRID
 from uniforce_robots.pairs.track import MotionLimits, quasi_static
+from uniforce_vtla.errors import ContractError
 
 STILL = np.zeros((20, 3))
 HELD = np.full(20, 5.0)
@@ -26,6 +27,8 @@ def test_it_stays_closed_until_the_rubber_has_settled() -> None:
     speed[5] = 1.0
     reasons = quasi_static(speed, STILL, HELD, 30.0, MotionLimits(settle_s=0.1)).tolist()
     assert reasons[6:9] == ["settling"] * 3 and not reasons[9]
+    with pytest.raises(ContractError, match="motion limits"):
+        MotionLimits(speed_m_s=0.0)
 
 
 @given(arrays(np.float64, (20, 3), elements=st.floats(-1, 1)), st.integers(1, 20))

@@ -47,6 +47,13 @@ def go(
     return end
 
 
+def test_no_instruction_and_a_late_share_that_is_none_are_refused(fake: FakeRig, tmp_path: Path) -> None:
+    with pytest.raises(ContractError, match="prompts: expected an instruction"):
+        go(fake, tmp_path / "data", Unattended("success"), prompts=())
+    with pytest.raises(ContractError, match="late_share"):
+        SessionSettings(late_share=float("nan"))
+
+
 def test_two_episodes_then_one_more(fake: FakeRig, tmp_path: Path) -> None:
     root = tmp_path / "data"
     end = go(fake, root, Unattended("success"), episodes=2, prompts=("wipe", "clean the board"))

@@ -30,10 +30,7 @@ def exchange(client: Any, gripper: Any) -> None:
 
 def begin(client: Any, gripper: Any, order: dict) -> Any:
     """Begin a command; return franky's future of its success, or success itself."""
-    name, keys = (
-        order["do"],
-        ("width_m", "speed_m_s", "force_N", "inner_m", "outer_m"),
-    )  # a move has two of them
+    name, keys = order["do"], ("width_m", "speed_m_s", "force_N", "inner_m", "outer_m")  # a move has two of them
     try:
         command = getattr(gripper, f"{name}_async", getattr(gripper, name))
         return command(*(order[key] for key in keys if key in order))
