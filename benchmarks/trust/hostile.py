@@ -59,7 +59,8 @@ def try_client(client: str, faults: list[str], times: int, path: Path, bar: tqdm
             if not _watch(child, path, bar):
                 _note_hang(path, client, _lacking(path, faults, times)[0])
         if child.returncode > 0:
-            raise RuntimeError(f"{client}: expected trials, got exit code {child.returncode}. Read {log}.")
+            last = log.read_text().rstrip().rpartition("\n")[2]
+            raise RuntimeError(f"{client}: expected trials, got exit code {child.returncode}: {last} Read {log}.")
     return read_rows(path)
 
 

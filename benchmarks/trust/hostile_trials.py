@@ -127,11 +127,11 @@ def trial(client: str, fault: str, address: str, folder: Path) -> Trial:
     """Begin a fault while the arm moves, go on until the caller learns, then look at what the arm did."""
     with StandIn(address) as fci:
         robot = connect(client, fci, folder)
-        begun_s, start = time.monotonic(), robot.get_observation()
-        width_m = HELD_m - 0.01 if fault in GRASPING else start[AXES[4]]
-        fci.do("object", width_m=HELD_m)
-        drive(robot, start, begun_s, width_m, UNDER_WAY_s + 2.0 * (fault in GRASPING))
         try:
+            begun_s, start = time.monotonic(), robot.get_observation()
+            width_m = HELD_m - 0.01 if fault in GRASPING else start[AXES[4]]
+            fci.do("object", width_m=HELD_m)
+            drive(robot, start, begun_s, width_m, UNDER_WAY_s + 2.0 * (fault in GRASPING))
             if fault in AT_NEXT_ANSWER:
                 return _stop_and_recover(robot, fci, client, fault, start)
             return _break(robot, fci, client, fault, start, begun_s, width_m)

@@ -106,6 +106,17 @@ def test_whatever_is_no_action_stops_the_robot_until_it_recovers(
     moving.send_action(action())
 
 
+def test_a_dropped_robot_lets_go_and_waits_for_no_thread(
+    moving: UniforceFranka, arm: FakeArm, monkeypatch: pytest.MonkeyPatch, eventually: Callable
+) -> None:
+    joined: list[str] = []
+    monkeypatch.setattr(threading.Thread, "join", lambda thread, timeout=None: joined.append(thread.name))
+    moving.__del__()  # by the collector, perhaps inside Thread.start: what joins there waits for itself
+    eventually(lambda: bool(arm.stopped_at))
+    monkeypatch.undo()
+    assert joined == [] and not moving.is_connected
+
+
 def test_numbers_of_any_kind_are_taken(robot: UniforceFranka) -> None:
     robot.connect()
     kinds = {"x.pos": torch.tensor(0.455), "y.pos": np.float32(0), "z.pos": np.array(0.3), "yaw.pos": 0}
