@@ -2,6 +2,7 @@
 
 import socket
 import struct
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Self
@@ -172,3 +173,13 @@ class RawHand(RawClient):
     def status_of(self, command: int, payload: bytes = b"") -> int:
         """Send a request and return how it ended."""
         return int(p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0])
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition") -> float:
+    """Poll a condition; return the seconds it took, or raise TimeoutError."""
+    start = time.monotonic()
+    while not condition():
+        if time.monotonic() - start > timeout_s:
+            raise TimeoutError(f"{what}: not within {timeout_s} s")
+        time.sleep(0.005)
+    return time.monotonic() - start

@@ -26,10 +26,15 @@ def parse(arguments: list[str] | None = None) -> ServerOptions:
     return ServerOptions(**chosen)
 
 
-if __name__ == "__main__":
+def main(kind: type[Server] = Server) -> None:
+    """Serve until ordered to stop."""
     options = parse()
-    server = Server(options)
+    server = kind(options)
     sys.stdout.write(f"ready {options.address}\n")
     sys.stdout.flush()
     with contextlib.closing(server), contextlib.suppress(KeyboardInterrupt):
         server.run()
+
+
+if __name__ == "__main__":
+    main()

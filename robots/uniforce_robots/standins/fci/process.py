@@ -2,8 +2,6 @@
 
 import json
 import socket
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 from uniforce_robots.standins.fci.link import read_journal
@@ -16,9 +14,11 @@ ANSWER_s = 10.0
 class StandIn(AnyStandIn):
     """A running stand-in. Use as a context manager; ``do`` orders a fault and returns what the arm and hand show."""
 
+    module = "fci"
+
     def __init__(self, address: str, *options: str, log: Path | None = None) -> None:
         self.log = log
-        super().__init__("fci", address, *options, *(("--log", str(log)) if log else ()))
+        super().__init__(self.module, address, *options, *(("--log", str(log)) if log else ()))
         self._control = socket.create_connection((address, CONTROL_PORT), ANSWER_s)
         self._answers = self._control.makefile("r")
 
@@ -48,13 +48,3 @@ class StandIn(AnyStandIn):
         super().close()
         self._answers.close()
         self._control.close()
-
-
-def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition") -> float:
-    """Poll a condition; return the seconds it took, or raise TimeoutError."""
-    start = time.monotonic()
-    while not condition():
-        if time.monotonic() - start > timeout_s:
-            raise TimeoutError(f"{what}: not within {timeout_s} s")
-        time.sleep(0.005)
-    return time.monotonic() - start
