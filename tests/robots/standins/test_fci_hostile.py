@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from fci_client import RawArm, RawHand, hand_request, pull_to, wait_until
+from fci_client import RawArm, RawHand, decode_hand_state, decode_state, hand_request, pull_to, wait_until
 
 from benchmarks.trust.hostile_arm import FAULTS, NONE, HostileStandIn
 from uniforce_robots.fr3 import DQ_MAX_rad_s
@@ -143,13 +143,13 @@ def stopped_clock(bench: Bench) -> None:
     bench.begin()
     got = fresh(bench.arm)
     assert len(got) > 10 and len(set(got)) == 1
-    assert p.RobotState.decode(got[0]).message_id <= bench.fci.do("look")["fault"]["at_ms"]
+    assert decode_state(got[0]).message_id <= bench.fci.do("look")["fault"]["at_ms"]
 
 
 def state_flood_old(bench: Bench) -> None:
     fresh(bench.arm, 0.05)
     begun = bench.begin()["fault"]["at_ms"]
-    ids = [p.RobotState.decode(datagram).message_id for datagram in fresh(bench.arm)]
+    ids = [decode_state(datagram).message_id for datagram in fresh(bench.arm)]
     assert len(ids) > 10 and max(ids) <= begun and ids != sorted(ids)
 
 
@@ -165,7 +165,7 @@ def garbage_state(bench: Bench) -> None:
     got = fresh(bench.arm)
     assert len(got) > 10 and len(set(got)) == len(got)
     assert {len(datagram) for datagram in got} == {p.STATE_BYTES}
-    assert all(p.RobotState.decode(datagram).message_id > begun + 10**6 for datagram in got[:10])
+    assert all(decode_state(datagram).message_id > begun + 10**6 for datagram in got[:10])
 
 
 def wrong_length_state(bench: Bench) -> None:
@@ -250,7 +250,7 @@ def reflex(bench: Bench) -> None:
 def hung_hand(bench: Bench) -> None:
     bench.begin()
     asked = bench.hand.send(p.HandCommand.MOVE, SLOW_MOVE)
-    widths = [p.HandState.decode(datagram).width_m for datagram in fresh(bench.hand)]
+    widths = [decode_hand_state(datagram).width_m for datagram in fresh(bench.hand)]
     assert len(set(widths[-3:])) == 1 and 0.01 < widths[-1] < 0.08
     bench.hand.send(p.HandCommand.STOP)
     bench.hand.tcp.settimeout(SILENCE_s)
@@ -287,13 +287,13 @@ def hand_garbage_state(bench: Bench) -> None:
     bench.begin()
     got = fresh(bench.hand)
     assert {len(datagram) for datagram in got} == {p.HAND_STATE_BYTES} and len(set(got)) > 1
-    widths = np.array([p.HandState.decode(datagram).width_m for datagram in got])
+    widths = np.array([decode_hand_state(datagram).width_m for datagram in got])
     assert not np.any((widths > 1e-6) & (widths < 0.08))
 
 
 def nan_width(bench: Bench) -> None:
     bench.begin()
-    assert all(np.isnan(p.HandState.decode(datagram).width_m) for datagram in fresh(bench.hand))
+    assert all(np.isnan(decode_hand_state(datagram).width_m) for datagram in fresh(bench.hand))
     assert bench.fci.do("look")["hand"]["width_m"] == 0.08
 
 
@@ -302,7 +302,7 @@ def slip_out(bench: Bench) -> None:
     assert bench.hand.status_of(p.HandCommand.GRASP, GRASP) == p.HandStatus.SUCCESS
     bench.begin()
     wait_until(lambda: bench.fci.do("look")["hand"]["width_m"] == 0.0, 30, "closed fingers")
-    seen = p.HandState.decode(fresh(bench.hand)[-1])
+    seen = decode_hand_state(fresh(bench.hand)[-1])
     assert not seen.is_grasped and seen.width_m == 0.0
 
 
