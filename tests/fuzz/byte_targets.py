@@ -10,10 +10,11 @@ from fci_client import RawArm, RawClient, RawHand
 from mutations import chunks
 from websockets.frames import Opcode
 
+from benchmarks.standins import spacemouse
+from benchmarks.standins.gello import status
 from uniforce_robots.sensors.mjpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg, decode_bgr
 from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, XelaMessages, read_message
 from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans
-from uniforce_robots.standins import spacemouse
 from uniforce_robots.standins.fci.protocol import (
     ARM_HEADER,
     ARM_VERSION,
@@ -31,7 +32,6 @@ from uniforce_robots.standins.fci.protocol import (
     ProtocolError,
     RobotState,
 )
-from uniforce_robots.standins.gello import status
 from uniforce_robots.standins.mjpeg import encode, part
 from uniforce_robots.standins.slcan import scan_lines
 from uniforce_robots.standins.xela import frame, greeting, message

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from properties import examples
 
 import uniforce_robots.teleop as ours
+from benchmarks.standins.spacemouse import reports
 from uniforce_robots.standins.process import StandIn
-from uniforce_robots.standins.spacemouse import reports
 from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseSource, find_spacemice
 from uniforce_vtla.errors import TeleoperatorError
 
