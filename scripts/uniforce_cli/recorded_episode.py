@@ -17,15 +17,7 @@ from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
-from uniforce_vtla.keys import (
-    AXES,
-    STATE,
-    TACTILE_KEYS,
-    counts_key,
-    sensor_key,
-    tactile_key,
-    truth_wrench_key,
-)
+from uniforce_vtla.keys import AXES, STATE, TACTILE_KEYS, counts_key, sensor_key, tactile_key, truth_wrench_key
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.markers.overlay import overlay
 from uniforce_vtla.sensors import list_sensors
@@ -195,11 +187,7 @@ def raw_touch(source: Source, episode: Episode, finger: Finger) -> Iterator[np.n
 
 
 def summarise_episode(
-    recording: RecordingForces,
-    tokenizer: Tokenizer,
-    episode: Episode,
-    friction: tuple[float, float] | None,
-    title: str,
+    recording: RecordingForces, tokenizer: Tokenizer, episode: Episode, friction: tuple[float, float] | None, title: str
 ) -> EpisodeSummary:
     """Return what a page or viewer shows of an episode; raises DatasetError: a video that is missing or truncated."""
     source, forces, note = recording.source, recording.read(episode), ""

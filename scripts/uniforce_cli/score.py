@@ -15,18 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import (
-    Count,
-    CountOrZero,
-    OutFolder,
-    Pattern,
-    Policies,
-    Seed,
-    Seeds,
-    Slots,
-    Workers,
-    split,
-)
+from uniforce_vtla.options import Count, CountOrZero, OutFolder, Pattern, Policies, Seed, Seeds, Slots, Workers, split
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:

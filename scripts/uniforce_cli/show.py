@@ -12,16 +12,7 @@ from uniforce_vtla.arguments import numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
-from uniforce_vtla.options import (
-    Dataset,
-    Existing,
-    FolderPath,
-    Numbers,
-    OutFolder,
-    Pattern,
-    TokenizerFolder,
-    split,
-)
+from uniforce_vtla.options import Dataset, Existing, FolderPath, Numbers, OutFolder, Pattern, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import list_sensors
 
