@@ -6,7 +6,7 @@ Nothing here was ever run on hardware. Each entry says where the fault comes fro
 * ``REPORTED``: users of real robots have written of it in public.
 * ``INVENTED``: no source; what a broken cable, memory or clock might do, and a client has to survive it.
 
-A fault is begun by ``{"do": "fault", "name": NAME}`` on the control socket and taken back by the name ``none``. What
+A fault is begun by ``{"do": "fault", "name": NAME}`` on standard input and taken back by the name ``none``. What
 has happened stays so: a dropped connection, a reflex, an object that slipped out. One fault at a time.
 
 Faults of the states corrupt what is sent, never the arm: ``describe()`` says where it really is. Where the client
@@ -389,7 +389,7 @@ class Faults:
 
 
 class HostileServer(Server):
-    """The stand-in whose control socket obeys ``fault`` as well, and shows what lasts."""
+    """The stand-in that obeys ``fault`` as well, and shows what lasts."""
 
     arm_service, hand_service = HostileArm, HostileHand
     arm: HostileArm

@@ -54,10 +54,11 @@ class StandIn:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _ask(self, line: str) -> str:
+    def _ask(self, line: str, word: str = "") -> str:
+        """Send a line and return what follows its first word, or another one, in the answer."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n".encode())
-        return self._answer(line.split()[0], ANSWER_S)
+        return self._answer(word or line.split()[0], ANSWER_S)
 
     def _answer(self, word: str, timeout_s: float) -> str:
         assert self.process.stdout is not None

@@ -12,7 +12,6 @@ from fci_client import RawArm, RawHand, hand_request, pull_to, wait_until
 
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.process import StandIn
-from uniforce_robots.standins.fci.server import CONTROL_PORT
 
 pytestmark = pytest.mark.slow
 STARTED, PREEMPTED = bytes([p.MoveStatus.MOTION_STARTED]), bytes([p.MoveStatus.PREEMPTED])
@@ -238,8 +237,8 @@ def test_garbage_neither_hangs_nor_ends_the_server(fci: StandIn) -> None:
             arm.tcp.sendall(source.randbytes(source.randrange(1, 500)))
         with RawHand(fci.address) as hand:
             hand.tcp.sendall(source.randbytes(source.randrange(1, 500)))
-        with socket.create_connection((fci.address, CONTROL_PORT), 5.0) as control:
-            control.sendall(source.choice([source.randbytes(200), b"[" * 60_000, b"[1]", b'{"do": 1}']) + b"\n")
+        with pytest.raises(ValueError, match="Error"):
+            fci.order(source.choice([source.randbytes(200).hex(), "[" * 60_000, "[1]", '{"do": 1}']))
     lives(fci)
 
 

@@ -3,9 +3,9 @@
 import argparse
 import contextlib
 import ipaddress
-import sys
 from pathlib import Path
 
+from uniforce_robots.standins.control import say
 from uniforce_robots.standins.fci.server import Server, ServerOptions
 
 
@@ -30,8 +30,7 @@ def main(kind: type[Server] = Server) -> None:
     """Serve until ordered to stop."""
     options = parse()
     server = kind(options)
-    sys.stdout.write(f"ready {options.address}\n")
-    sys.stdout.flush()
+    say(f"ready {options.address}")
     with contextlib.closing(server), contextlib.suppress(KeyboardInterrupt):
         server.run()
 
