@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from uniforce_robots.sensors.finger import TactileFinger
 
 STAND_IN = "standin"
-# x, y up
-QUARTERS = {"top-left": (-1, 1), "top-right": (1, 1), "bottom-left": (-1, -1), "bottom-right": (1, -1)}
+QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")  # row by row, as the marker image shows the pad
 Controller = Annotated[int, Range(0, 15)]
-Quarters = Annotated[str, Names(tuple(QUARTERS), many=True)]
+Quarters = Annotated[str, Names(QUARTERS, many=True)]
 NewtonsHead = Annotated[str, Names((*list_sensors(), "none"))]
 
 
