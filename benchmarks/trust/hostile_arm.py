@@ -27,7 +27,7 @@ from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.__main__ import main
 from uniforce_robots.standins.fci.arm import TICK_s
 from uniforce_robots.standins.fci.arm_service import ArmService
-from uniforce_robots.standins.fci.hand import HandService
+from uniforce_robots.standins.fci.hand import HandService, HOMING_SPEED_m_s
 from uniforce_robots.standins.fci.link import Journal
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_robots.standins.fci.protocol import HAND_STATE_BYTES, STATE_BYTES, STATE_SLICES, ErrorBit, RobotState
@@ -296,7 +296,8 @@ def slip(arm: HostileArm, hand: HostileHand) -> None:
     """Lose what is held."""
     if hand.hand.is_grasped:
         hand.struck_s = time.monotonic()
-        hand.hand.slip()
+        hand.hand.object_m = 0.0
+        hand.hand.start(p.HandMove(0.0, HOMING_SPEED_m_s))  # the fingers close on nothing
 
 
 def all_are(names: Iterable[str], value: float) -> Act:

@@ -8,10 +8,11 @@ import numpy as np
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, PacketHandler, PortHandler
 from fci_client import RawArm, RawClient, RawHand
 from mutations import chunks
+from standins import spacemouse
+from standins.gello import status
+from standins.xela import frame, greeting, message
 from websockets.frames import Opcode
 
-from benchmarks.standins import spacemouse
-from benchmarks.standins.gello import status
 from uniforce_robots.sensors.mjpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg, decode_bgr
 from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, XelaMessages, read_message
 from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans
@@ -34,7 +35,6 @@ from uniforce_robots.standins.fci.protocol import (
 )
 from uniforce_robots.standins.mjpeg import encode, part
 from uniforce_robots.standins.slcan import scan_lines
-from uniforce_robots.standins.xela import frame, greeting, message
 from uniforce_robots.teleop.gello import POSITION_BYTES, PRESENT_POSITION
 from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseSource
 from uniforce_vtla.errors import SensorError, TeleoperatorError

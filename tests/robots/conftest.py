@@ -17,10 +17,10 @@ RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
 # name → how errors call the sensor, the stand-in, and options
 STANDINS = {
     "slcan": ("uskin", "slcan", f"rate_hz={RATE_HZ}"),
-    "xela": ("uskin", "xela", f"rate_hz={RATE_HZ}"),
+    "xela": ("uskin", "standins.xela", f"rate_hz={RATE_HZ}"),
     "mjpeg": ("tactip on the right finger", "mjpeg", "sensor=tactip", "rate_hz=30", "rest_s=2", "press_s=1"),
-    "gello": ("gello", "benchmarks.standins.gello", "swing_rad=0.02"),
-    "spacemouse": ("spacemouse", "benchmarks.standins.spacemouse"),
+    "gello": ("gello", "standins.gello", "swing_rad=0.02"),
+    "spacemouse": ("spacemouse", "standins.spacemouse"),
 }
 
 

@@ -38,7 +38,7 @@ def addresses(pid: int) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["mjpeg", "xela"])
+@pytest.mark.parametrize("name", ["mjpeg", "standins.xela"])
 def test_tactile_stand_ins_listen_on_loopback(name: str) -> None:
     with StandIn(name, "rest_s=0.2", "press_s=0", "rate_hz=5") as stand_in:
         found = addresses(stand_in.process.pid)

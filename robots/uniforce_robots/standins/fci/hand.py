@@ -47,11 +47,6 @@ class Hand:
         """Stop where the fingers are."""
         self._goal_m, self._grasp, self._homing = None, None, False
 
-    def slip(self) -> None:
-        """Lose what is held: the fingers close on nothing."""
-        self._begin(0.0, HOMING_SPEED_m_s)
-        self.object_m = 0.0
-
     def _begin(self, goal_m: float, speed_m_s: float) -> None:
         self.stop()
         self._goal_m, self._speed_m_s = goal_m, speed_m_s
