@@ -20,8 +20,7 @@ POLL_S = 0.004
 def check_rate(finger: TactileFinger, seconds: float) -> int:
     """Print rate, losses, and ages at random moments beside an idle loop's lateness; 1 if anything was lost or bad.
 
-    Raises:
-        SensorError: the sensor died meanwhile.
+    Raises SensorError: the sensor died meanwhile.
     """
     before, first = finger.counts, finger.latest(WAIT_MS).index
     rng, start_s = np.random.default_rng(0), time.monotonic()
@@ -48,8 +47,7 @@ def check_rate(finger: TactileFinger, seconds: float) -> int:
 def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: float) -> int:
     """Have each quarter in ``asked`` pressed, within ``seconds`` each; print which one moved. 0 if all agree.
 
-    Raises:
-        SensorError: the sensor died.
+    Raises SensorError: the sensor died.
     """
     print("Look at the pad with the fingertip up, and press where asked, alone and gently.")
     seen: dict[str, str] = {}
