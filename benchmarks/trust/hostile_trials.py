@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.trust.hostile_arm import HostileStandIn
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.hand import LOST_s
-from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 
@@ -94,7 +94,7 @@ class Trial:
     starved: int = 0
 
 
-def connect(client: str, fci: StandIn, folder: Path) -> UniforceFranka:
+def connect(client: str, fci: HostileStandIn, folder: Path) -> UniforceFranka:
     """Return a robot whose arm moves and whose hand is still."""
     config = UniforceFrankaConfig(
         id="hostile",
@@ -125,7 +125,7 @@ def drive(robot: UniforceFranka, start: dict[str, float], begun_s: float, width_
 
 def trial(client: str, fault: str, address: str, folder: Path) -> Trial:
     """Begin a fault while the arm moves, go on until the caller learns, then look at what the arm did."""
-    with StandIn(address) as fci:
+    with HostileStandIn(address) as fci:
         robot = connect(client, fci, folder)
         try:
             begun_s, start = time.monotonic(), robot.get_observation()
@@ -156,7 +156,7 @@ def begun_trial(client: str, fault: str, address: str, folder: Path) -> Trial:
 
 
 def _break(
-    robot: UniforceFranka, fci: StandIn, client: str, fault: str, start: dict, begun_s: float, width_m: float
+    robot: UniforceFranka, fci: HostileStandIn, client: str, fault: str, start: dict, begun_s: float, width_m: float
 ) -> Trial:
     ordered_s = time.monotonic()
     _order(fci, fault)
@@ -176,7 +176,7 @@ def _break(
     return Trial(client, fault, named, message, round(hold_s, 4), round(took_s, 4), sent_after, time.time())
 
 
-def _stop_and_recover(robot: UniforceFranka, fci: StandIn, client: str, fault: str, start: dict) -> Trial:
+def _stop_and_recover(robot: UniforceFranka, fci: HostileStandIn, client: str, fault: str, start: dict) -> Trial:
     """Break what is read only with the next answer, stop the arm, and ask for recovery."""
     fci.do("fault", name=fault)
     stopped_s = time.monotonic()
@@ -192,7 +192,7 @@ def _stop_and_recover(robot: UniforceFranka, fci: StandIn, client: str, fault: s
     return Trial(client, fault, named, message, round(hold_s, 4), round(learnt_s, 4), _sends(robot, start), time.time())
 
 
-def _order(fci: StandIn, fault: str) -> None:
+def _order(fci: HostileStandIn, fault: str) -> None:
     if fault == "server_death":
         fci.die()
         return
@@ -201,7 +201,7 @@ def _order(fci: StandIn, fault: str) -> None:
     fci.do("fault", name=fault)
 
 
-def knowable_s(robot: UniforceFranka, fci: StandIn, fault: str, ordered_s: float) -> float:
+def knowable_s(robot: UniforceFranka, fci: HostileStandIn, fault: str, ordered_s: float) -> float:
     """Return the first moment at which the fault could be known: at once, at a deadline, when a reading is too old."""
     hand, struck_s = robot._hand, fci.do("look")["hand"]["struck_s"]
     assert hand is not None
@@ -226,7 +226,7 @@ def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
     return taken
 
 
-def _hold_s(fci: StandIn, known_s: float) -> tuple[float, float]:
+def _hold_s(fci: HostileStandIn, known_s: float) -> tuple[float, float]:
     """Return how long the arm moved after ``known_s`` in its own time, infinity while it moves, and its rate."""
     end_ms = fci.do("look")["arm"]["milliseconds"] + 1e3 * AFTER_s
     while (look := fci.do("look"))["arm"]["milliseconds"] < end_ms:  # on a busy machine its clock is slow

@@ -8,12 +8,14 @@ import numpy as np
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, PacketHandler, PortHandler
 from fci_client import RawArm, RawClient, RawHand
 from mutations import chunks
+from standins import spacemouse
+from standins.gello import status
+from standins.xela import frame, greeting, message
 from websockets.frames import Opcode
 
 from uniforce_robots.sensors.mjpeg import MAX_HEADER_BYTES, MAX_JPEG_BYTES, MultipartJpeg, decode_bgr
 from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, XelaMessages, read_message
 from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans
-from uniforce_robots.standins import spacemouse
 from uniforce_robots.standins.fci.protocol import (
     ARM_HEADER,
     ARM_VERSION,
@@ -31,10 +33,8 @@ from uniforce_robots.standins.fci.protocol import (
     ProtocolError,
     RobotState,
 )
-from uniforce_robots.standins.gello import status
 from uniforce_robots.standins.mjpeg import encode, part
 from uniforce_robots.standins.slcan import scan_lines
-from uniforce_robots.standins.xela import frame, greeting, message
 from uniforce_robots.teleop.gello import POSITION_BYTES, PRESENT_POSITION
 from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseSource
 from uniforce_vtla.errors import SensorError, TeleoperatorError
