@@ -50,15 +50,11 @@ def test_the_committed_tests_follow_from_the_committed_letters() -> None:
     outcome = {name[0]: name for name in OUTCOME_NAMES} | {"C": "success"}
     reports = {
         name: ArmReport(
-            name,
-            [replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C") for seed, c in enumerate(arm["by_seed"])],
+            name, [replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C") for seed, c in enumerate(arm["by_seed"])]
         )
         for name, arm in TABLE["arms"].items()
     }
-    for now, committed in (
-        (better(reports, BETTER), TABLE["tests"]),
-        (as_good(reports, AS_GOOD), TABLE["as_good"]),
-    ):
+    for now, committed in ((better(reports, BETTER), TABLE["tests"]), (as_good(reports, AS_GOOD), TABLE["as_good"])):
         wanted = [{k: v for k, v in t.items() if k != "arms"} for t in committed]
         assert [{k: pytest.approx(v) for k, v in t.items() if k != "arms"} for t in now] == wanted
 

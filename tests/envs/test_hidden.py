@@ -6,13 +6,7 @@ import pytest
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import run_script
 from lerobot_env_uniforce_wiping.expert import Contact
-from lerobot_env_uniforce_wiping.hidden import (
-    BOARD_HALF_m,
-    PullSettings,
-    UnevenBoard,
-    UnevenSettings,
-    hand_pull,
-)
+from lerobot_env_uniforce_wiping.hidden import BOARD_HALF_m, PullSettings, UnevenBoard, UnevenSettings, hand_pull
 from uniforce_vtla.contracts import Finger
 
 

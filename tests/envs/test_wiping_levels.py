@@ -10,12 +10,7 @@ from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, draw_scene, level_hash
 from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.sequence import Sweep
 
-LOCKED = {
-    "easy": "532baefcfd12",
-    "paper": "86163b2c2d29",
-    "hard": "ae94c474e3d0",
-    "touch": "0845719889bd",
-}
+LOCKED = {"easy": "532baefcfd12", "paper": "86163b2c2d29", "hard": "ae94c474e3d0", "touch": "0845719889bd"}
 
 
 def test_levels_are_locked() -> None:

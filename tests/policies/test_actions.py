@@ -27,10 +27,7 @@ BENT = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003], [0, 0, 0.003, 0, 0.0003])
 
 
 @given(
-    seed=st.integers(0, 10_000),
-    size=st.integers(1, 4),
-    steps=st.integers(1, 8),
-    units=st.sampled_from([UNITS, BENT]),
+    seed=st.integers(0, 10_000), size=st.integers(1, 4), steps=st.integers(1, 8), units=st.sampled_from([UNITS, BENT])
 )
 def test_deltas_and_targets_are_inverse(seed, size, steps, units):
     actions = torch.rand(size, 1 + steps, 5, generator=torch.Generator().manual_seed(seed))
@@ -159,10 +156,7 @@ def test_units_that_do_not_fit_the_axes_are_refused(make_policy, units):
         make_policy(**{f"action__delta_{name}": value for name, value in units.items()})
 
 
-@given(
-    low=st.lists(st.floats(-1, 1), min_size=5, max_size=5),
-    span=st.lists(st.floats(0, 0.2), min_size=5, max_size=5),
-)
+@given(low=st.lists(st.floats(-1, 1), min_size=5, max_size=5), span=st.lists(st.floats(0, 0.2), min_size=5, max_size=5))
 def test_quantile_spans_are_floored(low, span):
     stat = {"q01": np.array(low), "q99": np.array(low) + np.array(span)}
     floored = floor_quantiles({"observation.state": stat, "other": stat})

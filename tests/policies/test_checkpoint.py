@@ -15,12 +15,7 @@ from transformers import AutoTokenizer
 
 from benchmarks.policy import text_tokenizer
 from benchmarks.policy.memory import bench_memory
-from lerobot_policy_pi05_uniforce import (
-    PI05UniforceConfig,
-    PI05UniforcePolicy,
-    migration,
-    weights,
-)
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, migration, weights
 from lerobot_policy_pi05_uniforce.checkpoint import check_sensors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint

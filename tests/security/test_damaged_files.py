@@ -72,10 +72,7 @@ def test_an_info_that_cannot_be(dataset: Path, name: str, value: Any) -> None:
 
 def test_a_foreign_file_of_unknown_endianness(tmp_path: Path) -> None:
     torch.save({"a": torch.zeros(2)}, tmp_path / "whole.pth")
-    with (
-        zipfile.ZipFile(tmp_path / "whole.pth") as whole,
-        zipfile.ZipFile(tmp_path / "spoilt.pth", "w") as spoilt,
-    ):
+    with zipfile.ZipFile(tmp_path / "whole.pth") as whole, zipfile.ZipFile(tmp_path / "spoilt.pth", "w") as spoilt:
         for entry in whole.infolist():
             name = entry.filename
             spoilt.writestr(name, b"ZZZZZZ" if name.endswith("byteorder") else whole.read(name))

@@ -78,13 +78,7 @@ def test_saved_equals_loaded_and_strange_files_are_refused(tmp_path: Path) -> No
         SensorTransfer.from_pretrained(tmp_path / "nowhere", HASH)
     drop_hashes(folder)
     config = json.loads((folder / "config.json").read_text())
-    for key, wrong in (
-        ("kinds", ["a"] * 99),
-        ("numbers", 10**9),
-        ("numbers", 9),
-        ("numbers", np.inf),
-        ("kinds", None),
-    ):
+    for key, wrong in (("kinds", ["a"] * 99), ("numbers", 10**9), ("numbers", 9), ("numbers", np.inf), ("kinds", None)):
         (folder / "config.json").write_text(json.dumps(config | {key: wrong}))
         with pytest.raises(CheckpointError):
             SensorTransfer.from_pretrained(tmp_path, HASH)

@@ -42,12 +42,7 @@ def t3_layout(config: T3Config) -> tuple[dict[str, torch.Tensor], dict[str, torc
     trunk: dict[str, tuple[int, ...]] = {"norm.weight": (d,), "norm.bias": (d,)}
     for keys, depth in ((encoder, config.encoder_depth), (trunk, config.trunk_depth)):
         for n in range(depth):
-            linear = {
-                "attn.qkv": (3 * d, d),
-                "attn.proj": (d, d),
-                "mlp.fc1": (4 * d, d),
-                "mlp.fc2": (d, 4 * d),
-            }
+            linear = {"attn.qkv": (3 * d, d), "attn.proj": (d, d), "mlp.fc1": (4 * d, d), "mlp.fc2": (d, 4 * d)}
             for name, shape in linear.items():
                 keys |= {f"blocks.{n}.{name}.weight": shape, f"blocks.{n}.{name}.bias": shape[:1]}
             for norm in ("norm1", "norm2"):

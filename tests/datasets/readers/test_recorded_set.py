@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.recorded_set import (
-    WindowConfig,
-    of_indenters,
-    of_sensor,
-    shear_agreement,
-    to_labelled_set,
-)
+from benchmarks.probes.recorded_set import WindowConfig, of_indenters, of_sensor, shear_agreement, to_labelled_set
 from benchmarks.probes.zero_shot import POOL, encode_set, predict
 from uniforce_datasets.readers import LabelledRecording, read_genforce
 from uniforce_vtla.contact import UNSEEN
@@ -78,11 +72,7 @@ def test_the_digest_names_the_content(marker_trials: Any) -> None:
     image = whole.frames.copy()
     image[1, 100, 100] ^= 255
     other_force = whole.force_N + np.float32(1e-6)
-    for other in (
-        replace(whole, frames=image),
-        replace(whole, force_N=other_force),
-        replace(whole, sensor="g2"),
-    ):
+    for other in (replace(whole, frames=image), replace(whole, force_N=other_force), replace(whole, sensor="g2")):
         assert to_labelled_set([other], SIDE, windows).digest != digest
 
 
