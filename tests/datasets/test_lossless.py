@@ -48,8 +48,3 @@ def test_dataset_without_reference_is_refused(copy: Path) -> None:
     (copy / "meta" / "info.json").write_text(json.dumps(info))
     with pytest.raises(DatasetError, match=r"tactile_left_ref.*record it again"):
         open_dataset(copy)
-
-
-def test_folder_without_dataset_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"info\.json"):
-        open_dataset(tmp_path)

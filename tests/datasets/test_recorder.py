@@ -193,16 +193,6 @@ def test_a_disk_full_to_the_last_byte_lets_go_of_the_dataset(
     assert (tmp_path / "d" / "meta" / "stats.json").read_text() != before
 
 
-def test_discard_forgets_the_episode(tmp_path: Path) -> None:
-    with open_recorder(tmp_path / "data") as recorder:
-        add_frames(recorder)
-        recorder.discard()
-        assert recorder.num_frames == 0
-        save_one(recorder)
-    assert open_dataset(tmp_path / "data").num_episodes == 1
-    assert not (tmp_path / "data" / staging.STAGING).exists()
-
-
 def test_damaged_marker_video_is_caught_before_it_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import uniforce_datasets.video_encoder as video_encoder
 
@@ -275,6 +265,7 @@ def test_raw_frames_and_a_card_are_moved_in_with_the_episode(tmp_path: Path) -> 
                 recorder.add(synthetic_frame(step, rng), "wipe", {"right": raw[step]})
             if number == 1:
                 recorder.discard()
+                assert recorder.num_frames == 0
             else:
                 recorder.save(success=True, outcome="success", seed=0, card={"label": "success", "n": number})
         with pytest.raises(ContractError, match="raw tactile frames"):
@@ -282,5 +273,6 @@ def test_raw_frames_and_a_card_are_moved_in_with_the_episode(tmp_path: Path) -> 
     assert [read_card(root, episode)["n"] for episode in (0, 1)] == [0, 2]
     assert [stored_frames(raw_path(root, "right", episode)) for episode in (0, 1)] == [SHORT] * 2
     assert open_dataset(root).num_episodes == 2 and not raw_path(root, "right", 2).exists()
+    assert not (root / staging.STAGING).exists()
     with pytest.raises(DatasetError, match="card"):
         read_card(root, 2)

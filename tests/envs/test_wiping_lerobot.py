@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from lerobot.envs.factory import make_env, make_env_config
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 
@@ -31,8 +30,3 @@ def test_features_follow_the_keys() -> None:
 
     exposed = env_to_policy_features(UniforceWipingConfig(expose_wrench=True))
     assert exposed["observation.wrench_left"].shape == (4,)
-
-
-def test_unknown_level_is_refused() -> None:
-    with pytest.raises(Exception, match="easy"):
-        UniforceWipingConfig(level="impossible")

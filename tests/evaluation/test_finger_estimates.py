@@ -10,8 +10,7 @@ from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.evaluation.episode import WIPING_PHASE, ScoreLimits, press_events, score_episode
-from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
-from uniforce_vtla.evaluation.pictures import draw_estimate
+from uniforce_vtla.evaluation.finger_estimates import estimate_events
 
 RATE = 30
 WEIGHT_N = 0.8
@@ -90,10 +89,3 @@ def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, s
     assert bool(found.excess_force) == bool(press_events(trace.press_N, trace.time_s, ScoreLimits()))
     wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)
     assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.15
-
-
-def test_the_figure_names_its_events(tmp_path) -> None:
-    time_s, force, height = wipe(12.0)
-    found = estimate_events(time_s, force, height, FRICTION)
-    assert isinstance(found, FingerEstimate)
-    assert draw_estimate(found, time_s, None, tmp_path / "deep" / "one.png").stat().st_size > 10_000
