@@ -2,6 +2,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 
-from uniforce_cli.pretrain import main
+from uniforce_cli.pretrain import PRESETS, PretrainCommand, main
+from uniforce_vtla.arguments import read
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -243,3 +245,30 @@ def test_wider_family_draws_what_the_first_could_not() -> None:
     first, wider = lenses("v1"), lenses("v2")
     assert min(first) >= 17 and max(first) <= 30
     assert 16 <= min(wider) < 17 and 30 < max(wider) <= 32
+
+
+FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
+
+
+def test_small_draws_the_whole_family_of_sensors() -> None:
+    names = ("small_draw", "small_agree")
+    first, second = (read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names)
+    assert first.run.data == second.run.data == FAMILY
+
+
+def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
+    names = ("small_draw", "small_agree", "small_held", "small")
+    stages = [read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names]
+    for before, after in pairwise(stages):
+        assert after.run.init == f"{before.out}/tokenizer"
+        assert after.run.model == before.run.model
+    for held in stages[2:]:  # the same pads, but flat handles that twist them
+        usual = {"flat_share": FAMILY.flat_share, "flat_torsion_arm_mm": FAMILY.flat_torsion_arm_mm}
+        assert replace(held.run.data, **usual) == FAMILY
+
+
+def test_nano_is_smaller_and_what_is_given_wins() -> None:
+    given = ([f"preset={name}", "run.steps=7"] for name in ("small", "nano"))
+    small, nano = (read(PretrainCommand, words, PRESETS)[0] for words in given)
+    assert nano.run.model.width < small.run.model.width
+    assert nano.run.steps == small.run.steps == 7
