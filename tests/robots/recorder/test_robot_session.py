@@ -1,4 +1,4 @@
-"""A whole session on a fake robot: episodes, labels, faults, resume."""
+"""A whole session on a fake robot: episodes, labels, faults, resume; the same one in the simulated scene."""
 
 import io
 import signal
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from recording_fakes import FakeRig, Script, Sway, SwayConfig, sway
 
+from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.raw_video import raw_path
@@ -21,6 +22,7 @@ from uniforce_robots.recorder import disk_guard
 from uniforce_robots.recorder.assemble import run_session
 from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operator, Phase, Unattended
 from uniforce_robots.recorder.session import SessionEnd, SessionSettings
+from uniforce_robots.recorder.sim_rig import SimRig
 from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
 from uniforce_vtla import keys
@@ -308,3 +310,27 @@ def test_an_unattended_session_gives_up_on_a_fault_that_comes_back(fake: FakeRig
     teleop = Flaky(SwayConfig(id="test", calibration_dir=tmp_path))
     end = go(fake, tmp_path / "data", Unattended("success"), teleop, episode_s=3.0)
     assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3
+
+
+STEPS = 6
+
+
+def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
+    rig, root = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False), tmp_path / "data"
+    store = StoreSettings(root, "local/test", reserve_MB=1.0)
+    settings = SessionSettings(episodes=2, episode_s=10.0)
+    parts = rig, sway(tmp_path), Unattended("success"), store, settings
+    end = run_session(*parts, 5, open_store=open_recorder)
+    assert end.exit_code == 0 and [e.label for e in end.endings] == ["failed_grasp"] * 2, "the scene judges"
+    wanted = (keys.STATE, keys.ACTION, keys.OUTCOME, keys.SUCCESS, keys.SEED, keys.truth_wrench_key("left"))
+    columns = read_source(root).columns(wanted)
+    assert columns[keys.SEED].tolist() == [5] * STEPS + [6] * STEPS and not columns[keys.SUCCESS].any()
+    assert {keys.OUTCOME_NAMES[i] for i in columns[keys.OUTCOME]} == {"failed_grasp"}
+    assert np.abs(columns[keys.ACTION][:, 0] - columns[keys.STATE][:, 0]).max() > 1e-4
+    dataset = open_dataset(root, return_uint8=True)
+    env = WipeEnv("easy", max_steps=STEPS)
+    observation, _ = env.reset(seed=6)
+    first = dataset[STEPS]
+    assert first["task"] == env.task
+    image = first[keys.tactile_key("left")].permute(1, 2, 0).numpy()
+    assert np.array_equal(image, observation["pixels"]["tactile_left"])
