@@ -4,8 +4,8 @@ from pathlib import Path
 
 import psutil
 
-from benchmarks.trust.hostile import CLIENTS, attack, is_right, summarise
-from benchmarks.trust.hostile_trials import RIGHT_NAMES, begun_trial
+from benchmarks.trust.hostile import CLIENTS, attack, summarise
+from benchmarks.trust.hostile_trials import RIGHT_NAMES, begun_trial, is_right
 
 
 def test_every_fault_holds_the_arm_and_is_named(tmp_path: Path) -> None:
