@@ -89,9 +89,7 @@ def test_a_force_head_reads_the_latents_instead_of_the_descriptors(recorded: Pat
     assert json.loads(content.read_text())["strongest_N"]["left"] != np.abs(by_descriptor).max(axis=0)[0].tolist()
 
 
-def test_unknown_episodes_and_forms_are_refused(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unknown_episodes_and_forms_are_refused(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     for words, said in (
         (["episode=7"], "from 0 to 1"),
         (["episode=last"], "all, or numbers"),
@@ -103,9 +101,7 @@ def test_unknown_episodes_and_forms_are_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_without_rerun_its_form_is_refused_before_any_work(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_rerun_its_form_is_refused_before_any_work(recorded, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 2
     assert "[rerun]" in capsys.readouterr().err
@@ -148,9 +144,7 @@ class Received:
         self.columns[path] = columns
 
 
-def test_rerun_receives_everything_on_one_time_line(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rerun_receives_everything_on_one_time_line(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     received = Received()
     monkeypatch.setitem(sys.modules, "rerun", received)  # type: ignore[arg-type]
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 0
@@ -215,9 +209,7 @@ def test_what_a_dataset_says_of_itself_is_text_never_html(tmp_path: Path) -> Non
     assert all("/" not in name for name in parser.found) and "<script>" not in page.read_text()
 
 
-def test_an_episode_too_short_to_judge_is_shown_all_the_same(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_too_short_to_judge_is_shown_all_the_same(recorded, tmp_path, monkeypatch) -> None:
     recording = RecordingForces(recorded, descriptor_heads())
     episode, tokenizer = recording.source.episodes[0], Tokenizer.from_pretrained()
     grip = np.tile([0.0, 0.0, 9.0], (FRAMES, 2, 1))

@@ -51,9 +51,7 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["teleop=recording_test", "operator=unattended", "drive_between=false"], "got drive_between"),
     ],
 )
-def test_what_cannot_be_is_refused_with_a_reason(
-    words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys) -> None:
     home = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"]
     assert main([*words, *home, f"root={tmp_path / 'data'}"]) == 2
     assert reason in capsys.readouterr().err
@@ -62,13 +60,7 @@ def test_what_cannot_be_is_refused_with_a_reason(
 
 @pytest.mark.parametrize("root", ["", ".", "/proc/nothing", "{file}", "{file}/below", "{full}"])
 @pytest.mark.parametrize("words", [["level=easy"], QUICK])
-def test_a_root_that_cannot_be_ends_before_the_first_episode(
-    words: list[str],
-    root: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_root_that_cannot_be_ends_before_the_first_episode(words, root, tmp_path, capsys, monkeypatch) -> None:
     file, full = tmp_path / "file", tmp_path / "full"
     file.write_text("mine")
     full.mkdir()
