@@ -88,8 +88,6 @@ def test_a_recording_is_scored_from_its_fingers_alone(demos: Path, tmp_path: Pat
 
 
 @pytest.mark.parametrize("friction", ["", "0.6", "a,b", "0,0.5"])
-def test_a_recording_without_known_friction_is_refused(
-    friction: str, demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_recording_without_known_friction_is_refused(friction, demos, tmp_path, capsys) -> None:
     assert score_recording_main([f"root={demos}", f"pad_friction={friction}", f"out={tmp_path}"]) == 2
     assert "pad_friction" in capsys.readouterr().err

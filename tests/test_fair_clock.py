@@ -77,9 +77,7 @@ def test_stolen_time_is_the_kernels_eighth_number(tmp_path: Path):
         ([0.3 * k for k in range(2 * TRIES)], TRIES, "passed"),
     ],
 )
-def test_a_failure_counts_unless_the_machine_was_starved(
-    pytester: pytest.Pytester, lost: list[float], passes_at: int, outcome: str
-):
+def test_a_failure_counts_unless_the_machine_was_starved(pytester, lost, passes_at, outcome) -> None:
     run(pytester, lost, passes_at).assertoutcome(**{outcome: 1})
 
 

@@ -45,9 +45,7 @@ def test_fewer_demos_are_the_first_of_each_rig(view: Path, tmp_path: Path) -> No
         arguments(TrainArmConfig(view=str(view), demos=3), RECIPES["vt"], tmp_path / "run")
 
 
-def test_a_run_is_resumed_and_a_finished_one_left_alone(
-    view: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_is_resumed_and_a_finished_one_left_alone(view: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     calls: list[list[str]] = []
     last = tmp_path / "runs" / "vt_seed1" / "checkpoints" / "000002" / "pretrained_model"
 

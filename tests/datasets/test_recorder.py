@@ -96,9 +96,7 @@ def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_goes_on(tmp_path, monkeypatch) -> None:
     root, saved = tmp_path / "data", 0
     states: dict[object, tuple[int, Path]] = {}  # what is in place → episodes saved by then, copy
 
@@ -161,9 +159,7 @@ def save_one_slowly(recorder: EpisodeRecorder) -> None:
 
 
 @pytest.mark.parametrize("where", ["_save_episode_data", "_save_episode_video"])
-def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
-) -> None:
+def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(tmp_path, monkeypatch, where) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -178,9 +174,7 @@ def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(
     assert open_dataset(tmp_path / "data").num_episodes == 2
 
 
-def test_a_disk_full_to_the_last_byte_lets_go_of_the_dataset(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_disk_full_to_the_last_byte_lets_go_of_the_dataset(tmp_path, monkeypatch, caplog) -> None:
     """Statistics can't be pooled then: that is logged, the old ones stay whole, the next session pools them."""
     recorder = open_recorder(tmp_path / "d")
     save_one(recorder)

@@ -67,18 +67,6 @@ def test_joint_training_velocity_equals_sampling_velocity(site, gate, make_polic
     assert torch.allclose(squared.sqrt(), (x - velocity).abs(), atol=1e-4)
 
 
-def test_marker_images_act_through_tokens_alone(make_policy, make_batch):
-    policy = make_policy()
-    batch = make_batch(policy)
-    images, masks, tokens, text_mask = inputs(policy, batch)
-    changed = {**batch, tactile_key("right"): 1 - batch[tactile_key("right")]}
-    others, *_ = inputs(policy, changed)
-    assert all(torch.equal(a, b) for a, b in zip(images[:3], others[:3], strict=True))
-    assert not torch.equal(images[3], others[3]) and torch.equal(images[4], others[4])
-    embedded = policy.model.embed_prefix(images, masks, tokens, text_mask)[0]
-    assert embedded.shape[1] == 2 * 4 + tokens.shape[1] + 1 + 2 * 16  # 28² = 4 patches per camera
-
-
 def test_force_tokens_keep_amplitude(make_policy):
     tokens = make_policy().model.force_tokens
     touch = torch.randn(1, 16, 6)

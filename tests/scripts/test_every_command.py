@@ -29,9 +29,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_bad_inputs_end_in_one_line(
-    name: str, room: Room, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd) -> None:
     monkeypatch.chdir(room.folder.parent / "work")
     published, every = hashes(ROOT / PUBLISHED), trials(name, room)
     for trial in every[:: len(every) // SHARE]:

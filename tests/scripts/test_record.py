@@ -25,9 +25,7 @@ class FrameList:
         self.frames.append(frame)
 
 
-def test_the_label_is_what_the_expert_commanded_not_what_was_executed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_label_is_what_the_expert_commanded_not_what_was_executed(monkeypatch: pytest.MonkeyPatch):
     env, executed = WipeEnv("easy", max_steps=6), []
     step = env.step
     monkeypatch.setattr(env, "step", lambda action: (executed.append(action), step(action))[1])
@@ -42,9 +40,7 @@ def test_the_label_is_what_the_expert_commanded_not_what_was_executed(
 QUICK = ["left_sensor=uskin", "right_sensor=tactip", "indenters=sphere", "chunk=6", "crowded=1"]
 
 
-def test_a_rehearsal_records_goes_on_and_says_what_the_truth_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_rehearsal_records_goes_on_and_says_what_the_truth_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main([*QUICK, "pairs=6", f"out={tmp_path}"]) == 0
     assert main([*QUICK, "pairs=12", f"out={tmp_path}"]) == 0
     said = capsys.readouterr().out
@@ -55,9 +51,7 @@ def test_a_rehearsal_records_goes_on_and_says_what_the_truth_is(
 
 
 @pytest.mark.parametrize("wrong", ["indenters=banana", "indenters=sphere,sphere"])
-def test_what_makes_no_sense_is_refused_in_words(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: str
-) -> None:
+def test_what_makes_no_sense_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: str):
     assert main([*QUICK, f"out={tmp_path / 'new'}", wrong]) == 2
     assert "expected" in capsys.readouterr().err
 

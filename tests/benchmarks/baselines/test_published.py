@@ -15,7 +15,6 @@ from benchmarks.baselines.frozen import (
     NOT_PRESENT,
     Brightness,
     PublishedEncoder,
-    PublishedRow,
     brightness_of,
     features,
     measured_row,
@@ -180,9 +179,7 @@ def test_a_loaded_encoder_makes_a_row(t3_folder: Path, table: Table) -> None:
         (lambda t: unit_row(t, 1, None), 25_179_663, (45, 60)),
     ],
 )
-def test_without_weights_a_row_says_so_and_gives_its_full_size(
-    make: Callable[[Table], PublishedRow], params: int, gflops: tuple[int, int], table: Table
-) -> None:
+def test_without_weights_a_row_says_so_and_gives_its_full_size(make, params, gflops, table) -> None:
     row = make(table)
     assert row.status == NOT_PRESENT and row.cells is None and row.facts["weights"] is None
     assert row.facts["params"] == params

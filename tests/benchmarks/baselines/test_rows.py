@@ -1,7 +1,6 @@
 """Every row that trains a whole network learns and never reads a target's label; speeds are compared in turns."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -36,9 +35,7 @@ def short_row(name: str, table: Table, tiny: TokenizerConfig) -> Cells:
 
 
 @pytest.mark.parametrize("name", ["resnet", "genforce_style", "finetuned"])
-def test_labels_of_targets_are_never_read(
-    name: str, table: Table, tiny: TokenizerConfig, predictions: Callable[[], list[np.ndarray]]
-) -> None:
+def test_labels_of_targets_are_never_read(name, table, tiny, predictions) -> None:
     wrong = {s: replace(a, force_N=np.full_like(a.force_N, 99)) for s, a in table.frozen.items()}
     honest_row = short_row(name, table, tiny)
     honest = predictions()
@@ -51,9 +48,7 @@ def test_labels_of_targets_are_never_read(
     assert {"G->T", "T->G"} <= set(honest_row)
 
 
-def test_translation_ignores_labels_of_the_targets_training_set(
-    table: Table, predictions: Callable[[], list[np.ndarray]]
-) -> None:
+def test_translation_ignores_labels_of_the_targets_training_set(table, predictions) -> None:
     genforce_style_row(table, 1, TRANSLATION)
     honest = predictions()
     target = replace(table.training["tactip"], force_N=np.full((24, 4, 3), np.nan, np.float32))

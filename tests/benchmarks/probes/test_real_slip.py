@@ -75,9 +75,7 @@ def test_signals_start_from_free_air_and_are_mirrored(recordings: Path, tokenize
     np.testing.assert_array_equal(signals.counts[1, 5], raw * (-1, 1, 1))
 
 
-def test_whole_report_finds_a_shake_that_speed_and_time_dont_know(
-    recordings: Path, tokenizer: Tokenizer, tmp_path: Path
-) -> None:
+def test_whole_report_finds_a_shake_that_speed_and_time_dont_know(recordings, tokenizer, tmp_path) -> None:
     trials = read_trials(recordings, HERE)
     rotation = Rotation("uskin", np.eye(6))
     report, signals, scores = real_slip(tokenizer, trials, rotation, HERE)

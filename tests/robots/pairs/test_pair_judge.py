@@ -118,10 +118,7 @@ def test_it_never_looks_ahead(speed: np.ndarray, count: int) -> None:
     assert (whole[:count] == part).all()
 
 
-@given(
-    arrays(np.float64, (30, 3), elements=st.floats(-50, 50)),
-    arrays(np.float64, (30, 2), elements=st.floats(-2, 2)),
-)
+@given(arrays(np.float64, (30, 3), elements=st.floats(-50, 50)), arrays(np.float64, (30, 2), elements=st.floats(-2, 2)))
 def test_every_pair_counts_once_wherever_it_lies(force: np.ndarray, place: np.ndarray) -> None:
     coverage = Coverage()
     coverage.add(force, place)

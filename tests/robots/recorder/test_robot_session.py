@@ -90,9 +90,7 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
     np.testing.assert_allclose(columns[keys.measured_key("hand")][:, 0], 0.08, atol=1e-6)
 
 
-def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
-    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(fake, tmp_path, monkeypatch) -> None:
     teleop = sway(tmp_path)
     quick = teleop.get_action
     monkeypatch.setattr(teleop, "get_action", lambda: time.sleep(2.5 / 30) or quick())
@@ -223,9 +221,7 @@ def test_a_moving_gel_is_no_reference(fake: FakeRig, tmp_path: Path) -> None:
     assert end.exit_code == 3 and "bad_touch" in end.message and "contact" in end.message
 
 
-def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
-    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(fake, tmp_path, monkeypatch) -> None:
     root = tmp_path / "data"
     go(fake, root, Unattended("success"))
     room = iter([10**12] * 8)
@@ -273,9 +269,7 @@ def test_a_person_clears_a_reflex_and_goes_on(fake: FakeRig, tmp_path: Path) -> 
     assert [e.label for e in end.endings] == ["aborted:robot_reflex", "success"] and end.exit_code == 0
 
 
-def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
-    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(fake, tmp_path, monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise ContractError("state: expected finite numbers")
 
