@@ -51,16 +51,6 @@ class RawClient:
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         udp.bind((tcp.getsockname()[0], 0))  # states go to the address the TCP connection came from
         udp.settimeout(TIMEOUT_s)
-        self._talk(tcp, udp, header)
-
-    @classmethod
-    def on(cls, tcp: socket.socket, udp: socket.socket, header: p.Header) -> Self:
-        """Return a client of sockets that are open already, before it has greeted."""
-        client = cls.__new__(cls)
-        client._talk(tcp, udp, header)
-        return client
-
-    def _talk(self, tcp: socket.socket, udp: socket.socket, header: p.Header) -> None:
         self.tcp, self.udp, self.header = tcp, udp, header
         self.server: tuple[str, int] | None = None
         self._buffer, self._next_id = b"", 1

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from fci_client import RawHand
 
 from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES, CheckpointDamage
@@ -18,7 +17,6 @@ from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_datasets.synthetic import record_synthetic
-from uniforce_robots.standins.fci.protocol import HAND_HEADER, HandCommand, Message, ProtocolError
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.file_hashes import HASHES, check_hashes, drop_hashes
@@ -137,22 +135,6 @@ def test_a_damaged_training_state_is_named(tmp_path: Path) -> None:
     (tmp_path / "state.safetensors").write_bytes(b"\x08" + bytes(20))
     with pytest.raises(CheckpointError, match="whole training state"):
         load_state(tmp_path)
-
-
-class Answering:
-    """A socket whose other side answers a request too shortly."""
-
-    def sendall(self, _: bytes) -> None:
-        return
-
-    def recv(self, _: int) -> bytes:
-        return HAND_HEADER.encode(Message(HandCommand.HOMING, 1, b"\0"))
-
-
-def test_an_answer_of_the_hand_that_is_too_short() -> None:
-    hand = RawHand.on(Answering(), Answering(), HAND_HEADER)  # type: ignore[arg-type]
-    with pytest.raises(ProtocolError, match="2 bytes"):
-        hand.status_of(HandCommand.HOMING)
 
 
 ROOT = Path(__file__).parents[2]
