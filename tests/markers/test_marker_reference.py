@@ -211,16 +211,11 @@ def test_moving_markers_are_no_reference(dome):
         capture_camera_reference(frames, _centres(frames, "tactip"))
 
 
-def test_too_few_camera_frames(gel):
-    frames = [gel().frame] * 2
-    with pytest.raises(ContractError, match="at least 3"):
-        capture_camera_reference(frames, _centres(frames))
-
-
-def test_camera_frames_of_two_sizes(gel):
-    frames = [gel().frame, gel().frame, gel(size=(320, 240)).frame]
-    with pytest.raises(ContractError, match="one size"):
-        capture_camera_reference(frames, _centres(frames))
+def test_too_few_camera_frames_and_frames_of_two_sizes(gel):
+    frame, small = gel().frame, gel(size=(320, 240)).frame
+    for frames, says in (([frame] * 2, "at least 3"), ([frame, frame, small], "one size")):
+        with pytest.raises(ContractError, match=says):
+            capture_camera_reference(frames, _centres(frames))
 
 
 @pytest.mark.parametrize("make", [np.array, torch.tensor])
