@@ -1,20 +1,22 @@
-"""A family of procedural sensors for pretraining: free in what a reference image shows, narrow in what it can't.
+"""A family of procedural sensors for pretraining: any layout, dots and view, on bodies drawn in physical numbers.
 
-Randomise a gel's layout, dots and view as much as you like: the encoder reads them off the reference.  Stiffness
-and gains leave no trace in free air, so an unseen sensor's force scale is only as certain as the family is narrow
-(DESIGN §4); the rest is calibration's.
+The encoder reads layout and view off the reference image. Thickness, Poisson's ratio and marker depth leave no trace
+in free air, and Young's modulus only scales: what an unseen sensor's force scale lacks is calibration's.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
-from uniforce_vtla.contact.materials import MATERIALS, PadMaterial
+from uniforce_vtla.contact.elastic import Layer
+from uniforce_vtla.contact.materials import PadMaterial, get_material
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.sensors import SensorSpec
 from uniforce_vtla.sensors.layouts import hexagonal, rectangular
 
 Span = tuple[float, float]
+_SEED = 20_261  # draws the bodies
 WIDEST_PX = (310.0, 232.0)  # a layout's reach from the centre that still fits 640×480
 
 
@@ -25,10 +27,14 @@ class FlatFamily:
     pitch_mm: Span = (1.7, 3.4)  # FOTS' gels 1.3–1.5, ours 2.5
     stretch: Span = (0.8, 1.25)  # pitch in y over pitch in x
     size_of_pitch: Span = (0.26, 0.50)  # marker over pitch: dots and squares of real gels
-    pad_mm: Span = (21.0, 29.0)  # side of the gel
     px_per_mm: Span = (17.0, 30.0)  # lens
     shapes: tuple[str, ...] = ("square", "disc")
     layouts: tuple[str, ...] = ("rectangular", "hexagonal")
+    pad_mm: Span = (21.0, 29.0)  # side of the gel
+    thickness_mm: Span = (3.0, 5.0)
+    poisson: Span = (0.46, 0.49)
+    readout_mm: Span = (0.3, 1.0)  # depth of the markers
+    young_MPa: Span = (0.4, 0.62)
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,10 @@ class DomeFamily:
     size_mm: Span = (0.8, 1.7)  # pin head
     px_per_mm: Span = (9.5, 12.5)  # lens
     fisheye: Span = (0.03, 0.11)  # shows in the spacing of the outer pins
+    skin_mm: Span = (0.8, 1.2)
+    skin_MPa: Span = (0.32, 0.5)
+    filling_mm: Span = (11.0, 17.0)  # gel at the rim
+    pin_mm: Span = (1.5, 2.5)
 
 
 @dataclass(frozen=True)
@@ -48,7 +58,7 @@ class FamilyBounds:
 
     flat: FlatFamily = field(default_factory=FlatFamily)
     dome: DomeFamily = field(default_factory=DomeFamily)
-    material: Span = (0.90, 1.10)  # factor on each hidden material number; units add their own ±10 %
+    bodies: int = 12  # gels, and as many domes: each is one solution of finite elements
 
 
 # v2 is wider than v1 in lens, stretch, pitch and size: chosen after v1's tokenizer misread gels behind a wider lens
@@ -62,7 +72,6 @@ BOUNDS = {
     ),
     "v3": FamilyBounds(FlatFamily(px_per_mm=(22.0, 26.0)), DomeFamily(px_per_mm=(11.0, 13.0))),
 }
-HIDDEN = ("dilation_per_N", "dilation_radius_mm", "drag_mm_per_N", "area_per_N", "skin_blur_mm")
 
 
 def draw_flat(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> VirtualSensor:
@@ -70,7 +79,8 @@ def draw_flat(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     b = bounds or FamilyBounds()
     flat = b.flat
     pitch, stretch = rng.uniform(*flat.pitch_mm), rng.uniform(*flat.stretch)
-    pad, scale = rng.uniform(*flat.pad_mm), rng.uniform(*flat.px_per_mm)
+    pad, material = flat_bodies(b)[rng.integers(b.bodies)]
+    scale = rng.uniform(*flat.px_per_mm)
     layout = str(rng.choice(flat.layouts))
     points = _flat_layout(layout, pitch, stretch, pad, scale)
     spec = SensorSpec(
@@ -83,7 +93,8 @@ def draw_flat(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
         rated_depth_mm=1.5,
         source="procedural",
     )
-    return VirtualSensor(spec, _varied(rng, "gelsight", b.material), like="gelsight")
+    stiffness = rng.uniform(*flat.young_MPa)  # of bodies solved for 1 MPa
+    return VirtualSensor(spec, replace(material, stiffness=stiffness), like="gelsight")
 
 
 def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> VirtualSensor:
@@ -92,7 +103,11 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     dome = b.dome
     count = int(rng.integers(dome.rings[0], dome.rings[1] + 1))
     pitch = rng.uniform(*dome.reach_mm) / count
-    material = replace(_varied(rng, "tactip", b.material), fisheye=rng.uniform(*dome.fisheye))
+    material = replace(
+        dome_bodies(b)[rng.integers(b.bodies)],
+        stiffness=rng.uniform(*dome.skin_MPa),
+        fisheye=rng.uniform(*dome.fisheye),
+    )
     scale = rng.uniform(*dome.px_per_mm)
     spec = SensorSpec(
         name="dome_hexagonal",
@@ -118,8 +133,32 @@ def _flat_layout(layout: str, pitch: float, stretch: float, pad: float, px_per_m
     return points[np.all(np.abs(points) <= reach, axis=1)]
 
 
-def _varied(rng: np.random.Generator, base: str, spread: Span) -> PadMaterial:
-    material = MATERIALS[base]
-    assert isinstance(material, PadMaterial)
-    changed = {name: getattr(material, name) * float(rng.uniform(*spread)) for name in HIDDEN}
-    return replace(material, **changed)
+@cache
+def flat_bodies(bounds: FamilyBounds) -> tuple[tuple[float, PadMaterial], ...]:
+    """Return sides in mm and materials of ``bounds.bodies`` gels of 1 MPa, the same ones in every run."""
+    rng, flat = np.random.default_rng(_SEED), bounds.flat
+    found = []
+    for _ in range(bounds.bodies):
+        side = round(rng.uniform(*flat.pad_mm))  # whole cells
+        layer = Layer(round(rng.uniform(*flat.thickness_mm), 2), 1.0, round(rng.uniform(*flat.poisson), 3))
+        found.append((float(side), PadMaterial((layer,), round(rng.uniform(*flat.readout_mm), 2))))
+    return tuple(found)
+
+
+@cache
+def dome_bodies(bounds: FamilyBounds) -> tuple[PadMaterial, ...]:
+    """Return materials of ``bounds.bodies`` domes whose skin has 1 MPa."""
+    rng, dome, usual = np.random.default_rng(_SEED), bounds.dome, get_material("tactip")
+    assert isinstance(usual, PadMaterial)
+    skin, filling = usual.layers
+    soft = filling.young_MPa / skin.young_MPa
+    found = []
+    for _ in range(bounds.bodies):
+        thickness = round(rng.uniform(*dome.skin_mm), 2)
+        layers = (
+            Layer(thickness, 1.0, skin.poisson),
+            Layer(round(rng.uniform(*dome.filling_mm), 1), soft, filling.poisson),
+        )
+        pin_mm = round(rng.uniform(*dome.pin_mm), 2)
+        found.append(replace(usual, layers=layers, readout_mm=thickness, pin_mm=pin_mm))
+    return tuple(found)
