@@ -19,7 +19,7 @@ from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_objects
-from uniforce_vtla.contact.sequences import press_shear_release
+from benchmarks.probes.sequences import press_shear_release
 from uniforce_vtla.contact.simulator import TactileSimulator, draw_simulator
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual

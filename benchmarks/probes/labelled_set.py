@@ -11,7 +11,7 @@ import numpy as np
 
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange
-from uniforce_vtla.contact.sequences import force_sequences
+from benchmarks.probes.sequences import force_sequences
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 

@@ -61,19 +61,6 @@ class FamilyBounds:
     bodies: int = 12  # gels, and as many domes: each is one solution of finite elements
 
 
-# v2 is wider than v1 in lens, stretch, pitch and size: chosen after v1's tokenizer misread gels behind a wider lens
-# (docs/experiments/tokenizer_family.md), so it is judged by heldout_visible_v2, which was frozen before it was used.
-# v3 is narrower in lens alone: images come at nominal scale (markers/nominal_scale.py), give or take a ruler's error.
-BOUNDS = {
-    "v1": FamilyBounds(),
-    "v2": FamilyBounds(
-        FlatFamily(pitch_mm=(1.6, 3.7), stretch=(0.7, 1.42), size_of_pitch=(0.22, 0.52), px_per_mm=(16.0, 32.0)),
-        DomeFamily(rings=(3, 9), reach_mm=(14.5, 19.5), size_mm=(0.7, 1.8), px_per_mm=(8.5, 13.0)),
-    ),
-    "v3": FamilyBounds(FlatFamily(px_per_mm=(22.0, 26.0)), DomeFamily(px_per_mm=(11.0, 13.0))),
-}
-
-
 def draw_flat(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> VirtualSensor:
     """Return a random flat gel."""
     b = bounds or FamilyBounds()

@@ -89,11 +89,7 @@ def gap_maps(names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray,
 
 
 def indenter_gap(
-    names: Sequence[str],
-    center_mm: np.ndarray,
-    angle_rad: np.ndarray,
-    scale: np.ndarray,
-    position_mm: np.ndarray,
+    names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray, position_mm: np.ndarray
 ) -> np.ndarray:
     """Return (B, N) gaps as ``gap_maps`` does, at any (N, 2) positions on the pad."""
     unknown = sorted(set(names) - set(HEIGHTS))
@@ -123,11 +119,7 @@ def flat_face_gap(
 
 
 def flat_gap(
-    center_mm: np.ndarray,
-    size_mm: np.ndarray,
-    angle_rad: np.ndarray,
-    tilt_rad: np.ndarray,
-    position_mm: np.ndarray,
+    center_mm: np.ndarray, size_mm: np.ndarray, angle_rad: np.ndarray, tilt_rad: np.ndarray, position_mm: np.ndarray
 ) -> np.ndarray:
     """Return (B, N) gaps as ``flat_face_gap`` does, at any (N, 2) positions on the pad."""
     x, y = _local(center_mm, angle_rad, position_mm)

@@ -139,7 +139,7 @@ def test_shear_agreement_shows_the_signs() -> None:
 @pytest.mark.parametrize("sensor", ["gelsight", "tactip", "uskin"])
 def test_simulated_markers_agree_with_our_axes(sensor: str) -> None:
     """Every sensor of the project drags its markers along the shear force it reports."""
-    from uniforce_vtla.contact import force_sequences
+    from benchmarks.probes.sequences import force_sequences
 
     batch = force_sequences(np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2, transform=None)
     recordings = [
