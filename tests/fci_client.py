@@ -2,6 +2,7 @@
 
 import socket
 import struct
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Self
@@ -20,6 +21,24 @@ def move(controller: int = p.EXTERNAL, generator: int = p.NO_GENERATOR) -> bytes
     return p.MOVE.pack(controller, generator, *(10.0, 3.12, 2 * np.pi) * 2, False, *[2.0] * 7)
 
 
+def decode_state(datagram: bytes) -> p.RobotState:
+    """Return an arm's state; raise ProtocolError for another size."""
+    number, body, generator, controller, *flags, mode, rate = p.unpack(p.STATE, datagram, "RobotState")
+    bits = (frozenset(i for i, flag in enumerate(some) if flag) for some in flags)
+    return p.RobotState(number, np.frombuffer(body, "<f4").copy(), generator, controller, *bits, mode, rate)
+
+
+def decode_hand_state(datagram: bytes) -> p.HandState:
+    """Return a hand's state; raise ProtocolError for another size."""
+    state = p.HandState(*p.unpack(p.HAND_STATE, datagram, "HandState"))
+    return state._replace(is_grasped=bool(state.is_grasped))
+
+
+def encode_command(command: p.RobotCommand) -> bytes:
+    """Return the 371-byte datagram."""
+    return p.COMMAND.pack(command.message_id, False, False, *command.tau_J_d, command.finished)
+
+
 def hand_request(*numbers: float) -> bytes:
     return np.array(numbers, "<f8").tobytes()
 
@@ -32,16 +51,6 @@ class RawClient:
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         udp.bind((tcp.getsockname()[0], 0))  # states go to the address the TCP connection came from
         udp.settimeout(TIMEOUT_s)
-        self._talk(tcp, udp, header)
-
-    @classmethod
-    def on(cls, tcp: socket.socket, udp: socket.socket, header: p.Header) -> Self:
-        """Return a client of sockets that are open already, before it has greeted."""
-        client = cls.__new__(cls)
-        client._talk(tcp, udp, header)
-        return client
-
-    def _talk(self, tcp: socket.socket, udp: socket.socket, header: p.Header) -> None:
         self.tcp, self.udp, self.header = tcp, udp, header
         self.server: tuple[str, int] | None = None
         self._buffer, self._next_id = b"", 1
@@ -103,7 +112,7 @@ class RawArm(RawClient):
 
     def state(self) -> p.RobotState:
         """Return the next state, in order: older ones may be queued."""
-        return p.RobotState.decode(self.datagram())
+        return decode_state(self.datagram())
 
     def newest(self) -> p.RobotState:
         """Return the newest state, skipping what is queued."""
@@ -132,7 +141,7 @@ class RawArm(RawClient):
         """Send a command of the control loop."""
         if self.server is None:
             raise ConnectionError("no state has come yet: where commands go is not known")
-        self.udp.sendto(command.encode(), self.server)
+        self.udp.sendto(encode_command(command), self.server)
 
     def loop(self, law: Callable[[p.RobotState], p.RobotCommand], ticks: int) -> p.RobotState:
         """Answer so many states with a control law, its torques limited in rate; return the last one."""
@@ -167,8 +176,18 @@ class RawHand(RawClient):
 
     def state(self) -> p.HandState:
         """Return the next state."""
-        return p.HandState.decode(self.datagram())
+        return decode_hand_state(self.datagram())
 
     def status_of(self, command: int, payload: bytes = b"") -> int:
         """Send a request and return how it ended."""
         return int(p.unpack(struct.Struct("<H"), self.ask(command, payload), "answer of the hand")[0])
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition") -> float:
+    """Poll a condition; return the seconds it took, or raise TimeoutError."""
+    start = time.monotonic()
+    while not condition():
+        if time.monotonic() - start > timeout_s:
+            raise TimeoutError(f"{what}: not within {timeout_s} s")
+        time.sleep(0.005)
+    return time.monotonic() - start

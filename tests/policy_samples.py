@@ -19,11 +19,7 @@ OPEN = [0.6, 1.5]  # gates of two slots
 def small_config(cameras=("front", "wrist"), **settings):
     """Settings of a policy of two layers with cameras of 28 px, state and action of five axes."""
     visual = {f"observation.images.{name}": PolicyFeature(FeatureType.VISUAL, (3, 28, 28)) for name in cameras}
-    small = {
-        "size": "tiny",
-        "image_resolution": (28, 28),
-        "tiny": TinySettings(width=64, depth=2, mlp_dim=32),
-    }
+    small = {"size": "tiny", "image_resolution": (28, 28), "tiny": TinySettings(width=64, depth=2, mlp_dim=32)}
     return PI05UniforceConfig(
         device="cpu",
         input_features=visual | {"observation.state": PolicyFeature(FeatureType.STATE, (5,))},

@@ -67,21 +67,18 @@ def test_stolen_time_is_the_kernels_eighth_number(tmp_path: Path):
     assert stolen_s(tmp_path / "absent") == [0.0]
 
 
-def test_a_failure_in_calm_is_a_failure_at_once(pytester: pytest.Pytester):
-    run(pytester, [0.0, 0.01], passes_at=2).assertoutcome(failed=1)
-
-
-def test_a_failure_while_starved_runs_again_with_new_fixtures(pytester: pytest.Pytester):
-    run(pytester, [0.0, 0.5, 0.5, 0.5], passes_at=2).assertoutcome(passed=1)
-
-
-def test_and_counts_when_the_second_try_was_calm(pytester: pytest.Pytester):
-    run(pytester, [0.0, 0.5, 0.5, 0.5], passes_at=9).assertoutcome(failed=1)
-
-
-def test_a_defect_does_not_hide_behind_a_machine_that_is_always_starved(pytester: pytest.Pytester):
-    run(pytester, [0.3 * k for k in range(2 * TRIES)], passes_at=99).assertoutcome(failed=1)
-    run(pytester, [0.3 * k for k in range(2 * TRIES)], passes_at=TRIES).assertoutcome(passed=1)
+@pytest.mark.parametrize(
+    ("lost", "passes_at", "outcome"),
+    [
+        ([0.0, 0.01], 2, "failed"),  # in calm: at once
+        ([0.0, 0.5, 0.5, 0.5], 2, "passed"),  # while starved: runs again, with new fixtures
+        ([0.0, 0.5, 0.5, 0.5], 9, "failed"),  # the second try was calm
+        ([0.3 * k for k in range(2 * TRIES)], 99, "failed"),  # a defect on a machine that is always starved
+        ([0.3 * k for k in range(2 * TRIES)], TRIES, "passed"),
+    ],
+)
+def test_a_failure_counts_unless_the_machine_was_starved(pytester, lost, passes_at, outcome) -> None:
+    run(pytester, lost, passes_at).assertoutcome(**{outcome: 1})
 
 
 def test_a_pass_needs_no_calm_and_other_tests_no_witness(pytester: pytest.Pytester):

@@ -112,9 +112,7 @@ def check_hashes(folder: Path, error: type[UniForceError], verify: str = "full")
 
 
 def differences(
-    wanted: Mapping[str, Sequence[Entry]],
-    files: Mapping[str, Path],
-    by_size: Callable[[Path], bool] | None = None,
+    wanted: Mapping[str, Sequence[Entry]], files: Mapping[str, Path], by_size: Callable[[Path], bool] | None = None
 ) -> list[tuple[str, str]]:
     """Return the name of each file that is not as it was saved, and what it is instead.
 

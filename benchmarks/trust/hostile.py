@@ -16,13 +16,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from benchmarks.trust.hostile_trials import AT_NEXT_ANSWER, RIGHT_NAMES, Trial
+from benchmarks.trust.hostile_trials import RIGHT_NAMES, HOLD_s, Trial, is_right
 from benchmarks.trust.report import update
 from uniforce_vtla.arguments import choose, parse
 
 CLIENTS = ("pylibfranka", "franky")
-HOLD_s = LEARN_s = 0.5  # the bars
-HANG_s = 60.0  # without a new row; a trial takes 4 to 15 s
+HANG_s = 180.0  # without a new row; a trial takes 4 to 15 s, on a starved machine up to five times
 POLL_s = 0.5
 
 
@@ -59,7 +58,8 @@ def try_client(client: str, faults: list[str], times: int, path: Path, bar: tqdm
             if not _watch(child, path, bar):
                 _note_hang(path, client, _lacking(path, faults, times)[0])
         if child.returncode > 0:
-            raise RuntimeError(f"{client}: expected trials, got exit code {child.returncode}. Read {log}.")
+            last = log.read_text().rstrip().rpartition("\n")[2]
+            raise RuntimeError(f"{client}: expected trials, got exit code {child.returncode}: {last} Read {log}.")
     return read_rows(path)
 
 
@@ -87,13 +87,6 @@ def _note_hang(path: Path, client: str, fault: str) -> None:
     row = Trial(client, fault, "hang", f"no end within {HANG_s} s", float("inf"), HANG_s, 0, time.time())
     with path.open("a") as file:
         file.write(json.dumps(asdict(row)) + "\n")
-
-
-def is_right(row: dict[str, Any]) -> bool:
-    """Return whether the fault was named, the arm held and the fault known in time, and no action taken afterwards."""
-    in_time = row["learnt_s"] <= LEARN_s or row["fault"] in AT_NEXT_ANSWER  # there ``recover`` waits
-    named = row["named"] in RIGHT_NAMES[row["fault"]]
-    return named and in_time and row["hold_s"] <= HOLD_s and not row["sent_after"]
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -76,11 +76,7 @@ def dataset_features(
         features[sensor_key(finger)] = scalar_column("int64")  # index into sensors.list_sensors()
         features[time_key(finger)] = scalar_column("float64")
         features[age_key(finger)] = scalar_column("float32")
-    features |= {
-        SUCCESS: scalar_column("float32"),
-        OUTCOME: scalar_column("int64"),
-        SEED: scalar_column("int64"),
-    }
+    features |= {SUCCESS: scalar_column("float32"), OUTCOME: scalar_column("int64"), SEED: scalar_column("int64")}
     return features | dict(further or {})
 
 

@@ -35,16 +35,7 @@ from uniforce_datasets.staging import STAGING, claim, commit, lock, recover
 from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, DatasetError, DiskFullError, DroppedFrameError, expected
-from uniforce_vtla.keys import (
-    ABORT_CAUSES,
-    CAUSE,
-    OUTCOME,
-    OUTCOME_NAMES,
-    SEED,
-    SUCCESS,
-    TACTILE_KEYS,
-    sensor_key,
-)
+from uniforce_vtla.keys import ABORT_CAUSES, CAUSE, OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KEYS, sensor_key
 
 logger = logging.getLogger(__name__)
 
@@ -153,12 +144,7 @@ class EpisodeRecorder:
         return tuple(key for key in AT_THE_END if key in self._features)
 
     def save(
-        self,
-        success: bool,
-        outcome: str,
-        seed: int,
-        cause: str = "none",
-        card: Mapping[str, Any] | None = None,
+        self, success: bool, outcome: str, seed: int, cause: str = "none", card: Mapping[str, Any] | None = None
     ) -> None:
         """Make the episode durable; on any error it is discarded and the saved ones stay as they are.
 

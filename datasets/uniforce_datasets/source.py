@@ -16,12 +16,7 @@ from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import tactile_key
 
-BROKEN_VIDEO = (
-    av.error.FFmpegError,
-    OSError,
-    IndexError,
-    ValueError,
-)  # the last: metadata that is no text, no codec
+BROKEN_VIDEO = (av.error.FFmpegError, OSError, IndexError, ValueError)  # the last: metadata that is no text, no codec
 MAX_PIXELS = 4096 * 2304  # of a frame; a damaged header may announce gigabytes
 LONGEST_VIDEO_S = 1e6  # eleven days; a start beyond is no number anybody wrote on purpose
 

@@ -212,11 +212,7 @@ class TrainingView(Dataset):
             fps=self.marker["fps"],
             features=self._features(),
             stats=stats,
-            episodes={
-                "dataset_from_index": starts,
-                "dataset_to_index": ends,
-                "tasks": [[t] for t in self._tasks],
-            },
+            episodes={"dataset_from_index": starts, "dataset_to_index": ends, "tasks": [[t] for t in self._tasks]},
             sensors=self._sensors(),
             camera_keys=[camera_key(camera) for camera in CAMERAS],
             total_episodes=len(self._tasks),

@@ -21,14 +21,7 @@ from tqdm import tqdm
 from uniforce_datasets.hashes import check_hashes, write_hashes
 from uniforce_datasets.latent_encoder import LatentEncoder, PooledTokenizer
 from uniforce_datasets.source import Episode, episode_frames
-from uniforce_datasets.view_plan import (
-    TOUCH_STREAMS,
-    EpisodeFacts,
-    ViewPlan,
-    ViewSettings,
-    plan_view,
-    touch_stream,
-)
+from uniforce_datasets.view_plan import TOUCH_STREAMS, EpisodeFacts, ViewPlan, ViewSettings, plan_view, touch_stream
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key

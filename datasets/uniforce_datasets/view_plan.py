@@ -113,10 +113,7 @@ class ViewPlan:
 
 
 def plan_view(
-    roots: Sequence[str | Path],
-    settings: ViewSettings,
-    wanted: Callable[[EpisodeFacts], bool],
-    verify: str = "quick",
+    roots: Sequence[str | Path], settings: ViewSettings, wanted: Callable[[EpisodeFacts], bool], verify: str = "quick"
 ) -> ViewPlan:
     """Check the datasets and choose their episodes.
 

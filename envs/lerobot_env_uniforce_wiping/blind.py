@@ -102,9 +102,7 @@ class BlindScript:
     """
 
     def __init__(
-        self,
-        settings: BlindSettings = BEST,
-        style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator,
+        self, settings: BlindSettings = BEST, style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator
     ) -> None:
         self._settings, self._style = settings, style
 

@@ -21,12 +21,7 @@ if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
 FingersUsed = Literal["both", "left", "right", "none"]
-FINGERS_USED: dict[str, tuple[Finger, ...]] = {
-    "both": FINGERS,
-    "left": ("left",),
-    "right": ("right",),
-    "none": (),
-}
+FINGERS_USED: dict[str, tuple[Finger, ...]] = {"both": FINGERS, "left": ("left",), "right": ("right",), "none": ()}
 GRAVITY_m_s2 = 9.81
 
 
@@ -125,10 +120,7 @@ class WipeExpert:
     """
 
     def __init__(
-        self,
-        fingers: FingersUsed = "both",
-        noise: ExpertNoise | None = None,
-        settings: TouchSettings | None = None,
+        self, fingers: FingersUsed = "both", noise: ExpertNoise | None = None, settings: TouchSettings | None = None
     ) -> None:
         if fingers not in FINGERS_USED:
             raise ContractError(expected("fingers", " | ".join(FINGERS_USED), repr(fingers), "Name one."))

@@ -109,11 +109,7 @@ class PolicyController:
     """
 
     def __init__(
-        self,
-        checkpoint: Path,
-        mounted: dict[Finger, str],
-        swap: str = "",
-        asked: dict[Finger, str] | None = None,
+        self, checkpoint: Path, mounted: dict[Finger, str], swap: str = "", asked: dict[Finger, str] | None = None
     ) -> None:
         config = stored_config(Path(checkpoint))
         config.swap = swap or config.swap

@@ -25,9 +25,7 @@ TEMPLATE = Path(__file__).parent / "assets" / "model_card.md"
 
 
 def model_card(
-    config: PI05UniforceConfig,
-    training: Mapping[str, Any] | None = None,
-    scores: Mapping[str, Any] | None = None,
+    config: PI05UniforceConfig, training: Mapping[str, Any] | None = None, scores: Mapping[str, Any] | None = None
 ) -> ModelCard:
     """Return the card of a policy, trained with ``train_config.json``'s settings, scored by ``uniforce score``.
 

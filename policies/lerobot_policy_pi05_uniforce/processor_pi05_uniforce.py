@@ -81,10 +81,7 @@ class UniforceTokenizerProcessorStep(TokenizerProcessorStep):
 
     def get_config(self) -> dict[str, Any]:
         """Return what the pipeline's JSON holds."""
-        return {
-            **super().get_config(),
-            "tokenizer_name": PACKAGED if self.tokenizer_name == PACKAGED else SAVED,
-        }
+        return {**super().get_config(), "tokenizer_name": PACKAGED if self.tokenizer_name == PACKAGED else SAVED}
 
     def state_dict(self) -> dict[str, Tensor]:
         """Return the tokenizer's files as (n,) uint8; nothing for the packaged one."""
@@ -134,8 +131,7 @@ def floor_quantiles(stats: dict[str, dict[str, Any]] | None) -> dict[str, dict[s
 
 
 def make_pi05_uniforce_pre_post_processors(
-    config: PI05UniforceConfig,
-    dataset_stats: dict[str, dict[str, Any]] | None = None,
+    config: PI05UniforceConfig, dataset_stats: dict[str, dict[str, Any]] | None = None
 ) -> tuple[PolicyProcessorPipeline, PolicyProcessorPipeline]:
     """Build both pipelines; only ``observation.state`` (and absolute actions) are normalised.
 
@@ -148,9 +144,7 @@ def make_pi05_uniforce_pre_post_processors(
         AddBatchDimensionProcessorStep(),
         KeepMeasuredStateStep(),
         NormalizerProcessorStep(
-            features={**config.input_features, **config.output_features},
-            normalize_observation_keys={STATE},
-            **norm,
+            features={**config.input_features, **config.output_features}, normalize_observation_keys={STATE}, **norm
         ),
         Pi05PrepareStateTokenizerProcessorStep(max_state_dim=config.max_state_dim),
         UniforceTokenizerProcessorStep(

@@ -40,12 +40,10 @@ class ConvertConfig:
     source: Published = "lerobot/pi05_base"  # a pi05, or a pi05_uniforce to change its touch
     view: View = "outputs/view"  # of your demos (uniforce view image_side=224): features, statistics
     out: OutFolder = "outputs/converted"  # the new policy's folder
-    # the last three: controls
-    touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"
+    touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"  # the last three: controls
     touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
     token_site: Literal["prefix", "suffix"] = "prefix"  # where force tokens stand (docs/design.md)
-    # training starts with the source's actions, touch behind a gate (touch/tokens.py)
-    start_at_base: bool = True
+    start_at_base: bool = True  # training starts with the source's actions, touch behind a gate (touch/tokens.py)
     dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
     revision: Revision = ""  # of a hub repository
 
@@ -89,8 +87,7 @@ def convert(config: ConvertConfig) -> Path:
 def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, str]) -> PI05UniforceConfig:
     """Return the source's sizes and flow with this project's touch.
 
-    Raises:
-        CheckpointError: a checkpoint of another policy.
+    Raises CheckpointError: a checkpoint of another policy.
     """
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
     from lerobot_policy_pi05_uniforce import configuration_pi05_uniforce as groups

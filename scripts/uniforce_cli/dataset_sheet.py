@@ -4,12 +4,7 @@ from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
-from uniforce_vtla.evaluation.episode_summary import (
-    EpisodeSummary,
-    draw_channels,
-    draw_key_frames,
-    draw_timeline,
-)
+from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, draw_channels, draw_key_frames, draw_timeline
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; margin: 2rem auto; max-width: 1280px; padding: 0 1rem; }

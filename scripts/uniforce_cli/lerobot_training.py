@@ -158,8 +158,7 @@ def trains_ours(flags: Sequence[str]) -> bool:
 def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
     """Return LeRobot's settings as its own parser reads them from ``sys.argv``, checked before the work begins.
 
-    Raises:
-        ContractError: a setting LeRobot doesn't have, of a wrong type or out of range, a path that can't be used.
+    Raises ContractError: a setting LeRobot doesn't have, of a wrong type or out of range, a path that can't be used.
     """
     said = io.StringIO()
     logging.disable(logging.WARNING)  # what LeRobot warns of here, it does again when the work begins
@@ -218,8 +217,7 @@ def _said(error: object) -> str:
 def train(argv: Sequence[str]) -> None:
     """Run ``lerobot-train`` on the given arguments.
 
-    Raises:
-        UniForceError: settings, a dataset or a checkpoint that can't be used.
+    Raises UniForceError: settings, a dataset or a checkpoint that can't be used.
     """
     register_third_party_plugins()
     verify, settings = take_verify(argv)

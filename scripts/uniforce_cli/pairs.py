@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from tqdm import tqdm
 
 from uniforce_cli.boundary import Sensor, command, one_thread
 from uniforce_vtla.errors import ContractError, expected
@@ -14,9 +17,6 @@ from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Sha
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
-    import numpy as np
-    from tqdm import tqdm
-
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
     from uniforce_robots.pairs.rig import PairRig, RobotRig
@@ -87,9 +87,6 @@ def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
 
 
 def _run(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> tuple[PairRig, SessionReport]:
-    import numpy as np
-    from tqdm import tqdm
-
     from uniforce_robots.pairs.recorder import PairRecorder, RecordingPlan
     from uniforce_robots.pairs.track import MotionLimits
 
@@ -106,21 +103,18 @@ def _run(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> tuple[P
     return rig, report
 
 
-@contextlib.contextmanager
-def _rig(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> Iterator[PairRig]:
+def _rig(config: RecordPairsConfig, store: PairStore, rate_hz: float) -> AbstractContextManager[PairRig]:
     if config.robot == "franka":
-        with _robot_rig(config, rate_hz) as robot_rig:
-            yield robot_rig
-        return
+        return _robot_rig(config, rate_hz)
     from uniforce_robots.pairs.guided_grasp import GraspSettings
     from uniforce_robots.pairs.rehearsal import Rehearsal, SimulatedRig
 
     seed = config.seed + store.next_session  # other grasps than those recorded before
-    grasps = GraspSettings(rate_hz=rate_hz)
-    yield SimulatedRig(Rehearsal(config.left_sensor, config.right_sensor, seed, grasps=grasps))
+    sensors = config.left_sensor, config.right_sensor
+    return nullcontext(SimulatedRig(Rehearsal(*sensors, seed, GraspSettings(rate_hz=rate_hz))))
 
 
-@contextlib.contextmanager
+@contextmanager
 def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
     """Connect fingers, keyboard and a soft Franka led by hand, in this order, and let go of them in the other.
 
@@ -146,7 +140,7 @@ def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
         guide.send_feedback(dict(zip(AXES, measured.tolist(), strict=True)))
         robot.send_action(guide.get_action())
 
-    with contextlib.ExitStack() as stack:
+    with ExitStack() as stack:
         left = stack.enter_context(opened(TouchConfig(config.left_sensor, config.left_source, "left")))
         right = stack.enter_context(opened(TouchConfig(config.right_sensor, config.right_source, "right")))
         guide.connect()
@@ -174,8 +168,6 @@ def _status_shown(bar: tqdm, store: PairStore, wanted: int) -> Callable[[Status]
 
 def _truth(rig: SimulatedRig, report: SessionReport) -> dict[str, Any]:
     """Return how good the pairs kept in this session are: only a rehearsal knows."""
-    import numpy as np
-
     from uniforce_robots.pairs.rehearsal import LIMIT
 
     error = np.array([rig.truths[grasp].error[k] for grasp, k in report.kept])

@@ -22,8 +22,7 @@ class PretrainCommand:
     Example: uniforce pretrain preset=nano out=outputs/mine run.steps=3000
     """
 
-    # nano | small_draw and then small: the shipped checkpoints; what else you give wins
-    preset: FileName = ""
+    preset: FileName = ""  # nano | small_draw and then small: the shipped checkpoints; what else you give wins
     run: PretrainSettings = field(default_factory=PretrainSettings)  # model, loss, data, optimiser
     cache: OutFolder = "outputs/pairs"  # drawn pairs, about 35 kB each; kept for the next run
     out: OutFolder = "outputs/pretrain"  # state.safetensors to resume from, log.csv, tokenizer/ to load

@@ -52,8 +52,7 @@ class RecordConfig:
     """
 
     robot: Literal["sim", "franka"] = "sim"  # what records
-    # expert (simulation) | keyboard | spacemouse | gello | hand_guide
-    teleop: FileName = "expert"
+    teleop: FileName = "expert"  # expert (simulation) | keyboard | spacemouse | gello | hand_guide
     rig: FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
     episodes: Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
     level: Level = "paper"  # simulation: locked in the environment package

@@ -17,15 +17,7 @@ from uniforce_vtla.contracts import FINGERS, TAXEL_SHAPE, Finger
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
-from uniforce_vtla.keys import (
-    AXES,
-    STATE,
-    TACTILE_KEYS,
-    counts_key,
-    sensor_key,
-    tactile_key,
-    truth_wrench_key,
-)
+from uniforce_vtla.keys import AXES, STATE, TACTILE_KEYS, counts_key, sensor_key, tactile_key, truth_wrench_key
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.markers.overlay import overlay
 from uniforce_vtla.sensors import list_sensors
@@ -73,8 +65,7 @@ class RecordingForces:
         forces: reads newtons, e.g. ``descriptor_heads()``.
         verify: how the dataset is checked, see ``check_dataset``.
 
-    Raises:
-        DatasetError: a dataset that can't be read, or lacks a finger.
+    Raises DatasetError: a dataset that can't be read, or lacks a finger.
     """
 
     def __init__(self, root: str | Path, forces: ForceReader, verify: str = "quick") -> None:
@@ -120,8 +111,7 @@ def descriptor_heads(folder: str = "") -> ForceReader:
 def force_head(tokenizer: Tokenizer, head: ForceHead) -> ForceReader:
     """Return a reader of the latents: what a force head makes of them, frame after frame, as on the robot.
 
-    Raises:
-        CheckpointError: (when read) a head that was trained on another tokenizer's latents.
+    Raises CheckpointError: (when read) a head that was trained on another tokenizer's latents.
     """
 
     def read(source: Source, episode: Episode, finger: Finger) -> np.ndarray:
@@ -183,8 +173,7 @@ def raw_touch(source: Source, episode: Episode, finger: Finger) -> Iterator[np.n
 
     Taxels are drawn as the change of their normal counts since the episode's first frame, which is in free air.
 
-    Raises:
-        DatasetError: (when read) frames that are missing or truncated.
+    Raises DatasetError: (when read) frames that are missing or truncated.
     """
     if counts_key(finger) in source.features:
         counts = source.columns((counts_key(finger),))[counts_key(finger)]
@@ -195,11 +184,7 @@ def raw_touch(source: Source, episode: Episode, finger: Finger) -> Iterator[np.n
 
 
 def summarise_episode(
-    recording: RecordingForces,
-    tokenizer: Tokenizer,
-    episode: Episode,
-    friction: tuple[float, float] | None,
-    title: str,
+    recording: RecordingForces, tokenizer: Tokenizer, episode: Episode, friction: tuple[float, float] | None, title: str
 ) -> EpisodeSummary:
     """Return what a page or viewer shows of an episode; raises DatasetError: a video that is missing or truncated."""
     source, forces, note = recording.source, recording.read(episode), ""

@@ -15,18 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import (
-    Count,
-    CountOrZero,
-    OutFolder,
-    Pattern,
-    Policies,
-    Seed,
-    Seeds,
-    Slots,
-    Workers,
-    split,
-)
+from uniforce_vtla.options import Count, CountOrZero, OutFolder, Pattern, Policies, Seed, Seeds, Slots, Workers, split
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
@@ -44,15 +33,13 @@ class ScoreConfig:
     Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
-    policy: Policies = "shipped"
+    policy: Policies = "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
     arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
     level: Level = "paper"  # the shipped policy learnt at paper
     left_sensor: Sensor = ""  # "" = gelsight, and it must be what the policy knows
     right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
-    # touch taken away | another scene's touch of the same phase
-    control: Literal["", "masked", "shuffled"] = ""
+    control: Literal["", "masked", "shuffled"] = ""  # touch taken away | another scene's touch of the same phase
     rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
     first_seed: Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
     workers: Workers = 2  # processes, one torch thread each

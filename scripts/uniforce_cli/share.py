@@ -36,12 +36,10 @@ class ShareConfig:
     checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
     out: OutFolder = "outputs/shared"  # folder to hand on; no path of this machine is left in it
     scores: FilePath = ""  # wiping.json of uniforce score; "" = the card says "not scored"
-    # only this checkpoint's scores of benchmarks.wiping: …/seed0/vt as scored there; "" = all
-    scored_as: Text = ""
+    scored_as: Text = ""  # only this checkpoint's scores of benchmarks.wiping: …/seed0/vt as scored there; "" = all
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
-    # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
-    dataset: Dataset = ""
+    dataset: Dataset = ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 
@@ -120,8 +118,7 @@ def push(folder: Path, config: ShareConfig) -> str:
 def share_dataset(config: ShareConfig) -> str:
     """Check a recorded dataset in full and push it where asked; return a line about it.
 
-    Raises:
-        DatasetError: it isn't what was saved; nothing is pushed.
+    Raises DatasetError: it isn't what was saved; nothing is pushed.
     """
     from uniforce_datasets.lossless import open_dataset
 

@@ -12,16 +12,7 @@ from uniforce_vtla.arguments import numbers
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import OUTCOME, OUTCOME_NAMES, SEED, sensor_key
-from uniforce_vtla.options import (
-    Dataset,
-    Existing,
-    FolderPath,
-    Numbers,
-    OutFolder,
-    Pattern,
-    TokenizerFolder,
-    split,
-)
+from uniforce_vtla.options import Dataset, Existing, FolderPath, Numbers, OutFolder, Pattern, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import list_sensors
 
@@ -47,8 +38,7 @@ class ShowDatasetConfig:
     out: OutFolder = "outputs/show"  # a page with its pictures, or an .rrd file, for each episode
     form: Literal["sheet", "rerun"] = "sheet"  # sheet = HTML and PNG | rerun = .rrd (needs rerun-sdk)
     spawn: bool = False  # open the rerun viewer on what was written (it listens on loopback only)
-    # left,right: pull slowly until the object slides; empty = slippage isn't judged
-    pad_friction: Numbers = ""
+    pad_friction: Numbers = ""  # left,right: pull slowly until the object slides; empty = slippage isn't judged
     head: Head = ""  # reads newtons from the latents; empty = descriptor heads, as for scores
     heads: FolderPath = ""  # of python -m benchmarks.descriptor_heads; empty = the wiping scene's
     tokenizer: TokenizerFolder = ""  # empty = shipped

@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from uniforce_robots.sensors.finger import TactileFinger
 
 STAND_IN = "standin"
-# x, y up
-QUARTERS = {"top-left": (-1, 1), "top-right": (1, 1), "bottom-left": (-1, -1), "bottom-right": (1, -1)}
+QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")  # row by row, as the marker image shows the pad
 Controller = Annotated[int, Range(0, 15)]
-Quarters = Annotated[str, Names(tuple(QUARTERS), many=True)]
+Quarters = Annotated[str, Names(QUARTERS, many=True)]
 NewtonsHead = Annotated[str, Names((*list_sensors(), "none"))]
 
 
@@ -38,16 +37,14 @@ class TouchConfig:
     source: Text = ""  # camera: device or http://…; uskin: serial port or ws://host:port; or standin
     finger: Literal["left", "right"] = "left"  # that wears it; forces are in that finger's own frame
     output: Literal["terminal", "rerun"] = "terminal"  # rerun needs rerun-sdk
-    # rate, ages, losses | press where asked; empty = live view
-    check: Literal["", "rate", "orientation"] = ""
+    check: Literal["", "rate", "orientation"] = ""  # rate, ages, losses | press where asked; empty = live view
     seconds: NotNegative = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
     refresh_hz: Positive = 10.0  # pictures per second
     rotation_deg: Literal[0, 90, 180, 270] = 0  # how the sensor is turned on its finger
     flip: bool = False  # uskin: columns run the other way
     controller: Controller = 0  # uskin: microcontroller id in the low bits of its CAN ids
     lock_camera: bool = True  # lock exposure, white balance and gain; false leaves the camera's automatics
-    # orientation: where to press, in order
-    quarters: Quarters = "top-left,top-right,bottom-left,bottom-right"
+    quarters: Quarters = "top-left,top-right,bottom-left,bottom-right"  # orientation: where to press, in order
     tokenizer: TokenizerFolder = "nano"  # makes the latents
     head: NewtonsHead = "tactip"  # the sensor whose shipped force head reads the latents; none = no newtons
     save: OutFile = ""  # write the last picture of the live view to this file

@@ -8,7 +8,7 @@ import numpy as np
 
 from uniforce_cli.touch import QUARTERS
 from uniforce_robots.sensors.finger import TactileFinger
-from uniforce_robots.sensors.orientation import TURNS
+from uniforce_robots.sensors.orientation import TURNS, Orientation
 
 WAIT_MS = 1000.0
 PRESSED_COUNTS = 400.0  # summed over a quarter's taxels; a light touch gives 300 on one
@@ -20,8 +20,7 @@ POLL_S = 0.004
 def check_rate(finger: TactileFinger, seconds: float) -> int:
     """Print rate, losses, and ages at random moments beside an idle loop's lateness; 1 if anything was lost or bad.
 
-    Raises:
-        SensorError: the sensor died meanwhile.
+    Raises SensorError: the sensor died meanwhile.
     """
     before, first = finger.counts, finger.latest(WAIT_MS).index
     rng, start_s = np.random.default_rng(0), time.monotonic()
@@ -48,8 +47,7 @@ def check_rate(finger: TactileFinger, seconds: float) -> int:
 def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: float) -> int:
     """Have each quarter in ``asked`` pressed, within ``seconds`` each; print which one moved. 0 if all agree.
 
-    Raises:
-        SensorError: the sensor died.
+    Raises SensorError: the sensor died.
     """
     print("Look at the pad with the fingertip up, and press where asked, alone and gently.")
     seen: dict[str, str] = {}
@@ -59,7 +57,7 @@ def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: floa
         if response is None:
             print(f"  nothing measured within {seconds:g} s")
             return 1
-        pressed = seen[quarter] = list(QUARTERS)[int(response.argmax())]
+        pressed = seen[quarter] = QUARTERS[int(response.argmax())]
         verdict = "as asked" if pressed == quarter else "NOT as asked"
         print(f"  measured at the {pressed}{_strongest_taxel(finger)}: {verdict}")
         _next_response(finger, seconds, lambda response: response.max() < RELEASED)
@@ -95,27 +93,16 @@ def quarter_response(finger: TactileFinger, raw: np.ndarray) -> np.ndarray:
 
 def advice(seen: dict[str, str], rotation_deg: int, flip: bool) -> str:
     """Return what to set, given asked → measured quarters under the present orientation."""
-    fits = [
-        (turn, mirror)
-        for mirror in (False, True)
-        for turn in TURNS
-        if all(_moved(QUARTERS[found], turn, mirror) == QUARTERS[asked] for asked, found in seen.items())
-    ]
     if rotation_deg or flip:
         return "orientation does not agree: run this check again with rotation_deg=0 flip=false to learn what to set"
+    measured = np.array(QUARTERS).reshape(2, 2)
+    mounts = [Orientation(turn, mirror) for mirror in (False, True) for turn in TURNS]
+    shown = [dict(zip(QUARTERS, mount.of_frame(measured).flat, strict=True)) for mount in mounts]
+    fits = [mount for mount, at in zip(mounts, shown, strict=True) if seen.items() <= at.items()]
     if len(fits) != 1:
         came = "no turn explains this" if not fits else "several turns explain this: press all four quarters"
         return f"orientation does not agree, and {came}"
-    turn, mirror = fits[0]
-    return f"orientation does not agree: set rotation_deg={turn} flip={str(mirror).lower()}"
-
-
-def _moved(corner: tuple[int, int], turn: int, mirror: bool) -> tuple[int, int]:
-    """Return where ``Orientation(turn, mirror)`` takes a corner: mirror first, then counter-clockwise."""
-    x, y = (-corner[0] if mirror else corner[0]), corner[1]
-    for _ in range(turn // 90):
-        x, y = -y, x
-    return x, y
+    return f"orientation does not agree: set rotation_deg={fits[0].rotation_deg} flip={str(fits[0].flip).lower()}"
 
 
 def _strongest_taxel(finger: TactileFinger) -> str:

@@ -33,8 +33,7 @@ class TouchView:
     label: str  # which sensor on which finger
     raw: np.ndarray  # (H, W, 3) uint8 RGB, or (16, 3) int64 counts above the reference
     markers: np.ndarray  # (480, 640) uint8 marker image, as the sensor sees it
-    # (g, g) float32, length of each patch's latent minus its free-air latent, as the sensor sees it
-    norms: np.ndarray
+    norms: np.ndarray  # (g, g) float32, length of each patch's latent minus its free-air latent, as the sensor sees it
     force_N: np.ndarray | None  # (3,) in the finger's own frame, image axes; None without a head
     age_ms: float  # how old the sample was when it was looked at
     rate_hz: float  # measured
@@ -148,8 +147,7 @@ def counts_picture(change: np.ndarray) -> np.ndarray:
 def save_panel(view: TouchView, path: str) -> Path:
     """Write the panel as a picture file; return its path.
 
-    Raises:
-        ContractError: OpenCV can't write there, or not that kind of file.
+    Raises ContractError: OpenCV can't write there, or not that kind of file.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -18,8 +18,7 @@ class VerifyConfig:
     """
 
     root: FolderPath = "outputs/demos"  # recorded dataset, or a training view
-    # every byte and frame | sizes, small files, some frames of every episode | nothing
-    verify: Verify = "full"
+    verify: Verify = "full"  # every byte and frame | sizes, small files, some frames of every episode | nothing
     rehash: bool = False  # check the content only, then write the hashes of the files that are there now
 
 

@@ -1,4 +1,4 @@
-"""The plan is consistent, and the committed table is what its letters say."""
+"""The wiping plan: recipes become training runs, arms find their checkpoints, the table is what its letters say."""
 
 import json
 from dataclasses import replace
@@ -6,13 +6,90 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.wiping import draw_z_profiles
+from benchmarks import train_arm as module
+from benchmarks.train_arm import TrainArmConfig, arguments, train_arm
+from benchmarks.wiping import BenchmarkConfig, draw_z_profiles
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, RECIPES
+from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig, TouchSettings
+from lerobot_policy_pi05_uniforce.controller import stored_config
 from uniforce_cli.score import SCRIPTS
+from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, scores_of
 from uniforce_vtla.evaluation.comparison import as_good, better
-from uniforce_vtla.keys import OUTCOME_NAMES
+from uniforce_vtla.keys import OUTCOME_NAMES, VIEW_MARKER
 from uniforce_vtla.sensors import list_sensors
+
+
+@pytest.fixture
+def view(tmp_path: Path) -> Path:
+    folder = tmp_path / "view"
+    folder.mkdir()
+    episodes = [{"left_sensor": rig} for rig in ("gelsight", "uskin", "gelsight", "uskin", "uskin")]
+    (folder / VIEW_MARKER).write_text(json.dumps({"episodes": episodes}))
+    return folder
+
+
+@pytest.mark.parametrize("name", sorted(RECIPES))
+def test_a_recipe_trains_on_its_rigs_demos(name: str, view: Path, tmp_path: Path) -> None:
+    given = arguments(TrainArmConfig(name=name, view=str(view)), RECIPES[name], tmp_path / "run")
+    wanted = {"vtg": [0, 2], "vtu": [1, 3, 4]}.get(name, [0, 1, 2, 3, 4])
+    assert f"dataset.episodes={wanted}" in given
+    assert f"policy.touch.input={RECIPES[name].touch_input}" in given and "policy.recipe=scored" in given
+
+
+def test_fewer_demos_are_the_first_of_each_rig(view: Path, tmp_path: Path) -> None:
+    given = arguments(TrainArmConfig(view=str(view), demos=2), RECIPES["vt"], tmp_path / "run")
+    assert "dataset.episodes=[0, 1, 2, 3]" in given
+    with pytest.raises(DatasetError, match="at most 2"):
+        arguments(TrainArmConfig(view=str(view), demos=3), RECIPES["vt"], tmp_path / "run")
+
+
+def test_a_run_is_resumed_and_a_finished_one_left_alone(view: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    calls: list[list[str]] = []
+    last = tmp_path / "runs" / "vt_seed1" / "checkpoints" / "000002" / "pretrained_model"
+
+    def fake(argv: list[str]) -> None:
+        calls.append(argv)
+        last.mkdir(parents=True, exist_ok=True)
+        link = last.parent.parent / "last"
+        if not link.exists():
+            link.symlink_to(last.parent.name)
+        (last / "train_config.json").write_text("{}")
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(module.lerobot_training, "train", fake)
+    config = TrainArmConfig(view=str(view), seed=1, out=str(tmp_path))
+    with pytest.raises(KeyboardInterrupt):
+        train_arm(config)
+    done = train_arm(config)
+    assert "resume=true" in calls[1] and done == tmp_path / "seed1" / "vt"
+    assert (done / "train_config.json").exists()
+    assert train_arm(config) == done and len(calls) == 2
+
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = ROOT / BenchmarkConfig().checkpoints
+FOLDERS = sorted(config.parent for config in SHIPPED.parent.glob("*/*/config.json"))
+
+
+def test_the_benchmark_finds_them() -> None:
+    assert SHIPPED in {folder.parent for folder in FOLDERS}
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: f"{folder.parent.name}/{folder.name}")
+def test_it_was_trained_as_the_plan_says(folder: Path) -> None:
+    plan, config = RECIPES[folder.name], stored_config(folder)
+    touch = TouchSettings(input=plan.touch_input, slots=dict(plan.slots))
+    wanted = PI05UniforceConfig(size="tiny", recipe="scored", device="cpu", touch=touch)
+    assert (config.size, config.recipe, config.n_action_steps) == ("tiny", "scored", wanted.n_action_steps)
+    assert config.augment == wanted.augment and config.touch.directions == wanted.touch.directions
+    assert (config.touch.input, config.finger_by_slot()) == (plan.touch_input, dict(plan.slots))
+    wanted.action.target_range = config.action.target_range  # of the demos
+    assert config.action == wanted.action
+    PI05UniforcePolicy.from_pretrained(folder, config=config)  # strict: every weight is there
+
 
 TABLE = json.loads((Path(__file__).parents[2] / "docs/results/wiping.json").read_text())
 ROW = EpisodeRow(0, "success", True, False, False, 0.05, 6.0, 7.0, 10.0, 20.0, 30.0)
@@ -50,15 +127,11 @@ def test_the_committed_tests_follow_from_the_committed_letters() -> None:
     outcome = {name[0]: name for name in OUTCOME_NAMES} | {"C": "success"}
     reports = {
         name: ArmReport(
-            name,
-            [replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C") for seed, c in enumerate(arm["by_seed"])],
+            name, [replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C") for seed, c in enumerate(arm["by_seed"])]
         )
         for name, arm in TABLE["arms"].items()
     }
-    for now, committed in (
-        (better(reports, BETTER), TABLE["tests"]),
-        (as_good(reports, AS_GOOD), TABLE["as_good"]),
-    ):
+    for now, committed in ((better(reports, BETTER), TABLE["tests"]), (as_good(reports, AS_GOOD), TABLE["as_good"])):
         wanted = [{k: v for k, v in t.items() if k != "arms"} for t in committed]
         assert [{k: pytest.approx(v) for k, v in t.items() if k != "arms"} for t in now] == wanted
 

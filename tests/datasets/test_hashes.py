@@ -114,9 +114,7 @@ def test_a_view_is_checked_and_never_hashed_again(view: Path, capsys: pytest.Cap
     assert ours(view, "rehash=true") == 2 and "uniforce view" in capsys.readouterr().err
 
 
-def test_a_shared_dataset_is_checked_in_full_first(
-    copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_shared_dataset_is_checked_in_full_first(copy, monkeypatch, capsys) -> None:
     pushed: list[str] = []
     dataset = "lerobot.datasets.lerobot_dataset.LeRobotDataset.push_to_hub"
     monkeypatch.setattr(dataset, lambda self, **_: pushed.append(self.repo_id))

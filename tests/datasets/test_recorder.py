@@ -1,22 +1,29 @@
 import errno
+import json
 import os
 import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import av
 import lerobot.datasets.dataset_writer as dataset_writer
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from properties import examples
 
 from uniforce_datasets import encoder_thread, staging
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.features import vector_column
 from uniforce_datasets.lossless import check_dataset, open_dataset
+from uniforce_datasets.pooled_quantiles import POOLED_KEYS, pooled_stats
 from uniforce_datasets.raw_video import raw_path
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_datasets.synthetic import FPS, dots, synthetic_frame
+from uniforce_datasets.video_encoder import PerKeyEncoder
 from uniforce_vtla.errors import ContractError, DatasetError, SensorError
 from uniforce_vtla.keys import (
     ACTION,
@@ -89,9 +96,7 @@ def test_round_trip_with_stock_loader(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_goes_on(tmp_path, monkeypatch) -> None:
     root, saved = tmp_path / "data", 0
     states: dict[object, tuple[int, Path]] = {}  # what is in place → episodes saved by then, copy
 
@@ -154,9 +159,7 @@ def save_one_slowly(recorder: EpisodeRecorder) -> None:
 
 
 @pytest.mark.parametrize("where", ["_save_episode_data", "_save_episode_video"])
-def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
-) -> None:
+def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(tmp_path, monkeypatch, where) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -171,9 +174,7 @@ def test_full_disk_is_a_typed_error_and_keeps_what_was_saved(
     assert open_dataset(tmp_path / "data").num_episodes == 2
 
 
-def test_a_disk_full_to_the_last_byte_lets_go_of_the_dataset(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_disk_full_to_the_last_byte_lets_go_of_the_dataset(tmp_path, monkeypatch, caplog) -> None:
     """Statistics can't be pooled then: that is logged, the old ones stay whole, the next session pools them."""
     recorder = open_recorder(tmp_path / "d")
     save_one(recorder)
@@ -191,16 +192,6 @@ def test_a_disk_full_to_the_last_byte_lets_go_of_the_dataset(
     with open_recorder(tmp_path / "d") as again:
         assert again.num_episodes == 1
     assert (tmp_path / "d" / "meta" / "stats.json").read_text() != before
-
-
-def test_discard_forgets_the_episode(tmp_path: Path) -> None:
-    with open_recorder(tmp_path / "data") as recorder:
-        add_frames(recorder)
-        recorder.discard()
-        assert recorder.num_frames == 0
-        save_one(recorder)
-    assert open_dataset(tmp_path / "data").num_episodes == 1
-    assert not (tmp_path / "data" / staging.STAGING).exists()
 
 
 def test_damaged_marker_video_is_caught_before_it_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -275,6 +266,7 @@ def test_raw_frames_and_a_card_are_moved_in_with_the_episode(tmp_path: Path) -> 
                 recorder.add(synthetic_frame(step, rng), "wipe", {"right": raw[step]})
             if number == 1:
                 recorder.discard()
+                assert recorder.num_frames == 0
             else:
                 recorder.save(success=True, outcome="success", seed=0, card={"label": "success", "n": number})
         with pytest.raises(ContractError, match="raw tactile frames"):
@@ -282,5 +274,71 @@ def test_raw_frames_and_a_card_are_moved_in_with_the_episode(tmp_path: Path) -> 
     assert [read_card(root, episode)["n"] for episode in (0, 1)] == [0, 2]
     assert [stored_frames(raw_path(root, "right", episode)) for episode in (0, 1)] == [SHORT] * 2
     assert open_dataset(root).num_episodes == 2 and not raw_path(root, "right", 2).exists()
+    assert not (root / staging.STAGING).exists()
     with pytest.raises(DatasetError, match="card"):
         read_card(root, 2)
+
+
+def test_recorded_statistics_are_pooled(demos: Path) -> None:
+    stats = json.loads((demos / "meta" / "stats.json").read_text())
+    for key, values in read_source(demos).columns(POOLED_KEYS).items():
+        assert values.shape == (60, 5)
+        for quantile in (1, 10, 50, 90, 99):
+            wanted = np.quantile(values.astype(np.float64), quantile / 100, axis=0)
+            np.testing.assert_allclose(stats[key][f"q{quantile:02d}"], wanted, rtol=1e-12)
+        np.testing.assert_allclose(stats[key]["mean"], values.mean(0, dtype=np.float64))
+        np.testing.assert_allclose(stats[key]["std"], values.std(0, dtype=np.float64))
+        assert stats[key]["min"] == values.min(0).tolist() and stats[key]["count"] == [60]
+
+
+@examples(20)
+@given(st.integers(1, 50), st.integers(0, 2**16))
+def test_statistics_do_not_depend_on_the_order_of_episodes(frames: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(frames, 3))
+    first, shuffled = pooled_stats(values), pooled_stats(rng.permutation(values))
+    for name, value in first.items():
+        np.testing.assert_allclose(value, shuffled[name], atol=1e-12)
+
+
+FRAMES = 12
+
+
+def rgb(step: int) -> np.ndarray:
+    return np.repeat(dots(step)[..., None], 3, axis=2)
+
+
+def decoded(path: Path) -> np.ndarray:
+    with av.open(str(path)) as container:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+
+
+@pytest.mark.parametrize("changes", [(), (5,), (3, 4, 9)])
+def test_marker_images_and_references_come_back_exactly(tmp_path: Path, changes: tuple[int, ...]) -> None:
+    """A reference is converted once; a new one in the middle of an episode must still be seen."""
+    moving, still = tactile_key("left"), tactile_key("left", reference=True)
+    sent: dict[str, list[np.ndarray]] = {moving: [], still: []}
+    encoder = PerKeyEncoder(30, queue_frames=2 * FRAMES, realtime=True)
+    encoder.start_episode([moving, still], tmp_path)
+    buffer = np.empty_like(rgb(0))  # rows come from memory that is used again
+    for step in range(FRAMES):
+        sent[moving].append(rgb(step))
+        sent[still].append(rgb(100 + sum(step >= change for change in changes)))
+        for key, frames in sent.items():
+            buffer[:] = frames[-1]
+            encoder.feed_frame(key, buffer.copy())
+    written = encoder.finish_episode()
+    for key, frames in sent.items():
+        assert np.array_equal(decoded(written[key][0]), np.stack(frames)), key
+
+
+def test_a_scene_camera_comes_back_about_as_it_was(tmp_path: Path) -> None:
+    key = camera_key("front")
+    ramp = np.linspace(0, 255, 96).astype(np.uint8)
+    frames = [np.repeat(np.roll(ramp, step)[None, :, None], 64, 0).repeat(3, 2) for step in range(FRAMES)]
+    encoder = PerKeyEncoder(30, queue_frames=2 * FRAMES, realtime=True)
+    encoder.start_episode([key], tmp_path)
+    for frame in frames:
+        encoder.feed_frame(key, frame)
+    shown = decoded(encoder.finish_episode()[key][0]).astype(int)
+    assert np.abs(shown - np.stack(frames)).mean() < 6

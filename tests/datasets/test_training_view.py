@@ -13,6 +13,7 @@ from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.synthetic import FPS, dots
 from uniforce_datasets.training_view import VIEW_MARKER, TrainingView, build_view, make_training_dataset
 from uniforce_datasets.view_build import PROGRESS, resize
+from uniforce_datasets.view_plan import EpisodeFacts
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import (
@@ -153,14 +154,6 @@ def test_interrupted_build_goes_on(demos: Path, tmp_path: Path, view: Path) -> N
     build_view(demos, out, encoder=counter)  # nothing to do
 
 
-def test_union_of_two_datasets(demos: Path, tmp_path: Path) -> None:
-    out = build_view([demos, demos], tmp_path / "both", encoder=BlockMeans(), keep=lambda f: f.episode != 1)
-    both = TrainingView(out)
-    assert both.num_episodes == 4 and len(both) == 4 * FRAMES
-    assert torch.equal(both[0][STATE], both[2 * FRAMES][STATE])
-    assert both.meta.sensors == {"left": ["gelsight"], "right": ["tactip"]}
-
-
 def test_sensors_are_those_of_the_episodes_sampled_from(view: Path, tmp_path: Path) -> None:
     mixed = tmp_path / "mixed"
     shutil.copytree(view, mixed)
@@ -241,10 +234,17 @@ def test_view_feeds_the_trainer_fast_enough(demos: Path) -> None:
     assert rates["view_samples_per_s"] > 3 * rates["stock_samples_per_s"], rates
 
 
-def test_several_processes_build_the_same_view(demos: Path, tmp_path: Path) -> None:
-    one, two = (
-        build_view([demos, demos], tmp_path / str(workers), encoder=BlockMeans(), workers=workers) for workers in (1, 2)
-    )
+def test_two_datasets_make_one_view_however_many_processes_build_it(demos: Path, tmp_path: Path) -> None:
+    given = {"encoder": BlockMeans(), "keep": first_and_last}
+    one, two = (build_view([demos, demos], tmp_path / str(n), workers=n, **given) for n in (1, 2))
     files = sorted(path.name for path in one.iterdir())
     assert files == sorted(path.name for path in two.iterdir())
     assert all((one / name).read_bytes() == (two / name).read_bytes() for name in files)
+    both = TrainingView(one)
+    assert both.num_episodes == 4 and len(both) == 4 * FRAMES
+    assert torch.equal(both[0][STATE], both[2 * FRAMES][STATE])
+    assert both.meta.sensors == {"left": ["gelsight"], "right": ["tactip"]}
+
+
+def first_and_last(facts: EpisodeFacts) -> bool:
+    return facts.episode != 1

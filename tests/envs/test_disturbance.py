@@ -90,9 +90,7 @@ def test_an_expert_that_loses_a_clean_board_leaves_it(env: WipeEnv) -> None:
     assert phases.count("wipe") < 60 and env.result().success
 
 
-def test_a_hand_pushed_back_to_the_board_while_it_leaves_pulls_the_harder_the_lower_it_is(
-    env: WipeEnv,
-) -> None:
+def test_a_hand_pushed_back_to_the_board_while_it_leaves_pulls_the_harder_the_lower_it_is(env: WipeEnv) -> None:
     gap_m: list[float] = []
     for phase, command in commands(env, lambda _: len(gap_m) < 30, leaving=always(-0.03, fall_s=1.0)):
         if phase == "leave":

@@ -32,9 +32,7 @@ few = settings(max_examples=8, deadline=None)  # each is a grasp of a tenth of a
     mass_kg=st.floats(0.03, 0.12),
     gel=st.tuples(st.floats(0.9, 1.1), st.floats(0.9, 1.1)),
 )
-def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(
-    width_m: float, mass_kg: float, gel: tuple[float, float]
-) -> None:
+def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(width_m, mass_kg, gel) -> None:
     found = squeeze(width_m, eraser_mass_kg=mass_kg, gel_scale=gel)
     rows = zip(found.force_N, found.depth_mm, (FLAT_N_mm, DOME_N_mm), gel, strict=True)
     for force_N, depth_mm, nominal, scale in rows:

@@ -7,13 +7,7 @@ from hypothesis import strategies as st
 from properties import examples
 
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.evaluation.episode import (
-    STEP_FIELDS,
-    EpisodeTrace,
-    ScoreLimits,
-    running_mean,
-    score_episode,
-)
+from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace, ScoreLimits, running_mean, score_episode
 
 N = 120  # steps at 30 Hz
 

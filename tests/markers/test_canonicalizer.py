@@ -18,12 +18,7 @@ from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.identity import outline, why_not
-from uniforce_vtla.markers.nominal_scale import (
-    is_nominal,
-    nominal_zoom,
-    points_to_nominal_scale,
-    to_nominal_scale,
-)
+from uniforce_vtla.markers.nominal_scale import is_nominal, nominal_zoom, points_to_nominal_scale, to_nominal_scale
 from uniforce_vtla.markers.reference import capture_taxel_reference
 from uniforce_vtla.sensors import get_sensor, list_sensors
 
@@ -38,32 +33,20 @@ def raw_pair(sensor: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("sensor", list_sensors())
-def test_every_sensor_gives_a_pair(sensor):
-    reference, current = raw_pair(sensor)
-    pair = Canonicalizer(sensor).pair(reference, current, finger="right", reference_from="trial 3")
-    assert pair.sensor == sensor and pair.finger == "right" and pair.reference_from == "trial 3"
-    for image in (pair.reference, pair.current):
-        assert image.shape == (480, 640)
-        check_marker_image(image)
-    assert not np.array_equal(pair.reference, pair.current)
-
-
-@pytest.mark.parametrize("sensor", list_sensors())
-def test_pair_is_what_the_single_calls_give(sensor):
-    reference, current = raw_pair(sensor)
-    canon = Canonicalizer(sensor)
-    canon.set_reference(reference)
-    pair = canon.pair(reference, current, finger="left")
-    assert np.array_equal(canon.marker_image(reference), pair.reference)
-    assert np.array_equal(canon.marker_image(current), pair.current)
-
-
-@pytest.mark.parametrize("sensor", list_sensors())
-def test_nothing_is_flipped_and_inputs_stay_as_they_were(sensor):
+def test_every_sensor_gives_the_pair_that_single_calls_give_and_flips_nothing(sensor):
     reference, current = raw_pair(sensor)
     kept = reference.copy(), current.copy()
-    left, right = (Canonicalizer(sensor).pair(reference, current, finger=f) for f in ("left", "right"))
-    assert np.array_equal(left.current, right.current)
+    canon = Canonicalizer(sensor)
+    canon.set_reference(reference)
+    for finger in ("left", "right"):
+        pair = canon.pair(reference, current, finger=finger, reference_from="trial 3")
+        assert (pair.sensor, pair.finger, pair.reference_from) == (sensor, finger, "trial 3")
+        assert np.array_equal(canon.marker_image(reference), pair.reference)
+        assert np.array_equal(canon.marker_image(current), pair.current)
+        for image in (pair.reference, pair.current):
+            assert image.shape == (480, 640)
+            check_marker_image(image)
+        assert not np.array_equal(pair.reference, pair.current)
     assert np.array_equal(reference, kept[0]) and np.array_equal(current, kept[1])
 
 
@@ -208,10 +191,8 @@ def test_real_gels_have_a_rectangles_outline() -> None:
 
 
 @pytest.mark.real
-def test_a_real_gelsight_is_one_and_no_tactip() -> None:
-    files = sorted((Path(__file__).parents[2].parent / "shared" / "real" / "gelsight_fots").glob("*.png"))
-    if not files:
-        pytest.skip("no ../shared/real/gelsight_fots here")
-    centres = Canonicalizer("gelsight").markers(cv2.imread(str(files[0]))[..., ::-1].copy())
+def test_a_real_gelsight_is_one_and_no_tactip(real_folder: Path) -> None:
+    frame = cv2.imread(str(real_folder / "gelsight_fots" / "0.png"))
+    centres = Canonicalizer("gelsight").markers(frame[..., ::-1].copy())
     assert why_not(get_sensor("gelsight"), centres, "it") is None
     assert why_not(get_sensor("tactip"), centres, "it") is not None

@@ -79,11 +79,7 @@ def test_clean_contacts_are_read_as_without_a_reference(sensor: str) -> None:
 def test_coloured_reflections_are_looked_through(seed: int) -> None:
     gel = as_virtual("gelsight")
     spec = replace(
-        gel.spec,
-        name="dots",
-        layout_mm=rectangular(5, 5, (2.0, 2.0)),
-        marker_shape="disc",
-        marker_size_mm=0.9,
+        gel.spec, name="dots", layout_mm=rectangular(5, 5, (2.0, 2.0)), marker_shape="disc", marker_size_mm=0.9
     )
     reference = TactileSimulator(VirtualSensor(spec, gel.material, like="gelsight"), seed=0).raw_reference()
     rng, (y, x) = np.random.default_rng(seed), np.mgrid[:480, :640]

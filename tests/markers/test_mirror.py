@@ -24,12 +24,6 @@ def test_mirror_flips_columns_only_and_torch_agrees(image):
     assert np.array_equal(to_canonical(torch.from_numpy(image), "right").numpy(), flipped)
 
 
-def test_mirror_moves_a_dot_from_left_to_right():
-    image = np.zeros((480, 640), np.uint8)
-    image[100, 10] = 255
-    assert to_canonical(image, "right")[100, 629] == 255
-
-
 @given(hnp.arrays(np.float64, hnp.array_shapes(max_dims=2).map(lambda s: (*s, 3)), elements=st.floats(-20, 20)))
 def test_force_mirror_negates_x_of_the_right_finger_only(force_N):
     own = to_finger_frame(force_N, "right")

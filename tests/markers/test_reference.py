@@ -6,11 +6,7 @@ import torch
 
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
-from uniforce_vtla.markers.reference import (
-    ReferenceMemory,
-    capture_camera_reference,
-    capture_taxel_reference,
-)
+from uniforce_vtla.markers.reference import ReferenceMemory, capture_camera_reference, capture_taxel_reference
 
 FREE = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 

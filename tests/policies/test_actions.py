@@ -13,7 +13,6 @@ from lerobot_policy_pi05_uniforce.action import (
     CheckActionStep,
     IssuedTarget,
     NetworkUnits,
-    check_leap,
     previous_move,
     to_deltas,
     to_targets,
@@ -28,10 +27,7 @@ BENT = NetworkUnits([0.004, 0.02, 0.01, 0.05, 0.003], [0, 0, 0.003, 0, 0.0003])
 
 
 @given(
-    seed=st.integers(0, 10_000),
-    size=st.integers(1, 4),
-    steps=st.integers(1, 8),
-    units=st.sampled_from([UNITS, BENT]),
+    seed=st.integers(0, 10_000), size=st.integers(1, 4), steps=st.integers(1, 8), units=st.sampled_from([UNITS, BENT])
 )
 def test_deltas_and_targets_are_inverse(seed, size, steps, units):
     actions = torch.rand(size, 1 + steps, 5, generator=torch.Generator().manual_seed(seed))
@@ -47,12 +43,12 @@ def test_an_episode_starts_from_the_measured_state_as_a_rollout_does():
     assert torch.allclose(to_targets(deltas, actions[:, 0], UNITS)[1], actions[1, 1:], atol=1e-6)
 
 
-def constant_delta(policy, monkeypatch, rows):
-    """Let the network answer one fixed delta per row and step, in network units."""
+def fixed_deltas(policy, monkeypatch, deltas):
+    """Let the network answer fixed deltas, (B or 1, steps or 1, 5) in network units."""
 
     def sample(images, masks, tokens, text_mask, **kwargs):
         out = torch.zeros(len(tokens), policy.config.chunk_size, policy.config.max_action_dim)
-        out[:, :, :5] = rows[: len(tokens), None]
+        out[:, :, :5] = deltas
         return out
 
     monkeypatch.setattr(policy.model, "sample_actions", sample)
@@ -61,7 +57,7 @@ def constant_delta(policy, monkeypatch, rows):
 def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_batch, monkeypatch):
     policy = make_policy(touch__input="none", n_action_steps=2)
     rows = torch.tensor([[0.1] * 5, [-0.2] * 5])
-    constant_delta(policy, monkeypatch, rows)
+    fixed_deltas(policy, monkeypatch, rows[:, None])
     first = make_batch(policy)
     policy.reset()
     a = [policy.select_action(first) for _ in range(2)]
@@ -160,10 +156,7 @@ def test_units_that_do_not_fit_the_axes_are_refused(make_policy, units):
         make_policy(**{f"action__delta_{name}": value for name, value in units.items()})
 
 
-@given(
-    low=st.lists(st.floats(-1, 1), min_size=5, max_size=5),
-    span=st.lists(st.floats(0, 0.2), min_size=5, max_size=5),
-)
+@given(low=st.lists(st.floats(-1, 1), min_size=5, max_size=5), span=st.lists(st.floats(0, 0.2), min_size=5, max_size=5))
 def test_quantile_spans_are_floored(low, span):
     stat = {"q01": np.array(low), "q99": np.array(low) + np.array(span)}
     floored = floor_quantiles({"observation.state": stat, "other": stat})
@@ -358,29 +351,16 @@ def test_unless_asked_a_poor_policy_is_scored_not_stopped(make_config, stats) ->
         after(torch.tensor([[0.5, 0.0, float("nan"), 0.0, 0.04]]))
 
 
-def test_a_leap_stops_and_the_first_target_never_does() -> None:
-    scale = torch.tensor([0.01, 0.1])
-    last = torch.tensor([[0.5, 0.0]])
-    check_leap(torch.tensor([[9.0, 9.0]]), None, scale)
-    check_leap(torch.tensor([[0.59, -0.9]]), last, scale)
-    with pytest.raises(RolloutError, match="axis 0"):
-        check_leap(torch.tensor([[0.61, 0.0]]), last, scale)
-
-
-def test_a_policy_that_leaps_issues_nothing(make_policy, make_batch, monkeypatch) -> None:
-    policy = make_policy(touch__input="none", n_action_steps=2)
-
-    def sample(images, masks, tokens, text_mask, **kwargs):
-        out = torch.zeros(len(tokens), policy.config.chunk_size, policy.config.max_action_dim)
-        out[:, 1, 0] = 11.0  # of delta_scale
-        return out
-
-    monkeypatch.setattr(policy.model, "sample_actions", sample)
+def test_the_first_target_may_leap_and_a_later_one_issues_nothing(make_policy, make_batch, monkeypatch) -> None:
+    policy = make_policy(touch__input="none", n_action_steps=3)
+    deltas = torch.zeros(1, policy.config.chunk_size, 5)
+    deltas[0, :3, 0] = torch.tensor([99.0, 108.0, 119.0])  # of delta_scale, from the chunk's base
+    fixed_deltas(policy, monkeypatch, deltas)
     batch = make_batch(policy)
-    first = policy.select_action(batch)
-    with pytest.raises(RolloutError, match="change of target"):
+    _, second = (policy.select_action(batch) for _ in range(2))
+    with pytest.raises(RolloutError, match="change of target, axis 0"):
         policy.select_action(batch)
-    assert torch.equal(policy.issued.last, first)
+    assert torch.equal(policy.issued.last, second)
 
 
 def test_a_call_is_due_when_the_queue_runs_dry() -> None:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from lerobot.configs import PreTrainedConfig
-from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from lerobot.policies.factory import get_policy_class
 from lerobot.utils.import_utils import register_third_party_plugins
 from safetensors.torch import load_file, save_file
 from torch import nn
@@ -15,13 +15,7 @@ from transformers import AutoTokenizer
 
 from benchmarks.policy import text_tokenizer
 from benchmarks.policy.memory import bench_memory
-from lerobot_policy_pi05_uniforce import (
-    PI05UniforceConfig,
-    PI05UniforcePolicy,
-    make_pi05_uniforce_pre_post_processors,
-    migration,
-    weights,
-)
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, migration, weights
 from lerobot_policy_pi05_uniforce.checkpoint import check_sensors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
 from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
@@ -34,7 +28,7 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
     UniforceTokenizerProcessorStep,
 )
 from lerobot_policy_pi05_uniforce.weights import fill
-from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.file_hashes import write_hashes
 
 
@@ -52,28 +46,17 @@ def test_lerobot_finds_the_policy_by_name():
     assert name == "lerobot_policy_pi05_uniforce"  # a hyphen would hide it from LeRobot
 
 
-def test_every_tensor_comes_back(make_policy, tmp_path):
-    policy = make_policy()
-    policy.save_pretrained(tmp_path)
-    loaded = PI05UniforcePolicy.from_pretrained(tmp_path)
-    assert not loaded.training
-    saved, came = policy.state_dict(), loaded.state_dict()
-    assert saved.keys() == came.keys()
-    assert all(torch.equal(saved[k], came[k]) for k in saved)
-    assert sum("tactile_encoder" in k for k in saved) > 10
-
-
-def test_loading_needs_no_tokenizer_file(make_config, make_policy, make_batch, tmp_path):
+def test_every_tensor_comes_back_without_the_tokenizers_file(make_policy, make_batch, tmp_path):
     policy = make_policy()
     policy.config.touch.tokenizer_path = "/gone"
     policy.save_pretrained(tmp_path)
     loaded = PI05UniforcePolicy.from_pretrained(tmp_path)
-    assert loaded.config.tokenizer_hash == policy.config.tokenizer_hash != ""
-    torch.manual_seed(1)
-    batch = make_batch(policy)
-    start = torch.randn(2, 16, 8)
-    chunks = [p.predict_action_chunk(batch, noise=start) for p in (policy, loaded)]
-    assert torch.equal(*chunks)
+    assert not loaded.training and loaded.config.tokenizer_hash == policy.config.tokenizer_hash != ""
+    saved, came = policy.state_dict(), loaded.state_dict()
+    assert saved.keys() == came.keys() and sum("tactile_encoder" in k for k in saved) > 10
+    assert all(torch.equal(saved[k], came[k]) for k in saved)
+    batch, start = make_batch(policy), torch.randn(2, 16, 8)
+    assert torch.equal(*(p.predict_action_chunk(batch, noise=start) for p in (policy, loaded)))
 
 
 def changed_tokenizer(tensors):
@@ -149,15 +132,6 @@ def test_other_sensors_must_be_asked_for(make_config):
     assert len(check_sensors(one, mounted)) == 1
 
 
-def test_a_view_made_by_another_tokenizer_is_refused(make_config, tmp_path):
-    class Meta:
-        root = tmp_path
-
-    (tmp_path / "uniforce_view.json").write_text(json.dumps({"tokenizer_hash": "other"}))
-    with pytest.raises(DatasetError, match="other"):
-        PI05UniforcePolicy(make_config(), dataset_meta=Meta())
-
-
 def test_sensors_of_the_training_view_are_stored(make_config, tmp_path):
     sensors = {"left": ["gelsight", "uskin"], "right": ["tactip"]}
     meta = SimpleNamespace(root=tmp_path, sensors=sensors, total_episodes=9, used_episodes=4)
@@ -169,20 +143,6 @@ def test_sensors_of_the_training_view_are_stored(make_config, tmp_path):
     assert check_sensors(config, {"left": "uskin", "right": "tactip"}) == []
     with pytest.raises(CheckpointError, match="right_sensor=uskin"):
         check_sensors(config, {"left": "uskin", "right": "uskin"})
-
-
-def test_processors_survive_a_round_trip(make_policy, make_batch, stats, tmp_path, monkeypatch):
-    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    policy = make_policy()
-    before, after = make_pi05_uniforce_pre_post_processors(policy.config, stats)
-    before.save_pretrained(tmp_path), after.save_pretrained(tmp_path)
-    stored = json.loads((tmp_path / "policy_preprocessor.json").read_text())
-    text = next(s for s in stored["steps"] if s["registry_name"] == "uniforce_tokenizer_processor")
-    assert not text["config"]["tokenizer_name"].startswith("/")  # a moved installation must still load
-    again, _ = make_pre_post_processors(policy.config, pretrained_path=str(tmp_path))
-    raw = {"observation.state": torch.tensor([[0.5, 0.0, 0.1, 0.0, 0.04]]), "task": ["wipe"]}
-    one, two = before(dict(raw)), again(dict(raw))
-    assert all(torch.equal(one[k], two[k]) for k in one if isinstance(one[k], torch.Tensor))
 
 
 def test_the_packages_tokenizer_is_stored_once(make_policy, make_batch, tmp_path):
@@ -236,15 +196,6 @@ def test_tensors_lie_where_new_ones_would(tmp_path: Path) -> None:
     assert all(weight.data_ptr() % 64 == 0 for weight in layer.parameters())
 
 
-def test_names_are_changed_dropped_or_left_to_the_module(tmp_path: Path) -> None:
-    save_file({"net.weight": torch.ones(3, 4), "head": torch.zeros(1)}, tmp_path / "w.safetensors")
-    module = nn.Linear(4, 3)
-    own = module.bias.detach().clone()
-    names = {"net.weight": "weight"}
-    fill(module, tmp_path / "w.safetensors", lambda stored: names, fresh=("bias",))
-    assert bool((module.weight == 1).all()) and torch.equal(module.bias, own)
-
-
 @pytest.mark.slow  # a fresh process imports LeRobot: 10 s
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc")
 def test_a_checkpoint_is_never_held_twice() -> None:
@@ -290,7 +241,8 @@ def test_a_tokenizer_of_ones_own_moves_with_the_preprocessor(tmp_path) -> None:
     assert torch.equal(*(step._tokenize_text("wipe it")["input_ids"] for step in (own, again)))
     assert again.get_config() == own.get_config() and again.state_dict().keys() == own.state_dict().keys()
     packaged = UniforceTokenizerProcessorStep(max_length=16)
-    assert packaged.state_dict() == {} and packaged.get_config()["tokenizer_name"] != SAVED
+    name = packaged.get_config()["tokenizer_name"]
+    assert packaged.state_dict() == {} and name != SAVED and not name.startswith("/")  # an installation may move
 
 
 def test_only_who_loads_chooses_how_files_are_verified(make_policy, tmp_path):

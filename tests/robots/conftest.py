@@ -14,21 +14,21 @@ from uniforce_robots.standins.process import StandIn
 # importlib mode gives test folders no package: their fakes are found here
 sys.path[:0] = [str(Path(__file__).parent / name) for name in ("franka", "recorder", "sensors", "teleop")]
 RATE_HZ = 100.0  # enough for faults; the rate test starts its own at 500
-# name → how errors call the sensor, and options
+# name → how errors call the sensor, the stand-in, and options
 STANDINS = {
-    "slcan": ("uskin", f"rate_hz={RATE_HZ}"),
-    "xela": ("uskin", f"rate_hz={RATE_HZ}"),
-    "mjpeg": ("tactip on the right finger", "sensor=tactip", "rate_hz=30", "rest_s=2", "press_s=1"),
-    "gello": ("gello", "swing_rad=0.02"),
-    "spacemouse": ("spacemouse",),
+    "slcan": ("uskin", "slcan", f"rate_hz={RATE_HZ}"),
+    "xela": ("uskin", "standins.xela", f"rate_hz={RATE_HZ}"),
+    "mjpeg": ("tactip on the right finger", "mjpeg", "sensor=tactip", "rate_hz=30", "rest_s=2", "press_s=1"),
+    "gello": ("gello", "standins.gello", "swing_rad=0.02"),
+    "spacemouse": ("spacemouse", "standins.spacemouse"),
 }
 
 
 def _process(name: str) -> object:
     @pytest.fixture(scope="session", name=f"{name}_process")
     def running() -> Iterator[StandIn]:
-        sensor, *options = STANDINS[name]
-        with StandIn(name, *options) as stand_in:
+        sensor, *program = STANDINS[name]
+        with StandIn(*program) as stand_in:
             stand_in.sensor = sensor
             yield stand_in
 

@@ -98,9 +98,7 @@ def test_a_conversion_keeps_every_weight_and_trains_on(published: Path, view: Pa
         (lambda tensors: tensors.update({"model.strange": torch.zeros(1)}), "model.strange"),
     ],
 )
-def test_missing_and_strange_tensors_are_named(
-    change, says: str, published: Path, view: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_and_strange_tensors_are_named(change, says, published, view, tmp_path, capsys) -> None:
     tensors = load_file(published / "model.safetensors")
     change(tensors)
     (tmp_path / "config.json").write_text((published / "config.json").read_text())

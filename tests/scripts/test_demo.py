@@ -31,9 +31,7 @@ def test_it_learns_from_every_demo_that_wiped_the_board(tmp_path: Path, monkeypa
     assert asked[0].keep_events and not asked[0].keep_failures
 
 
-def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_step_shows_the_end_of_the_log_and_where_it_is(tmp_path, monkeypatch, capfd) -> None:
     def fail(config: record.RecordConfig) -> None:
         sys.stdout.write("".join(f"line {number}\n" for number in range(100)))
         sys.stderr.write("of a library\n")

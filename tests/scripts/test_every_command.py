@@ -1,4 +1,4 @@
-"""Every verb and benchmark: a help text that teaches by example, quickly; nothing else is installed."""
+"""Every verb and benchmark: a few of the bad inputs of ``python -m benchmarks.trust.command_line``, and its help."""
 
 import contextlib
 import importlib
@@ -7,16 +7,57 @@ import resource
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
 
-from benchmarks.trust.command_line import MODULES
+from benchmarks.trust.bad_words import Room
+from benchmarks.trust.command_line import COMMANDS, MODULES, PUBLISHED, ROOT, _entry, hashes, judge, prepare, trials
+from benchmarks.trust.command_worker import Ended, _code
 from uniforce_cli import main as command
 from uniforce_cli.calibrate import VIRTUAL
+from uniforce_vtla.arguments import Option, options_of
 from uniforce_vtla.contact.virtual import GELSIGHT_D, hidden_sensors
+from uniforce_vtla.options import Existing, Names, Pattern, Plain, Range, Writable
 
-ROOT = Path(__file__).parents[2]
+NAMES = sorted(COMMANDS)
+SHARE = 3  # of each command
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Room:
+    return prepare(tmp_path_factory.mktemp("bad"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bad_inputs_end_in_one_line(name, room, monkeypatch, capfd) -> None:
+    monkeypatch.chdir(room.folder.parent / "work")
+    published, every = hashes(ROOT / PUBLISHED), trials(name, room)
+    for trial in every[:: len(every) // SHARE]:
+        code = _code(_entry(name), trial.words)
+        ended = Ended(code, "".join(capfd.readouterr()))
+        assert judge(trial, ended) == "one_line", f"{trial.words}: {ended}"
+    assert hashes(ROOT / PUBLISHED) == published
+
+
+def undeclared(option: Option) -> bool:
+    """Return whether an option says nothing of what it may be."""
+    return option.kind in (int, float, str) and option.rule is None
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "train"])
+def test_every_option_declares_what_it_may_be(name: str) -> None:
+    options = options_of(_entry(name).config_class)
+    assert not [o.name for o in options.values() if undeclared(o) and not o.name.startswith("run.model.")]
+    rules = {type(option.rule) for option in options.values()} - {type(None)}
+    assert rules <= {Range, Names, Pattern, Plain, Existing, Writable}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_is_written_into_published_results_by_default(name: str) -> None:
+    config_class = _entry(name).config_class
+    options = options_of(config_class).values() if config_class else ()
+    outputs = [o.default for o in options if isinstance(o.rule, Writable)]
+    assert all(not default.startswith(str(PUBLISHED)) for default in outputs)
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))

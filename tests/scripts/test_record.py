@@ -1,12 +1,16 @@
-"""What a demonstration stores while it is nudged."""
+"""What a demonstration stores while it is nudged, and a rehearsal of recording pairs."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from benchmarks.pair_quality import main as pair_quality
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.disturbance import Nudge
+from uniforce_cli.pairs import main
 from uniforce_robots.recorder.expert_demos import record_episode
 from uniforce_vtla.keys import ACTION
 
@@ -21,9 +25,7 @@ class FrameList:
         self.frames.append(frame)
 
 
-def test_the_label_is_what_the_expert_commanded_not_what_was_executed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_label_is_what_the_expert_commanded_not_what_was_executed(monkeypatch: pytest.MonkeyPatch):
     env, executed = WipeEnv("easy", max_steps=6), []
     step = env.step
     monkeypatch.setattr(env, "step", lambda action: (executed.append(action), step(action))[1])
@@ -33,3 +35,32 @@ def test_the_label_is_what_the_expert_commanded_not_what_was_executed(
     for frame, action in zip(demo.frames, executed, strict=True):
         assert np.allclose(offset.apply(frame[ACTION]), action)
         assert not np.allclose(frame[ACTION], action, atol=1e-6)
+
+
+QUICK = ["left_sensor=uskin", "right_sensor=tactip", "indenters=sphere", "chunk=6", "crowded=1"]
+
+
+def test_a_rehearsal_records_goes_on_and_says_what_the_truth_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main([*QUICK, "pairs=6", f"out={tmp_path}"]) == 0
+    assert main([*QUICK, "pairs=12", f"out={tmp_path}"]) == 0
+    said = capsys.readouterr().out
+    assert "12 pairs in" in said and "rehearsal, by truth" in said
+    session = json.loads((tmp_path / "session.json").read_text())
+    assert session["pairs"] == {"sphere": 12} and session["truth"]["kept"] == session["frames"]["kept"] == 6
+    assert (tmp_path / "coverage.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("wrong", ["indenters=banana", "indenters=sphere,sphere"])
+def test_what_makes_no_sense_is_refused_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: str):
+    assert main([*QUICK, f"out={tmp_path / 'new'}", wrong]) == 2
+    assert "expected" in capsys.readouterr().err
+
+
+def test_the_score_is_measured_and_written_with_its_figure(tmp_path: Path) -> None:
+    out = tmp_path / "score.json"
+    given = ["rigs=uskin+tactip", "sessions=1", "grasps=2", "indenters=sphere,line", f"out={out}"]
+    assert pair_quality(given) == 0
+    content = json.loads(out.read_text())
+    assert content["all_faults"]["pairs"] == 180 and out.with_suffix(".png").exists()
+    assert sum(row["pairs"] for row in content["by_fault"].values()) == 180
+    assert pair_quality(["rigs=uskin", f"out={out}"]) == 2

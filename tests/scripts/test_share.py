@@ -77,9 +77,7 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
 
 
 @pytest.mark.slow  # a fresh process imports LeRobot: 10 s
-def test_another_machine_gets_the_same_action(
-    trained: tuple[Path, torch.Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_machine_gets_the_same_action(trained, tmp_path, monkeypatch) -> None:
     checkpoint, action = trained
     (tmp_path / "wiping.json").write_text(json.dumps(SCORES))
     scores = [f"scores={tmp_path / 'wiping.json'}", "scored_as=arms/seed0/vt"]
@@ -101,9 +99,7 @@ def test_another_machine_gets_the_same_action(
     assert "| V |" not in card  # another checkpoint's arm
 
 
-def test_what_is_pushed_is_the_whole_folder(
-    trained: tuple[Path, torch.Tensor], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_pushed_is_the_whole_folder(trained, tmp_path, monkeypatch) -> None:
     pushed: list[dict[str, object]] = []
     hub = SimpleNamespace(
         create_repo=lambda repo_id, **_: SimpleNamespace(repo_id=repo_id),
@@ -119,18 +115,14 @@ def test_what_is_pushed_is_the_whole_folder(
     assert "# pi05-wipe" in (tmp_path / "shared" / "README.md").read_text()
 
 
-def test_what_is_no_score_or_no_checkpoint_is_said(
-    trained: tuple[Path, torch.Tensor], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_no_score_or_no_checkpoint_is_said(trained, tmp_path, capsys) -> None:
     assert share.main([f"checkpoint={trained[0]}", "scores=/nowhere.json"]) == 2
     assert "/nowhere.json" in capsys.readouterr().err
     assert share.main([f"checkpoint={tmp_path / 'nothing'}"]) == 2
     assert "a checkpoint's folder" in capsys.readouterr().err
 
 
-def test_half_the_size_the_same_action_and_the_tokenizer_bit_by_bit(
-    trained: tuple[Path, torch.Tensor], tmp_path: Path
-) -> None:
+def test_half_the_size_the_same_action_and_the_tokenizer_bit_by_bit(trained: tuple[Path, torch.Tensor], tmp_path: Path):
     source, _ = trained
     whole, half = tmp_path / "whole", tmp_path / "half"
     for out, rounded in ((whole, "false"), (half, "true")):

@@ -6,8 +6,7 @@ import json
 import sys
 from html.parser import HTMLParser
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -20,14 +19,20 @@ from uniforce_cli.recorded_episode import (
     RecordingForces,
     descriptor_heads,
     latent_change,
+    raw_touch,
     summarise_episode,
 )
 from uniforce_cli.show import main
+from uniforce_datasets.features import flat_column
+from uniforce_datasets.raw_video import raw_path
+from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_datasets.source import read_source
-from uniforce_datasets.synthetic import record_synthetic
+from uniforce_datasets.synthetic import FPS, record_synthetic, synthetic_frame
 from uniforce_vtla.contracts import FINGERS
+from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, find_key_frames
 from uniforce_vtla.evaluation.finger_estimates import estimate_events
+from uniforce_vtla.keys import counts_key
 from uniforce_vtla.tokenizer import Tokenizer
 
 FRAMES = 8
@@ -83,9 +88,7 @@ def test_a_force_head_reads_the_latents_instead_of_the_descriptors(recorded: Pat
     assert json.loads(content.read_text())["strongest_N"]["left"] != np.abs(by_descriptor).max(axis=0)[0].tolist()
 
 
-def test_unknown_episodes_and_forms_are_refused(
-    recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unknown_episodes_and_forms_are_refused(recorded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     for words, said in (
         (["episode=7"], "from 0 to 1"),
         (["episode=last"], "all, or numbers"),
@@ -97,63 +100,30 @@ def test_unknown_episodes_and_forms_are_refused(
     assert not list(tmp_path.iterdir())
 
 
-def test_without_rerun_its_form_is_refused_before_any_work(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_rerun_its_form_is_refused_before_any_work(recorded, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 2
     assert "[rerun]" in capsys.readouterr().err
 
 
-class Received:
-    """Stands in for rerun: keeps what it receives."""
-
-    def __init__(self) -> None:
-        self.columns: dict[str, int] = {}
-        self.logged: list[str] = []
-        words = ("Blueprint", "Horizontal", "Vertical", "Grid", "Spatial2DView", "TimeSeriesView")
-        words += ("TextDocumentView", "TextLogView")
-        self.blueprint = SimpleNamespace(**{word: lambda *a, **k: (a, k) for word in words})
-        self.EncodedImage = SimpleNamespace(columns=lambda blob, media_type: len(blob))
-        self.Scalars = SimpleNamespace(columns=lambda scalars: len(scalars))
-        self.TextDocument = self.TextLog = lambda text, **how: text
-        self.TimeColumn = lambda name, duration: len(duration)
-
-    def RecordingStream(self, *_: object, **__: object) -> Received:  # noqa: N802 (rerun's name)
-        return self
-
-    def __enter__(self) -> Received:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return
-
-    def save(self, path: Path, default_blueprint: Any) -> None:
-        path.write_bytes(b"")
-
-    def log(self, path: str, text: str, static: bool = False) -> None:
-        self.logged.append(text)
-
-    def set_time(self, name: str, duration: float) -> None:
-        return
-
-    def send_columns(self, path: str, indexes: list[int], columns: int) -> None:
-        assert indexes == [columns]  # one time for each value
-        self.columns[path] = columns
-
-
-def test_rerun_receives_everything_on_one_time_line(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    received = Received()
-    monkeypatch.setitem(sys.modules, "rerun", received)  # type: ignore[arg-type]
+def test_rerun_receives_everything_on_one_time_line(recorded, tmp_path, monkeypatch) -> None:
+    views = ("Spatial2DView", "TimeSeriesView", "TextDocumentView", "TextLogView")
+    rerun = MagicMock(blueprint=MagicMock(spec=("Blueprint", "Horizontal", "Vertical", "Grid", *views)))
+    rerun.TimeColumn = lambda name, duration: len(duration)
+    rerun.EncodedImage.columns = lambda blob, media_type: len(blob)
+    rerun.Scalars.columns = lambda scalars: len(scalars)
+    rerun.TextDocument = rerun.TextLog = lambda text, **how: text
+    monkeypatch.setitem(sys.modules, "rerun", rerun)
     assert main([f"root={recorded}", "form=rerun", f"out={tmp_path}"]) == 0
-    assert (tmp_path / "episode_0.rrd").is_file()
+    received = rerun.RecordingStream.return_value.__enter__.return_value
+    assert received.save.call_args.args == (tmp_path / "episode_0.rrd",)
+    sent = [call.args for call in received.send_columns.call_args_list]
+    assert all(times == [count] == [FRAMES] for _, times, count in sent)  # one time for each value
     wanted = {"camera/front", "camera/wrist", "markers/left", "markers/right", "latent/left", "latent/right"}
-    wanted |= {"force_N/left/fz_estimate", "force_N/right/fx_true"}
-    assert wanted <= received.columns.keys() and set(received.columns.values()) == {FRAMES}
+    assert wanted | {"force_N/left/fz_estimate", "force_N/right/fx_true"} <= {path for path, *_ in sent}
     assert traces(summary_of()).keys() >= {"press_N/estimate", "friction_used/estimate"}
-    assert "start" in received.logged and any(text.startswith("estimated:") for text in received.logged)
+    logged = [call.args[1] for call in received.log.call_args_list]
+    assert "start" in logged and any(text.startswith("estimated:") for text in logged)
 
 
 def test_the_real_rerun_writes_a_file(recorded: Path, tmp_path: Path) -> None:
@@ -209,9 +179,7 @@ def test_what_a_dataset_says_of_itself_is_text_never_html(tmp_path: Path) -> Non
     assert all("/" not in name for name in parser.found) and "<script>" not in page.read_text()
 
 
-def test_an_episode_too_short_to_judge_is_shown_all_the_same(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_too_short_to_judge_is_shown_all_the_same(recorded, tmp_path, monkeypatch) -> None:
     recording = RecordingForces(recorded, descriptor_heads())
     episode, tokenizer = recording.source.episodes[0], Tokenizer.from_pretrained()
     grip = np.tile([0.0, 0.0, 9.0], (FRAMES, 2, 1))
@@ -221,3 +189,59 @@ def test_an_episode_too_short_to_judge_is_shown_all_the_same(
     summary = summarise_episode(recording, tokenizer, episode, None, "short")
     assert summary.found is None and "time after the lift" in summary.verdict[0]
     assert "time after the lift" in write_sheet(summary, {}, tmp_path, "e").read_text()
+
+
+RAW_FRAMES = 8
+RAW = (48, 64, 3)
+
+
+@pytest.fixture(scope="module")
+def raw_recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return two episodes: raw frames that brighten on the left, counts that grow by 100 a frame on the right."""
+    root, rng = tmp_path_factory.mktemp("raw") / "dots", np.random.default_rng(0)
+    further = {counts_key("right"): flat_column(48, "int32")}
+    with EpisodeRecorder(
+        root, "local/raw", "gelsight", "uskin", FPS, further=further, raw_shapes={"left": RAW}
+    ) as recorder:
+        for number in range(2):
+            for step in range(RAW_FRAMES):
+                counts = np.full(48, 5000 + 1000 * number + 100 * step, np.int32)
+                frame = synthetic_frame(step, rng) | {counts_key("right"): counts}
+                recorder.add(frame, "wipe", {"left": np.full(RAW, 20 * step, np.uint8)})
+            recorder.save(success=True, outcome="success", seed=number)
+    return root
+
+
+def test_frames_and_counts_are_the_episodes_own(raw_recorded: Path) -> None:
+    source = read_source(raw_recorded)
+    left, right = (raw_touch(source, source.episodes[1], finger) for finger in ("left", "right"))
+    assert left is not None and right is not None
+    brightness = [frame.mean() for frame in left]
+    assert np.allclose(brightness, 20 * np.arange(RAW_FRAMES), atol=4)
+    # since the first frame: 1,000 counts more there say nothing
+    change = [int(picture.max()) for picture in right]
+    assert change == [int(100 * step / 4000 * 255) for step in range(RAW_FRAMES)]
+
+
+def test_what_was_not_kept_is_not_shown_and_what_is_truncated_is_an_error(raw_recorded: Path, tmp_path: Path) -> None:
+    source = read_source(raw_recorded)
+    file = raw_path(raw_recorded, "left", 0)
+    whole = file.read_bytes()
+    file.unlink()
+    assert raw_touch(source, source.episodes[0], "left") is None
+    file.write_bytes(whole[: len(whole) // 2])
+    read = raw_touch(source, source.episodes[0], "left")
+    assert read is not None
+    with pytest.raises(DatasetError, match="episode_000000"):
+        list(read)
+    file.write_bytes(whole)
+
+
+def test_the_page_has_a_row_for_each(raw_recorded: Path, tmp_path: Path) -> None:
+    assert main([f"root={raw_recorded}", "episode=1", f"out={tmp_path / 'kept'}"]) == 0
+    file = raw_path(raw_recorded, "left", 1)
+    file.rename(file.with_suffix(".away"))
+    assert main([f"root={raw_recorded}", "episode=1", f"out={tmp_path / 'away'}", "verify=off"]) == 0
+    file.with_suffix(".away").rename(file)
+    kept, away = (cv2.imread(str(tmp_path / f / "episode_1_moments.png")) for f in ("kept", "away"))
+    assert kept is not None and away is not None and len(kept) > len(away)

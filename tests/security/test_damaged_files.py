@@ -3,23 +3,23 @@
 import json
 import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from fci_client import RawHand
 
 from benchmarks.baselines.checkpoint import read_tensors
+from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES, CheckpointDamage
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import read_source, stored_frames
 from uniforce_datasets.synthetic import record_synthetic
-from uniforce_robots.standins.fci.protocol import HAND_HEADER, HandCommand, Message, ProtocolError
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
-from uniforce_vtla.file_hashes import drop_hashes
+from uniforce_vtla.file_hashes import HASHES, check_hashes, drop_hashes
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
@@ -72,10 +72,7 @@ def test_an_info_that_cannot_be(dataset: Path, name: str, value: Any) -> None:
 
 def test_a_foreign_file_of_unknown_endianness(tmp_path: Path) -> None:
     torch.save({"a": torch.zeros(2)}, tmp_path / "whole.pth")
-    with (
-        zipfile.ZipFile(tmp_path / "whole.pth") as whole,
-        zipfile.ZipFile(tmp_path / "spoilt.pth", "w") as spoilt,
-    ):
+    with zipfile.ZipFile(tmp_path / "whole.pth") as whole, zipfile.ZipFile(tmp_path / "spoilt.pth", "w") as spoilt:
         for entry in whole.infolist():
             name = entry.filename
             spoilt.writestr(name, b"ZZZZZZ" if name.endswith("byteorder") else whole.read(name))
@@ -140,17 +137,25 @@ def test_a_damaged_training_state_is_named(tmp_path: Path) -> None:
         load_state(tmp_path)
 
 
-class Answering:
-    """A socket whose other side answers a request too shortly."""
-
-    def sendall(self, _: bytes) -> None:
-        return
-
-    def recv(self, _: int) -> bytes:
-        return HAND_HEADER.encode(Message(HandCommand.HOMING, 1, b"\0"))
+ROOT = Path(__file__).parents[2]
+OURS = ("checkpoints", "policies", "robots", "uniforce_vtla")
+SHIPPED = sorted(path.parent for folder in OURS for path in (ROOT / folder).rglob("model.safetensors"))
+SOUND = {damage.sound: replace(damage, damage=lambda _: None) for damage in CHECKPOINT_DAMAGES}
 
 
-def test_an_answer_of_the_hand_that_is_too_short() -> None:
-    hand = RawHand.on(Answering(), Answering(), HAND_HEADER)  # type: ignore[arg-type]
-    with pytest.raises(ProtocolError, match="2 bytes"):
-        hand.status_of(HandCommand.HOMING)
+@pytest.mark.parametrize("damage", CHECKPOINT_DAMAGES, ids=lambda damage: damage.name)
+def test_a_damaged_checkpoint_is_refused(damage: CheckpointDamage, tmp_path: Path) -> None:
+    said = damage.refused(tmp_path)
+    assert said is not None and "expected" in said
+
+
+@pytest.mark.parametrize("sound", SOUND.values(), ids=lambda damage: damage.sound.name)
+def test_what_is_not_damaged_is_accepted(sound: CheckpointDamage, tmp_path: Path) -> None:
+    assert sound.refused(tmp_path) is None
+
+
+def test_every_shipped_checkpoint_is_as_it_was_saved() -> None:
+    assert len(SHIPPED) >= 18
+    for folder in SHIPPED:
+        assert (folder / HASHES).is_file(), folder
+        check_hashes(folder, CheckpointError)

@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +10,8 @@ from properties import examples
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.entry import letterbox, prepare, prepare_tensor
+from uniforce_vtla.tokenizer.latent import Latent, pool_latent
+from uniforce_vtla.tokenizer.motion import motion_channels, pyramid
 
 
 def random_markers(seed: int, shape: tuple[int, ...] = (2, 48, 64)) -> np.ndarray:
@@ -67,3 +72,52 @@ def test_lists_and_unknown_fingers_raise() -> None:
         prepare([[0, 1]], "left", 8)  # type: ignore[arg-type]
     with pytest.raises(ContractError):
         prepare_tensor(torch.zeros(8, 8), False, 8)
+
+
+Z = Latent.of(torch.arange(96.0).view(1, 16, 6), "own")
+
+
+def test_what_only_picks_joins_and_moves_keeps_the_origin() -> None:
+    kept = [
+        *(Z[0], Z[:, None], Z.clone(), Z.cpu(), Z.to(torch.float64), Z.flatten(0, 1), Z.squeeze(0)),
+        *(torch.cat([Z, Z]), torch.stack([Z, Z], dim=1), *Z.unbind(0), *iter(Z), pool_latent(Z, 2)),
+        *(pickle.loads(pickle.dumps(Z)), copy.deepcopy(Z), Z.expand(3, -1, -1), Z.reshape(4, 24)),
+    ]
+    assert all(isinstance(z, Latent) and z.tokenizer_hash == "own" for z in kept)
+
+
+def test_what_computes_gives_plain_tensors() -> None:
+    plain = [Z * 2, Z + Z, Z.mean(), Z @ Z[0].T, torch.where(Z > 3, Z, 0.0), Z - 1]
+    assert all(type(z) is torch.Tensor for z in plain)
+    assert type(Z.numpy()).__name__ == "ndarray" and torch.equal(Z, torch.arange(96.0).view(1, 16, 6))
+
+
+def test_latents_of_two_origins_join_without_one() -> None:
+    for other in (Latent.of(torch.zeros(1, 16, 6), "another"), torch.zeros(1, 16, 6)):
+        assert type(torch.cat([Z, other])) is type(torch.stack([other, Z])) is torch.Tensor
+
+
+def test_motion_points_where_the_dots_went(dots: np.ndarray) -> None:
+    reference, right, down = prepare(dots, "left", 64).split(1)
+    to_the_right = motion_channels(pyramid(reference, 3), right).mean(dim=(0, 2, 3))
+    to_the_bottom = motion_channels(pyramid(reference, 3), down).mean(dim=(0, 2, 3))
+    for scale in range(3):
+        x, y = 3 * scale + 1, 3 * scale + 2
+        assert to_the_right[x] > 5 * to_the_right[y].abs()
+        assert to_the_bottom[y] > 5 * to_the_bottom[x].abs()
+
+
+def test_nothing_moved_is_exactly_zero(dots: np.ndarray) -> None:
+    image = prepare(dots[:1], "left", 64)
+    assert motion_channels(pyramid(image, 3), image).abs().max() == 0
+
+
+def test_pooling_means_neighbours() -> None:
+    z = torch.arange(16.0).view(1, 16, 1)
+    torch.testing.assert_close(pool_latent(z, 2)[0, :, 0], torch.tensor([2.5, 4.5, 10.5, 12.5]))
+    torch.testing.assert_close(pool_latent(z, 4), z)
+
+
+def test_pooling_refuses_maps_that_are_not_square() -> None:
+    with pytest.raises(ContractError):
+        pool_latent(torch.zeros(1, 6, 6))

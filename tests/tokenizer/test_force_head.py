@@ -3,7 +3,6 @@ import pytest
 import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError
-from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import Latent
@@ -84,12 +83,3 @@ def test_latents_of_another_origin_raise(head: ForceHead, z: torch.Tensor, error
     for call in (head, head.sequence):
         with pytest.raises(error, match="latents for the force head of tactip"):
             call(z)
-
-
-def test_a_head_refuses_the_other_shipped_tokenizer(dots: np.ndarray) -> None:
-    """They have the same shape: what was read from the other's was 96 N for 9."""
-    z = {size: Tokenizer.from_pretrained(size).encode(dots[:1], dots) for size in ("small", "nano")}
-    head = ForceHead.from_pretrained("tactip", "small")
-    assert z["small"].shape[2] == z["nano"].shape[2] and head(z["small"]).shape == (3, 3)
-    with pytest.raises(CheckpointError, match="one size"):
-        head(z["nano"])

@@ -2,6 +2,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 import torch
 from accelerate.state import AcceleratorState
 
-from uniforce_cli.pretrain import main
+from uniforce_cli.pretrain import PRESETS, PretrainCommand, main
+from uniforce_vtla.arguments import read
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -55,8 +57,13 @@ def test_cache_resumes_and_refuses_another_recipe(tmp_path: Path) -> None:
     (tmp_path / "shard_001.npz").unlink()
     build_cache(tmp_path, SMALL_DATA)
     assert (tmp_path / "shard_001.npz").read_bytes() == kept
-    with pytest.raises(DatasetError):
-        build_cache(tmp_path, replace(SMALL_DATA, seed=9))
+    stored = json.loads((tmp_path / "config.json").read_text())
+    del stored["family"]  # as a cache from before that option
+    (tmp_path / "config.json").write_text(json.dumps(stored))
+    build_cache(tmp_path, SMALL_DATA)
+    for other in ({"seed": 9}, {"family": "v2"}):
+        with pytest.raises(DatasetError, match="another folder"):
+            build_cache(tmp_path, replace(SMALL_DATA, **other))
 
 
 def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> None:
@@ -240,12 +247,28 @@ def test_wider_family_draws_what_the_first_could_not() -> None:
     assert 16 <= min(wider) < 17 and 30 < max(wider) <= 32
 
 
-def test_a_cache_from_before_an_option_existed_still_fits(tmp_path: Path) -> None:
-    config = PairCacheConfig(side=32, units=1, units_per_shard=1, pairs_per_unit=1)
-    build_cache(tmp_path, config)
-    stored = json.loads((tmp_path / "config.json").read_text())
-    del stored["family"]
-    (tmp_path / "config.json").write_text(json.dumps(stored))
-    build_cache(tmp_path, config)
-    with pytest.raises(DatasetError, match="another folder"):
-        build_cache(tmp_path, replace(config, family="v2"))
+FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
+
+
+def test_small_draws_the_whole_family_of_sensors() -> None:
+    names = ("small_draw", "small_agree")
+    first, second = (read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names)
+    assert first.run.data == second.run.data == FAMILY
+
+
+def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
+    names = ("small_draw", "small_agree", "small_held", "small")
+    stages = [read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names]
+    for before, after in pairwise(stages):
+        assert after.run.init == f"{before.out}/tokenizer"
+        assert after.run.model == before.run.model
+    for held in stages[2:]:  # the same pads, but flat handles that twist them
+        usual = {"flat_share": FAMILY.flat_share, "flat_torsion_arm_mm": FAMILY.flat_torsion_arm_mm}
+        assert replace(held.run.data, **usual) == FAMILY
+
+
+def test_nano_is_smaller_and_what_is_given_wins() -> None:
+    given = ([f"preset={name}", "run.steps=7"] for name in ("small", "nano"))
+    small, nano = (read(PretrainCommand, words, PRESETS)[0] for words in given)
+    assert nano.run.model.width < small.run.model.width
+    assert nano.run.steps == small.run.steps == 7

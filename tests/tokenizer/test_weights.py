@@ -1,15 +1,21 @@
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled
+from benchmarks.probes.zero_shot import encode_set, predict, score, shipped_cell
 from uniforce_vtla.errors import CheckpointError
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
+from uniforce_vtla.tokenizer.weights import ASSETS, SIZES
 
 
 @pytest.fixture
@@ -93,3 +99,33 @@ def test_force_head_round_trip_and_missing_source(tmp_path: Path) -> None:
     torch.testing.assert_close(loaded(z), head(z))
     with pytest.raises(CheckpointError):
         ForceHead.from_pretrained("unheard-of")
+
+
+@pytest.fixture(scope="module")
+def tokenizer() -> Tokenizer:
+    torch.set_num_threads(1)
+    return Tokenizer.from_pretrained()
+
+
+def test_assets_are_small() -> None:
+    assert sum(file.stat().st_size for file in ASSETS.rglob("*") if file.is_file()) <= 12e6
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_heads_belong_to_their_tokenizer(size: str) -> None:
+    tokenizer = Tokenizer.from_pretrained(size)
+    for sensor in SENSORS:
+        head = ForceHead.from_pretrained(sensor, size)
+        assert head.source == sensor and head.tokenizer_hash == tokenizer.hash
+
+
+def test_shipped_head_reads_another_sensor_and_beats_an_untrained_encoder(tokenizer: Tokenizer) -> None:
+    recipe = replace(FROZEN, sequences=16, length=6, seed=11)
+    target = draw_labelled(recipe, "gelsight", tokenizer.config.side)
+    trained = shipped_cell(ForceHead.from_pretrained("tactip"), tokenizer, target)
+    untrained = Tokenizer.random(tokenizer.config)
+    source = draw_labelled(replace(HEAD_TRAINING, sequences=24, length=6), "tactip", tokenizer.config.side)
+    head = train_head(encode_set(untrained, source), source.force_N, HeadTrainingConfig(steps=60), seed=0)
+    baseline = score(target.force_N, predict(head, encode_set(untrained, target)))
+    assert np.mean(trained["r2"]) > np.mean(baseline["r2"]) + 0.1
+    assert trained["r2"][2] > 0.3

@@ -8,14 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from uniforce_vtla.evaluation.episode import ScoreLimits, runs
-from uniforce_vtla.evaluation.finger_estimates import (
-    FRICTION_SHARE,
-    FY,
-    FZ,
-    HELD_N,
-    FingerEstimate,
-    lift_frame,
-)
+from uniforce_vtla.evaluation.finger_estimates import FRICTION_SHARE, FY, FZ, HELD_N, FingerEstimate, lift_frame
 from uniforce_vtla.figure_file import save_figure
 
 LETTERS = "ABCDEFGH"  # of the key frames, the same in all pictures

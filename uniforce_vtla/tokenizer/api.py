@@ -16,13 +16,7 @@ from uniforce_vtla.tokenizer.entry import prepare
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
-from uniforce_vtla.tokenizer.weights import (
-    checkpoint_folder,
-    content_hash,
-    load_model,
-    read_config,
-    save_checkpoint,
-)
+from uniforce_vtla.tokenizer.weights import checkpoint_folder, content_hash, load_model, read_config, save_checkpoint
 
 # of the canonicalizer's facts in a checkpoint; its spelling is part of every hash
 STORED_KEY = "canonicaliser"
@@ -84,10 +78,7 @@ class Tokenizer:
 
     @torch.no_grad()
     def encode(
-        self,
-        reference: MarkerPair | np.ndarray,
-        current: np.ndarray | None = None,
-        finger: Finger = "left",
+        self, reference: MarkerPair | np.ndarray, current: np.ndarray | None = None, finger: Finger = "left"
     ) -> Latent:
         """Return latents (B, P, latent) float32: the posterior's mean, a tensor that carries this tokenizer's hash.
 

@@ -32,12 +32,7 @@ class DescriptorHead:
 
     @classmethod
     def fit(
-        cls,
-        sensor: str,
-        episodes: Sequence[tuple[np.ndarray, np.ndarray]],
-        stretch: int,
-        steps: int,
-        seed: int = 0,
+        cls, sensor: str, episodes: Sequence[tuple[np.ndarray, np.ndarray]], stretch: int, steps: int, seed: int = 0
     ) -> DescriptorHead:
         """Return a descriptor head fitted to overlapping stretches of (n, 6) descriptors and (n, 3) N per episode."""
         z = torch.cat([_stretches(_natural(seen), stretch) for seen, _ in episodes])  # (m, stretch, 1, 6)

@@ -11,13 +11,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from uniforce_vtla.tokenizer.attention import (
-    CausalPairAttention,
-    FeedForward,
-    SpatialAttention,
-    grid_code,
-    sinusoid,
-)
+from uniforce_vtla.tokenizer.attention import CausalPairAttention, FeedForward, SpatialAttention, grid_code, sinusoid
 from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels, pyramid
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 

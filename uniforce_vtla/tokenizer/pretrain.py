@@ -207,11 +207,7 @@ def pair_loss(
 
 
 def _material(
-    model: ForceAutoencoder,
-    references: torch.Tensor,
-    current: torch.Tensor,
-    mean: torch.Tensor,
-    per_unit: int,
+    model: ForceAutoencoder, references: torch.Tensor, current: torch.Tensor, mean: torch.Tensor, per_unit: int
 ) -> torch.Tensor | None:
     """Return (2U·n, M) what each contact's unit is made of, an average one a quarter of the time; None if not asked.
 

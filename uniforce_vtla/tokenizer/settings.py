@@ -5,17 +5,7 @@ from typing import Any, Literal
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import (
-    Count,
-    CountOrZero,
-    NotNegative,
-    Pixels,
-    Positive,
-    Rate,
-    Seed,
-    Share,
-    TokenizerFolder,
-)
+from uniforce_vtla.options import Count, CountOrZero, NotNegative, Pixels, Positive, Rate, Seed, Share, TokenizerFolder
 
 LATER = ("warp", "material")  # fields of TokenizerConfig that came after the first shipped checkpoint
 LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below what fills a machine

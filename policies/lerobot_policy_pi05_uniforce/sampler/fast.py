@@ -15,14 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import GraphedSampler
-from lerobot_policy_pi05_uniforce.sampler.layers import (
-    Modulation,
-    attend,
-    gated_hidden,
-    linear,
-    modulated,
-    rotated,
-)
+from lerobot_policy_pi05_uniforce.sampler.layers import Modulation, attend, gated_hidden, linear, modulated, rotated
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefix, PrefixEncoder, drop_dead
 from lerobot_policy_pi05_uniforce.touch.tokens import SuffixTouch
 from uniforce_vtla.errors import ContractError, expected

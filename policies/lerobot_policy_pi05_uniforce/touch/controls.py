@@ -25,10 +25,7 @@ SHAPES = {
     "descriptor": (1, DESCRIPTOR_SIZE),
     "marker_pair": (2, PAIR_SIDE**2),  # flat: what has four axes counts as a camera
 }
-FROM_IMAGES = {
-    "descriptor": (descriptor_key, descriptors),
-    "marker_pair": (marker_pair_key, marker_pairs),
-}
+FROM_IMAGES = {"descriptor": (descriptor_key, descriptors), "marker_pair": (marker_pair_key, marker_pairs)}
 
 
 class ControlInput(TouchInput):

@@ -70,8 +70,7 @@ class GuardChain:
             measured: (5,) where the robot is.
             now_s: a monotonic clock.
 
-        Raises:
-            RobotError: a number that is not finite: nothing sensible can be made of it.
+        Raises RobotError: a number that is not finite: nothing sensible can be made of it.
         """
         self._finite(action, measured)
         limits, gap_s = self.limits, self.limits.longest_gap_s

@@ -100,10 +100,7 @@ class Hand:
     """
 
     def __init__(
-        self,
-        client: HandClient,
-        settings: HandSettings | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, client: HandClient, settings: HandSettings | None = None, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.settings = settings or HandSettings()
         self.failed_grasps = 0

@@ -57,6 +57,8 @@ class UniforceFranka(Robot):
     is_calibrated = True  # the arm knows its joints
     action_features = dict.fromkeys(AXES, float)  # the target axes
 
+    _stream: ArmStream | None = None
+
     def __init__(self, config: UniforceFrankaConfig, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(config)
         self.config = config = replace(config)  # checks it again: a field may have been set since it was made
@@ -64,7 +66,6 @@ class UniforceFranka(Robot):
         self.cameras = make_cameras_from_configs(config.cameras)
         self.guards = GuardChain(config.guards)
         self._arm, self._hand_client = make_backend(config)
-        self._stream: ArmStream | None = None
         self._hand: Hand | None = None
         self._fault: RobotError | None = None
 
@@ -152,6 +153,19 @@ class UniforceFranka(Robot):
             closing.callback(self._hand_client.close)
             if stream is not None:
                 closing.callback(stream.stop)
+
+    def __del__(self) -> None:
+        """Let go of an arm that was dropped while connected, without waiting for its thread.
+
+        The collector may run inside ``Thread.start``, under a lock that joining takes: LeRobot's own finaliser, which
+        disconnects, then waits for itself.
+        """
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            text = "robot: expected disconnect() before it was dropped, got none. Use it as a context manager."
+            stream.halt(RobotError(text, "ended"))
+            self._hand_client.close()
+            self._arm.close()
 
     def measured(self) -> np.ndarray:
         """(5,) where the robot is, axes as in ``keys.AXES``. Never blocks.

@@ -37,8 +37,7 @@ class TouchField:
         reference: (480, 640) uint8 marker image in free air, as the sensor saw it.
         finger: who wears it; the right finger's field is mirrored into the canonical frame.
 
-    Raises:
-        ContractError: no marker image, or too few markers.
+    Raises ContractError: no marker image, or too few markers.
     """
 
     def __init__(self, reference: np.ndarray, finger: Finger) -> None:

@@ -30,11 +30,7 @@ GRASPS_KEPT = 48  # the newest, from which a session's comparison is learnt
 FLOOR_N = 1.0  # below this mean force errors count against it: a tenth of a newton is not worth a flag
 TOUCH_N = 1.0  # lighter normals say nothing of how two units compare
 LEAST_N = 0.05  # keeps logarithms finite
-PULL_N2 = (
-    200.0,
-    200.0,
-    2000.0,
-)  # prior that two units' shears are alike, not made of normals: some ten grasps
+PULL_N2 = (200.0, 200.0, 2000.0)  # prior that two units' shears are alike, not made of normals: some ten grasps
 SPREAD_GRASPS = 4  # grasps the first guess of the spread is worth
 
 

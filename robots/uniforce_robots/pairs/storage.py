@@ -84,8 +84,7 @@ class PairStore:
     ``lerobot/`` and ``uniforce_pairs/`` lie below the root; sensors are registry names, indenters names in the order of
     their indices. ``counts`` and ``coverage`` are of each indenter; ``next_session`` numbers one that begins now.
 
-    Raises:
-        DatasetError: another recorder writes here, or other sensors, rates or features are there.
+    Raises DatasetError: another recorder writes here, or other sensors, rates or features are there.
     """
 
     def __init__(

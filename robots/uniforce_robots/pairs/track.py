@@ -31,11 +31,7 @@ class MotionLimits:
 
 
 def quasi_static(
-    velocity_m_s: np.ndarray,
-    acceleration_m_s2: np.ndarray,
-    contact_N: np.ndarray,
-    rate_hz: float,
-    limits: MotionLimits,
+    velocity_m_s: np.ndarray, acceleration_m_s2: np.ndarray, contact_N: np.ndarray, rate_hz: float, limits: MotionLimits
 ) -> np.ndarray:
     """Return why each of T frames doesn't count: (T,) of "fast", "jerked", "settling", "no contact"; "" where it does.
 

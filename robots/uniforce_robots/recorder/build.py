@@ -29,8 +29,7 @@ def read_devices(
         teleop: a name from ``teleoperator_names``.
         file: of LeRobot's form, with ``robot`` and ``teleop``; flags override it.
 
-    Raises:
-        ContractError: an unknown name, a file that isn't there, unknown settings.
+    Raises ContractError: an unknown name, a file that isn't there, unknown settings.
     """
     names = teleoperator_names()
     if teleop not in names:

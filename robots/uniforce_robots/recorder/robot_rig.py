@@ -185,9 +185,4 @@ def _window(device: UniforceUskin, size: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _summary(device: SampledCamera) -> dict[str, Any]:
     rate_hz, settings = round(device.rate_hz, 2), device.settings_read_back
-    return {
-        "rate_hz": rate_hz,
-        **asdict(device.counts),
-        "reconnects": device.reconnects,
-        "settings": settings,
-    }
+    return {"rate_hz": rate_hz, **asdict(device.counts), "reconnects": device.reconnects, "settings": settings}

@@ -17,13 +17,7 @@ from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, TAXEL_SHAPE, Fi
 from uniforce_vtla.errors import ContractError, expected
 
 TAXEL_NUMBERS = int(np.prod(TAXEL_SHAPE))
-RECORDERS_OWN = {
-    keys.SUCCESS,
-    keys.OUTCOME,
-    keys.SEED,
-    keys.CAUSE,
-    *(keys.sensor_key(finger) for finger in FINGERS),
-}
+RECORDERS_OWN = {keys.SUCCESS, keys.OUTCOME, keys.SEED, keys.CAUSE, *(keys.sensor_key(finger) for finger in FINGERS)}
 REFERENCES = tuple(keys.tactile_key(finger, reference=True) for finger in FINGERS)
 
 

@@ -19,8 +19,7 @@ def refuse_lossy_recording(label: str, only_markers: bool) -> None:
 
     With ``only_markers`` its images hold 0 and 255 alone; raw frames survive no video that LeRobot writes.
 
-    Raises:
-        DatasetError: saying which flags store the images exactly.
+    Raises DatasetError: saying which flags store the images exactly.
     """
     settings = _recorders_settings()
     if settings is None or not settings.video:

@@ -41,8 +41,25 @@ class Pace:
         self._next_s = time.monotonic() + self._period_s
 
 
+class InputLines:
+    """Lines on standard input: a person's, or a program's through a pipe whose end means quit, so no orphan stays."""
+
+    def __init__(self) -> None:
+        # not from /dev/null, which ends at once
+        self.files = [0] if stat.S_ISFIFO(os.fstat(0).st_mode) or os.isatty(0) else []
+        self.ended = False
+        self._pending = b""
+
+    def read(self) -> list[str]:
+        """Return the whole lines that came; blocks where nothing waits."""
+        chunk = os.read(0, READ_BYTES)
+        self.ended = not chunk
+        *lines, self._pending = (self._pending + chunk).split(b"\n")
+        return [line.decode(errors="replace") for line in lines]
+
+
 class StandInServer:
-    """Prints ``ready ADDRESS`` and serves until ``quit``; the end of a piped input means quit, so no orphan stays.
+    """Prints ``ready ADDRESS`` and serves until ``quit``.
 
     On standard input: ``fault NAME`` breaks it, ``fault none`` mends it, ``stats`` prints its counts.
 
@@ -59,19 +76,16 @@ class StandInServer:
         self.plug, self.address, self.config, self.fault = plug, address, config, config.fault
         self.pace, self.rng = Pace(rate_hz), np.random.default_rng(config.seed)
         self._step = -1
-        self._pending = b""
-        self._quit = False
+        self._input, self._quit = InputLines(), False
 
     def run(self) -> int:
         """Serve until asked to quit; return the exit code."""
-        listens = stat.S_ISFIFO(os.fstat(0).st_mode) or os.isatty(0)  # not to /dev/null, which ends at once
         self.on_fault()
-        _say(f"ready {self.address}")
+        say(f"ready {self.address}")
         try:
-            while not self._quit:
+            while not (self._quit or self._input.ended):
                 reading, writing = self.plug.waits_for()
-                reading = [*reading, *([0] if listens else [])]
-                ready, _, _ = select.select(reading, writing, [], self.pace.wait_s())
+                ready, _, _ = select.select([*reading, *self._input.files], writing, [], self.pace.wait_s())
                 if 0 in ready:
                     self._obey()
                 if received := self.plug.receive(ready):
@@ -103,24 +117,22 @@ class StandInServer:
         (self.plug.unplug if self.fault in ("unplug", "stop") else self.plug.plug)()
 
     def _obey(self) -> None:
-        chunk = os.read(0, READ_BYTES)
-        self._quit = self._quit or not chunk
-        *lines, self._pending = (self._pending + chunk).split(b"\n")
-        for line in lines:
-            match line.decode(errors="replace").split():
+        for line in self._input.read():
+            match line.split():
                 case ["fault", name] if name in ("none", *self.faults):
                     self.fault = name
                     self.on_fault()
-                    _say(f"fault {name}")
+                    say(f"fault {name}")
                 case ["stats"]:
-                    _say(f"stats sent={self.plug.sent} dropped={self.plug.dropped}")
+                    say(f"stats sent={self.plug.sent} dropped={self.plug.dropped}")
                 case ["quit"]:
                     self._quit = True
                 case words:
                     known = " | ".join(self.faults)
-                    _say(f"unknown {' '.join(words)}; known: fault none | {known}, stats, quit")
+                    say(f"unknown {' '.join(words)}; known: fault none | {known}, stats, quit")
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
+    """Print a line at once: a program may wait for it."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()

@@ -16,12 +16,13 @@ ANSWER_S = 10.0
 class StandIn:
     """A running stand-in, e.g. ``StandIn("slcan", "rate_hz=500")``; ends with its ``with`` block or its owner.
 
-    Its ``address`` is a port's path, or a URL.  SensorError: it didn't become ready.
+    A name with a dot is a module's.  Its ``address`` is a port's path, or a URL.  SensorError: it didn't become ready.
     """
 
     def __init__(self, name: str, *options: str) -> None:
         self.name, self._pending = name, b""
-        command = [sys.executable, "-m", f"uniforce_robots.standins.{name}", *options]
+        module = name if "." in name else f"uniforce_robots.standins.{name}"
+        command = [sys.executable, "-m", module, *options]
         # what we can import, it can
         env = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
         pipe = subprocess.PIPE
@@ -53,10 +54,11 @@ class StandIn:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _ask(self, line: str) -> str:
+    def _ask(self, line: str, word: str = "") -> str:
+        """Send a line and return what follows its first word, or another one, in the answer."""
         assert self.process.stdin is not None
         self.process.stdin.write(f"{line}\n".encode())
-        return self._answer(line.split()[0], ANSWER_S)
+        return self._answer(word or line.split()[0], ANSWER_S)
 
     def _answer(self, word: str, timeout_s: float) -> str:
         assert self.process.stdout is not None

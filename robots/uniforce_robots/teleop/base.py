@@ -73,8 +73,7 @@ class UniforceTeleoperator(Teleoperator):
     def start_from(self, measured: Mapping[str, Any] | np.ndarray) -> None:
         """Begin an episode with the target on the measured pose, (5,) or by ``keys.AXES``; forget an earlier fault.
 
-        Raises:
-            TeleoperatorError: not connected, the device has a fault, or it stands too far from the robot (``far``).
+        Raises TeleoperatorError: not connected, the device has a fault, or it stands too far from the robot (``far``).
         """
         self._check_connected()
         axes = checked_axes(measured, "measured pose")

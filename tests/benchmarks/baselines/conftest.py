@@ -2,15 +2,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-import torch
 
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import Table
 from uniforce_vtla.tokenizer.force_head import HeadConfig
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
-from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
-torch.set_num_threads(1)
 SIDE = 32
 PITCH_PX = {"gelsight": 8, "tactip": 10}  # two toy sensors that differ in their dots' pitch
 HEAD = HeadTrainingConfig(head=HeadConfig(hidden=8, mlp=16), steps=40, batch=16)
@@ -43,11 +40,6 @@ def table() -> Table:
     training = {sensor: draw_set(sensor, seed=1) for sensor in PITCH_PX}
     frozen = {sensor: draw_set(sensor, seed=2, sequences=8) for sensor in PITCH_PX}
     return Table(training, frozen, HEAD)
-
-
-@pytest.fixture
-def tiny() -> TokenizerConfig:
-    return TokenizerConfig(side=SIDE, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)
 
 
 @pytest.fixture

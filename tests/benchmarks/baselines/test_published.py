@@ -15,7 +15,6 @@ from benchmarks.baselines.frozen import (
     NOT_PRESENT,
     Brightness,
     PublishedEncoder,
-    PublishedRow,
     brightness_of,
     features,
     measured_row,
@@ -30,106 +29,88 @@ ANYTOUCH_TINY = AnyTouchConfig(image=28, patch=7, width=16, depth=2, heads=2, ml
 UNIT_TINY = UniTConfig(size=(16, 24), channels=32, multipliers=(1, 2), attention_level=1)
 
 
+Shapes = dict[str, tuple[int, ...]]
+
+
 def t3_layout(config: T3Config) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
     """Return an encoder file and a trunk file, keys spelled out by hand."""
-    d, patches = config.width, (config.image // config.patch) ** 2
-    encoder = {
-        "cls_token": (1, 1, d),
-        "pos_embed": (1, patches + 1, d),
-        "patch_embed.proj.weight": (d, 3, config.patch, config.patch),
-        "patch_embed.proj.bias": (d,),
-    }
-    trunk: dict[str, tuple[int, ...]] = {"norm.weight": (d,), "norm.bias": (d,)}
+    d, p = config.width, config.patch
+    encoder: Shapes = {"cls_token": (1, 1, d), "pos_embed": (1, (config.image // p) ** 2 + 1, d)}
+    encoder |= with_bias({"patch_embed.proj": (d, 3, p, p)})
+    trunk = with_bias({"norm": (d,)})
+    block = {"attn.qkv": (3 * d, d), "attn.proj": (d, d), "mlp.fc1": (4 * d, d), "mlp.fc2": (d, 4 * d)}
+    block |= {"norm1": (d,), "norm2": (d,)}
     for keys, depth in ((encoder, config.encoder_depth), (trunk, config.trunk_depth)):
         for n in range(depth):
-            linear = {
-                "attn.qkv": (3 * d, d),
-                "attn.proj": (d, d),
-                "mlp.fc1": (4 * d, d),
-                "mlp.fc2": (d, 4 * d),
-            }
-            for name, shape in linear.items():
-                keys |= {f"blocks.{n}.{name}.weight": shape, f"blocks.{n}.{name}.bias": shape[:1]}
-            for norm in ("norm1", "norm2"):
-                keys |= {f"blocks.{n}.{norm}.weight": (d,), f"blocks.{n}.{norm}.bias": (d,)}
-    return _random(encoder), _random(trunk)
+            keys |= with_bias(block, f"blocks.{n}.")
+    return drawn(encoder), drawn(trunk)
 
 
 def anytouch_layout(config: AnyTouchConfig) -> dict[str, torch.Tensor]:
     """Return the state dict of an alignment checkpoint: our tower among other towers."""
-    d, p = config.width, config.patch
-    shapes: dict[str, tuple[int, ...]] = {
+    d, p, places = config.width, config.patch, (config.image // config.patch) ** 2 + 1
+    shapes: Shapes = {
         "sensor_token": (10, 5, d),
         "video_patch_embedding.weight": (d, 3, 3, p, p),
         "touch_projection.weight": (config.projection, d),
         "touch_model.embeddings.class_embedding": (d,),
         "touch_model.embeddings.patch_embedding.weight": (d, 3, p, p),
-        "touch_model.embeddings.position_embedding.weight": ((config.image // p) ** 2 + 1, d),
-        "touch_model.embeddings.position_ids": (1, (config.image // p) ** 2 + 1),
+        "touch_model.embeddings.position_embedding.weight": (places, d),
+        "touch_model.embeddings.position_ids": (1, places),
         "sensor_token_proj.weight": (d, d),
         "decoder_blocks.0.weight": (d, d),
     }
-    for norm in ("pre_layrnorm", "post_layernorm"):
-        shapes |= {f"touch_model.{norm}.weight": (d,), f"touch_model.{norm}.bias": (d,)}
+    shapes |= with_bias({"pre_layrnorm": (d,), "post_layernorm": (d,)}, "touch_model.")
+    layer = {f"self_attn.{name}_proj": (d, d) for name in ("q", "k", "v", "out")}
+    layer |= {"mlp.fc1": (config.mlp, d), "mlp.fc2": (d, config.mlp), "layer_norm1": (d,), "layer_norm2": (d,)}
     for n in range(config.depth):
-        layer = f"touch_model.encoder.layers.{n}"
-        linear = {f"self_attn.{k}_proj": (d, d) for k in "qkv"} | {"self_attn.out_proj": (d, d)}
-        linear |= {"mlp.fc1": (config.mlp, d), "mlp.fc2": (d, config.mlp)}
-        for name, shape in linear.items():
-            shapes |= {f"{layer}.{name}.weight": shape, f"{layer}.{name}.bias": shape[:1]}
-        for norm in ("layer_norm1", "layer_norm2"):
-            shapes |= {f"{layer}.{norm}.weight": (d,), f"{layer}.{norm}.bias": (d,)}
-    others = {"vision_model.pre_layrnorm.weight": (d,), "logit_scale": (1,)}
-    return _random({f"touch_mae_model.{name}": shape for name, shape in shapes.items()} | others)
+        shapes |= with_bias(layer, f"touch_model.encoder.layers.{n}.")
+    others: Shapes = {"vision_model.pre_layrnorm.weight": (d,), "logit_scale": (1,)}
+    return drawn({f"touch_mae_model.{name}": shape for name, shape in shapes.items()} | others)
 
 
 def unit_layout(config: UniTConfig) -> dict[str, torch.Tensor]:
     """Return the state dict of a Lightning checkpoint with one channel step, one halving and attention last."""
     a, b = config.channels, config.channels * config.multipliers[1]
-    shapes: dict[str, tuple[int, ...]] = {
-        "decoder.conv_in.weight": (b, 3, 3, 3),
-        "post_quant_conv.bias": (3,),
-        "quantize.embedding.weight": (1024, 3),
-        "loss.logvar": (1,),
+    own = {
+        "conv_in": (a, 3, 3, 3),
+        **resnet("down.0.block.0", a, a),
+        **resnet("down.0.block.1", a, a),
+        "down.0.downsample.conv": (a, a, 3, 3),
+        **resnet("down.1.block.0", a, b),
+        **resnet("down.1.block.1", b, b),
+        **attention("down.1.attn.0", b),
+        **attention("down.1.attn.1", b),
+        **resnet("mid.block_1", b, b),
+        **attention("mid.attn_1", b),
+        **resnet("mid.block_2", b, b),
+        "norm_out": (b,),
+        "conv_out": (config.z, b, 3, 3),
     }
-
-    def conv(name: str, inputs: int, outputs: int, kernel: int) -> None:
-        shapes[f"{name}.weight"], shapes[f"{name}.bias"] = (outputs, inputs, kernel, kernel), (outputs,)
-
-    def norm(name: str, channels: int) -> None:
-        shapes[f"{name}.weight"], shapes[f"{name}.bias"] = (channels,), (channels,)
-
-    def block(name: str, inputs: int, outputs: int) -> None:
-        norm(f"{name}.norm1", inputs)
-        norm(f"{name}.norm2", outputs)
-        conv(f"{name}.conv1", inputs, outputs, 3)
-        conv(f"{name}.conv2", outputs, outputs, 3)
-        if inputs != outputs:
-            conv(f"{name}.nin_shortcut", inputs, outputs, 1)
-
-    def attention(name: str, channels: int) -> None:
-        norm(f"{name}.norm", channels)
-        for part in ("q", "k", "v", "proj_out"):
-            conv(f"{name}.{part}", channels, channels, 1)
-
-    conv("encoder.conv_in", 3, a, 3)
-    block("encoder.down.0.block.0", a, a)
-    block("encoder.down.0.block.1", a, a)
-    conv("encoder.down.0.downsample.conv", a, a, 3)
-    block("encoder.down.1.block.0", a, b)
-    block("encoder.down.1.block.1", b, b)
-    attention("encoder.down.1.attn.0", b)
-    attention("encoder.down.1.attn.1", b)
-    block("encoder.mid.block_1", b, b)
-    attention("encoder.mid.attn_1", b)
-    block("encoder.mid.block_2", b, b)
-    norm("encoder.norm_out", b)
-    conv("encoder.conv_out", b, config.z, 3)
-    conv("quant_conv", config.z, config.embed, 1)
-    return _random(shapes)
+    others: Shapes = {"decoder.conv_in.weight": (b, 3, 3, 3), "post_quant_conv.bias": (3,), "loss.logvar": (1,)}
+    others |= {"quantize.embedding.weight": (1024, 3)}
+    return drawn(with_bias(own, "encoder.") | with_bias({"quant_conv": (config.embed, config.z, 1, 1)}) | others)
 
 
-def _random(shapes: dict[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
+def resnet(name: str, inputs: int, outputs: int) -> Shapes:
+    layers: Shapes = {"norm1": (inputs,), "norm2": (outputs,)}
+    layers |= {"conv1": (outputs, inputs, 3, 3), "conv2": (outputs, outputs, 3, 3)}
+    layers |= {"nin_shortcut": (outputs, inputs, 1, 1)} if inputs != outputs else {}
+    return {f"{name}.{layer}": shape for layer, shape in layers.items()}
+
+
+def attention(name: str, channels: int) -> Shapes:
+    square = (channels, channels, 1, 1)
+    return {f"{name}.norm": (channels,)} | {f"{name}.{part}": square for part in ("q", "k", "v", "proj_out")}
+
+
+def with_bias(layers: Shapes, prefix: str = "") -> Shapes:
+    """Return the shapes of each layer's weight and bias."""
+    weights = {f"{prefix}{name}.weight": shape for name, shape in layers.items()}
+    return weights | {f"{prefix}{name}.bias": shape[:1] for name, shape in layers.items()}
+
+
+def drawn(shapes: Shapes) -> dict[str, torch.Tensor]:
     generator = torch.Generator().manual_seed(0)
     return {name: 0.3 * torch.randn(shape, generator=generator) for name, shape in shapes.items()}
 
@@ -159,16 +140,14 @@ def unit_file(tmp_path: Path) -> Path:
 Loader = Callable[[], PublishedEncoder]
 
 
-@pytest.fixture(params=["t3", "anytouch", "unit"])
+@pytest.fixture(params=["t3_folder", "anytouch_file", "unit_file"])
 def loader(request: pytest.FixtureRequest) -> Loader:
-    if request.param == "t3":
-        folder = request.getfixturevalue("t3_folder")
-        return lambda: load_t3(folder, "mini", T3_TINY)
-    if request.param == "anytouch":
-        file = request.getfixturevalue("anytouch_file")
-        return lambda: load_anytouch(file, "gelsight_mini", ANYTOUCH_TINY)
-    file = request.getfixturevalue("unit_file")
-    return lambda: load_unit(file, UNIT_TINY)
+    path = request.getfixturevalue(request.param)
+    return {
+        "t3_folder": lambda: load_t3(path, "mini", T3_TINY),
+        "anytouch_file": lambda: load_anytouch(path, "gelsight_mini", ANYTOUCH_TINY),
+        "unit_file": lambda: load_unit(path, UNIT_TINY),
+    }[request.param]
 
 
 def test_a_file_of_the_official_layout_loads_and_encodes(loader: Loader, table: Table) -> None:
@@ -200,9 +179,7 @@ def test_a_loaded_encoder_makes_a_row(t3_folder: Path, table: Table) -> None:
         (lambda t: unit_row(t, 1, None), 25_179_663, (45, 60)),
     ],
 )
-def test_without_weights_a_row_says_so_and_gives_its_full_size(
-    make: Callable[[Table], PublishedRow], params: int, gflops: tuple[int, int], table: Table
-) -> None:
+def test_without_weights_a_row_says_so_and_gives_its_full_size(make, params, gflops, table) -> None:
     row = make(table)
     assert row.status == NOT_PRESENT and row.cells is None and row.facts["weights"] is None
     assert row.facts["params"] == params
@@ -285,15 +262,8 @@ def test_t3s_block_is_the_standard_transformer_block() -> None:
     block = Block(T3_TINY, eps=1e-6)
     usual = {"activation": "gelu", "batch_first": True, "norm_first": True}
     layer = torch.nn.TransformerEncoderLayer(16, 2, 64, dropout=0, layer_norm_eps=1e-6, **usual)
-    names = {
-        "norm1.": "norm1.",
-        "attn.qkv.weight": "self_attn.in_proj_weight",
-        "attn.qkv.bias": "self_attn.in_proj_bias",
-        "attn.proj.": "self_attn.out_proj.",
-        "norm2.": "norm2.",
-        "mlp.fc1.": "linear1.",
-        "mlp.fc2.": "linear2.",
-    }
+    names = {"attn.qkv.": "self_attn.in_proj_", "attn.proj.": "self_attn.out_proj."}
+    names |= {"mlp.fc1.": "linear1.", "mlp.fc2.": "linear2.", "norm1.": "norm1.", "norm2.": "norm2."}
     renamed = {}
     for key, value in block.state_dict().items():
         old = next(prefix for prefix in names if key.startswith(prefix))

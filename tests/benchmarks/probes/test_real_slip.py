@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.probes.latent_rotation import Rotation
+from benchmarks.probes.latent_rotation import Rotation, fit_rotation
 from benchmarks.probes.real_slip import balance, real_slip
 from benchmarks.probes.real_slip_figure import draw_real_slip
 from benchmarks.probes.real_trials import SlipConfig, encode_trial, read_trials
 from benchmarks.probes.slip_detector import auroc, change_energy, leave_one_out, starts
-from benchmarks.probes.uskin_csv import COLUMNS
-from uniforce_vtla.errors import ContractError, DatasetError
+from benchmarks.probes.uskin_csv import COLUMNS, read_uskin_csv
+from uniforce_vtla.errors import ContractError, DatasetError, SensorError
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
@@ -75,9 +75,7 @@ def test_signals_start_from_free_air_and_are_mirrored(recordings: Path, tokenize
     np.testing.assert_array_equal(signals.counts[1, 5], raw * (-1, 1, 1))
 
 
-def test_whole_report_finds_a_shake_that_speed_and_time_dont_know(
-    recordings: Path, tokenizer: Tokenizer, tmp_path: Path
-) -> None:
+def test_whole_report_finds_a_shake_that_speed_and_time_dont_know(recordings, tokenizer, tmp_path) -> None:
     trials = read_trials(recordings, HERE)
     rotation = Rotation("uskin", np.eye(6))
     report, signals, scores = real_slip(tokenizer, trials, rotation, HERE)
@@ -162,3 +160,97 @@ def test_real_trials_are_what_the_report_says(tokenizer: Tokenizer) -> None:
     assert signals.saturated_frames == 0 and np.isfinite(signals.latent).all()
     total = signals.counts[..., 2].sum(axis=2)
     assert balance(*total, np.ones(60, bool))["r_whole"] > 0.9
+
+
+@pytest.fixture
+def table() -> pd.DataFrame:
+    counts = np.random.default_rng(0).integers(0, 65_536, (5, 48)).astype(float)
+    return pd.DataFrame(counts, columns=COLUMNS)
+
+
+def test_columns_become_taxels_and_axes(tmp_path: Path, table: pd.DataFrame):
+    table.insert(0, "time", 0.1)  # extra columns and another order don't matter
+    table[["time", *reversed(COLUMNS)]].to_csv(tmp_path / "log.csv", index=False)
+    counts = read_uskin_csv(tmp_path / "log.csv")
+    assert counts.shape == (5, 16, 3) and counts.dtype == np.int64
+    assert counts[3, 6, 1] == table["txl7_y"][3] and counts[0, 15, 2] == table["txl16_z"][0]
+
+
+def test_missing_column(tmp_path: Path, table: pd.DataFrame):
+    table.drop(columns="txl9_z").to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(SensorError, match="txl9_z missing"):
+        read_uskin_csv(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.5, "x"])
+def test_bad_cell(tmp_path: Path, table: pd.DataFrame, bad: object):
+    table = table.astype(object)
+    table.loc[2, "txl4_x"] = bad
+    table.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(SensorError, match="missing or fractional"):
+        read_uskin_csv(tmp_path / "log.csv")
+
+
+def test_no_file_no_rows_and_empty_file(tmp_path: Path, table: pd.DataFrame):
+    with pytest.raises(SensorError, match="no file"):
+        read_uskin_csv(tmp_path / "absent.csv")
+    table[:0].to_csv(tmp_path / "head.csv", index=False)
+    with pytest.raises(SensorError, match="no rows"):
+        read_uskin_csv(tmp_path / "head.csv")
+    (tmp_path / "empty.csv").touch()
+    with pytest.raises(SensorError, match="empty file"):
+        read_uskin_csv(tmp_path / "empty.csv")
+
+
+def mixed(seed: int, gain: float = 1.0, noise: float = 0.3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return latents (30, 4, 6), forces (30, 4, 3), and the (6, 6) basis whose first axes carry force."""
+    basis = np.linalg.qr(np.random.default_rng(0).standard_normal((6, 6)))[0]
+    rng = np.random.default_rng(seed)
+    force = rng.uniform(-3, 3, (30, 4, 3))
+    on_axes = np.concatenate([gain * force, rng.standard_normal((30, 4, 3))], axis=-1)
+    on_axes = on_axes + noise * rng.standard_normal(on_axes.shape)
+    return on_axes @ basis.T, force, basis
+
+
+def abs_r(z: np.ndarray, force_N: np.ndarray) -> np.ndarray:
+    """Return (3,) |r| of the first three axes with their own force."""
+    return np.array([abs(np.corrcoef(z[..., i].ravel(), force_N[..., i].ravel())[0, 1]) for i in range(3)])
+
+
+def test_rotation_is_orthogonal_and_finds_the_directions_of_force_on_unseen_data() -> None:
+    z, force, basis = mixed(1)
+    rotation = fit_rotation(z, force, "here")
+    np.testing.assert_allclose(rotation.matrix.T @ rotation.matrix, np.eye(6), atol=1e-9)
+    assert np.linalg.det(rotation.matrix) == pytest.approx(1)
+    assert ((rotation.matrix[:, :3] * basis[:, :3]).sum(axis=0) > 0.98).all()
+    other, truth, _ = mixed(2, gain=2.0)
+    assert (abs_r(rotation(other), truth) > 0.98).all()
+
+
+def test_a_weak_force_beside_strong_ones_is_found_too() -> None:
+    """Strong shear lies askew to the weak normal force: the nearest triple to the regression directions loses it."""
+    rng = np.random.default_rng(3)
+    force = rng.uniform(-3, 3, (60, 8, 3))
+    carries = np.array([[1.0, 0, 0, 0.3, 0, 0], [0, 1.0, 0, 0, 0.3, 0], [0.1, 0.1, 0.05, 0, 0, 0.01]])
+    z = force @ carries + 0.002 * rng.standard_normal((60, 8, 6))
+    assert (abs_r(fit_rotation(z[:30], force[:30], "here")(z[30:]), force[30:]) > 0.9).all()
+
+
+def test_rotation_fitted_to_shuffled_labels_finds_nothing() -> None:
+    z, force, _ = mixed(1)
+    wrong = fit_rotation(z, np.random.default_rng(0).permutation(force), "nowhere")
+    other, truth, _ = mixed(2)
+    assert abs_r(wrong(other), truth).mean() < 0.7
+
+
+@pytest.mark.parametrize(("spoil", "says"), [("nan", "NaN"), ("shape", "finite"), ("flat", "three directions")])
+def test_bad_input_raises(spoil: str, says: str) -> None:
+    z, force, _ = mixed(6)
+    if spoil == "nan":
+        z[0, 0, 0] = np.nan
+    elif spoil == "shape":
+        force = force[:, :3]
+    else:
+        z = np.ones_like(z)
+    with pytest.raises(ContractError, match=says):
+        fit_rotation(z, force, "here")

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.recorded_set import (
-    WindowConfig,
-    of_indenters,
-    of_sensor,
-    shear_agreement,
-    to_labelled_set,
-)
+from benchmarks.probes.recorded_set import WindowConfig, of_indenters, of_sensor, shear_agreement, to_labelled_set
 from benchmarks.probes.zero_shot import POOL, encode_set, predict
 from uniforce_datasets.readers import LabelledRecording, read_genforce
 from uniforce_vtla.contact import UNSEEN
@@ -24,7 +18,6 @@ from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 SIDE = 32
-TINY = TokenizerConfig(side=32, patch=8, width=16, depth=2, decoder_depth=1, heads=2, embed_hidden=16)
 
 
 def recording(trial: Any, frames: int | None = None) -> LabelledRecording:
@@ -78,11 +71,7 @@ def test_the_digest_names_the_content(marker_trials: Any) -> None:
     image = whole.frames.copy()
     image[1, 100, 100] ^= 255
     other_force = whole.force_N + np.float32(1e-6)
-    for other in (
-        replace(whole, frames=image),
-        replace(whole, force_N=other_force),
-        replace(whole, sensor="g2"),
-    ):
+    for other in (replace(whole, frames=image), replace(whole, force_N=other_force), replace(whole, sensor="g2")):
         assert to_labelled_set([other], SIDE, windows).digest != digest
 
 
@@ -102,19 +91,13 @@ def test_a_reference_without_markers_is_named(marker_trials: Any) -> None:
         to_labelled_set([blank], SIDE, WindowConfig(length=2))
 
 
-def test_a_folder_becomes_one_set_per_sensor(genforce: Path) -> None:
-    for sensor in ("gelsight", "tactip", "uskin"):
-        labelled = to_labelled_set(of_sensor(read_genforce(genforce), sensor), SIDE, WindowConfig(length=3))
-        assert len(labelled.frames) == 4
+def test_a_read_set_goes_through_tokenizer_and_head(genforce: Path, tiny: TokenizerConfig) -> None:
     assert {r.indenter for r in of_indenters(read_genforce(genforce), UNSEEN)} == {"wave"}
-
-
-def test_a_read_set_goes_through_tokenizer_and_head(genforce: Path) -> None:
-    tokenizer = Tokenizer.random(TINY)
-    tactip = of_sensor(read_genforce(genforce), "tactip")
-    read = to_labelled_set(tactip, tokenizer.config.side, WindowConfig(3))
-    z = encode_set(tokenizer, read)
-    assert z.shape == (4, 3, POOL**2, TINY.latent)
+    tokenizer = Tokenizer.random(tiny)
+    for sensor in ("gelsight", "tactip", "uskin"):
+        read = to_labelled_set(of_sensor(read_genforce(genforce), sensor), tokenizer.config.side, WindowConfig(3))
+        z = encode_set(tokenizer, read)
+        assert z.shape == (4, 3, POOL**2, tiny.latent)
     head = train_head(z, read.force_N, HeadTrainingConfig(steps=2), seed=0)
     assert predict(head, z).shape == read.force_N.shape
 

@@ -11,12 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from uniforce_datasets.readers import (
-    PairConfig,
-    PairRecording,
-    read_uniforce_pairs,
-    write_uniforce_pairs,
-)
+from uniforce_datasets.readers import PairConfig, PairRecording, read_uniforce_pairs, write_uniforce_pairs
 from uniforce_datasets.readers.uniforce_pairs import bordered
 from uniforce_vtla.errors import ContractError, DatasetError
 

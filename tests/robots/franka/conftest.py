@@ -2,10 +2,10 @@ from collections.abc import Callable
 from functools import partial
 
 import pytest
+from fci_client import wait_until
 
 from uniforce_robots.franka.limits import HARD_LIMITS, Range
 from uniforce_robots.franka.stream import StreamSettings
-from uniforce_robots.standins.fci.process import wait_until
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ class FakeArm:
         self.refusals = 0  # how often it has said so
         self.stopped_at: list[float] = []
         self.connected = self.closed = False
-        self.follows = True
+        self.follows, self._pulls = True, False
         self.silent_since_s: float | None = None  # its own clock stands still from then on
         self.blocks_s = 0.0  # how long its client takes for a reading
         self.success_rate = 1.0
@@ -55,15 +55,17 @@ class FakeArm:
         if self.fault is not None:
             raise self.fault
         self.targets.append((time.monotonic(), ee_to_base.copy()))
+        self._pulls = True
 
     def _move(self, now_s: float) -> None:
         reach_m, self._moved_s = SPEED_m_s * min(now_s - self._moved_s, 0.015), now_s
-        if self.follows and self.targets:
+        if self.follows and self._pulls:
             pose = self.targets[-1][1].copy()
             pose[:3, 3] = towards(self.pose[:3, 3], pose[:3, 3], reach_m)
             self.pose = pose
 
     def stop(self, at_once: bool = False) -> None:
+        self._pulls = False
         self.stopped_at.append(time.monotonic())
         self.stopped_at_once = at_once
 

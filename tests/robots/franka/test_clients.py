@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fci_client import wait_until
 
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import Gains, fault_of
@@ -16,7 +17,7 @@ from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.hand import Hand, HandSettings
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream, StreamSettings
-from uniforce_robots.standins.fci.process import StandIn, wait_until
+from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
 
 PATIENCE_s = 60.0  # a busy machine; the robot's own clock is what is asserted on

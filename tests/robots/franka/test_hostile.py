@@ -4,11 +4,13 @@ from pathlib import Path
 
 import psutil
 
-from benchmarks.trust.hostile import CLIENTS, attack, is_right, summarise
-from benchmarks.trust.hostile_trials import RIGHT_NAMES, begun_trial
+from benchmarks.trust.hostile import CLIENTS, attack, summarise
+from benchmarks.trust.hostile_arm import FAULTS
+from benchmarks.trust.hostile_trials import RIGHT_NAMES, begun_trial, is_right
 
 
 def test_every_fault_holds_the_arm_and_is_named(tmp_path: Path) -> None:
+    assert set(RIGHT_NAMES) == set(FAULTS)
     rows = attack(list(RIGHT_NAMES), 1, tmp_path)
     assert len(rows) == len(CLIENTS) * len(RIGHT_NAMES)
     assert [row for row in rows if not is_right(row)] == []

@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import draccus
 import numpy as np
@@ -90,9 +89,7 @@ BAD = [
 
 
 @pytest.mark.parametrize("bad", BAD, ids=str)
-def test_whatever_is_no_action_stops_the_robot_until_it_recovers(
-    moving: UniforceFranka, arm: FakeArm, eventually: Callable, bad: Any
-) -> None:
+def test_whatever_is_no_action_stops_the_robot_until_it_recovers(moving, arm, eventually, bad) -> None:
     with pytest.raises(RobotError) as caught:
         moving.send_action(bad)
     assert caught.value.fault == "action"
@@ -106,15 +103,24 @@ def test_whatever_is_no_action_stops_the_robot_until_it_recovers(
     moving.send_action(action())
 
 
+def test_a_dropped_robot_lets_go_and_waits_for_no_thread(
+    moving: UniforceFranka, arm: FakeArm, monkeypatch: pytest.MonkeyPatch, eventually: Callable
+) -> None:
+    joined: list[str] = []
+    monkeypatch.setattr(threading.Thread, "join", lambda thread, timeout=None: joined.append(thread.name))
+    moving.__del__()  # by the collector, perhaps inside Thread.start: what joins there waits for itself
+    eventually(lambda: bool(arm.stopped_at))
+    monkeypatch.undo()
+    assert joined == [] and not moving.is_connected
+
+
 def test_numbers_of_any_kind_are_taken(robot: UniforceFranka) -> None:
     robot.connect()
     kinds = {"x.pos": torch.tensor(0.455), "y.pos": np.float32(0), "z.pos": np.array(0.3), "yaw.pos": 0}
     assert robot.send_action({**action(), **kinds})["x.pos"] == pytest.approx(0.455)
 
 
-def test_ctrl_c_in_an_action_lets_the_arm_rest(
-    robot: UniforceFranka, arm: FakeArm, eventually: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_in_an_action_lets_the_arm_rest(robot, arm, eventually, monkeypatch) -> None:
     robot.connect()
     arm.follows = False
     robot.send_action(action(0.01))
@@ -126,9 +132,7 @@ def test_ctrl_c_in_an_action_lets_the_arm_rest(
     eventually(lambda: abs(arm.targets[-1][1][0, 3] - 0.45) < 1e-9)
 
 
-def test_after_recovery_the_first_target_starts_where_the_arm_is(
-    moving: UniforceFranka, arm: FakeArm, eventually: Callable
-) -> None:
+def test_after_recovery_the_first_target_starts_where_the_arm_is(moving, arm, eventually) -> None:
     arm.mode = "reflex"
     eventually(lambda: bool(arm.stopped_at))
     arm.pose[0, 3] += 0.2  # a person pulled it away
@@ -150,9 +154,7 @@ def test_no_call_of_a_loop_waits_for_a_client_that_blocks(moving: UniforceFranka
     arm.blocks_s = 0.0
 
 
-def test_a_reflex_is_raised_and_recovery_moves_nothing(
-    moving: UniforceFranka, arm: FakeArm, eventually: Callable
-) -> None:
+def test_a_reflex_is_raised_and_recovery_moves_nothing(moving: UniforceFranka, arm: FakeArm, eventually: Callable):
     arm.mode = "reflex"
     eventually(lambda: bool(arm.stopped_at))
     for use in (lambda: moving.send_action(action()), moving.get_observation):
@@ -278,9 +280,7 @@ class BrokenCamera:
 @pytest.mark.parametrize(
     "error", [SensorError("frozen"), TimeoutError("old"), RuntimeError("thread"), ConnectionError("gone")]
 )
-def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
-    robot: UniforceFranka, arm: FakeArm, eventually: Callable, error: Exception
-) -> None:
+def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(robot, arm, eventually, error) -> None:
     camera = BrokenCamera()
     robot.cameras = {"front": camera}  # type: ignore[dict-item]
     robot.connect()
@@ -299,9 +299,7 @@ def test_a_sensor_that_is_not_well_stops_the_arm_and_is_counted(
     robot.send_action(robot.get_observation())
 
 
-def test_references_need_an_open_hand(
-    tmp_path: Path, arm: FakeArm, hand: FakeHand, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_references_need_an_open_hand(tmp_path: Path, arm: FakeArm, hand: FakeHand, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "make_backend", lambda config: (arm, hand))
     finger = UniforceTactileCameraConfig(source="http://127.0.0.1:9", finger="left", sensor="gelsight")
     config = UniforceFrankaConfig(id="test", calibration_dir=tmp_path, cameras={"tactile_left": finger})

@@ -74,9 +74,7 @@ def test_an_action_is_reached_through_steps_between(arm: FakeArm, started: Calla
         assert abs(0.3 - pose[2, 3]) <= 0.1 * (at - begun) + 0.1 * 0.1, "no faster than the ramp"
 
 
-def test_when_actions_stop_the_target_becomes_the_measured_pose_once(
-    arm: FakeArm, started: Callable, eventually: Callable
-) -> None:
+def test_when_actions_stop_the_target_becomes_the_measured_pose_once(arm, started, eventually) -> None:
     arm.follows = False  # it presses on something: measured stays above the target
     stream = started(stale_s=0.2)
     stream.submit(away(-0.015))
@@ -94,9 +92,7 @@ def test_when_actions_stop_the_target_becomes_the_measured_pose_once(
 
 
 @pytest.mark.parametrize("mode, fault", [("reflex", "reflex"), ("user_stopped", "user_stop"), ("guiding", "guiding")])
-def test_a_stopped_arm_ends_the_stream_by_name(
-    arm: FakeArm, stream: ArmStream, eventually: Callable, mode: str, fault: str
-) -> None:
+def test_a_stopped_arm_ends_the_stream_by_name(arm, stream, eventually, mode, fault) -> None:
     stream.submit(away(-0.01))
     arm.mode = mode
     eventually(lambda: stream.fault is not None)
@@ -151,9 +147,7 @@ def test_a_mistake_in_a_backend_lets_the_arm_go_too(arm: FakeArm, stream: ArmStr
     assert caught.value.fault == "other" and "ZeroDivisionError" in str(caught.value)
 
 
-def test_late_commands_are_logged_once(
-    arm: FakeArm, stream: ArmStream, eventually: Callable, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_late_commands_are_logged_once(arm, stream, eventually, caplog) -> None:
     arm.success_rate, arm.mode = 0.5, "move"
     first = stream.state.time_s
     eventually(lambda: stream.state.time_s > first + 0.1)
@@ -193,9 +187,7 @@ def test_a_program_that_forgets_to_disconnect_still_ends(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("fault", ["bad_state", "force", "jump"])
-def test_a_reading_that_cannot_be_ends_the_stream_by_name(
-    arm: FakeArm, stream: ArmStream, eventually: Callable, fault: str
-) -> None:
+def test_a_reading_that_cannot_be_ends_the_stream_by_name(arm, stream, eventually, fault) -> None:
     stream.submit(away(-0.01))
     eventually(lambda: bool(arm.targets))
     pose = arm.pose.copy()

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 from robot_fakes import FakeArm, FakeHand
+from scripted import ScriptedCapture
 
 from uniforce_robots import sensors
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
@@ -41,25 +42,16 @@ def room_frames() -> tuple[np.ndarray, ...]:
     )
 
 
-class FakeCapture:
+class FakeCapture(ScriptedCapture):
     """Delivers frames at a rate; ``fault`` is "", "stop" (failed reads), "stall" (silence) or "freeze"."""
 
     def __init__(self, frames: tuple[np.ndarray, ...], rate_hz: float = FPS) -> None:
-        self.frames, self.period_s = frames, 1 / rate_hz
-        self.fault = ""
-        self.count = 0
+        super().__init__()
+        self.frames, self.period_s, self.fault = frames, 1 / rate_hz, ""
         self._due_s = time.monotonic()
-        self._last = frames[0]
 
     def isOpened(self) -> bool:  # noqa: N802
         return self.fault != "stop"
-
-    def set(self, prop: int, value: float) -> bool:
-        self._set = getattr(self, "_set", {}) | {prop: value}
-        return True
-
-    def get(self, prop: int) -> float:
-        return self._set.get(prop, 0.0)
 
     def read(self) -> tuple[bool, np.ndarray | None]:
         time.sleep(max(self._due_s - time.monotonic(), 0))
@@ -70,9 +62,6 @@ class FakeCapture:
             return False, None
         self.count += self.fault != "freeze"
         return True, self.frames[self.count % len(self.frames)]
-
-    def release(self) -> None:
-        pass
 
 
 class FakeRig:

@@ -51,9 +51,7 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["teleop=recording_test", "operator=unattended", "drive_between=false"], "got drive_between"),
     ],
 )
-def test_what_cannot_be_is_refused_with_a_reason(
-    words: list[str], reason: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_is_refused_with_a_reason(words, reason, tmp_path, capsys) -> None:
     home = [f"teleop.calibration_dir={tmp_path}", "teleop.id=a"]
     assert main([*words, *home, f"root={tmp_path / 'data'}"]) == 2
     assert reason in capsys.readouterr().err
@@ -62,13 +60,7 @@ def test_what_cannot_be_is_refused_with_a_reason(
 
 @pytest.mark.parametrize("root", ["", ".", "/proc/nothing", "{file}", "{file}/below", "{full}"])
 @pytest.mark.parametrize("words", [["level=easy"], QUICK])
-def test_a_root_that_cannot_be_ends_before_the_first_episode(
-    words: list[str],
-    root: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_root_that_cannot_be_ends_before_the_first_episode(words, root, tmp_path, capsys, monkeypatch) -> None:
     file, full = tmp_path / "file", tmp_path / "full"
     file.write_text("mine")
     full.mkdir()
@@ -84,11 +76,11 @@ def test_a_root_that_cannot_be_ends_before_the_first_episode(
 
 PROGRAM = """
 import sys
-sys.path[:0] = sys.argv[1:3]
+sys.path[:0] = sys.argv[1:4]
 import recording_fakes
 from uniforce_cli.record import main
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[3:]))
+    sys.exit(main(sys.argv[4:]))
 """
 
 
@@ -98,7 +90,7 @@ def test_kill_9_loses_the_running_episode_at_most(tmp_path: Path) -> None:
     """Two processes are involved, and the storing one is spawned: a program of its own, not a thread of this."""
     root, program = tmp_path / "data", tmp_path / "program.py"
     program.write_text(PROGRAM)
-    paths = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "franka")]
+    paths = [str(Path(__file__).parents[1] / folder) for folder in ("recorder", "franka", "sensors")]
     words = [*QUICK, f"teleop.calibration_dir={tmp_path}", "teleop.id=a", "reserve_MB=1", f"root={root}"]
     command = [sys.executable, str(program), *paths, *words]
     child = subprocess.Popen([*command, "episodes=100"], stdout=subprocess.PIPE, text=True)

@@ -1,6 +1,8 @@
-"""Disk guard, steering, live view, faults' names, and what is built from a command line."""
+"""Disk guard, steering, operators, beat, live view, faults' names, and what is built from a command line."""
 
 import io
+import os
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
@@ -15,12 +17,16 @@ from uniforce_robots.recorder.build import read_devices, teleoperator_names
 from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.faults import DeviceError, StopRequestedError, cause_of, named
 from uniforce_robots.recorder.live_view import LiveView
+from uniforce_robots.recorder.operators import Command, Event, KeyOperator, Phase, Unattended
 from uniforce_robots.recorder.plain_camera import FROZEN_AFTER, PlainCamera
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture
 from uniforce_robots.recorder.robot_rig import GarbageWatch
 from uniforce_robots.recorder.steering import Steering
+from uniforce_robots.recorder.ticker import Ticker
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError
+from uniforce_robots.teleop.keyboard import TerminalKeys
 from uniforce_vtla import errors
+from uniforce_vtla.errors import ContractError
 from uniforce_vtla.keys import ABORT_CAUSES, AXES
 
 MB = 10**6
@@ -209,3 +215,121 @@ def test_a_little_garbage_is_borne_and_much_is_not() -> None:
     with pytest.raises(errors.SensorError, match="bad pieces"):
         for step in range(30):
             watch.look(10 + step / 30, 38 + step)
+
+
+def typed(operator: KeyOperator, keys: TerminalKeys, *pressed: str) -> list[Event]:
+    for key in pressed:
+        keys.press(key)
+    return operator.poll(Phase.RUNNING)
+
+
+def test_keys_mean_commands_and_unknown_ones_nothing() -> None:
+    keys = TerminalKeys({"w": (0, 1)})
+    operator = KeyOperator(keys, ["slow", "slipped"])
+    events = typed(operator, keys, "space", "w", "up", "y")
+    assert [event.command for event in events] == [Command.GO, Command.SUCCESS]
+    assert typed(operator, keys, "2", "3") == [Event(Command.NOTE, "slipped")]
+    assert operator.is_attended and not typed(operator, keys)
+
+
+def test_a_note_is_typed_over_several_polls_and_may_hold_command_keys() -> None:
+    keys = TerminalKeys({"w": (0, 1)})
+    operator = KeyOperator(keys)
+    assert not typed(operator, keys, "t", "Y", "x")
+    assert not typed(operator, keys, "space", "z", "backspace", "q", "left")
+    assert typed(operator, keys, "enter", "q") == [Event(Command.NOTE, "Yx q"), Event(Command.QUIT)]
+    assert not typed(operator, keys, "t", "enter"), "an empty note is none"
+
+
+def test_no_terminal_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin.isatty", lambda: False, raising=False)
+    with pytest.raises(ContractError, match="operator=unattended"):
+        KeyOperator().start()
+
+
+def test_unattended() -> None:
+    rule = Unattended("residual")
+    said = {phase: [e.command for e in rule.poll(phase)] for phase in Phase}
+    assert said[Phase.WAITING] == [Command.GO] and said[Phase.JUDGING] == [Command.RESIDUAL]
+    assert not said[Phase.RUNNING] and not rule.is_attended
+    with pytest.raises(ContractError, match="verdict"):
+        Unattended("great")
+
+
+def test_a_real_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = os.openpty()
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        operator = KeyOperator()
+        operator.start()
+        os.write(master, b"y q")
+        said: list[Event] = []
+        deadline_s = time.monotonic() + 30.0
+        while len(said) < 3 and time.monotonic() < deadline_s:
+            said += operator.poll(Phase.RUNNING)
+            time.sleep(0.01)
+        operator.stop()
+        operator.stop()
+    os.close(master)
+    assert [event.command for event in said] == [Command.SUCCESS, Command.GO, Command.QUIT]
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.slept: list[float] = []
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.now_s += seconds
+
+
+def ticker(paced: bool = True) -> tuple[Clock, Ticker]:
+    clock = Clock()
+    return clock, Ticker(10.0, paced, clock, clock.sleep)
+
+
+def test_deadlines_are_absolute() -> None:
+    clock, beat = ticker()
+    for work_s in (0.03, 0.08, 0.0, 0.05):
+        beat.wait()
+        clock.now_s += work_s
+    assert clock.slept == pytest.approx([0.07, 0.02, 0.1]), "the work before is made up for"
+    assert beat.stats.mean_hz == pytest.approx(10.0)
+    assert beat.stats.jitter_max_ms == pytest.approx(0, abs=1e-6)
+
+
+def test_what_is_late_and_what_is_missed() -> None:
+    clock, beat = ticker()
+    assert beat.stats.late_share == beat.stats.mean_hz == 0
+    beat.wait()
+    clock.now_s += 0.13
+    assert beat.wait() == pytest.approx(0.03)
+    clock.now_s += 0.29
+    assert beat.wait() == pytest.approx(0.22), "due at .2, now .42"
+    stats = beat.stats
+    assert (stats.ticks, stats.missed, stats.late_share) == (3, 2, 0.4)
+    assert stats.jitter_max_ms == pytest.approx(220)
+    assert beat.wait() == 0 and clock.now_s == pytest.approx(100.5), "back on the grid"
+
+
+def test_a_pause_does_not_count() -> None:
+    clock, beat = ticker()
+    beat.wait()
+    beat.wait()
+    clock.now_s += 7.0
+    beat.resume()
+    beat.wait()
+    assert beat.stats.mean_hz == pytest.approx(10.0) and beat.stats.missed == 0
+
+
+def test_a_scene_does_not_wait() -> None:
+    clock, beat = ticker(paced=False)
+    for _ in range(3):
+        beat.wait()
+        clock.now_s += 1.0
+    assert not clock.slept and beat.stats.missed == 0 and beat.stats.jitter_max_ms == 0
+    assert beat.stats.as_dict()["mean_hz"] == 1.0

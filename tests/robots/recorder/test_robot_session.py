@@ -1,4 +1,4 @@
-"""A whole session on a fake robot: episodes, labels, faults, resume."""
+"""A whole session on a fake robot: episodes, labels, faults, resume; the same one in the simulated scene."""
 
 import io
 import signal
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from recording_fakes import FakeRig, Script, Sway, SwayConfig, sway
 
+from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.raw_video import raw_path
@@ -21,6 +22,7 @@ from uniforce_robots.recorder import disk_guard
 from uniforce_robots.recorder.assemble import run_session
 from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operator, Phase, Unattended
 from uniforce_robots.recorder.session import SessionEnd, SessionSettings
+from uniforce_robots.recorder.sim_rig import SimRig
 from uniforce_robots.recorder.store import StoreSettings, open_recorder
 from uniforce_robots.sensors.faults import WrongSensorError
 from uniforce_vtla import keys
@@ -88,9 +90,7 @@ def test_what_a_row_holds(fake: FakeRig, tmp_path: Path) -> None:
     np.testing.assert_allclose(columns[keys.measured_key("hand")][:, 0], 0.08, atol=1e-6)
 
 
-def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(
-    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_that_missed_many_ticks_is_aborted_and_does_not_count(fake, tmp_path, monkeypatch) -> None:
     teleop = sway(tmp_path)
     quick = teleop.get_action
     monkeypatch.setattr(teleop, "get_action", lambda: time.sleep(2.5 / 30) or quick())
@@ -221,9 +221,7 @@ def test_a_moving_gel_is_no_reference(fake: FakeRig, tmp_path: Path) -> None:
     assert end.exit_code == 3 and "bad_touch" in end.message and "contact" in end.message
 
 
-def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(
-    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_stops_at_the_next_tick_and_what_was_saved_stays(fake, tmp_path, monkeypatch) -> None:
     root = tmp_path / "data"
     go(fake, root, Unattended("success"))
     room = iter([10**12] * 8)
@@ -271,9 +269,7 @@ def test_a_person_clears_a_reflex_and_goes_on(fake: FakeRig, tmp_path: Path) -> 
     assert [e.label for e in end.endings] == ["aborted:robot_reflex", "success"] and end.exit_code == 0
 
 
-def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(
-    fake: FakeRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_that_the_store_refuses_late_ends_the_session_in_order(fake, tmp_path, monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise ContractError("state: expected finite numbers")
 
@@ -308,3 +304,27 @@ def test_an_unattended_session_gives_up_on_a_fault_that_comes_back(fake: FakeRig
     teleop = Flaky(SwayConfig(id="test", calibration_dir=tmp_path))
     end = go(fake, tmp_path / "data", Unattended("success"), teleop, episode_s=3.0)
     assert end.exit_code == 3 and "3 times in a row" in end.message and len(end.endings) == 3
+
+
+STEPS = 6
+
+
+def test_a_scene_is_recorded_like_a_robot(tmp_path: Path) -> None:
+    rig, root = SimRig(WipeEnv("easy", max_steps=STEPS), paced=False), tmp_path / "data"
+    store = StoreSettings(root, "local/test", reserve_MB=1.0)
+    settings = SessionSettings(episodes=2, episode_s=10.0)
+    parts = rig, sway(tmp_path), Unattended("success"), store, settings
+    end = run_session(*parts, 5, open_store=open_recorder)
+    assert end.exit_code == 0 and [e.label for e in end.endings] == ["failed_grasp"] * 2, "the scene judges"
+    wanted = (keys.STATE, keys.ACTION, keys.OUTCOME, keys.SUCCESS, keys.SEED, keys.truth_wrench_key("left"))
+    columns = read_source(root).columns(wanted)
+    assert columns[keys.SEED].tolist() == [5] * STEPS + [6] * STEPS and not columns[keys.SUCCESS].any()
+    assert {keys.OUTCOME_NAMES[i] for i in columns[keys.OUTCOME]} == {"failed_grasp"}
+    assert np.abs(columns[keys.ACTION][:, 0] - columns[keys.STATE][:, 0]).max() > 1e-4
+    dataset = open_dataset(root, return_uint8=True)
+    env = WipeEnv("easy", max_steps=STEPS)
+    observation, _ = env.reset(seed=6)
+    first = dataset[STEPS]
+    assert first["task"] == env.task
+    image = first[keys.tactile_key("left")].permute(1, 2, 0).numpy()
+    assert np.array_equal(image, observation["pixels"]["tactile_left"])

@@ -121,9 +121,7 @@ def record(mjpeg: StandIn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
         (LOSSLESS.split(), "raw"),
     ],
 )
-def test_a_recording_with_loss_is_refused_before_its_first_episode(
-    record: Callable[..., Path], tmp_path: Path, flags: list[str], delivers: str
-) -> None:
+def test_a_recording_with_loss_is_refused_before_its_first_episode(record, tmp_path, flags, delivers) -> None:
     with pytest.raises(DatasetError, match=r"uniforce record, or add .*--dataset.video=false"):
         record(*flags, delivers=delivers)
     assert {path.name for path in (tmp_path / "data").rglob("*.*")} == {"info.json"}

@@ -98,9 +98,7 @@ def test_waiting_ends_with_the_next_sample(pair):
     ],
 )
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_each_fault_has_its_error_and_recovers_by_itself(
-    pair, outcome: Callable, recovers: Callable, mode: str, kind: type, says: str
-):
+def test_each_fault_has_its_error_and_recovers_by_itself(pair, outcome, recovers, mode, kind, says) -> None:
     source, reader = pair
     for _ in range(1 if mode == "bug" else 10):
         source.mode = mode

@@ -1,7 +1,7 @@
 """The tactile camera as LeRobot sees it, against the MJPEG stand-in: markers, reference, every fault ten times."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import cv2
 import draccus
@@ -70,9 +70,7 @@ DEAD |= {"size": faults.WrongSensorError, "stop": faults.LostSensorError}
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("fault", "kind"), DEAD.items())
-def test_a_dead_camera_is_a_typed_error_and_comes_back(
-    mjpeg: StandIn, camera: UniforceTactileCamera, fails_and_recovers: Callable, fault: str, kind: type
-):
+def test_a_dead_camera_is_a_typed_error_and_comes_back(mjpeg, camera, fails_and_recovers, fault, kind) -> None:
     fails_and_recovers(mjpeg, fault, kind, camera.latest, camera.next_touch, MAX_AGE_MS)
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from standins.xela import fragmented, frame, greeting, message
 from websockets.frames import Opcode
 
 from uniforce_robots.sensors import faults
@@ -18,7 +19,6 @@ from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
 from uniforce_robots.sensors.uskin_server import MAX_MESSAGE_BYTES, ServerUSkin, XelaMessages, read_message
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
-from uniforce_robots.standins.xela import fragmented, frame, greeting, message
 from uniforce_vtla.errors import ContractError, SensorError
 
 RATE_HZ = 100.0  # of the shared stand-in

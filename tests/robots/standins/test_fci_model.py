@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm, posture
-from uniforce_robots.standins.fci.arm import Arm, TORQUE_STEP_Nm, Wall, Watch, broken_rules
+from uniforce_robots.standins.fci.arm import Arm, TORQUE_STEP_Nm, Wall, broken_rules
 from uniforce_robots.standins.fci.arm_service import urdf
 from uniforce_robots.standins.fci.hand import Hand
 from uniforce_robots.standins.fci.protocol import ErrorBit, Grasp, HandMove, HandStatus
@@ -102,27 +102,3 @@ def test_the_hand_moves_homes_grasps_and_fails_to() -> None:
     assert hand.start(grasp) and run(hand) == HandStatus.SUCCESS
     assert hand.is_grasped and hand.width_m == pytest.approx(0.022, abs=1e-5) and hand.force_N == 20.0
     assert not hand.start(HandMove(0.2, 0.1)), "wider than the hand"
-
-
-def test_the_watch_knows_when_the_arm_moved_last() -> None:
-    arm, watch = Arm(), Watch()
-    watch.look(arm, 1)
-    assert watch.describe(1)["held_since_ms"] == 0
-    arm.dq_rad_s = np.array([0.0, 0.1, 0, 0, 0, 0, 0])
-    arm.refresh()
-    watch.look(arm, 2)
-    assert watch.describe(2)["held_since_ms"] is None and watch.describe(2)["last_moving_ms"] == 2
-    arm.dq_rad_s = np.array([0.0, 1e-3, 0, 0, 0, 0, 0])  # creeps: slower than 2 mm/s and 0.02 rad/s
-    arm.refresh()
-    watch.look(arm, 3)
-    assert watch.describe(3)["held_since_ms"] == 3
-
-
-@pytest.mark.parametrize("slow", [True, False])
-def test_the_watch_knows_when_the_torque_changed_last(slow: bool) -> None:
-    arm, watch = Arm(), Watch()
-    step = 0.02 if slow else 0.5
-    for now_ms in range(1, 11):
-        arm.tau_Nm = np.full(7, step * now_ms)
-        watch.look(arm, now_ms)
-    assert watch.last_torque_change_ms == (6 if slow else 10), "small steps add up"

@@ -3,16 +3,14 @@
 Times are asserted in the robot's own milliseconds: a busy machine is slow, and the server waits for its client.
 """
 
-import random
 import socket
 
 import numpy as np
 import pytest
-from fci_client import RawArm, RawHand, hand_request, pull_to
+from fci_client import RawArm, RawHand, hand_request, pull_to, wait_until
 
 from uniforce_robots.standins.fci import protocol as p
-from uniforce_robots.standins.fci.process import StandIn, wait_until
-from uniforce_robots.standins.fci.server import CONTROL_PORT
+from uniforce_robots.standins.fci.process import StandIn
 
 pytestmark = pytest.mark.slow
 STARTED, PREEMPTED = bytes([p.MoveStatus.MOTION_STARTED]), bytes([p.MoveStatus.PREEMPTED])
@@ -90,7 +88,7 @@ def test_a_torque_step_ends_the_motion_before_the_arm_follows(fci: StandIn) -> N
         look = fci.do("look")["arm"]
         assert arm.receive().payload == bytes([p.MoveStatus.REFLEX_ABORTED])
         assert look["errors"] == [p.ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY] and not look["moving"]
-        assert look["last_moving_ms"] is None, "it was never followed"
+        assert look["tau_Nm"] == [0.0] * 7 and look["speed_rad_s"] == 0.0, "it was never followed"
 
 
 def test_a_second_move_preempts_the_first_and_stop_the_second(fci: StandIn) -> None:
@@ -225,68 +223,8 @@ def answers(address: str) -> bool:
         return False
 
 
-def test_garbage_neither_hangs_nor_ends_the_server(fci: StandIn) -> None:
-    source = random.Random(0)
-    for _ in range(20):
-        with RawArm(fci.address) as arm:
-            arm.state()
-            arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY)  # garbage of the right size is a wild command
-            if source.random() < 0.5:
-                arm.start()
-            for _ in range(5):
-                arm.udp.sendto(source.randbytes(source.choice([0, 7, 371, 1377])), arm.server)
-            arm.tcp.sendall(source.randbytes(source.randrange(1, 500)))
-        with RawHand(fci.address) as hand:
-            hand.tcp.sendall(source.randbytes(source.randrange(1, 500)))
-        with socket.create_connection((fci.address, CONTROL_PORT), 5.0) as control:
-            control.sendall(source.choice([source.randbytes(200), b"[" * 60_000, b"[1]", b'{"do": 1}']) + b"\n")
-    lives(fci)
-
-
-# so that random ones are read
-SIZES = {p.ArmCommand.MOVE: 113, **{command: layout.size for command, layout in p.SETTERS.items()}}
-
-
-def test_framed_garbage_neither_hangs_nor_ends_the_server(fci: StandIn) -> None:
-    """Whole messages with random payloads, and wild numbers that are finite."""
-    source, wild = random.Random(1), np.random.default_rng(1)
-    for _ in range(60):
-        with RawArm(fci.address) as arm:
-            arm.state()
-            for _ in range(3):
-                arm.send(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY)
-                arm.move(source.choice([0, p.NO_GENERATOR, 9]))
-                for _ in range(5):  # the first ones were sent before the motion
-                    arm.command(wild_command(arm.newest().message_id + 1, wild))
-            arm.send(*payload_for(source, wild, list(p.ArmCommand)))
-        with RawHand(fci.address) as hand:
-            hand.send(*payload_for(source, wild, list(p.HandCommand)))
-    lives(fci)
-
-
-def wild_command(message_id: int, wild: np.random.Generator) -> p.RobotCommand:
-    return p.RobotCommand(message_id, wild.choice([1e-300, 1.0, 1e3, 1e300], 7) * wild.normal(size=7))
-
-
-def payload_for(source: random.Random, wild: np.random.Generator, commands: list) -> tuple[int, bytes]:
-    command = source.choice(commands)
-    size = source.choice([0, 16, 40, SIZES.get(command, 7)])
-    numbers = 10.0 ** wild.uniform(-300, 300, size // 8)
-    return command, source.choice([source.randbytes(size), numbers.tobytes()])
-
-
-def lives(fci: StandIn) -> None:
-    """Assert that the arm and the hand answer, and that the arm is where an arm can be."""
-    with RawArm(fci.address) as arm, RawHand(fci.address) as hand:
-        assert arm.state().mode in (p.RobotMode.IDLE, p.RobotMode.REFLEX)
-        assert hand.status_of(p.HandCommand.STOP) == p.HandStatus.SUCCESS
-    shown = fci.do("look")["arm"]
-    assert np.isfinite(shown["q_rad"]).all() and np.abs(shown["position_m"]).max() < 3
-
-
 def test_orders_that_make_no_sense_are_refused(fci: StandIn) -> None:
-    wrong_faults = ({"what": "fault", **details} for details in ({"name": "earthquake"}, {"name": ["reflex"]}, {}))
-    for order in ({"what": "fly"}, {"what": "wrench", "newtons": [1]}, {"what": "wall"}, *wrong_faults):
+    for order in ({"what": "fly"}, {"what": "wrench", "newtons": [1]}, {"what": "wall"}, {"what": "fault"}):
         with pytest.raises(ValueError, match="Error"):
             fci.do(**order)
-    assert fci.do("look")["fault"] == {"name": "none", "last": "none", "at_ms": None, "at_s": None}
+    assert not fci.do("look")["arm"]["errors"]

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.errors import SensorError
 
-NAMES = ("slcan", "xela", "mjpeg")
+NAMES = ("slcan", "standins.xela", "mjpeg")
 
 
 @pytest.mark.slow
@@ -30,9 +31,10 @@ def test_each_is_ready_obeys_and_ends(name: str):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_help_teaches_by_example(name: str):
-    command = [sys.executable, "-m", f"uniforce_robots.standins.{name}", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
-    assert f"python -m uniforce_robots.standins.{name}" in done.stdout
+    module = name if "." in name else f"uniforce_robots.standins.{name}"
+    command, tests = [sys.executable, "-m", module, "--help"], Path(__file__).parents[2]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False, cwd=tests)
+    assert f"python -m {module}" in done.stdout
 
 
 @pytest.mark.slow

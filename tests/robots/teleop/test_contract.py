@@ -94,15 +94,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name, fault", [(name, fault) for name in FAULTS for fault in FAULTS[name]])
-def test_faults_stay_until_the_next_start(
-    name: str,
-    fault: str,
-    connected: Callable[[str], Any],
-    measured: np.ndarray,
-    fault_of: Callable[..., str],
-    starts: Callable[[Any], None],
-    request: pytest.FixtureRequest,
-) -> None:
+def test_faults_stay_until_the_next_start(name, fault, connected, measured, fault_of, starts, request) -> None:
     device, stand_in = connected(f"uniforce_{name}"), request.getfixturevalue(name)
     device.start_from(measured)
     stand_in.inject(fault)

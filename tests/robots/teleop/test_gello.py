@@ -89,9 +89,7 @@ def test_a_chain_needs_seven_joints_and_a_trigger(tmp_path: Path) -> None:
     arrays(np.int64, 7, elements=st.sampled_from([-1, 1])),
     arrays(np.float64, 7, elements=st.floats(-0.3, 0.3)),
 )
-def test_offsets_come_out_of_an_inexactly_held_posture(
-    quarters: np.ndarray, signs: np.ndarray, slack: np.ndarray
-) -> None:
+def test_offsets_come_out_of_an_inexactly_held_posture(quarters: np.ndarray, signs: np.ndarray, slack: np.ndarray):
     mounted = quarters * np.pi / 2
     motors = mounted + signs * (HOME_q_rad + slack)
     assert np.allclose(offsets(motors, signs, HOME_q_rad), mounted)

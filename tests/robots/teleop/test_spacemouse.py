@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
+from standins.spacemouse import reports
 
 import uniforce_robots.teleop as ours
 from uniforce_robots.standins.process import StandIn
-from uniforce_robots.standins.spacemouse import reports
 from uniforce_robots.teleop.spacemouse import LARGEST_COUNT, SpaceMouseSource, find_spacemice
 from uniforce_vtla.errors import TeleoperatorError
 

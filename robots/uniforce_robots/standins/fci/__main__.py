@@ -3,9 +3,9 @@
 import argparse
 import contextlib
 import ipaddress
-import sys
 from pathlib import Path
 
+from uniforce_robots.standins.control import say
 from uniforce_robots.standins.fci.server import Server, ServerOptions
 
 
@@ -26,10 +26,14 @@ def parse(arguments: list[str] | None = None) -> ServerOptions:
     return ServerOptions(**chosen)
 
 
-if __name__ == "__main__":
+def main(kind: type[Server] = Server) -> None:
+    """Serve until ordered to stop."""
     options = parse()
-    server = Server(options)
-    sys.stdout.write(f"ready {options.address}\n")
-    sys.stdout.flush()
+    server = kind(options)
+    say(f"ready {options.address}")
     with contextlib.closing(server), contextlib.suppress(KeyboardInterrupt):
         server.run()
+
+
+if __name__ == "__main__":
+    main()

@@ -4,7 +4,6 @@ Gravity and Coriolis forces are taken as compensated, as the real controller pre
 enough that commanded targets are reached and that pressing on the wall gives stiffness × distance; no dynamics model.
 """
 
-import time
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,8 +31,6 @@ GUIDING_DAMPING_Nms = 5.0  # a hand that pushes moves the arm, and it stops when
 TOLERANCE = 1.01  # states are float32, and a client's rounding is no fault
 TORQUE_STEP_Nm = 1.0  # a millisecond: 1000 Nm/s
 SPEED_MAX_m_s = 3.0  # of the hand (FR3 specification)
-MOVING_m_s, MOVING_rad_s = 0.002, 0.02  # of the tool; below both the arm is at rest
-TORQUE_CHANGE_Nm = 0.1  # smaller ones are a steady push
 
 
 @dataclass(frozen=True)
@@ -167,33 +164,3 @@ def broken_rules(tau_Nm: np.ndarray, before_Nm: np.ndarray | float = 0.0) -> fro
     if (np.abs(tau_Nm) > TOLERANCE * TAU_MAX_Nm).any():
         found.add(ErrorBit.TAU_J_RANGE_VIOLATION)
     return frozenset(found)
-
-
-@dataclass
-class Watch:
-    """Last times something happened; None: never."""
-
-    last_moving_ms: int | None = None  # the tool was faster than 2 mm/s or 0.02 rad/s
-    last_moving_s: float | None = None  # the same, CLOCK_MONOTONIC: an arm that waits for its client is slower
-    last_command_ms: int | None = None  # a command of the control loop arrived
-    last_torque_change_ms: int | None = None  # the torque on the joints changed by more than 0.1 Nm
-    _tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
-
-    def look(self, arm: Arm, now_ms: int) -> None:
-        """Look at the arm at the end of a millisecond."""
-        twist = arm.twist
-        if twist[:3] @ twist[:3] > MOVING_m_s**2 or twist[3:] @ twist[3:] > MOVING_rad_s**2:
-            self.last_moving_ms, self.last_moving_s = now_ms, time.monotonic()
-        if arm.tau_Nm is not self._tau_Nm and np.abs(arm.tau_Nm - self._tau_Nm).max() > TORQUE_CHANGE_Nm:
-            self.last_torque_change_ms, self._tau_Nm = now_ms, arm.tau_Nm
-
-    def describe(self, now_ms: int) -> dict[str, float | None]:
-        """Return the times, and since when the arm is at rest (None while it moves)."""
-        last = self.last_moving_ms
-        return {
-            "last_moving_ms": last,
-            "last_moving_s": self.last_moving_s,
-            "last_command_ms": self.last_command_ms,
-            "last_torque_change_ms": self.last_torque_change_ms,
-            "held_since_ms": 0 if last is None else last + 1 if last < now_ms else None,
-        }

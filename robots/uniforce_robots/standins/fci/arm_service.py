@@ -2,14 +2,12 @@
 
 import struct
 import time
-from collections import deque
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import cos, sin
 
 from uniforce_robots.fr3 import DH, JOINTS, DQ_MAX_rad_s, FLANGE_m, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm
 from uniforce_robots.standins.fci import protocol as p
-from uniforce_robots.standins.fci.arm import Arm, Watch, broken_rules
+from uniforce_robots.standins.fci.arm import Arm, TICK_s, broken_rules
 from uniforce_robots.standins.fci.link import Journal, Link
 from uniforce_robots.standins.fci.protocol import (
     ArmCommand,
@@ -24,7 +22,6 @@ from uniforce_robots.standins.fci.protocol import (
 )
 
 PATIENCE_s = 0.02  # of a tick with its client: time passes slower instead of the arm following a stale torque
-KEPT = 200  # states sent, for faults that send them again
 SUCCESS_WINDOW = 100  # commands the success rate is about
 MISSES_ALLOWED = 20  # FCI: as many lost packets in a row end the motion
 STOPPED = (RobotMode.REFLEX, RobotMode.USER_STOPPED)
@@ -42,11 +39,6 @@ class Motion:
     broken: frozenset[int] = frozenset()  # rules, by commands that wait to be followed
 
 
-def whole(state: RobotState) -> Iterable[bytes]:
-    """Yield a state as it is: what an arm without a fault sends."""
-    yield state.encode()
-
-
 class ArmService:
     """An arm behind its port; torque control is the only motion it knows.
 
@@ -58,26 +50,14 @@ class ArmService:
     def __init__(self, address: str, version: int, journal: Journal) -> None:
         self.link = Link(address, p.ARM_PORT, p.ARM_HEADER, journal)
         self.version, self.journal = version, journal
-        self.arm, self.watch = Arm(), Watch()
+        self.arm = Arm()
         self.mode = RobotMode.IDLE
         self.motion: Motion | None = None
         self.errors: frozenset[int] = frozenset()
         self.reflex_reason: frozenset[int] = frozenset()
         self.success_rate = 0.0
         self.miss_rule, self.milliseconds = False, 0
-        self.sent: deque[RobotState] = deque(maxlen=KEPT)  # the newest, until a fault
-        self._sent_at = 0.0
-        self.mend()
-
-    def mend(self) -> None:
-        """Take back every fault of the wire.
-
-        ``outgoing`` turns a state into datagrams. ``starved``: the client can't know of a tick, so none waits for it.
-        ``takes_commands``: whether commands arrive.
-        """
-        self.outgoing: Callable[[RobotState], Iterable[bytes]] = whole
-        self.starved, self.takes_commands = False, True
-        self.link.garbage = None
+        self.sent_s = 0.0  # CLOCK_MONOTONIC, of the newest state
 
     # --- requests ----------------------------------------------------------------------------------------------------
 
@@ -152,8 +132,6 @@ class ArmService:
 
     def receive_command(self, datagram: bytes) -> None:
         """Take a command of the control loop."""
-        if not self.takes_commands:
-            return
         try:
             command = RobotCommand.decode(datagram)
         except ProtocolError as error:
@@ -162,22 +140,16 @@ class ArmService:
         if self.journal.is_on:
             tau_Nm = command.tau_J_d.round(4).tolist()
             self.journal.write("command", id=command.message_id, tau_Nm=tau_Nm, finished=command.finished)
-        self.watch.last_command_ms = self.milliseconds
         if (motion := self.motion) is not None:
             before_Nm = motion.command.tau_J_d if motion.command else 0.0
             motion.broken |= broken_rules(command.tau_J_d, before_Nm)
             motion.command, motion.answered = command, command.message_id >= self.milliseconds
 
-    @property
-    def _counts_misses(self) -> bool:
-        return self.miss_rule or not self.takes_commands
-
     def is_due(self, now_s: float) -> bool:
         """Whether the next millisecond may begin: the client has answered, or waited too long."""
         if self.motion is None or self.motion.answered:
             return True
-        patience = 0.001 if self._counts_misses or self.starved else PATIENCE_s
-        return now_s - self._sent_at >= patience
+        return now_s - self.sent_s >= (TICK_s if self.miss_rule else PATIENCE_s)
 
     def tick(self) -> None:
         """Let one millisecond of the robot's time pass and send a state."""
@@ -188,7 +160,6 @@ class ArmService:
         else:
             self.arm.hold()  # also while the client of a motion has not begun
         self.milliseconds += 1
-        self.watch.look(self.arm, self.milliseconds)
         self._send_state()
 
     def _drive(self, motion: Motion, command: RobotCommand) -> None:
@@ -199,7 +170,7 @@ class ArmService:
         if not violations:
             self.arm.drive(command.tau_J_d)
             violations = self.arm.violations()
-            if self._counts_misses and motion.misses >= MISSES_ALLOWED:
+            if self.miss_rule and motion.misses >= MISSES_ALLOWED:
                 violations |= {ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION}
         if violations:
             self.reflex(violations)
@@ -207,21 +178,19 @@ class ArmService:
             self.end_motion(MoveStatus.SUCCESS)
 
     def _send_state(self) -> None:
-        self._sent_at = time.monotonic()
-        state = self._state()
+        self.sent_s = time.monotonic()
+        state = self.state()
         if self.journal.is_on:
             position_m = self.arm.ee_to_base[:3, 3].round(6).tolist()
             self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position_m)
-        if self.outgoing is whole:
-            self.sent.append(state)
-        for datagram in self.outgoing(state):
-            self.link.send_state(datagram)
+        self.send(state)
 
-    def newest(self) -> RobotState:
-        """Return the newest state that was sent without a fault; one of now if there is none."""
-        return self.sent[-1] if self.sent else self._state()
+    def send(self, state: RobotState) -> None:
+        """Send a state to the client."""
+        self.link.send_state(state.encode())
 
-    def _state(self) -> RobotState:
+    def state(self) -> RobotState:
+        """Return what the arm says of itself now."""
         motion = self.motion
         return RobotState(
             self.milliseconds,
@@ -278,7 +247,6 @@ class ArmService:
             "mode": self.mode.name,
             "moving": self.motion is not None,
             **self.arm.describe(),
-            **self.watch.describe(self.milliseconds),
             "errors": sorted(int(e) for e in self.errors),
         }
 

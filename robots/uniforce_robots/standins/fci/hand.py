@@ -2,7 +2,6 @@
 
 import struct
 import time
-from collections.abc import Callable, Iterable
 
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.link import Journal, Link
@@ -12,7 +11,6 @@ HOMING_SPEED_m_s = 0.1
 ARRIVED_m = 1e-6
 STATE_HZ = 10.0  # about what the real one gives
 REST_C = 30  # temperature of a hand that is not there
-MIDWAY_s = 0.05  # a command is under way for
 
 
 class Hand:
@@ -49,11 +47,6 @@ class Hand:
         """Stop where the fingers are."""
         self._goal_m, self._grasp, self._homing = None, None, False
 
-    def slip(self) -> None:
-        """Lose what is held: the fingers close on nothing."""
-        self._begin(0.0, HOMING_SPEED_m_s)
-        self.object_m = 0.0
-
     def _begin(self, goal_m: float, speed_m_s: float) -> None:
         self.stop()
         self._goal_m, self._speed_m_s = goal_m, speed_m_s
@@ -86,43 +79,19 @@ class Hand:
         return p.HandStatus.SUCCESS if succeeds else p.HandStatus.UNSUCCESSFUL
 
 
-def whole(state: p.HandState) -> Iterable[bytes]:
-    """Yield a state as it is: what a hand without a fault sends."""
-    yield state.encode()
-
-
 class HandService:
     """A hand behind its port."""
 
     def __init__(self, address: str, state_hz: float, journal: Journal) -> None:
         self.link = Link(address, p.HAND_PORT, p.HAND_HEADER, journal)
         self.state_hz, self.hand = state_hz, Hand()
-        self._pending: p.Message | None = None  # what is to be answered when the fingers have arrived
+        self.pending: p.Message | None = None  # what is to be answered when the fingers have arrived
         self._states = 0
-        self._begun_s = 0.0
-        self.struck_s: float | None = None  # CLOCK_MONOTONIC, when a fault that waits for its moment came
-        self.mend()
-        self._next_state_s = self._last_tick_s = time.monotonic()
-
-    def mend(self) -> None:
-        """Take back every fault of the wire.
-
-        ``outgoing`` turns a state into datagrams. ``hung``: the fingers stand still and no command is answered.
-        """
-        self.outgoing: Callable[[p.HandState], Iterable[bytes]] = whole
-        self.hung = False
-        self.link.garbage = None
-
-    @property
-    def is_midway(self) -> bool:
-        """Whether a command has been under way for a while and is not done."""
-        return self._pending is not None and time.monotonic() - self._begun_s > MIDWAY_s
+        self._next_state_s = self.last_tick_s = time.monotonic()
 
     def answer(self, message: p.Message) -> None:
         """Answer one request, or remember it until the fingers arrive; ProtocolError: it can't be read."""
-        self.link.write_request(message, p.HandCommand, busy=self._pending is not None)
-        if self.hung and message.command != p.HandCommand.CONNECT:
-            return
+        self.link.write_request(message, p.HandCommand, busy=self.pending is not None)
         match message.command:
             case p.HandCommand.CONNECT:
                 self.link.greet(message, p.HAND_VERSION, struct.Struct("<HH").pack)
@@ -130,21 +99,21 @@ class HandService:
                 self._abort()
                 self._reply(message, p.HandStatus.SUCCESS)
             case p.HandCommand.HOMING:
-                self._begin(message, None)
+                self.begin(message, None)
             case p.HandCommand.MOVE:
-                self._begin(message, p.decode_hand(p.HandMove, message.payload))
+                self.begin(message, p.decode_hand(p.HandMove, message.payload))
             case p.HandCommand.GRASP:
-                self._begin(message, p.decode_hand(p.Grasp, message.payload))
+                self.begin(message, p.decode_hand(p.Grasp, message.payload))
             case _:
                 raise p.ProtocolError("hand command", "0 to 4", message.command)
 
-    def _begin(self, message: p.Message, request: p.Grasp | p.HandMove | None) -> None:
+    def begin(self, message: p.Message, request: p.Grasp | p.HandMove | None) -> None:
         """Start a motion; one that is under way is aborted, which the real hand takes badly."""
         self._abort()
         if request is not None:
             self.link.journal.write("hand", request=type(request).__name__, **request._asdict())
         if self.hand.start(request):
-            self._pending, self._begun_s = message, time.monotonic()
+            self.pending = message
         else:
             self._reply(message, p.HandStatus.FAIL)
 
@@ -153,7 +122,7 @@ class HandService:
         self._end(p.HandStatus.ABORTED)
 
     def _end(self, status: p.HandStatus) -> None:
-        pending, self._pending = self._pending, None
+        pending, self.pending = self.pending, None
         if pending is not None:
             self._reply(pending, status)
 
@@ -163,23 +132,24 @@ class HandService:
     def client_gone(self) -> None:
         """Stop when the client has left; no answer is sent."""
         self.hand.stop()
-        self._pending = None
+        self.pending = None
 
     def tick(self, now_s: float) -> None:
         """Let time pass, on the wall's clock: the hand waits for no client."""
-        outcome = None if self.hung else self.hand.advance(now_s - self._last_tick_s)
-        self._last_tick_s = now_s
+        outcome = self.hand.advance(now_s - self.last_tick_s)
+        self.last_tick_s = now_s
         if outcome is not None:
             self._end(outcome)
         if now_s >= self._next_state_s:
             self._next_state_s = now_s + 1 / self.state_hz
             self._states += 1
-            state = p.HandState(self._states, self.hand.width_m, MAX_WIDTH_m, self.hand.is_grasped, REST_C)
-            for datagram in self.outgoing(state):
-                self.link.send_state(datagram)
+            self.send(p.HandState(self._states, self.hand.width_m, MAX_WIDTH_m, self.hand.is_grasped, REST_C))
+
+    def send(self, state: p.HandState) -> None:
+        """Send a state to the client."""
+        self.link.send_state(state.encode())
 
     def describe(self) -> dict[str, object]:
         """Return what a test wants to know without a client."""
         hand = self.hand
-        shown = {"width_m": hand.width_m, "is_grasped": hand.is_grasped, "force_N": hand.force_N}
-        return {**shown, "struck_s": self.struck_s}
+        return {"width_m": hand.width_m, "is_grasped": hand.is_grasped, "force_N": hand.force_N}

@@ -54,7 +54,6 @@ class Link:
         self.udp.setblocking(False)
         self.client: socket.socket | None = None
         self.states_to: tuple[str, int] | None = None
-        self.garbage: Callable[[], bytes] | None = None  # sent in place of every answer
         self._host, self._buffer = "", b""
 
     def write(self, what: str, **details: object) -> None:
@@ -140,8 +139,7 @@ class Link:
         """Answer a request."""
         size, status = self.header.layout.size + len(payload), payload[0] if payload else None
         self.write("reply", command=to.command, command_id=to.command_id, status=status, bytes=size)
-        answer = self.header.encode(p.Message(to.command, to.command_id, payload))
-        self.send_bytes(self.garbage() if self.garbage else answer)
+        self.send_bytes(self.header.encode(p.Message(to.command, to.command_id, payload)))
 
     def send_bytes(self, data: bytes) -> None:
         """Send bytes as they are; drop a client that has left or doesn't read."""

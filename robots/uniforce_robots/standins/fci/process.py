@@ -1,39 +1,39 @@
 """Start the stand-in as its own process, order its faults, and end it by its own handle."""
 
 import json
-import socket
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 from uniforce_robots.standins.fci.link import read_journal
-from uniforce_robots.standins.fci.server import CONTROL_PORT
+from uniforce_robots.standins.fci.server import ANSWER
+from uniforce_robots.standins.process import ANSWER_S
 from uniforce_robots.standins.process import StandIn as AnyStandIn
-
-ANSWER_s = 10.0
 
 
 class StandIn(AnyStandIn):
     """A running stand-in. Use as a context manager; ``do`` orders a fault and returns what the arm and hand show."""
 
+    module = "fci"
+
     def __init__(self, address: str, *options: str, log: Path | None = None) -> None:
         self.log = log
-        super().__init__("fci", address, *options, *(("--log", str(log)) if log else ()))
-        self._control = socket.create_connection((address, CONTROL_PORT), ANSWER_s)
-        self._answers = self._control.makefile("r")
+        super().__init__(self.module, address, *options, *(("--log", str(log)) if log else ()))
 
     def do(self, what: str, **details: object) -> dict:
         """Order something (see ``Server``) and return ``{"arm": …, "hand": …}`` as they are afterwards."""
-        self._control.sendall(json.dumps({"do": what, **details}).encode() + b"\n")
-        answer = json.loads(self._answers.readline())
+        return self.order(json.dumps({"do": what, **details}))
+
+    def order(self, line: str) -> dict:
+        """Send a line, which should be such an order; ValueError: it makes no sense."""
+        answer: dict = json.loads(self._ask(line, ANSWER))
         if "error" in answer:
             raise ValueError(answer["error"])
         return answer
 
     def die(self) -> None:
         """Let the process vanish without a word to its clients."""
-        self._control.sendall(b'{"do": "die"}\n')
-        self.process.wait(ANSWER_s)
+        assert self.process.stdin is not None
+        self.process.stdin.write(b'{"do": "die"}\n')
+        self.process.wait(ANSWER_S)
 
     def wire(self) -> list[dict]:
         """Return the log so far."""
@@ -42,19 +42,3 @@ class StandIn(AnyStandIn):
         if self.process.poll() is None:
             self.do("flush")
         return read_journal(self.log)
-
-    def close(self) -> None:
-        """End the process, and hang up."""
-        super().close()
-        self._answers.close()
-        self._control.close()
-
-
-def wait_until(condition: Callable[[], bool], timeout_s: float = 10.0, what: str = "condition") -> float:
-    """Poll a condition; return the seconds it took, or raise TimeoutError."""
-    start = time.monotonic()
-    while not condition():
-        if time.monotonic() - start > timeout_s:
-            raise TimeoutError(f"{what}: not within {timeout_s} s")
-        time.sleep(0.005)
-    return time.monotonic() - start

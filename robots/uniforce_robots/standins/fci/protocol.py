@@ -195,8 +195,8 @@ _NAMES, _SIZES = _WORDS[::2], [int(size) for size in _WORDS[1::2]]
 _ENDS = np.cumsum(_SIZES).tolist()
 STATE_SLICES = {n: slice(end - size, end) for n, size, end in zip(_NAMES, _SIZES, _ENDS, strict=True)}
 STATE_FLOAT_COUNT = _ENDS[-1]  # 320
-_STATE = struct.Struct(f"<Q{4 * STATE_FLOAT_COUNT}sBB{ERRORS}s{ERRORS}sBf")
-STATE_BYTES = _STATE.size  # 1377
+STATE = struct.Struct(f"<Q{4 * STATE_FLOAT_COUNT}sBB{ERRORS}s{ERRORS}sBf")
+STATE_BYTES = STATE.size  # 1377
 
 
 @dataclass(frozen=True)
@@ -220,26 +220,15 @@ class RobotState:
         body = np.asarray(self.floats, "<f4").tobytes()
         flags = (_flags(self.errors), _flags(self.reflex_reason))
         head = (self.message_id, body, self.generator, self.controller)
-        return _STATE.pack(*head, *flags, self.mode, self.success_rate)
-
-    @classmethod
-    def decode(cls, datagram: bytes) -> RobotState:
-        """Return the state; raise ProtocolError for another size."""
-        number, body, generator, controller, errors, reflex, mode, rate = unpack(_STATE, datagram, "RobotState")
-        floats = np.frombuffer(body, "<f4").copy()
-        return cls(number, floats, generator, controller, _bits(errors), _bits(reflex), mode, rate)
+        return STATE.pack(*head, *flags, self.mode, self.success_rate)
 
 
 def _flags(bits: frozenset[int]) -> bytes:
     return bytes(int(i in bits) for i in range(ERRORS)) if bits else bytes(ERRORS)
 
 
-def _bits(flags: bytes) -> frozenset[int]:
-    return frozenset(i for i, flag in enumerate(flags) if flag)
-
-
 # id, what motion generators use, elbow valid, motion finished, torques, torque control finished
-_COMMAND = struct.Struct("<Q304x??7d?")
+COMMAND = struct.Struct("<Q304x??7d?")
 
 
 @dataclass(frozen=True)
@@ -250,21 +239,17 @@ class RobotCommand:
     tau_J_d: np.ndarray = field(default_factory=lambda: np.zeros(7))  # Nm, without gravity
     finished: bool = False  # the client ends the motion with this command
 
-    def encode(self) -> bytes:
-        """Return the 371-byte datagram."""
-        return _COMMAND.pack(self.message_id, False, False, *self.tau_J_d, self.finished)
-
     @classmethod
     def decode(cls, datagram: bytes) -> RobotCommand:
         """Return the command; raise ProtocolError for another size, or a torque that is not finite."""
-        message_id, _, motion_finished, *tau, finished = unpack(_COMMAND, datagram, "RobotCommand")
+        message_id, _, motion_finished, *tau, finished = unpack(COMMAND, datagram, "RobotCommand")
         if not np.isfinite(tau).all():
             raise ProtocolError("RobotCommand", "finite numbers", "NaN or inf")
         return cls(message_id, np.array(tau), motion_finished or finished)
 
 
-_HAND_STATE = struct.Struct("<IddBH")
-HAND_STATE_BYTES = _HAND_STATE.size  # 23
+HAND_STATE = struct.Struct("<IddBH")
+HAND_STATE_BYTES = HAND_STATE.size  # 23
 
 
 class HandState(NamedTuple):
@@ -278,10 +263,4 @@ class HandState(NamedTuple):
 
     def encode(self) -> bytes:
         """Return the 23-byte datagram."""
-        return _HAND_STATE.pack(*self)
-
-    @classmethod
-    def decode(cls, datagram: bytes) -> HandState:
-        """Return the state; raise ProtocolError for another size."""
-        message_id, width, max_width, grasped, temperature = unpack(_HAND_STATE, datagram, "HandState")
-        return cls(message_id, width, max_width, bool(grasped), temperature)
+        return HAND_STATE.pack(*self)

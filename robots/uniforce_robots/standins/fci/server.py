@@ -1,6 +1,7 @@
-"""Arm, hand and control socket in one single-threaded loop."""
+"""Arm, hand and the orders on standard input in one single-threaded loop."""
 
 import json
+import os
 import select
 import socket
 import time
@@ -10,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
+from uniforce_robots.standins.control import InputLines, say
 from uniforce_robots.standins.fci.arm import TICK_s, Wall
 from uniforce_robots.standins.fci.arm_service import ArmService
 from uniforce_robots.standins.fci.hand import STATE_HZ, HandService
-from uniforce_robots.standins.fci.hostile import Faults
 from uniforce_robots.standins.fci.link import Journal
-from uniforce_robots.standins.fci.protocol import ARM_VERSION, ProtocolError
+from uniforce_robots.standins.fci.protocol import ARM_VERSION, ErrorBit, ProtocolError
 
-CONTROL_PORT = 1339  # ours, beside the robot's two
+ANSWER = "order"  # the word before an order's answer
 CATCH_UP_s = 0.05  # a loop that lags more forgets the lag instead of racing through it
-CONTROL_LINE_BYTES = 65536
+DIED = 9  # exit code of the death a test asked for
 
 
 @dataclass(frozen=True)
@@ -34,22 +35,22 @@ class ServerOptions:
 
 
 class Server:
-    """The stand-in."""
+    """The stand-in; ``orders`` are what it obeys, by name."""
+
+    arm_service: type[ArmService] = ArmService
+    hand_service: type[HandService] = HandService
 
     def __init__(self, options: ServerOptions) -> None:
         self.journal = Journal(options.log)
-        self.arm = ArmService(options.address, options.server_version, self.journal)
-        self.hand = HandService(options.address, options.hand_hz, self.journal)
+        self.arm = self.arm_service(options.address, options.server_version, self.journal)
+        self.hand = self.hand_service(options.address, options.hand_hz, self.journal)
         self.mute, self.stopped = options.mute, False
-        self.faults = Faults(self.arm, self.hand, self.journal)
-        self._control = socket.create_server((options.address, CONTROL_PORT))
-        self._controllers: dict[socket.socket, bytes] = {}
-        self._orders: dict[str, Callable[..., object]] = {
+        self._input = InputLines()
+        self.orders: dict[str, Callable[..., object]] = {
             "look": lambda: None,
-            "fault": self.faults.order,
-            "reflex": lambda: self.faults.order("reflex"),
-            "user_stop": lambda: self.faults.order("user_stop"),
-            "die": lambda: self.faults.order("server_death"),
+            "reflex": lambda: self.arm.reflex(frozenset({ErrorBit.CARTESIAN_REFLEX})),
+            "user_stop": self.arm.user_stop,
+            "die": lambda: die(self.journal),
             "release": self.arm.release,
             "guide": self.arm.guide,
             "mute": lambda on=True: setattr(self, "mute", bool(on)),
@@ -62,39 +63,40 @@ class Server:
         }
 
     def run(self) -> None:
-        """Serve until ordered to stop."""
+        """Serve until ordered to stop, or until a piped input ends."""
         due = time.monotonic()
-        while not self.stopped:
+        while not (self.stopped or self._input.ended):
             now = time.monotonic()
             if now >= due and self.arm.is_due(now):
                 if not self.mute:
-                    self.arm.tick()
-                    self.hand.tick(time.monotonic())
-                    self.faults.tick()
+                    self.tick()
                 due = max(due + TICK_s, now - CATCH_UP_s)
                 now = time.monotonic()
             self._serve(max(due - now, 0.0) if now < due else TICK_s / 5)
+
+    def tick(self) -> None:
+        """Let one millisecond of the robot's time pass."""
+        self.arm.tick()
+        self.hand.tick(time.monotonic())
 
     def close(self) -> None:
         """Close every socket."""
         self.arm.link.close()
         self.hand.link.close()
-        for each in (*self._controllers, self._control):
-            each.close()
         self.journal.flush()
 
     def _serve(self, timeout_s: float) -> None:
         """Answer what has arrived, or wait for it. ``select`` waits in microseconds, ``epoll`` in milliseconds."""
-        devices = [] if self.mute else [*self.arm.link.sockets(), *self.hand.link.sockets()]
-        ready, _, _ = select.select([*devices, self._control, *self._controllers], [], [], timeout_s)
-        for ready_socket in ready:
-            self._route(ready_socket)
+        sources: list[socket.socket | int] = [*self._input.files]
+        if not self.mute:
+            sources += [*self.arm.link.sockets(), *self.hand.link.sockets()]
+        for ready in select.select(sources, [], [], timeout_s)[0]:
+            self._route(ready)
 
-    def _route(self, ready: socket.socket) -> None:
-        if ready is self._control:
-            self._controllers[self._control.accept()[0]] = b""
-        elif ready in self._controllers:
-            self._read_control(ready)
+    def _route(self, ready: socket.socket | int) -> None:
+        if isinstance(ready, int):
+            for line in self._input.read():
+                say(f"{ANSWER} {json.dumps(self._obey(line))}")
         elif ready is self.arm.link.udp:
             for datagram in self.arm.link.datagrams():
                 self.arm.receive_command(datagram)
@@ -117,32 +119,20 @@ class Server:
             if link.client is None:
                 service.client_gone()
 
-    # --- control -----------------------------------------------------------------------------------------------------
-
-    def _read_control(self, controller: socket.socket) -> None:
-        """Obey whole lines; a controller that hangs up, or never ends its line, is dropped."""
-        try:
-            data = controller.recv(CONTROL_LINE_BYTES)
-            *lines, rest = (self._controllers[controller] + data).split(b"\n")
-            for line in lines:
-                controller.sendall(json.dumps(self._obey(line)).encode() + b"\n")
-        except ConnectionError:
-            data = rest = b""
-        self._controllers[controller] = rest
-        if not data or len(rest) > CONTROL_LINE_BYTES:
-            del self._controllers[controller]
-            controller.close()
-
-    def _obey(self, line: bytes) -> dict[str, object]:
+    def _obey(self, line: str) -> dict[str, object]:
         try:
             order = json.loads(line)
             what = order.pop("do")
-            if what not in self._orders:
-                raise ValueError(f"do: expected one of {sorted(self._orders)}, got {what!r}")
-            self._orders[what](**order)
+            if what not in self.orders:
+                raise ValueError(f"do: expected one of {sorted(self.orders)}, got {what!r}")
+            self.orders[what](**order)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
             return {"error": f"{type(error).__name__}: {error}"}
-        return {"arm": self.arm.describe(), "hand": self.hand.describe(), "fault": self.faults.describe()}
+        return self.describe()
+
+    def describe(self) -> dict[str, object]:
+        """Return what an order is answered with."""
+        return {"arm": self.arm.describe(), "hand": self.hand.describe()}
 
     def _set_wrench(self, newtons: list[float]) -> None:
         wrench = np.asarray(newtons, float)
@@ -154,3 +144,9 @@ class Server:
     def _set_wall(self, height_m: float | None, stiffness_N_m: float = 5000.0) -> None:
         self.arm.arm.wall = None if height_m is None else Wall(float(height_m), float(stiffness_N_m))
         self.arm.arm.refresh()
+
+
+def die(journal: Journal) -> None:
+    """End the process without a word to its clients."""
+    journal.flush()
+    os._exit(DIED)

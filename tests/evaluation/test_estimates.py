@@ -1,17 +1,19 @@
-"""Events from finger forces: made-up wipes whose answer is known, and real physics with its true forces."""
+"""Events from finger forces and ink from a camera: made-up ones whose answer is known, and the simulator's truth."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.cameras import front_camera
 from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.evaluation.board_camera import estimate_residual
 from uniforce_vtla.evaluation.episode import WIPING_PHASE, ScoreLimits, press_events, score_episode
-from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
-from uniforce_vtla.evaluation.pictures import draw_estimate
+from uniforce_vtla.evaluation.finger_estimates import estimate_events
 
 RATE = 30
 WEIGHT_N = 0.8
@@ -71,8 +73,7 @@ def test_what_cannot_be_judged_is_refused() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("press_N", "grip_N", "seed"),
-    [(6.8, 5.0, 30_003), (9.5, 9.0, 30_009), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)],
+    ("press_N", "grip_N", "seed"), [(6.8, 5.0, 30_003), (9.5, 9.0, 30_009), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)]
 )
 def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, seed: int) -> None:
     """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""
@@ -93,8 +94,66 @@ def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, s
     assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.15
 
 
-def test_the_figure_names_its_events(tmp_path) -> None:
-    time_s, force, height = wipe(12.0)
-    found = estimate_events(time_s, force, height, FRICTION)
-    assert isinstance(found, FingerEstimate)
-    assert draw_estimate(found, time_s, None, tmp_path / "deep" / "one.png").stat().st_size > 10_000
+CORNERS = np.array([[20, 30], [300, 40], [310, 200], [10, 190]])
+
+
+def board(word_left: float = 1.0, light: float = 1.0, hidden: bool = False) -> np.ndarray:
+    """A white board with a bar of ink, part of it wiped, maybe an arm over it."""
+    image = np.full((240, 320, 3), 90, np.uint8)
+    cv2.fillConvexPoly(image, CORNERS, (225, 228, 224))
+    image[100:130, 80 : 80 + round(160 * word_left)] = (30, 30, 120)
+    if hidden:
+        image[60:160, 70:200] = (60, 60, 66)
+    return np.clip(image * light, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("left", [0.0, 0.1, 0.5, 1.0])
+@pytest.mark.parametrize("light", [1.0, 0.93])
+def test_what_is_left_is_counted_also_when_the_light_changed(left: float, light: float) -> None:
+    found = estimate_residual(board(), board(left, light), CORNERS)
+    assert found.residual == pytest.approx(left, abs=0.05) and found.judged > 0.9
+
+
+def test_hidden_ink_is_not_guessed() -> None:
+    with pytest.raises(DatasetError, match="Move the arm away"):
+        estimate_residual(board(), board(0.5, hidden=True), CORNERS)
+
+
+def test_an_empty_board_and_wrong_corners_are_refused() -> None:
+    with pytest.raises(DatasetError, match="before the wipe"):
+        estimate_residual(board(0.0), board(0.0), CORNERS)
+    with pytest.raises(ContractError, match="order around"):
+        estimate_residual(board(), board(), CORNERS[[0, 2, 1, 3]])
+    with pytest.raises(ContractError, match="one camera"):
+        estimate_residual(board(), board()[:100], CORNERS)
+
+
+def corners_of(env: WipeEnv) -> np.ndarray:
+    """The simulated board's corners in the front camera, as a person would click them."""
+    sim = env.sim
+    geom = sim.model.geom("board")
+    half = sim.model.geom_size[geom.id]
+    local = np.array([[-1, -1, 1], [-1, 1, 1], [1, 1, 1], [1, -1, 1]]) * half
+    world = local @ sim.data.geom_xmat[geom.id].reshape(3, 3).T + sim.data.geom_xpos[geom.id]
+    camera = front_camera(sim.scene)
+    return camera.to_pixels(camera.to_camera(world))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "stop_at"), [(1, 0.85), (2, 0.4), (5, 0.0)])
+def test_the_estimate_is_near_the_simulators_truth(seed: int, stop_at: float) -> None:
+    """Wipe until so much is left, let the arm go home, and look."""
+    env, expert = WipeEnv("paper"), WipeExpert()
+    first = env.reset(seed=seed)[0]["pixels"]["front"]
+    expert.reset(env)
+    home, done = env.sim.measured.copy(), False
+    while not done and env.sim.ink.residual > stop_at:
+        done = env.advance(expert.act(env))
+    up = env.sim.measured + np.array([0, 0, 0.08, 0, 0])
+    for target in (up, np.r_[home[:2], up[2:]]):  # up, then back over the tray
+        for _ in range(60):
+            env.advance(target)
+    truth = env.sim.ink.residual
+    found = estimate_residual(first, env.observe()["pixels"]["front"], corners_of(env))
+    assert found.judged > 0.7
+    assert found.residual == pytest.approx(truth, abs=0.08)

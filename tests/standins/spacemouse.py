@@ -17,7 +17,7 @@ REST = (0,) * 6
 class SpaceMouseConfig:
     """Show a SpaceMouse: at rest it is silent, with the fault ``push`` its cap is deflected.
 
-    Example: python -m uniforce_robots.standins.spacemouse push=100,0,0,0,0,0
+    Example: cd tests; python -m standins.spacemouse push=100,0,0,0,0,0
     """
 
     push: str = "0,-350,0,0,0,0"  # counts of x, y, z and the turns about them while pushed

@@ -24,7 +24,7 @@ IDLE_hz = 10.0  # nothing is sent unasked
 class GelloConfig:
     """Show eight Dynamixel motors, the Franka's home posture and a trigger, on a pseudo-terminal.
 
-    Example: python -m uniforce_robots.standins.gello swing_rad=0.1 fault=crc
+    Example: cd tests; python -m standins.gello swing_rad=0.1 fault=crc
     """
 
     swing_rad: float = 0.05  # how far each joint swings about home

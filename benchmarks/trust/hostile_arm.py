@@ -1,4 +1,4 @@
-"""Every fault the stand-in can be ordered to have, by name.
+"""The stand-in arm with every fault of its wire, by name: ``python -m benchmarks.trust.hostile_arm 127.0.0.2``.
 
 Nothing here was ever run on hardware. Each entry says where the fault comes from:
 
@@ -6,7 +6,7 @@ Nothing here was ever run on hardware. Each entry says where the fault comes fro
 * ``REPORTED``: users of real robots have written of it in public.
 * ``INVENTED``: no source; what a broken cable, memory or clock might do, and a client has to survive it.
 
-A fault is begun by ``{"do": "fault", "name": NAME}`` on the control socket and taken back by the name ``none``. What
+A fault is begun by ``{"do": "fault", "name": NAME}`` on standard input and taken back by the name ``none``. What
 has happened stays so: a dropped connection, a reflex, an object that slipped out. One fault at a time.
 
 Faults of the states corrupt what is sent, never the arm: ``describe()`` says where it really is. Where the client
@@ -14,28 +14,26 @@ can't answer (``starve``), the stand-in doesn't wait for it and drives the arm b
 stops after 20 lost packets; the order ``miss_rule`` makes this one do so too.
 """
 
-import os
 import random
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from uniforce_robots.fr3 import DQ_MAX_rad_s, rotation_z
+from uniforce_robots.standins.fci import protocol as p
+from uniforce_robots.standins.fci.__main__ import main
+from uniforce_robots.standins.fci.arm import TICK_s
 from uniforce_robots.standins.fci.arm_service import ArmService
-from uniforce_robots.standins.fci.hand import HandService
+from uniforce_robots.standins.fci.hand import HandService, HOMING_SPEED_m_s
 from uniforce_robots.standins.fci.link import Journal
-from uniforce_robots.standins.fci.protocol import (
-    HAND_STATE_BYTES,
-    STATE_BYTES,
-    STATE_SLICES,
-    ErrorBit,
-    RobotState,
-)
+from uniforce_robots.standins.fci.process import StandIn
+from uniforce_robots.standins.fci.protocol import HAND_STATE_BYTES, STATE_BYTES, STATE_SLICES, ErrorBit, RobotState
+from uniforce_robots.standins.fci.server import Server, ServerOptions, die
 
 NONE = "none"
-DIED = 9  # exit code of the death a test asked for
 DOCUMENTED, REPORTED, INVENTED = "documented", "reported", "invented"
 GARBAGE_BYTES = (1, 200)  # of what stands for an answer
 MEASURED = ("O_T_EE", "q", "dq", "theta", "dtheta")
@@ -45,8 +43,124 @@ BEYOND = 10.0  # × the joints' speed limits
 FLOOD = 5  # old states a millisecond
 NO_STATE_BYTES = (0, 1, 8, HAND_STATE_BYTES - 1, STATE_BYTES - 1, STATE_BYTES + 1, 4000)
 SOURCE = random.Random(0)
+KEPT = 200  # states sent, for faults that send them again
+MIDWAY_s = 0.05  # a command of the hand is under way for
+MOVING_m_s, MOVING_rad_s = 0.002, 0.02  # of the tool; below both the arm is at rest
 
-Act = Callable[[ArmService, HandService], None]
+
+class Babble(p.Header):
+    """A header in whose place, and its message's, random bytes are sent."""
+
+    def encode(self, message: p.Message) -> bytes:
+        """Return 1 to 200 random bytes."""
+        return SOURCE.randbytes(SOURCE.randint(*GARBAGE_BYTES))
+
+
+class HostileArm(ArmService):
+    """An arm whose wire can be broken, and that remembers when it moved."""
+
+    def __init__(self, address: str, version: int, journal: Journal) -> None:
+        super().__init__(address, version, journal)
+        self.sent: deque[RobotState] = deque(maxlen=KEPT)  # the newest, until a fault
+        self.last_moving_ms: int | None = None  # the tool was faster than 2 mm/s or 0.02 rad/s; None: never
+        self.mend()
+
+    def mend(self) -> None:
+        """Take back every fault of the wire.
+
+        ``outgoing`` turns a state into datagrams. ``starved``: the client can't know of a tick, so none waits for it.
+        ``takes_commands``: whether commands arrive.
+        """
+        self.outgoing: Callable[[RobotState], Iterable[bytes]] | None = None
+        self.starved, self.takes_commands = False, True
+        self.link.header = p.ARM_HEADER
+
+    def receive_command(self, datagram: bytes) -> None:
+        """Take a command of the control loop, if it arrives."""
+        if self.takes_commands:
+            super().receive_command(datagram)
+
+    def is_due(self, now_s: float) -> bool:
+        """Whether the next millisecond may begin."""
+        return super().is_due(now_s) or (self.starved and now_s - self.sent_s >= TICK_s)
+
+    def tick(self) -> None:
+        """Let one millisecond pass, and see whether the arm moved."""
+        super().tick()
+        twist = self.arm.twist
+        if twist[:3] @ twist[:3] > MOVING_m_s**2 or twist[3:] @ twist[3:] > MOVING_rad_s**2:
+            self.last_moving_ms = self.milliseconds
+
+    def send(self, state: RobotState) -> None:
+        """Send what the fault makes of a state."""
+        if self.outgoing is None:
+            self.sent.append(state)
+            super().send(state)
+            return
+        for datagram in self.outgoing(state):
+            self.link.send_state(datagram)
+
+    def newest(self) -> RobotState:
+        """Return the newest state that was sent without a fault; one of now if there is none."""
+        return self.sent[-1] if self.sent else self.state()
+
+    def describe(self) -> dict[str, object]:
+        """Add when the arm moved last, and since when it is at rest (None while it moves)."""
+        last = self.last_moving_ms
+        held_ms = 0 if last is None else last + 1 if last < self.milliseconds else None
+        return super().describe() | {"last_moving_ms": last, "held_since_ms": held_ms}
+
+
+class HostileHand(HandService):
+    """A hand whose wire can be broken."""
+
+    def __init__(self, address: str, state_hz: float, journal: Journal) -> None:
+        super().__init__(address, state_hz, journal)
+        self._begun_s = 0.0
+        self.struck_s: float | None = None  # CLOCK_MONOTONIC, when a fault that waits for its moment came
+        self.mend()
+
+    def mend(self) -> None:
+        """Take back every fault of the wire.
+
+        ``outgoing`` turns a state into datagrams. ``hung``: the fingers stand still and no command is answered.
+        """
+        self.outgoing: Callable[[p.HandState], Iterable[bytes]] | None = None
+        self.hung = False
+        self.link.header = p.HAND_HEADER
+
+    @property
+    def is_midway(self) -> bool:
+        """Whether a command has been under way for a while and is not done."""
+        return self.pending is not None and time.monotonic() - self._begun_s > MIDWAY_s
+
+    def begin(self, message: p.Message, request: p.Grasp | p.HandMove | None) -> None:
+        """Start a motion."""
+        super().begin(message, request)
+        self._begun_s = time.monotonic()
+
+    def answer(self, message: p.Message) -> None:
+        """Answer one request, none while the hand hangs."""
+        if not self.hung or message.command == p.HandCommand.CONNECT:
+            super().answer(message)
+
+    def tick(self, now_s: float) -> None:
+        """Let time pass, none for the fingers while the hand hangs."""
+        if self.hung:
+            self.last_tick_s = now_s
+        super().tick(now_s)
+
+    def send(self, state: p.HandState) -> None:
+        """Send what the fault makes of a state."""
+        for datagram in [state.encode()] if self.outgoing is None else self.outgoing(state):
+            self.link.send_state(datagram)
+
+    def describe(self) -> dict[str, object]:
+        """Add when a fault came that waited for its moment."""
+        return super().describe() | {"struck_s": self.struck_s}
+
+
+Act = Callable[[HostileArm, HostileHand], None]
 Change = Callable[[np.ndarray], None]  # of a state's floats, in place
 
 
@@ -93,7 +207,7 @@ def turn(floats: np.ndarray) -> None:
     floats[STATE_SLICES["O_T_EE"]] = (rotation_z(JUMP_rad) @ pose).T.ravel()
 
 
-def freeze(arm: ArmService, hand: HandService) -> None:
+def freeze(arm: HostileArm, hand: HostileHand) -> None:
     """Send the same pose from now on, at the time that it is."""
     last = arm.newest()
     kept = {name: last[name].copy() for name in (*MEASURED, "O_dP_EE_d", "O_dP_EE_c")}
@@ -103,19 +217,19 @@ def freeze(arm: ArmService, hand: HandService) -> None:
 def starve(datagrams: Callable[[], Iterable[bytes]]) -> Act:
     """Return what leaves a client without a state it can answer."""
 
-    def begin(arm: ArmService, hand: HandService) -> None:
+    def begin(arm: HostileArm, hand: HostileHand) -> None:
         arm.outgoing, arm.starved = lambda _: datagrams(), True
 
     return begin
 
 
-def stop_clock(arm: ArmService, hand: HandService) -> None:
+def stop_clock(arm: HostileArm, hand: HostileHand) -> None:
     """Send the newest state again and again."""
     newest = arm.newest().encode()
     starve(lambda: [newest])(arm, hand)
 
 
-def send_old(arm: ArmService, hand: HandService) -> None:
+def send_old(arm: HostileArm, hand: HostileHand) -> None:
     """Send what was sent before, in any order and several each millisecond."""
     sent = [state.encode() for state in (*arm.sent, arm.newest())]
     starve(lambda: SOURCE.choices(sent, k=FLOOD))(arm, hand)
@@ -124,27 +238,27 @@ def send_old(arm: ArmService, hand: HandService) -> None:
 # --- connections -----------------------------------------------------------------------------------------------------
 
 
-def babble(service: ArmService | HandService) -> None:
+def babble(service: HostileArm | HostileHand) -> None:
     """Send random bytes at once, and in place of every answer."""
-    service.link.garbage = lambda: SOURCE.randbytes(SOURCE.randint(*GARBAGE_BYTES))
-    service.link.send_bytes(service.link.garbage())
+    header = service.link.header
+    service.link.header = Babble(header.layout, header.device)
+    service.link.send_bytes(service.link.header.encode(p.Message(0, 0)))
 
 
-def drop(service: ArmService | HandService) -> None:
+def drop(service: HostileArm | HostileHand) -> None:
     """Close the connection."""
     service.link.drop("fault")
     service.client_gone()
 
 
-def lose_commands(arm: ArmService, hand: HandService) -> None:
-    """Let no command arrive."""
-    arm.takes_commands = False
+def lose_commands(arm: HostileArm, hand: HostileHand) -> None:
+    """Let no command arrive, so that the arm counts them as missed."""
+    arm.takes_commands, arm.miss_rule = False, True
 
 
-def die(arm: ArmService, hand: HandService) -> None:
-    """End the process without a word to its clients."""
-    arm.journal.flush()
-    os._exit(DIED)
+def end_misses(arm: HostileArm, hand: HostileHand) -> None:
+    """Count missed commands no longer."""
+    arm.miss_rule = False
 
 
 def reflex(bit: ErrorBit) -> Act:
@@ -160,29 +274,30 @@ def hand_sends(datagrams: Callable[[], Iterable[bytes]]) -> Act:
     return lambda _, hand: setattr(hand, "outgoing", lambda _: datagrams())
 
 
-def lose_width(arm: ArmService, hand: HandService) -> None:
+def lose_width(arm: HostileArm, hand: HostileHand) -> None:
     """Send a width that is no number."""
     hand.outgoing = lambda state: [state._replace(width_m=float("nan")).encode()]
 
 
-def drop_hand_midway(arm: ArmService, hand: HandService) -> None:
+def drop_hand_midway(arm: HostileArm, hand: HostileHand) -> None:
     """Close the hand's connection once a command is under way."""
     if hand.is_midway:
         hand.struck_s = time.monotonic()
         drop(hand)
 
 
-def hang_hand(arm: ArmService, hand: HandService) -> None:
+def hang_hand(arm: HostileArm, hand: HostileHand) -> None:
     """Stop the fingers once a command is under way."""
     if hand.is_midway and not hand.hung:
         hand.hung, hand.struck_s = True, time.monotonic()
 
 
-def slip(arm: ArmService, hand: HandService) -> None:
+def slip(arm: HostileArm, hand: HostileHand) -> None:
     """Lose what is held."""
     if hand.hand.is_grasped:
         hand.struck_s = time.monotonic()
-        hand.hand.slip()
+        hand.hand.object_m = 0.0
+        hand.hand.start(p.HandMove(0.0, HOMING_SPEED_m_s))  # the fingers close on nothing
 
 
 def all_are(names: Iterable[str], value: float) -> Act:
@@ -211,10 +326,10 @@ FAULTS = {
     "garbage_state": Fault("random bytes of a state's length", INVENTED, GARBAGE),
     "wrong_length_state": Fault("0 to 4000 random bytes", INVENTED, WRONG_LENGTH),
     # the arm's connection
-    "lost_commands": Fault("no command arrives; 20 in a row end a motion", DOCUMENTED, lose_commands),
+    "lost_commands": Fault("no command arrives; 20 end a motion", DOCUMENTED, lose_commands, end=end_misses),
     "arm_garbage_reply": Fault("random bytes on the arm's TCP", INVENTED, lambda arm, _: babble(arm)),
     "arm_dropped": Fault("the arm closes its TCP connection", REPORTED, lambda arm, _: drop(arm)),
-    "server_death": Fault("the process ends; every socket closes", INVENTED, die),
+    "server_death": Fault("the process ends; every socket closes", INVENTED, lambda arm, _: die(arm.journal)),
     # what stops a real arm
     "user_stop": Fault("the user stop", DOCUMENTED, lambda a, _: a.user_stop(), end=lambda a, _: a.release()),
     "reflex": Fault("a collision at the hand", DOCUMENTED, reflex(ErrorBit.CARTESIAN_REFLEX)),
@@ -239,7 +354,7 @@ FAULTS = {
 class Faults:
     """One fault at a time, from one order to the next."""
 
-    def __init__(self, arm: ArmService, hand: HandService, journal: Journal) -> None:
+    def __init__(self, arm: HostileArm, hand: HostileHand, journal: Journal) -> None:
         self.arm, self.hand, self.journal = arm, hand, journal
         self.name = NONE  # the one that lasts
         self._last: dict[str, object] = {"last": NONE, "at_ms": None, "at_s": None}
@@ -272,3 +387,35 @@ class Faults:
         self.hand.mend()
         fault.end(self.arm, self.hand)
         self.journal.write("fault", name=NONE, milliseconds=self.arm.milliseconds)
+
+
+class HostileServer(Server):
+    """The stand-in that obeys ``fault`` as well, and shows what lasts."""
+
+    arm_service, hand_service = HostileArm, HostileHand
+    arm: HostileArm
+    hand: HostileHand
+
+    def __init__(self, options: ServerOptions) -> None:
+        super().__init__(options)
+        self.faults = Faults(self.arm, self.hand, self.journal)
+        self.orders["fault"] = self.faults.order
+
+    def tick(self) -> None:
+        """Let one millisecond of the robot's time pass."""
+        super().tick()
+        self.faults.tick()
+
+    def describe(self) -> dict[str, object]:
+        """Add the fault."""
+        return super().describe() | {"fault": self.faults.describe()}
+
+
+class HostileStandIn(StandIn):
+    """A running ``HostileServer``; ``do("fault", name=…)`` breaks it."""
+
+    module = "benchmarks.trust.hostile_arm"
+
+
+if __name__ == "__main__":
+    main(HostileServer)

@@ -23,7 +23,7 @@ FRAGMENTS = 5
 class XelaConfig(Scene):
     """Show a simulated uSkin patch as a xela_server on loopback.
 
-    Example: python -m uniforce_robots.standins.xela rate_hz=100
+    Example: cd tests; python -m standins.xela rate_hz=100
     """
 
     rate_hz: float = 100.0  # messages per second; real servers gave 95 to 133 for a 4×4 patch
