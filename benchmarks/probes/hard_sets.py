@@ -15,11 +15,11 @@ import numpy as np
 
 from benchmarks.probes.disturbances import Creep, Light, lagging_force
 from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.sequences import press_shear_release
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_objects
-from benchmarks.probes.sequences import press_shear_release
 from uniforce_vtla.contact.simulator import TactileSimulator, draw_simulator
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual

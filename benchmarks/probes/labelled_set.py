@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.probes.sequences import force_sequences
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange
-from benchmarks.probes.sequences import force_sequences
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 

@@ -14,7 +14,7 @@ import torch
 from tqdm import tqdm
 
 from uniforce_vtla.array_file import read_arrays
-from uniforce_vtla.contact.family import BOUNDS, draw_dome, draw_flat
+from uniforce_vtla.contact.family import draw_dome, draw_flat
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange
@@ -127,7 +127,7 @@ def draw_finger(rng: np.random.Generator, sensor: str, config: PairCacheConfig) 
     share = config.family_share
     if sensor not in FAMILIES or share <= 0 or rng.random() >= share:
         return sensor
-    return FAMILIES[sensor](rng, BOUNDS[config.family])
+    return FAMILIES[sensor](rng)
 
 
 def _shard_paths(folder: Path, config: PairCacheConfig) -> list[Path]:

@@ -102,7 +102,6 @@ class PairCacheConfig:
     seed: Seed = 1  # of everything drawn
     # share of cameras drawn from the procedural family; 0 = the paper's three sensors
     family_share: Share = 0.0
-    family: Literal["v1", "v2", "v3"] = "v1"  # bounds of that family (contact/family.py)
     free_look: bool = False  # every camera with a pose, zoom and marker size of its own
     marker_loss: Share = 0.0  # chance per marker and frame, in half of the units
     misaligned_cells: CountOrZero = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
