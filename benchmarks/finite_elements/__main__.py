@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def measure(contacts: int, seed: int) -> dict[str, Any]:
         "reciprocity": theory.reciprocity,
         "tactip_slope_N_per_mm": dome_slope,
     }
-    parts |= {name: (lambda s=name: compare(as_virtual(s), contacts, seed)) for name in SENSORS}
+    parts |= {name: partial(compare, as_virtual(name), contacts, seed) for name in SENSORS}
     found = {name: part() for name, part in tqdm(parts.items(), desc="finite elements")}
     flat = [found[name] for name in SENSORS[:2]]
     return found | {
