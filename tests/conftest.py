@@ -34,8 +34,8 @@ def dots() -> np.ndarray:
 
 # These hold no clock against what they test: whole programs, or calculations.
 PATIENT = ("test_lossy_recording.py", "test_recorder_trials.py", "test_command.py", "test_store_process.py")
-PATIENT += ("test_send_check.py", "test_limits.py", "test_guards.py", "test_state_check.py")
-PATIENT += ("test_hand.py", "test_fci_model.py", "test_fci_protocol.py")
+PATIENT += ("test_checks.py", "test_limits.py", "test_guards.py", "test_hand.py")
+PATIENT += ("test_fci_model.py", "test_fci_protocol.py")
 REALTIME = ("sensors", "recorder", "franka", "standins", "teleop")  # folders of tests/robots
 
 

@@ -130,7 +130,7 @@ class ScriptedHand:
     def check(self) -> None:
         """Nothing is wrong."""
 
-    tick = recover = check
+    tick = recover = close = check
 
     @property
     def reading(self) -> HandReading:

@@ -1,18 +1,26 @@
-"""Every named kind of damage to a dataset or view is refused, and the error says where."""
+"""Every named kind of damage to a dataset or view is refused, and the error says where; each file has its hash."""
 
+import hashlib
 import json
+import logging
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
 
 from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, Damage, record_whole
+from uniforce_cli import share, verify
+from uniforce_datasets.hashes import PARTS, files_of
 from uniforce_datasets.lossless import check_dataset, open_dataset
-from uniforce_datasets.staging import HASHES
+from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_datasets.synthetic import FPS, record_synthetic
 from uniforce_datasets.training_view import TrainingView
-from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.keys import tactile_key
+from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.file_hashes import HASHES, read_hashes, store_hashes
+from uniforce_vtla.keys import ACTION, tactile_key
 
 ONLY_FULL_SEES = {"bytes of a tactile video overwritten", "one bit of a camera video flipped"}
 
@@ -37,7 +45,7 @@ def test_damage_is_refused_and_named(damage: Damage, whole: dict[str, Path], tmp
 
 
 @pytest.fixture
-def copy(demos: Path, tmp_path: Path) -> Path:
+def unhashed(demos: Path, tmp_path: Path) -> Path:
     """A dataset to spoil, without hashes: its content is all there is to judge it by."""
     root = Path(shutil.copytree(demos, tmp_path / "copy"))
     (root / HASHES).unlink()
@@ -54,22 +62,139 @@ def empty(path: Path) -> None:
 
 @pytest.mark.parametrize("damage", [truncate, empty, Path.unlink])
 @pytest.mark.parametrize("part", ["videos/**/*.mp4", "data/**/*.parquet", "meta/episodes/**/*", "meta/info.json"])
-def test_truncated_dataset_is_refused(copy: Path, damage: Callable[[Path], None], part: str) -> None:
-    damage(sorted(path for path in copy.glob(part) if path.is_file())[-1])
+def test_truncated_dataset_is_refused(unhashed: Path, damage: Callable[[Path], None], part: str) -> None:
+    damage(sorted(path for path in unhashed.glob(part) if path.is_file())[-1])
     with pytest.raises(DatasetError):
-        open_dataset(copy)
+        open_dataset(unhashed)
 
 
-def test_a_video_of_no_known_codec_is_refused(copy: Path) -> None:
-    path = sorted((copy / "videos" / tactile_key("left")).rglob("*.mp4"))[-1]
+def test_a_video_of_no_known_codec_is_refused(unhashed: Path) -> None:
+    path = sorted((unhashed / "videos" / tactile_key("left")).rglob("*.mp4"))[-1]
     path.write_bytes(path.read_bytes().replace(b"avc1", b"zzz1").replace(b"mp4v", b"zzzv"))
     with pytest.raises(DatasetError, match="codec"):
-        open_dataset(copy)
+        open_dataset(unhashed)
 
 
-def test_dataset_without_reference_is_refused(copy: Path) -> None:
-    info = json.loads((copy / "meta" / "info.json").read_text())
+def test_dataset_without_reference_is_refused(unhashed: Path) -> None:
+    info = json.loads((unhashed / "meta" / "info.json").read_text())
     del info["features"][tactile_key("left", reference=True)]
-    (copy / "meta" / "info.json").write_text(json.dumps(info))
+    (unhashed / "meta" / "info.json").write_text(json.dumps(info))
     with pytest.raises(DatasetError, match=r"tactile_left_ref.*record it again"):
-        open_dataset(copy)
+        open_dataset(unhashed)
+
+
+@pytest.fixture
+def copy(demos: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(demos, tmp_path / "copy"))
+
+
+def ours(root: Path, *more: str) -> int:
+    return verify.main([f"root={root}", *more])
+
+
+def test_every_file_has_its_hash_and_episode(demos: Path) -> None:
+    stored = json.loads((demos / HASHES).read_text())
+    assert set(stored) == set(files_of(demos)) and {name.split("/")[0] for name in stored} < set(PARTS)
+    for name, entry in stored.items():
+        content = (demos / name).read_bytes()
+        assert entry["sha256"] == hashlib.sha256(content).hexdigest() and entry["bytes"] == len(content)
+        shared = name in ("meta/info.json", "meta/stats.json", "meta/tasks.parquet")
+        assert entry.get("episode") == (None if shared else int(name.split(".")[-2][-3:]))
+
+
+@pytest.mark.parametrize("name", ["../outside", "/etc/passwd", "\0", "x" * 5000])
+def test_a_hash_opens_no_file_outside(copy: Path, name: str) -> None:
+    (copy.parent / "outside").write_text("mine")
+    known = read_hashes(copy, DatasetError)
+    store_hashes(copy, (known or {}) | {name: {"bytes": 4, "sha256": "0"}})
+    with pytest.raises(DatasetError, match=r"file names with|got none"):
+        check_dataset(copy, "full")
+
+
+def test_a_dataset_without_hashes_loads_with_one_line(copy: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (copy / HASHES).unlink()
+    with caplog.at_level(logging.WARNING, "uniforce_datasets"):
+        check_dataset(copy)
+    assert [r.message.count("uniforce verify") for r in caplog.records] == [1]
+    record_synthetic(copy, 1, 4)  # it goes on without, and says so
+    assert not (copy / HASHES).exists()
+    assert ours(copy, "rehash=true") == 0 and check_dataset(copy, "full").num_frames == 64
+    record_synthetic(copy, 1, 4)
+    assert check_dataset(copy, "full").num_frames == 68
+
+
+def test_only_full_quick_and_off_are_depths(copy: Path) -> None:
+    with pytest.raises(ContractError, match="verify"):
+        check_dataset(copy, "fast")
+    (copy / "meta" / "stats.json").write_text("{}")
+    check_dataset(copy, "off")
+
+
+def test_a_changed_dataset_is_not_continued(copy: Path) -> None:
+    (copy / "meta" / "stats.json").write_text("{}")
+    with pytest.raises(DatasetError, match=r"stats\.json.*uniforce verify"):
+        EpisodeRecorder(copy, "local/x", "gelsight", "tactip", FPS)
+
+
+@pytest.mark.slow
+def test_edited_by_lerobot_then_hashed_again(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert ours(copy) == 0 and "as it was saved" in capsys.readouterr().out
+    modify_tasks(open_dataset(copy), new_task="another")
+    assert ours(copy) == 2 and f"uniforce verify root={copy}" in capsys.readouterr().err
+    assert ours(copy, "rehash=true") == 0 and ours(copy) == 0
+    assert {episode.task for episode in check_dataset(copy, "full").episodes} == {"another"}
+
+
+@pytest.mark.slow
+def test_merged_by_lerobot_then_hashed(demos: Path, tmp_path: Path) -> None:
+    merged, fewer = tmp_path / "merged", tmp_path / "fewer"
+    merge_datasets([open_dataset(demos), open_dataset(demos)], "local/merged", merged)
+    assert ours(merged, "rehash=true") == 0
+    stored = read_hashes(merged, DatasetError)
+    assert stored and not any("episode" in entry for entry in stored.values())  # packed files
+    source = check_dataset(merged, "full")
+    assert len(source.episodes) == 6
+    assert len({e.videos[k].file for e in source.episodes for k in e.videos}) == 6
+    record_synthetic(merged, 1, 4)
+    assert len(check_dataset(merged, "full").episodes) == 7
+    delete_episodes(open_dataset(demos), [1], fewer, "local/fewer")
+    assert ours(fewer, "rehash=true") == 0 and len(check_dataset(fewer, "full").episodes) == 2
+
+
+def test_content_that_cannot_be_trusted_gets_no_hashes(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from benchmarks.trust.damaged_datasets import data, set_value
+
+    before = (copy / HASHES).read_text()
+    set_value(data(copy), ACTION, float("nan"))
+    assert ours(copy, "rehash=true") == 2 and "episode 1" in capsys.readouterr().err
+    assert (copy / HASHES).read_text() == before
+    with EpisodeRecorder(copy.parent / "busy", "local/x", "gelsight", "tactip", FPS) as recorder:
+        assert ours(recorder.root, "rehash=true") == 2 and "one recorder" in capsys.readouterr().err
+
+
+def test_a_view_is_checked_and_never_hashed_again(view: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert ours(view) == 0 and "view of 3 episodes" in capsys.readouterr().out
+    assert ours(view, "rehash=true") == 2 and "uniforce view" in capsys.readouterr().err
+
+
+def test_a_shared_dataset_is_checked_in_full_first(copy, monkeypatch, capsys) -> None:
+    pushed: list[str] = []
+    dataset = "lerobot.datasets.lerobot_dataset.LeRobotDataset.push_to_hub"
+    monkeypatch.setattr(dataset, lambda self, **_: pushed.append(self.repo_id))
+    given = [f"dataset={copy}", "push=somebody/wipe"]
+    assert share.main(given) == 0 and pushed == ["somebody/wipe"]
+    camera = next((copy / "videos" / "observation.images.front").rglob("*001.mp4"))
+    content = bytearray(camera.read_bytes())
+    content[-100] ^= 1
+    camera.write_bytes(content)
+    check_dataset(copy, "quick")
+    assert share.main(given) == 2 and len(pushed) == 1 and "episode 1" in capsys.readouterr().err
+
+
+def test_hashes_of_a_thousand_episodes_cost_little(tmp_path: Path) -> None:
+    names = {f"videos/key_{n % 9}/chunk-000/file-{n}.mp4": n for n in range(9000)}
+    many = {name: {"bytes": n, "sha256": "0" * 64, "episode": n} for name, n in names.items()}
+    began_s = time.process_time()
+    store_hashes(tmp_path, many)
+    assert read_hashes(tmp_path, DatasetError) == many
+    assert time.process_time() - began_s < 1

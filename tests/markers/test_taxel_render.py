@@ -112,20 +112,12 @@ def test_scales_are_used():
     assert not np.array_equal(pairs[0].current, pairs[1].current)
 
 
+OTHER_SHAPES = [np.zeros(shape, np.int64) for shape in ((4, 4, 3), (15, 3), 48, (0, 3))]
+OTHER_NUMBERS = [BASELINE.astype(np.float32), np.full((16, 3), np.nan), BASELINE.astype(bool)]
+
+
 @pytest.mark.parametrize(
-    "counts",
-    [
-        np.zeros((4, 4, 3), np.int64),
-        np.zeros((15, 3), np.int64),
-        np.zeros(48, np.int64),
-        BASELINE.astype(np.float32),
-        np.full((16, 3), np.nan),
-        BASELINE.astype(bool),
-        np.zeros((480, 640, 3), np.uint8),
-        np.zeros((0, 3), np.int64),
-        None,
-        BASELINE.tolist(),
-    ],
+    "counts", [*OTHER_SHAPES, *OTHER_NUMBERS, np.zeros((480, 640, 3), np.uint8), None, BASELINE.tolist()]
 )
 def test_malformed_counts_break_the_contract(canon, counts):
     for call in (canon.marker_image, canon.markers, canon.set_reference):

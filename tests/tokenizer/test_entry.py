@@ -51,25 +51,15 @@ def test_portrait_images_are_letterboxed_too() -> None:
     assert out.sum() == 32 * 24 and out[..., 0].sum() == 0
 
 
+OTHER_KINDS = [np.zeros((1, 2, 8, 8), np.uint8), np.zeros((1, 8, 8), np.int32), np.zeros((1, 0, 8), np.uint8), [[0, 1]]]
+
+
 @pytest.mark.parametrize(
-    "images",
-    [
-        np.zeros((1, 2, 8, 8), np.uint8),
-        np.zeros((1, 8, 8), np.int32),
-        np.zeros((1, 0, 8), np.uint8),
-        np.full((1, 8, 8), np.nan, np.float32),
-        np.full((1, 8, 8), 255.0, np.float32),
-        np.full((1, 8, 8), -0.1, np.float32),
-    ],
+    "images", [*OTHER_KINDS, *(np.full((1, 8, 8), value, np.float32) for value in (np.nan, 255.0, -0.1))]
 )
 def test_bad_images_raise(images: np.ndarray) -> None:
     with pytest.raises(ContractError, match="expected"):
         prepare(images, "left", 8)
-
-
-def test_lists_and_unknown_fingers_raise() -> None:
-    with pytest.raises(ContractError):
-        prepare([[0, 1]], "left", 8)  # type: ignore[arg-type]
     with pytest.raises(ContractError):
         prepare_tensor(torch.zeros(8, 8), False, 8)
 

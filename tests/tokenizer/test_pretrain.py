@@ -11,7 +11,7 @@ import torch
 from accelerate.state import AcceleratorState
 
 from uniforce_cli.pretrain import PRESETS, PretrainCommand, main
-from uniforce_vtla.arguments import read
+from uniforce_vtla.arguments import parse, read
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -260,3 +260,8 @@ def test_nano_is_smaller_and_what_is_given_wins() -> None:
     small, nano = (read(PretrainCommand, words, PRESETS)[0] for words in given)
     assert nano.run.model.width < small.run.model.width
     assert nano.run.steps == small.run.steps == 7
+
+
+def test_without_a_preset_the_equilibrium_is_the_papers() -> None:
+    loss = parse(PretrainCommand, [], PRESETS).run.loss
+    assert (loss.equilibrium, loss.equilibrium_scale) == ("patch", "absolute")

@@ -1,23 +1,14 @@
 """What the trials measure with, on cases whose answer is known."""
 
-import itertools
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.recorder.circle import Circle, CircleConfig
-from benchmarks.recorder.end_to_end import lateness_ms, spans
 from benchmarks.recorder.faults import summary
-from benchmarks.recorder.ledger import Ledger
-from benchmarks.recorder.session import Line
-from benchmarks.recorder.small_disk import MB, SmallDisk
 from benchmarks.recorder.stillness import arm_clock, find_hold
 from benchmarks.recorder.verdict import bars
-from uniforce_robots.recorder.disk_guard import free_bytes
-from uniforce_robots.recorder.ticker import Ticker
 
 
 def wire(stops_s: float, until_s: float = 3.0) -> list[dict]:
@@ -52,57 +43,6 @@ def test_an_arm_that_goes_on_was_not_held() -> None:
     assert find_hold(wire(stops_s=9.0), fault_s=1.0) is None
     assert find_hold(wire(stops_s=2.9), fault_s=1.0) is None, "0.1 s of rest proves nothing"
     assert find_hold([], fault_s=1.0) is None
-
-
-def test_stored_times_show_what_the_ticker_counted() -> None:
-    now_s, busy = [0.0], iter([0.0, 0.0, 0.004, 0.05, 0.08, 0.0, 0.0, 0.0])
-    sleep = lambda seconds: now_s.__setitem__(0, now_s[0] + seconds)  # noqa: E731
-    ticker = Ticker(30, clock=lambda: now_s[0], sleep=sleep)
-    tick_s = []
-    for took_s in busy:
-        ticker.wait()
-        tick_s.append(now_s[0])
-        now_s[0] += took_s
-    late_ms, missed = lateness_ms(np.array(tick_s), 30)
-    assert missed == ticker.stats.missed == 1
-    assert np.percentile(late_ms, 99) == pytest.approx(ticker.stats.jitter_p99_ms, abs=0.01)
-
-
-def test_episodes_are_found_in_what_was_said() -> None:
-    said = ["up to 8 MB", "episode 1/2: go", "stored success", "episode 2/2 is next: open", "episode 2/2: go"]
-    assert spans([Line(float(n), text) for n, text in enumerate(said)], 1.5) == [(1.0, 2.5), (4.0, 5.5)]
-
-
-def test_a_circle_stays_near_home_wherever_it_is_begun_again() -> None:
-    circle, home = Circle(CircleConfig(id="test")), {"x.pos": 0.3, "y.pos": 0.0, "z.pos": 0.4, "yaw.pos": 0.0}
-    here, rng = {**home, "width.pos": 0.08}, np.random.default_rng(0)
-    circle.connect()
-    for _ in range(50):
-        circle.start_from(here)
-        points = [circle.get_action() for _ in range(int(rng.integers(5, 90)))]
-        places = [(point["x.pos"], point["y.pos"]) for point in (here, *points)]
-        steps = [math.dist(a, b) for a, b in itertools.pairwise(places)]
-        assert max(steps) == pytest.approx(min(steps)), "a steady speed, the first step included"
-        assert all(math.dist(place, (0.3, 0.0)) < 0.0401 for place in places)
-        here = points[-1]
-
-
-def test_half_a_line_is_no_finding(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path)
-    ledger.add("kill9", {"n": 1})
-    with (tmp_path / "kill9.jsonl").open("a") as file:
-        file.write('{"n": 2')
-    assert ledger.read("kill9") == [{"n": 1}] and ledger.read("other") == []
-
-
-def test_a_small_disk_gets_full_and_empty_again(tmp_path: Path) -> None:
-    root = tmp_path / "disk"
-    with SmallDisk(root, 40) as disk:
-        limit_MB = disk.reserve_MB(10)
-        assert free_bytes(root) / MB > limit_MB
-        disk.fill(5, 10)
-        assert free_bytes(root) / MB < limit_MB
-    assert not root.is_mount() and not list(root.iterdir())
 
 
 def test_verdicts() -> None:

@@ -8,8 +8,7 @@ import pytest
 from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, Q_MAX_rad, Q_MIN_rad, TAU_MAX_Nm, posture
 from uniforce_robots.standins.fci.arm import Arm, TORQUE_STEP_Nm, Wall, broken_rules
 from uniforce_robots.standins.fci.arm_service import urdf
-from uniforce_robots.standins.fci.hand import Hand
-from uniforce_robots.standins.fci.protocol import ErrorBit, Grasp, HandMove, HandStatus
+from uniforce_robots.standins.fci.protocol import ErrorBit
 
 
 def test_home_is_where_the_manual_shows_it() -> None:
@@ -80,25 +79,3 @@ def test_what_goes_beyond_a_threshold_is_named() -> None:
     arm = Arm(dq_rad_s=np.full(7, 6.0))
     assert ErrorBit.JOINT_VELOCITY_VIOLATION in arm.violations()
     assert not Arm().violations()
-
-
-def run(hand: Hand) -> HandStatus:
-    for _ in range(5000):
-        outcome = hand.advance(0.001)
-        if outcome is not None:
-            return outcome
-    raise AssertionError("the hand never arrives")
-
-
-def test_the_hand_moves_homes_grasps_and_fails_to() -> None:
-    hand = Hand()
-    assert hand.start(HandMove(0.03, 0.1)) and run(hand) == HandStatus.SUCCESS
-    assert hand.width_m == pytest.approx(0.03, abs=1e-5)
-    grasp = Grasp(0.02, 0.005, 0.005, 0.1, 20.0)
-    assert hand.start(grasp) and run(hand) == HandStatus.UNSUCCESSFUL and not hand.is_grasped
-    assert hand.start(None)
-    assert run(hand) == HandStatus.SUCCESS and hand.width_m == pytest.approx(0.08, abs=1e-5)
-    hand.object_m = 0.022
-    assert hand.start(grasp) and run(hand) == HandStatus.SUCCESS
-    assert hand.is_grasped and hand.width_m == pytest.approx(0.022, abs=1e-5) and hand.force_N == 20.0
-    assert not hand.start(HandMove(0.2, 0.1)), "wider than the hand"

@@ -104,40 +104,6 @@ def test_a_second_move_preempts_the_first_and_stop_the_second(fci: StandIn) -> N
         assert [(a.command_id, a.payload) for a in answers] == [(stop, b"\0"), (second, PREEMPTED)]
 
 
-def test_a_wrench_beyond_the_threshold_ends_the_motion_and_needs_recovery(fci: StandIn) -> None:
-    with RawArm(fci.address) as arm:
-        arm.state()
-        command_id = arm.start()
-        arm.loop(rest, 3)
-        fci.do("wrench", newtons=[0, 0, 40, 0, 0, 0])
-        arm.loop(rest, 1)
-        answer = arm.receive()
-        assert (answer.command_id, answer.payload) == (command_id, bytes([p.MoveStatus.REFLEX_ABORTED]))
-        assert p.ErrorBit.CARTESIAN_REFLEX in until_mode(arm, p.RobotMode.REFLEX).errors
-        fci.do("wrench", newtons=[0] * 6)
-        refused = arm.move()
-        assert arm.receive() == p.Message(p.ArmCommand.MOVE, refused, bytes([p.MoveStatus.NOT_POSSIBLE]))
-        assert arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY) == b"\0"
-        assert not until_mode(arm, p.RobotMode.IDLE).errors
-        arm.start()
-
-
-def test_a_user_stop_holds_the_arm_within_half_a_second(fci: StandIn) -> None:
-    with RawArm(fci.address) as arm:
-        goal = arm.state()["O_T_EE"][12:15] + np.array([0, 0, -0.05])
-        command_id = arm.start()
-        arm.loop(pull_to(goal), 60)
-        begun = fci.do("user_stop")["arm"]
-        assert begun["speed_rad_s"] > 1e-3, "it was moving"
-        answer = arm.receive()
-        assert (answer.command_id, answer.payload) == (command_id, bytes([p.MoveStatus.EMERGENCY_ABORTED]))
-        wait_until(lambda: fci.do("look")["arm"]["milliseconds"] > begun["milliseconds"] + 500, 60)
-        assert fci.do("look")["arm"]["speed_rad_s"] < 1e-3
-        assert arm.ask(p.ArmCommand.AUTOMATIC_ERROR_RECOVERY) == bytes([p.SetterStatus.NOT_POSSIBLE])
-        fci.do("release")
-        arm.start()
-
-
 def test_guiding_refuses_motion_and_lets_itself_be_pushed(fci: StandIn) -> None:
     with RawArm(fci.address) as arm:
         before = fci.do("guide")["arm"]
@@ -171,12 +137,6 @@ def test_a_client_that_leaves_stops_the_arm_and_makes_room_for_the_next(fci: Sta
     wait_until(lambda: not fci.do("look")["arm"]["moving"], 60)
     with RawArm(fci.address) as arm:
         assert arm.state().mode == p.RobotMode.IDLE
-
-
-def test_a_client_may_follow_at_once_on_one_that_left(fci: StandIn) -> None:
-    for _ in range(20):
-        with RawArm(fci.address) as arm:
-            assert arm.status == p.ConnectStatus.SUCCESS
 
 
 def test_the_hand_moves_grasps_fails_to_and_stops(fci: StandIn) -> None:
