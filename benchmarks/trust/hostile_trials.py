@@ -44,7 +44,7 @@ RIGHT_NAMES: dict[str, tuple[str, ...]] = {
     "nan_force": ("force",),
     "pose_jump": ("jump",),
     "velocity_beyond_physics": ("speed",),
-    "frozen_state": ("frozen", "limit"),  # the arm runs after a reading that stands still: its own limit may be first
+    "frozen_state": ("frozen",),
     "stopped_clock": CONNECTION,
     "state_flood_old": CONNECTION,
     "silent_arm": CONNECTION,
@@ -99,15 +99,15 @@ class Trial:
 
 
 class Sleeper(threading.Thread):
-    """Tells for how long the machine ran others in one piece: a busy one stops the arm by names of its own."""
+    """Measures for how long the machine ran others in one piece: a starved one stops the arm for another reason."""
 
     def __init__(self) -> None:
         super().__init__(daemon=True)
-        self.late_s, self._begun = 0.0, True
+        self.late_s, self._runs = 0.0, True
 
     def run(self) -> None:
         """Sleep, and note by how much each sleep was too long, until asked to end."""
-        while self._begun:
+        while self._runs:
             then_s = time.monotonic()
             time.sleep(NAP_s)
             self.late_s = max(self.late_s, time.monotonic() - then_s - NAP_s)
@@ -117,7 +117,7 @@ class Sleeper(threading.Thread):
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._begun = False
+        self._runs = False
 
 
 def connect(client: str, fci: HostileStandIn, folder: Path) -> UniforceFranka:

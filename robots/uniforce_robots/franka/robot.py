@@ -57,7 +57,7 @@ class UniforceFranka(Robot):
     is_calibrated = True  # the arm knows its joints
     action_features = dict.fromkeys(AXES, float)  # the target axes
 
-    _stream: ArmStream | None = None
+    _stream: ArmStream | None = None  # the finaliser also runs where the constructor failed
 
     def __init__(self, config: UniforceFrankaConfig, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(config)
