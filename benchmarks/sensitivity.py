@@ -17,6 +17,7 @@ from tqdm import tqdm
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_cli.boundary import Level, Sensor, command
+from uniforce_cli.score import Rig
 from uniforce_cli.score_worker import policy_on_rig
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, TACTILE_NAMES, tactile_name
@@ -142,8 +143,8 @@ def _chunk(controller: PolicyController, moment: Look, observation: Observation,
 
 
 def _run(config: SensitivityConfig) -> str:
-    sensors = config.left_sensor, config.right_sensor
-    env, controller = policy_on_rig(config.policy, config.level, *sensors, config.swap)
+    rig = Rig(config.level, config.left_sensor, config.right_sensor, config.swap)
+    env, controller = policy_on_rig(config.policy, rig)
     moments = looks(env, config.scenes, config.first_seed)
     found = measure(controller, moments)
     counts = {"contact": sum(m.contact for m in moments), "no contact": sum(not m.contact for m in moments)}

@@ -54,7 +54,7 @@ REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU diffe
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
 OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``baselines=true`` measures
 # its sensors are the registry's, which is what the package's heads are for
-SHIPPED_HEADS_SET = "zero_shot_v1"
+SHIPPED_HEADS_SET = "zero_shot_v2"
 
 
 WEIGHTS_OF_BASELINES = ("anytouch", "t3", "t3_encoder", "unit")
@@ -66,15 +66,15 @@ ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
 class TokenizerReportCommand:
     """Answer one question about a tokenizer; or freeze a set, train the shipped heads, replay a committed table.
 
-    Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v1 seeds=3
+    Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v2 seeds=3
     """
 
     question: Literal["force", "slip"] = "force"  # force (Q3) | slip (real)
     # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     data: FolderPath = ""
     recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
-    # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 or _v2 | heldout_hidden_v1
-    set: ReportSetName = "zero_shot_v1"
+    # zero_shot_v2 | hetero_hard_v2 | fe_dev_v1 (for choosing) | fe_contacts_v1 (for scoring)
+    set: ReportSetName = "zero_shot_v2"
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     # tables and figures; of replay and only: where the table is read
     results: OutFolder = "outputs/tokenizer_report"
@@ -83,7 +83,7 @@ class TokenizerReportCommand:
     cache: OutFolder = "outputs/labelled"
     seeds: Heads = 3  # heads per cell
     freeze: bool = False  # only draw the set and write its hash
-    # also write tokenizer and heads into the package (set=zero_shot_v1)
+    # also write tokenizer and heads into the package (set=zero_shot_v2)
     ship: Literal["", "small", "nano"] = ""
     table: FileName = ""  # another name for the table's file; empty = the set's own
     # also the rows that train networks of their own: hours on two cores, one row at a time
@@ -225,7 +225,7 @@ def shipped_row(tokenizer: Tokenizer, table: Table, count: int) -> Cells:
 def replay(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> float:
     """Re-measure cells from the shipped weights; return the largest difference of R² to the committed table.
 
-    ``zero_shot_v1`` replays the shipped heads; the other sets train their heads again from the same seeds.
+    ``zero_shot_v2`` replays the shipped heads; the other sets train their heads again from the same seeds.
     """
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     _say_if_redrawn(command, report_set, table.frozen)

@@ -8,6 +8,7 @@ import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
+from tqdm import tqdm
 
 from benchmarks.finite_elements.contacts import CELL_MM, Contact, solve_contacts
 from benchmarks.probes.labelled_set import LabelledSet
@@ -59,37 +60,57 @@ def _changed(material: Material, thick: float, young: float, poisson: float, rea
     return replace(material, layers=layers, readout_mm=depth)
 
 
+@dataclass(frozen=True)
+class Unit:
+    """One unit of a set: what it is made of, how it is built, seen through the finer mesh."""
+
+    body: VirtualSensor
+    variation: UnitVariation
+    seed: int  # of its noise
+
+    def simulator(self) -> TactileSimulator:
+        """Return it; the contacts were solved with the body's own stiffness, so the unit's is 1."""
+        fine = replace(self.body, material=replace(self.body.material, cell_mm=CELL_MM[self.body.like]))
+        return TactileSimulator(fine, replace(self.variation, stiffness=1.0), ContactOptions(), seed=self.seed)
+
+
+def units(settings: ElementSettings, sensor: VirtualSensor) -> list[Unit]:
+    """Return the units of one sensor in a set: ``UNITS_PER_BODY`` of each body."""
+    found = []
+    for number, body in enumerate(bodies(sensor)):
+        for which in range(UNITS_PER_BODY):
+            rng = np.random.default_rng([settings.seed, _name_seed(sensor), number, which])
+            found.append(Unit(body, UnitVariation.draw(rng, body), int(rng.integers(2**31))))
+    return found
+
+
 def draw_elements(settings: ElementSettings, sensor: VirtualSensor, side: int) -> LabelledSet:
-    """Return one sensor's contacts; the digest is that of its own images and forces."""
-    name = int.from_bytes(hashlib.sha256(sensor.name.encode()).digest()[:4])
-    rng = np.random.default_rng([settings.seed, name])
+    """Return one sensor's contacts, unit by unit; the digest is that of its own images and forces."""
     digest, rows, forces = hashlib.sha256(sensor.name.encode()), [], []
-    for body in bodies(sensor):
+    rng = np.random.default_rng([settings.seed, _name_seed(sensor)])
+    for unit in tqdm(units(settings, sensor), desc=f"solving {sensor.name}", leave=False):
         each = settings.contacts // len(_SPREAD) // UNITS_PER_BODY
-        for _ in range(UNITS_PER_BODY):
-            contacts = solve_contacts(rng, body, each, settings.flat_share, settings.friction)
-            simulator = _fine_simulator(rng, body)
-            before = simulator.reference()
-            for contact in contacts:
-                after = simulator.images_under(_traction(contact, settings.steps))
-                force = contact.force_N[list(settings.steps)]
-                digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes() + force.tobytes())
-                small = [to_nominal_scale(images, sensor.spec) for images in (before[None], after)]
-                rows.append((shrink(small[0], side)[0], shrink(small[1], side), describe(small[0][0], small[1])))
-                forces.append(force)
+        contacts = solve_contacts(rng, unit.body, each, settings.flat_share, settings.friction)
+        simulator = unit.simulator()
+        before = simulator.reference()
+        for contact in contacts:
+            after, force = pictures(simulator, contact, settings.steps)
+            digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes() + force.tobytes())
+            small = [to_nominal_scale(images, sensor.spec) for images in (before[None], after)]
+            rows.append((shrink(small[0], side)[0], shrink(small[1], side), describe(small[0][0], small[1])))
+            forces.append(force)
     reference, frames, descriptor = (np.stack(column) for column in zip(*rows, strict=True))
     return LabelledSet(reference, frames, descriptor, np.stack(forces), digest.hexdigest())
 
 
-def _fine_simulator(rng: np.random.Generator, body: VirtualSensor) -> TactileSimulator:
-    """Return a unit seen through the finer mesh; its stiffness is the body's, for the contacts were solved with it."""
-    unit = replace(UnitVariation.draw(rng, body), stiffness=1.0)
-    fine = replace(body, material=replace(body.material, cell_mm=CELL_MM[body.like]))
-    return TactileSimulator(fine, unit, ContactOptions(), seed=int(rng.integers(2**31)))
-
-
-def _traction(contact: Contact, steps: tuple[int, ...]) -> Traction:
+def pictures(simulator: TactileSimulator, contact: Contact, steps: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return marker images (T, 480, 640) and forces (T, 3) of some steps of a contact."""
     cells = [contact.cells[k] for k in steps]
     press = np.stack([c.press_N for c in cells]).astype(np.float32)
     shear = np.stack([c.shear_N for c in cells]).astype(np.float32)
-    return Traction(np.arange(press.shape[1]), press, shear)
+    images = simulator.images_under(Traction(np.arange(press.shape[1]), press, shear))
+    return images, contact.force_N[list(steps)]
+
+
+def _name_seed(sensor: VirtualSensor) -> int:
+    return int.from_bytes(hashlib.sha256(sensor.name.encode()).digest()[:4])

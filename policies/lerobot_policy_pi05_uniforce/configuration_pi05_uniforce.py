@@ -8,6 +8,7 @@ from typing import Any
 from lerobot.configs import NormalizationMode, PreTrainedConfig
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
+from lerobot_policy_pi05_uniforce.checkpoint import NEVER_STORED
 from lerobot_policy_pi05_uniforce.recipes import GRID, recipe_settings, resolve_size
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
@@ -123,6 +124,9 @@ class PI05UniforceConfig(PI05Config):
     swap: str = ""  # "touch0:left" lets another finger fill a slot at rollout; weights don't change
     left_sensor: str = ""  # kind mounted on the left finger; provenance, "" = not stated
     right_sensor: str = ""  # kind mounted on the right finger
+    # folder of `uniforce calibrate`, for a new sensor on that finger at rollout; never stored with a policy
+    left_calibration: str = ""
+    right_calibration: str = ""
     text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
     # repo_id, episodes, frames, fps of the training data: provenance, for the model card
     trained_on: dict[str, str] = field(default_factory=dict)
@@ -185,6 +189,8 @@ class PI05UniforceConfig(PI05Config):
         _require(square, "image_resolution", "a square", self.image_resolution)
         latents = touch.input == "latent" and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
+        fit = latents or not (self.left_calibration or self.right_calibration)
+        _require(fit, "left_calibration, right_calibration", "latents to map", came)
         fit = latents or not touch.next_force_weight
         _require(fit, "touch.next_force_weight", "latents to predict", came)
         share, deltas = augment.sensor_transfer, self.state_token and action.form == "target_delta"
@@ -200,11 +206,12 @@ class PI05UniforceConfig(PI05Config):
 
     def _save_pretrained(self, save_directory: Path) -> None:
         """Write ``config.json``."""
-        given, self.verify = self.verify, "full"
+        given = {name: getattr(self, name) for name in NEVER_STORED}
+        vars(self).update(NEVER_STORED)
         try:
             super()._save_pretrained(save_directory)
         finally:
-            self.verify = given
+            vars(self).update(given)
 
     @property
     def slots(self) -> tuple[str, ...]:

@@ -41,7 +41,7 @@ class FlatFamily:
 class DomeFamily:
     """Domes with pins, around the TacTip."""
 
-    rings: tuple[int, int] = (4, 8)  # 61 to 217 pins
+    rings: tuple[int, int] = (4, 10)  # 61 to 331 pins; TacTips in use have 127 and 331
     reach_mm: Span = (15.5, 19.0)  # outermost pin from the centre
     size_mm: Span = (0.8, 1.7)  # pin head
     px_per_mm: Span = (9.5, 12.5)  # lens
@@ -69,7 +69,7 @@ def draw_flat(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     pad, material = flat_bodies(b)[rng.integers(b.bodies)]
     scale = rng.uniform(*flat.px_per_mm)
     layout = str(rng.choice(flat.layouts))
-    points = _flat_layout(layout, pitch, stretch, pad, scale)
+    points = _flat_layout(layout, pitch, stretch, rng.uniform(-np.pi, np.pi), pad, scale)
     spec = SensorSpec(
         name=f"flat_{layout}",
         layout_mm=points,
@@ -98,7 +98,7 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     scale = rng.uniform(*dome.px_per_mm)
     spec = SensorSpec(
         name="dome_hexagonal",
-        layout_mm=hexagonal(count, pitch),
+        layout_mm=_turned(hexagonal(count, pitch), rng.uniform(-np.pi, np.pi)),
         px_per_mm=(scale, scale),
         marker_shape="disc",
         marker_size_mm=min(rng.uniform(*dome.size_mm), 0.6 * pitch),  # pins never touch at rest
@@ -110,12 +110,21 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     return VirtualSensor(spec, material, like="tactip")
 
 
-def _flat_layout(layout: str, pitch: float, stretch: float, pad: float, px_per_mm: float) -> np.ndarray:
-    """Return the markers of a lattice that lie on the gel and in the image."""
+def _turned(points_mm: np.ndarray, angle_rad: float) -> np.ndarray:
+    """Return (M, 2) points turned about the pad's centre: a gel is printed, and a dome screwed on, at any angle."""
+    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+    return (points_mm @ np.array([[cos, sin], [-sin, cos]])).astype(np.float32)
+
+
+def _flat_layout(
+    layout: str, pitch: float, stretch: float, angle_rad: float, pad: float, px_per_mm: float
+) -> np.ndarray:
+    """Return the markers of a turned lattice that lie on the gel and in the image."""
     if layout == "hexagonal":
-        points = hexagonal(12, pitch) * np.array([1.0, stretch], np.float32)
+        points = hexagonal(14, pitch) * np.array([1.0, stretch], np.float32)
     else:
-        points = rectangular(25, 25, (pitch, pitch * stretch))
+        points = rectangular(31, 31, (pitch, pitch * stretch))
+    points = _turned(points, angle_rad)
     reach = np.minimum(pad / 2 - 0.3 * pitch, np.array(WIDEST_PX) / px_per_mm - 0.5 * pitch)
     return points[np.all(np.abs(points) <= reach, axis=1)]
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial, gel_of
-from uniforce_vtla.contact.pads import GRID_CELLS, build_pad, has_object
+from uniforce_vtla.contact.pads import CELL_MM, GRID_CELLS, build_pad, has_object
 from uniforce_vtla.contact.pressure import Pressure, solve_pressure
 from uniforce_vtla.contact.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
@@ -110,7 +110,7 @@ class TactileSimulator:
         images = self.marker_images(contact)
         if self.spec.dome_radius_mm is not None:
             return tactip_frames(images, self._rng)
-        return gelsight_frames(images, self._indentation_mm(contact), self.spec.px_per_mm[0], self._rng)
+        return gelsight_frames(images, self._indentation_mm(contact), CELL_MM, self.spec.px_per_mm[0], self._rng)
 
     def _pressure(self, contact: ContactState) -> Pressure:
         return solve_pressure(self.pad, contact.gap_mm, contact.force_N[:, 2], self._stiffness)

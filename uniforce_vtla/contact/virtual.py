@@ -66,6 +66,11 @@ def hidden_sensors() -> dict[str, VirtualSensor]:
     }
 
 
+def any_virtual(name: str) -> VirtualSensor:
+    """Return a sensor by name, one of ``hidden_sensors`` too; SensorError: unknown."""
+    return hidden_sensors().get(name) or as_virtual(name)
+
+
 def _renamed(base: str, name: str, material: PadMaterial | TaxelMaterial) -> VirtualSensor:
     sensor = as_virtual(base)
     return VirtualSensor(replace(sensor.spec, name=name), material, like=base)

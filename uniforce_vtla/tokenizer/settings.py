@@ -22,6 +22,8 @@ LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below wha
     "material": (0, 256),
 }
 MAX_PATCHES = 4096  # 64×64
+# what a calibration grasps, half and half: one class alone fails on the other (docs/design.md)
+OBJECT_CLASSES = ("small", "tool")
 
 
 @dataclass(frozen=True)
@@ -137,14 +139,10 @@ class PretrainSettings:
 
 @dataclass(frozen=True)
 class CalibrationConfig:
-    """How an adapter is fitted."""
+    """How a calibration's map is fitted and judged."""
 
-    hidden: CountOrZero = 32  # units that bend the latent; 0 leaves it an affine map
-    steps: Count = 800  # of Adam, cosine to zero; seconds on one core
-    batch: Count = 64  # pairs per step
-    learning_rate: Rate = 5e-3  # peak
-    # keeps weights the grasps don't decide where they started: at the identity
-    identity_pull: NotNegative = 1e-3
     held_out: Share = 0.2  # share of the grasps that only judge
-    min_pairs: Count = 50  # fewer can't decide some hundred numbers
-    seed: Seed = 0  # split and batches
+    min_pairs: Count = 50  # half of them of each class; fewer say nothing about whole maps
+    seed: Seed = 0  # which grasps judge
+    refuse_below: Share = 0.5  # R² of Fz on held-out grasps of the task's class; less is no calibration
+    warn_below: Share = 0.8  # less is worth another try
