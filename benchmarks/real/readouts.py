@@ -11,12 +11,14 @@ from tqdm import tqdm
 from benchmarks.real.tactip_shear import TactipSet
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS, describe
+from uniforce_vtla.tokenizer.few_frames import ForceCorrection, in_plane_turn_rad
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
 RIDGES = (1.0, 100.0)  # on standardised features; both are reported, neither is chosen
 FEW_FRAMES, DRAWS = 10, 20  # frames of the new sensor, and how often they are drawn anew
 CHUNK = 64
+LAST, FIRST = (1, 2, 0), (2, 0, 1)  # depth, shear → shear, depth as forces are ordered, and back
 Features = Callable[[TactipSet], np.ndarray]  # → (n, F)
 
 
@@ -78,16 +80,18 @@ def transfer(source: tuple[np.ndarray, np.ndarray], target: tuple[np.ndarray, np
     gives; ``few_frames``, turned, scaled and shifted by what ten labelled frames say, mean over draws of them.
     """
     read, label = Readout.fit(*source, ridge)(target[0]), target[1]
+    turn = in_plane_turn_rad(read[:, 1:], label[:, 1:])
     rng = np.random.default_rng(0)
     few = []
     for _ in range(DRAWS):
         chosen = rng.choice(len(label), FEW_FRAMES, replace=False)
         rest = np.setdiff1d(np.arange(len(label)), chosen)
-        few.append(score(_aligned(read[rest], read[chosen], label[chosen]), label[rest]))
+        found = ForceCorrection.fit(read[chosen][:, LAST], label[chosen][:, LAST])
+        few.append(score(found(read[rest][:, LAST])[:, FIRST], label[rest]))
     return {
         "as_is": score(read, label),
-        "one_angle": score(_turned(read, _angle_rad(read, label)), label),
-        "angle_deg": float(np.degrees(_angle_rad(read, label))),
+        "one_angle": score(_turned(read, turn), label),
+        "angle_deg": float(np.degrees(turn)),
         "few_frames": {name: float(np.mean([f[name] for f in few])) for name in few[0]},
     }
 
@@ -107,22 +111,8 @@ def score(read_mm: np.ndarray, label_mm: np.ndarray) -> dict[str, float]:
     }
 
 
-def _aligned(read: np.ndarray, few_read: np.ndarray, few_label: np.ndarray) -> np.ndarray:
-    """Return readings after one angle, and a gain and offset per number, fitted on a few frames."""
-    angle = _angle_rad(few_read, few_label)
-    read, few_read = _turned(read, angle), _turned(few_read, angle)
-    lines = [np.polyfit(few_read[:, k], few_label[:, k], 1) for k in range(3)]
-    return np.column_stack([np.polyval(line, read[:, k]) for k, line in enumerate(lines)])
-
-
-def _angle_rad(read: np.ndarray, label: np.ndarray) -> float:
-    """Return the turn of the shear plane that brings readings closest to labels (Procrustes)."""
-    a, b = (v[:, 1:] - v[:, 1:].mean(axis=0) for v in (read, label))
-    return float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
-
-
-def _turned(read: np.ndarray, angle_rad: float) -> np.ndarray:
-    cos, sin = np.cos(angle_rad), np.sin(angle_rad)
+def _turned(read: np.ndarray, turn_rad: float) -> np.ndarray:
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
     return np.column_stack([read[:, 0], read[:, 1:] @ np.array([[cos, sin], [-sin, cos]])])
 
 

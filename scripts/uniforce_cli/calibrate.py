@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 # of contact.virtual, slow to import; tested
 VIRTUAL = ("gelsight_stiff", "tactip_soft", "uskin_keen", "gelsight_d")
 VirtualSensorName = Annotated[str, Names((*VIRTUAL, *list_sensors()))]
+TURN_DEG = 10.0  # pairs tell the angle between two fingers to a few degrees
 logger = logging.getLogger(__name__)
 
 
@@ -151,6 +152,8 @@ def main(config: CalibrateCommand) -> None:
         axes = [f"F{a} {r2:.2f} ({r:.2f})" for a, r2, r in zip(AXES, judged.r2, judged.abs_r, strict=True)]
         before = " ".join(f"{r2:.2f}" for r2 in judged.r2_before)
         print(f"  {name:5} {', '.join(axes)}; before {before}; {judged.grasps} grasps")
+    if abs(found.turn_deg) > TURN_DEG:
+        logger.warning("%s seems turned by %.0f°: see `uniforce touch check=angle`", config.new, found.turn_deg)
     worst = check_agreement(found, config)
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)

@@ -120,7 +120,7 @@ def descriptor_head(folder: Path) -> FileTarget:
 
 def adapter(folder: Path) -> FileTarget:
     judged = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-    root = Calibration(LatentMap(16, 6).eval(), HASH, HASH, "new", "anchor", 1.0, judged).save(folder / "data")
+    root = Calibration(LatentMap(16, 6).eval(), HASH, HASH, "new", "anchor", 1.0, 0.0, judged).save(folder / "data")
     return FileTarget(root, lambda: Calibration.load(root, HASH)(Latent.of(torch.zeros(1, 16, 6), HASH)))
 
 

@@ -321,7 +321,7 @@ def test_a_finger_wears_its_calibration_at_rollout_and_no_checkpoint_names_one(m
     found = LatentMap(policy.config.tokens_per_slot, policy.config.latent_size)
     found.shift.fill_(0.5)
     judged = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
-    Calibration(found, policy.config.tokenizer_hash, "", "new", "tactip", 1.0, judged).save(tmp_path / "map")
+    Calibration(found, policy.config.tokenizer_hash, "", "new", "tactip", 1.0, 0.0, judged).save(tmp_path / "map")
     finger = policy.config.finger_by_slot()["touch0"]
     policy.save_pretrained(tmp_path / "policy")
     config = PI05UniforceConfig.from_pretrained(
@@ -335,6 +335,6 @@ def test_a_finger_wears_its_calibration_at_rollout_and_no_checkpoint_names_one(m
     assert stored[f"{finger}_calibration"] == ""
     with pytest.raises(CheckpointError, match="Only who loads"):
         check_settings(stored | {f"{finger}_calibration": "/elsewhere"}, "config.json")
-    Calibration(found, "another", "", "new", "tactip", 1.0, judged).save(tmp_path / "map")
+    Calibration(found, "another", "", "new", "tactip", 1.0, 0.0, judged).save(tmp_path / "map")
     with pytest.raises(CheckpointError, match="Calibrate again"):
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)

@@ -18,6 +18,7 @@ from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.tokenizer.few_frames import in_plane_turn_rad
 from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.latent import Latent, own_latent
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
@@ -68,6 +69,7 @@ class Calibration:
     new: str
     anchor: str
     ridge: float  # chosen by cross-validation
+    turn_deg: float  # that brings the new sensor's shear, as read before, to the anchor's; x towards y
     agreement: dict[str, Agreement]  # by class of objects
 
     @torch.no_grad()
@@ -92,7 +94,8 @@ class Calibration:
     def facts(self) -> dict[str, object]:
         """Return which sensors it matches, and how well."""
         judged = {name: asdict(found) for name, found in self.agreement.items()}
-        return {"new": self.new, "anchor": self.anchor, "ridge": self.ridge, "agreement": judged}
+        numbers = {"ridge": self.ridge, "turn_deg": self.turn_deg}
+        return {"new": self.new, "anchor": self.anchor, **numbers, "agreement": judged}
 
     def save(self, path: str | Path) -> Path:
         """Write the map and its facts to a folder ``load`` reads."""
@@ -116,13 +119,13 @@ class Calibration:
             patches, latent = (check_count(name, facts[name], MAX_NUMBERS) for name in ("patches", "latent"))
             check_count("numbers", patches * latent, MAX_NUMBERS)
             texts = str(facts["head_hash"]), str(facts["new"]), str(facts["anchor"])
-            ridge = float(facts["ridge"])
+            ridge, turn = float(facts["ridge"]), float(facts["turn_deg"])
             agreement = {name: _agreement(found) for name, found in facts["agreement"].items()}
         except (KeyError, TypeError, ValueError, AttributeError, ContractError) as error:
             wanted, do = "the facts of a calibration", "Calibrate again."
             raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
         found = load_model(folder, lambda: LatentMap(patches, latent))
-        return cls(found.eval(), tokenizer_hash, *texts, ridge, agreement)
+        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement)
 
 
 def calibrate(
@@ -167,7 +170,8 @@ def calibrate(
     kinds = names[judge]
     judged = {c: _judged(truth[kinds == c], before[kinds == c], after[kinds == c]) for c in OBJECT_CLASSES}
     head_hash = content_hash(head.model, {"source": head.source})
-    return Calibration(found.eval(), origin, head_hash, new, anchor, ridge, judged)
+    turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
+    return Calibration(found.eval(), origin, head_hash, new, anchor, ridge, turn_deg, judged)
 
 
 def _split(classes: np.ndarray, config: CalibrationConfig) -> tuple[np.ndarray, np.ndarray]:

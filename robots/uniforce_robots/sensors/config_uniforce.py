@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from lerobot.cameras.configs import CameraConfig
 
-from uniforce_robots.sensors.orientation import Orientation
+from uniforce_robots.sensors.orientation import TURNS, Orientation
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.sensors import get_sensor
@@ -21,7 +21,8 @@ class SampledCameraConfig(CameraConfig):
     max_age_ms: float = 200.0  # an older sample is refused; 6 frames at 30 fps
     connect_ms: float = 5000.0  # the first sample must come within
     frozen_after: int = 10  # equal samples in a row that mean a frozen sensor; 0 never looks
-    rotation_deg: int = 0  # 0 | 90 | 180 | 270, counter-clockwise; see `uniforce touch check=orientation`
+    # counter-clockwise, below 360; taxels by quarters. See `uniforce touch check=orientation` and check=angle
+    rotation_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.max_age_ms > 0:
@@ -148,6 +149,9 @@ class UniforceUskinConfig(TactileFingerConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._one_of("link", "slcan", "server")
+        if self.rotation_deg not in TURNS:
+            do = "A grid of taxels turns by quarters."
+            raise ContractError(expected("rotation_deg", TURNS, self.rotation_deg, do))
 
 
 @CameraConfig.register_subclass("uniforce_scene")
