@@ -140,7 +140,7 @@ def _refused(bench: Bench, flags: tuple[str, ...], says: str) -> dict[str, Any]:
     bench.rig.new_arm(*flags)
     with bench.session(episodes=1, episode_s=SHORT_s) as session:
         code = session.wait_end(START_s)
-        refusals = session.said(r"^(uniforce-)?record: ")
+        refusals = session.said(r"^uniforce record: ")
         loaded = session.said("client loaded")
         named = session.said(says)
     took_s = refusals[-1].time_s - loaded[0].time_s if refusals and loaded else None

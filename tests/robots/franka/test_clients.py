@@ -1,7 +1,11 @@
 """Arm and hand through both real clients, against the stand-in."""
 
 import importlib.util
+import json
 import logging
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +16,7 @@ from fci_client import wait_until
 
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import Gains, fault_of
+from uniforce_robots.franka.children import common
 from uniforce_robots.franka.clients import EXTRAS, Arm, HandClient, require_installed
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.hand import Hand, HandSettings
@@ -280,6 +285,18 @@ def test_a_server_that_never_answers_is_an_error_at_the_deadline(
         ended = time.time()
     [loaded] = [record.created for record in caplog.records if "client loaded" in record.message]
     assert caught.value.fault == "connection" and ended - loaded < 1.5
+
+
+def test_ctrl_c_at_the_terminal_leaves_a_child_to_its_parent() -> None:
+    """Else both clients die in the middle of a motion, and their tracebacks bury what the recorder says."""
+    program = f"import sys; sys.path.insert(0, {str(Path(common.__file__).parent)!r}); import common\n"
+    program += "common.serve('json', lambda _: common.say('ended', orders=common.orders(20)))"
+    pipe = subprocess.PIPE
+    child = subprocess.Popen([sys.executable, "-c", program], stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+    assert child.stdout is not None and '"loaded"' in child.stdout.readline()
+    child.send_signal(signal.SIGINT)
+    said, errors = child.communicate(timeout=20)
+    assert (child.returncode, json.loads(said), errors) == (0, {"say": "ended", "orders": None}, "")
 
 
 def test_a_client_that_is_not_installed_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

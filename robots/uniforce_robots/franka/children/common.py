@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import select
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -52,7 +53,11 @@ def connect(client: Any, kind: str, *arguments: Any, **options: Any) -> Any:
 
 
 def serve(name: str, run: Callable[[Any], None]) -> None:
-    """Say ``loaded`` once the client is imported, then run with it; ``error`` when the connection has failed."""
+    """Say ``loaded`` once the client is imported, then run with it; ``error`` when the connection has failed.
+
+    Ctrl-C at a terminal reaches every process of the program: when the arm is to stop is the parent's to say.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     client = importlib.import_module(name)
     say("loaded")
     try:
