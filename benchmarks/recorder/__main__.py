@@ -119,3 +119,7 @@ def main(config: TrialsConfig) -> int:
         print(f"{bar['verdict']:12s} {bar['bar']}: asked {bar['asked']}, seen {bar['seen']}")
     print(f"written to {config.out}")
     return int(any(bar["verdict"] == "missed" for bar in result["bars"]))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
