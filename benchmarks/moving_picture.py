@@ -65,7 +65,8 @@ class Watched:
 
 def film(config: MovingPictureConfig) -> tuple[Watched, Rollout]:
     """Roll the scene out; return what was seen at each chunk and the scored episode."""
-    env, controller = policy_on_rig(config.policy, Rig(config.level, config.left_sensor, config.right_sensor, config.swap))
+    rig = Rig(config.level, config.left_sensor, config.right_sensor, config.swap)
+    env, controller = policy_on_rig(config.policy, rig)
     watched = Watched(controller)
     return watched, roll_out(env, watched, config.seed)
 

@@ -1,7 +1,7 @@
-"""What is read from a sensor that answers unlike the known ones, worn in the wiping scene, before and after calibration.
+"""What is read from sensors that answer unlike the known ones, worn in the wiping scene, calibrated and not.
 
-The expert drives by the true wrench, so no policy is needed. On development scenes; the sensors' stiffness and gain were
-part of no pretraining.
+The expert drives by the true wrench, so no policy is needed. On development scenes; the sensors' stiffness and gain
+were part of no pretraining.
 """
 
 import sys

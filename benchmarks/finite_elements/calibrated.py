@@ -55,9 +55,15 @@ def encode(
 
 
 def calibrate_unit(
-    tokenizer: Tokenizer, head: ForceHead, sensor: VirtualSensor, anchor: VirtualSensor, unit: Unit, number: int, pairs: int
+    tokenizer: Tokenizer,
+    head: ForceHead,
+    sensors: tuple[VirtualSensor, VirtualSensor],
+    unit: Unit,
+    number: int,
+    pairs: int,
 ) -> Calibration:
-    """Return the calibration of one unit against ``anchor``, worn on the other finger."""
+    """Return the calibration of unit ``number`` of the first of ``sensors`` against the second, its anchor."""
+    sensor, anchor = sensors
     reference, images, state, classes = grasp(unit, number, pairs)
     rng = np.random.default_rng([GRASPS_SEED, number, 1])
     other = draw_simulator(rng, anchor, 1.0, ContactOptions())
@@ -82,7 +88,7 @@ def calibrated_cell(
     each = len(z) // len(worn)
     said = []
     for number, unit in enumerate(tqdm(worn, desc=f"{anchor.name} → {sensor.name}", leave=False)):
-        found = calibrate_unit(tokenizer, head, sensor, anchor, unit, number, pairs)
+        found = calibrate_unit(tokenizer, head, (sensor, anchor), unit, number, pairs)
         own = Latent.of(z[number * each : (number + 1) * each].flatten(0, 1), tokenizer.hash)
         said.append(head(found(own)).numpy())
     read_N, true_N = np.concatenate(said), frozen.force_N.reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Is force read right where the contact model is another?  Zero-shot and calibrated, on finite elements: outside.json."""
+"""Is force read right where the contact model is another?  Zero-shot and calibrated, on finite elements."""
 
 import json
 import sys

@@ -2,8 +2,8 @@
 
 ``hetero_hard_v2``: GelSight-D (a pattern pretraining never saw), TacTip and uSkin; every few sequences another unit
 with another camera pose, light, marker size and missing markers; camera images go through raw frames and the real
-canonicalizer; rubber creeps, so pictures lag behind their labels; six unseen indenters. The recipe is that of v1, scored
-at 0.1.0; only the contact model is another.
+canonicalizer; rubber creeps, so pictures lag behind their labels; six unseen indenters. The recipe is that of v1, which
+was scored at 0.1.0; only the contact model is another.
 """
 
 import hashlib

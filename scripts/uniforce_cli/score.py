@@ -15,7 +15,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from uniforce_cli.boundary import Level, Sensor, command
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import Count, CountOrZero, FolderPath, OutFolder, Pattern, Policies, Seed, Seeds, Slots, Workers, split
+from uniforce_vtla.options import (
+    Count,
+    CountOrZero,
+    FolderPath,
+    OutFolder,
+    Pattern,
+    Policies,
+    Seed,
+    Seeds,
+    Slots,
+    Workers,
+    split,
+)
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:

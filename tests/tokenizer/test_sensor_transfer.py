@@ -1,7 +1,6 @@
 """Maps to other sensors' latents; refused where they don't belong."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,7 @@ from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.latent import MOST_DIRECTIONS, Latent, pool_latent
+from uniforce_vtla.tokenizer.latent import MOST_DIRECTIONS, pool_latent
 from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 from uniforce_vtla.tokenizer.weights import ASSETS

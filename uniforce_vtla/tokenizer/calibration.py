@@ -164,9 +164,7 @@ def calibrate(
     found = LatentMap(*own_new.shape[1:])
     for name, value in zip(("weight", "centre", "shift"), _ridge_map(x[fit], y[fit], ridge), strict=True):
         getattr(found, name).copy_(value)
-    truth, before, after = (
-        head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new))
-    )
+    truth, before, after = (head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new)))
     kinds = names[judge]
     judged = {c: _judged(truth[kinds == c], before[kinds == c], after[kinds == c]) for c in OBJECT_CLASSES}
     head_hash = content_hash(head.model, {"source": head.source})
