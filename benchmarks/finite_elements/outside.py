@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -67,8 +68,8 @@ def measure(config: OutsideCommand) -> dict[str, Any]:
         sensors = as_virtual(target), as_virtual(source)
         rows["calibrated"][name] = calibrated_cell(tokenizer, head, SETS[config.set], *sensors, frozen, config.pairs)
     for seed in range(config.seeds):
-        untrained = Tokenizer.random(tokenizer.config, seed)
-        rows[f"random encoder {seed}"] = learnt_row(table, lambda s, t=untrained: encode_set(t, s), 1, POOL)
+        untrained = partial(encode_set, Tokenizer.random(tokenizer.config, seed))
+        rows[f"random encoder {seed}"] = learnt_row(table, untrained, 1, POOL)
     rows["hand descriptor"] = descriptor_row(table, config.seeds)
     rows["mean"] = mean_row(table)
     return {"set": facts["set"], "set_hash": facts["set_hash"], "tokenizer_hash": tokenizer.hash, "rows": rows}

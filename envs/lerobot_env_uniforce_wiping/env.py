@@ -49,7 +49,7 @@ class WipeEnv(gymnasium.Env):
     ) -> None:
         self.level = get_level(level)
         self.worn: dict[Finger, WornSensor] = {"left": worn(left_sensor), "right": worn(right_sensor)}
-        self.sensors = {finger: sensor.kind for finger, sensor in self.worn.items()}
+        self.sensors: dict[str, str] = {finger: sensor.kind for finger, sensor in self.worn.items()}
         self.limits = replace(ScoreLimits(), in_band_share=self.level.in_band_share or 0.0)
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
         self._painter = Painter()

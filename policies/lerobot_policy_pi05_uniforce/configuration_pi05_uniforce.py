@@ -207,11 +207,15 @@ class PI05UniforceConfig(PI05Config):
     def _save_pretrained(self, save_directory: Path) -> None:
         """Write ``config.json``."""
         given = {name: getattr(self, name) for name in NEVER_STORED}
-        vars(self).update(NEVER_STORED)
+        self._set(NEVER_STORED)
         try:
             super()._save_pretrained(save_directory)
         finally:
-            vars(self).update(given)
+            self._set(given)
+
+    def _set(self, values: dict[str, Any]) -> None:
+        for name, value in values.items():
+            setattr(self, name, value)
 
     @property
     def slots(self) -> tuple[str, ...]:

@@ -100,7 +100,8 @@ def off_upwards_deg(moved_px: np.ndarray) -> float:
 
 def _longest_drag(finger: TactileFinger, seconds: float) -> np.ndarray | None:
     """Return the mean motion (2,) px of the markers where one drag was longest; None where none came in time."""
-    index, end_s, best = -1, time.monotonic() + seconds, np.zeros(2)
+    index, end_s = -1, time.monotonic() + seconds
+    best: np.ndarray = np.zeros(2)
     reference = finger.reference_image()[..., 0]
     while time.monotonic() < end_s:
         touch = finger.next_touch(index, WAIT_MS)
