@@ -73,7 +73,7 @@ def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> N
     config = LossConfig(equilibrium_weight=0.1)
     losses = []
     torch.manual_seed(0)
-    for step in range(260)  # markers move little on 32 px: it leaves copying after some 150:
+    for step in range(260):  # markers move little on 32 px: it leaves copying after some 150
         loss, parts, _ = pair_loss(model, pairs, config, step)
         optimizer.zero_grad()
         loss.backward()
