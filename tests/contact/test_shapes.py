@@ -8,8 +8,8 @@ from properties import examples
 
 from uniforce_vtla.contact import PRETRAIN, SEEN, UNSEEN, flat_face_gap, gap_map, gap_maps
 from uniforce_vtla.contact.indenters import HEIGHTS
-from uniforce_vtla.contact.raster import fill_discs, fill_squares
 from uniforce_vtla.errors import ContractError
+from uniforce_vtla.markers.raster import fill_discs, fill_squares
 
 
 def test_split_is_the_papers() -> None:

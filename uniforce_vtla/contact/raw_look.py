@@ -9,8 +9,8 @@ from functools import cache
 import cv2
 import numpy as np
 
-from uniforce_vtla.contact.raster import CENTRE_PX
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
+from uniforce_vtla.markers.raster import CENTRE_PX
 
 _EDGE_BLUR_PX = 1.2  # a camera's edge spread
 _PIXEL_NOISE = 2.0  # grey levels, standard deviation

@@ -7,7 +7,6 @@ import numpy as np
 from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial, gel_of
 from uniforce_vtla.contact.pads import CELL_MM, GRID_CELLS, build_pad, has_object
 from uniforce_vtla.contact.pressure import Pressure, solve_pressure
-from uniforce_vtla.contact.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
 from uniforce_vtla.contact.responses import (
     CameraResponse,
@@ -20,8 +19,8 @@ from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
-from uniforce_vtla.sensors.spec import DASH_ASPECT
 
 Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
 
@@ -179,8 +178,6 @@ class TactileSimulator:
         turn = self.unit.rotation_rad
         if self.spec.marker_shape == "disc":
             return fill_discs(centre_px, size_px)
-        if self.spec.marker_shape == "dash":
-            return fill_squares(centre_px, size_px, turn, DASH_ASPECT)
         return fill_squares(centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0))
 
     def _build_response(self) -> CameraResponse | TaxelResponse:

@@ -21,26 +21,20 @@ def fill_discs(centre_px: np.ndarray, diameter_px: np.ndarray) -> np.ndarray:
     return _fill(y, offset[..., 0, None] - reach, offset[..., 0, None] + reach, reach >= 0)
 
 
-def fill_squares(
-    centre_px: np.ndarray, side_px: np.ndarray, rotation_rad: float = 0.0, aspect: float = 1.0
-) -> np.ndarray:
-    """Return (B, 480, 640) uint8 with squares of (B, M) sides, all turned by ``rotation_rad`` (x towards y).
-
-    ``aspect`` > 1 makes bars: ``side_px`` wide and that much less high.
-    """
+def fill_squares(centre_px: np.ndarray, side_px: np.ndarray, rotation_rad: float = 0.0) -> np.ndarray:
+    """Return (B, 480, 640) uint8 with squares of (B, M) sides, all turned by ``rotation_rad`` (x towards y)."""
     offset, half = _quantise(centre_px, side_px)
     cos, sin = np.cos(rotation_rad), np.sin(rotation_rad)
-    y, rows = _rows(offset[..., 1], half * (abs(cos) / aspect + abs(sin)))
+    y, rows = _rows(offset[..., 1], half * (abs(cos) + abs(sin)))
     dy = y - offset[..., 1, None]
     wide = half[..., None]
-    high_half = wide / aspect
     low, high = (-wide - dy * sin) / cos, (wide - dy * sin) / cos
     if abs(sin) > 1e-6:
-        ends = np.sort(np.stack([(dy * cos - high_half) / sin, (dy * cos + high_half) / sin]), axis=0)
+        ends = np.sort(np.stack([(dy * cos - wide) / sin, (dy * cos + wide) / sin]), axis=0)
         low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
         inside = rows & (low <= high)
     else:
-        inside = rows & (np.abs(dy) <= high_half)
+        inside = rows & (np.abs(dy) <= wide)
     x = offset[..., 0, None]
     return _fill(y, x + low, x + high, inside)
 
