@@ -4,14 +4,14 @@ The unit's pictures come from contacts solved step by step, the anchor's from th
 anchor is the sensor that is known.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from benchmarks.finite_elements.contacts import solve_contacts
-from benchmarks.finite_elements.sets import STEPS, ElementSettings, Unit, pictures, units
+from benchmarks.finite_elements.sets import STEPS, Unit, pictures
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import encode_set, score
 from uniforce_vtla.contact.responses import ContactOptions
@@ -31,8 +31,18 @@ GRASPS_SEED = 41_003  # of grasps: none of them is in a frozen set
 TOOLS = 0.5  # share of held tools
 
 
-def grasp(unit: Unit, number: int, pairs: int) -> tuple[np.ndarray, np.ndarray, ContactState, list[str]]:
-    """Return a unit's reference, pictures of ``pairs`` grasps, their contacts and classes."""
+@dataclass(frozen=True)
+class UnitGrasps:
+    """What one unit shows while it grasps."""
+
+    reference: np.ndarray  # (480, 640) uint8
+    images: np.ndarray  # (n, 480, 640) uint8
+    contact: ContactState  # of each picture, as this finger gets it
+    classes: tuple[str, ...]  # (n,) "small" or "tool"
+
+
+def grasp(unit: Unit, number: int, pairs: int) -> UnitGrasps:
+    """Return ``pairs`` grasps of a unit; some minutes."""
     rng = np.random.default_rng([GRASPS_SEED, number])
     contacts = solve_contacts(rng, unit.body, pairs // len(STEPS), TOOLS)
     simulator = unit.simulator()
@@ -42,8 +52,8 @@ def grasp(unit: Unit, number: int, pairs: int) -> tuple[np.ndarray, np.ndarray, 
         np.concatenate([c.force_N[list(STEPS)] for c in contacts]).astype(np.float32),
         np.concatenate([c.torsion_Nmm[list(STEPS)] for c in contacts]).astype(np.float32),
     )
-    classes = [("tool" if c.name == FLAT else "small") for c in contacts for _ in STEPS]
-    return simulator.reference(), np.concatenate(images), state, classes
+    classes = tuple("tool" if c.name == FLAT else "small" for c in contacts for _ in STEPS)
+    return UnitGrasps(simulator.reference(), np.concatenate(images), state, classes)
 
 
 def encode(
@@ -55,42 +65,33 @@ def encode(
 
 
 def calibrate_unit(
-    tokenizer: Tokenizer,
-    head: ForceHead,
-    sensors: tuple[VirtualSensor, VirtualSensor],
-    unit: Unit,
-    number: int,
-    pairs: int,
+    tokenizer: Tokenizer, head: ForceHead, sensors: tuple[VirtualSensor, VirtualSensor], grasps: UnitGrasps, number: int
 ) -> Calibration:
     """Return the calibration of unit ``number`` of the first of ``sensors`` against the second, its anchor."""
     sensor, anchor = sensors
-    reference, images, state, classes = grasp(unit, number, pairs)
     rng = np.random.default_rng([GRASPS_SEED, number, 1])
     other = draw_simulator(rng, anchor, 1.0, ContactOptions())
-    seen = images_of(other, mirrored(state))
-    new = encode(tokenizer, sensor, reference, images)
+    seen = images_of(other, mirrored(grasps.contact))
+    new = encode(tokenizer, sensor, grasps.reference, grasps.images)
     known = encode(tokenizer, anchor, other.reference(), seen, right=True)
-    return calibrate(new, known, classes, head, sensor.name, anchor.name)
+    return calibrate(new, known, grasps.classes, head, sensor.name, anchor.name)
 
 
 def calibrated_cell(
     tokenizer: Tokenizer,
     head: ForceHead,
-    settings: ElementSettings,
-    sensor: VirtualSensor,
-    anchor: VirtualSensor,
+    sensors: tuple[VirtualSensor, VirtualSensor],
+    grasps: list[UnitGrasps],
     frozen: LabelledSet,
-    pairs: int,
 ) -> dict[str, Any]:
-    """Return scores of the anchor's head on a sensor's frozen contacts, each unit calibrated by ``pairs`` grasps."""
-    worn = units(settings, sensor)
+    """Return scores of the anchor's head on a sensor's frozen contacts, each unit calibrated by its own grasps."""
     z = encode_set(tokenizer, frozen).as_subclass(torch.Tensor)  # (n, T, P, L), unit by unit
-    each = len(z) // len(worn)
+    each = len(z) // len(grasps)
     said = []
-    for number, unit in enumerate(tqdm(worn, desc=f"{anchor.name} → {sensor.name}", leave=False)):
-        found = calibrate_unit(tokenizer, head, (sensor, anchor), unit, number, pairs)
-        own = Latent.of(z[number * each : (number + 1) * each].flatten(0, 1), tokenizer.hash)
-        said.append(head(found(own)).numpy())
+    for number, own in enumerate(grasps):
+        found = calibrate_unit(tokenizer, head, sensors, own, number)
+        latent = Latent.of(z[number * each : (number + 1) * each].flatten(0, 1), tokenizer.hash)
+        said.append(head(found(latent)).numpy())
     read_N, true_N = np.concatenate(said), frozen.force_N.reshape(-1, 3)
     slope = [float(np.polyfit(true_N[:, k], read_N[:, k], 1)[0]) for k in range(3)]
     return score(true_N, read_N) | {"slope": slope}

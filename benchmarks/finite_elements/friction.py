@@ -8,10 +8,11 @@ incompressible gel bulges under pressure, and friction holds it. The simulator's
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 _TURNS, _ACTIVE_ROUNDS, _GRADIENT_STEPS = 30, 60, 400
-_CLOSE = 1e-6  # of the largest pressure: turns end
-_STILL_N = 1e-7  # a cell's force per gradient step
+_CLOSE = 1e-4  # of the largest pressure: turns end
+_STILL = 1e-5  # of the largest force a cell may carry, per gradient step
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class _Part:
         self._step_N_per_mm = 1 / np.linalg.eigvalsh(self._sideways)[-1]
         self._gap_mm, self._arm_mm, self._friction = gap_mm, position_mm, friction
         self._press, self._shear, self._object_mm = np.zeros(n), np.zeros(2 * n), np.zeros(2 * n)
+        self._factored: tuple[np.ndarray, object] = (np.empty(0, int), None)
 
     def step(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         slide = np.asarray(motion.slide_mm)[:, None]
@@ -88,7 +90,7 @@ class _Part:
             cells = np.flatnonzero(active)
             if not len(cells):
                 break
-            press[cells] = np.linalg.solve(self._normal[np.ix_(cells, cells)], overlap_mm[cells])
+            press[cells] = cho_solve(self._factor(cells), overlap_mm[cells])
             inside = overlap_mm - self._normal @ press > 1e-9
             now = (active & (press > 0)) | (~active & inside)
             if (now == active).all():
@@ -96,23 +98,38 @@ class _Part:
             active = now
         return np.maximum(press, 0)
 
+    def _factor(self, cells: np.ndarray) -> object:
+        """Return the factorised compliance of some cells; which of them touch seldom changes from turn to turn."""
+        if not np.array_equal(self._factored[0], cells):
+            self._factored = (cells, cho_factor(self._normal[np.ix_(cells, cells)], lower=True))
+        return self._factored[1]
+
     def _dragged(self, due_mm: np.ndarray, shear: np.ndarray, before: np.ndarray, press: np.ndarray) -> np.ndarray:
         """Return tangential forces that make the skin follow the object by ``due_mm``, as far as friction allows."""
-        limit = self._friction * press
-        shear = point = _capped(shear, limit)
+        cells = np.flatnonzero(press > 0)
+        found = np.zeros_like(shear)
+        if not len(cells):
+            return found
+        rows = np.concatenate([cells, len(press) + cells])
+        sideways, limit = self._sideways[np.ix_(rows, rows)], self._friction * press[cells]
+        let_go = np.delete(np.arange(len(shear)), rows)  # what slipped out of contact still pulled before
+        due = due_mm[rows] + self._sideways[np.ix_(rows, let_go)] @ before[let_go]
+        still_N = _STILL * limit.max()
+        force = point = _capped(shear[rows], limit)
         momentum = 1.0
         for _ in range(_GRADIENT_STEPS):
-            error = self._sideways @ (point - before) - due_mm
+            error = sideways @ (point - before[rows]) - due
             new = _capped(point - error * self._step_N_per_mm, limit)
-            if (point - new) @ (new - shear) > 0:
+            if (point - new) @ (new - force) > 0:
                 momentum = 1.0  # it overshot: begin anew
             grown = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
-            point = new + (momentum - 1) / grown * (new - shear)
-            still = np.abs(new - shear).max() < _STILL_N
-            shear, momentum = new, grown
+            point = new + (momentum - 1) / grown * (new - force)
+            still = np.abs(new - force).max() < still_N
+            force, momentum = new, grown
             if still:
                 break
-        return shear
+        found[rows] = force
+        return found
 
 
 def _capped(shear: np.ndarray, limit: np.ndarray) -> np.ndarray:

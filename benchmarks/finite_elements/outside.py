@@ -9,9 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
+from tqdm import tqdm
 
-from benchmarks.finite_elements.calibrated import calibrated_cell
-from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV
+from benchmarks.finite_elements.calibrated import UnitGrasps, calibrated_cell, grasp
+from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV, units
 from benchmarks.probes.report_sets import get_report_set
 from benchmarks.probes.zero_shot import (
     Cells,
@@ -60,19 +61,26 @@ def measure(config: OutsideCommand) -> dict[str, Any]:
     facts = json.loads((Path(config.facts) / report_set.facts_file).read_text())
     check_frozen(facts, table.frozen)
     rows: dict[str, Cells] = {"zero_shot": {}, "calibrated": {}}
+    grasps = {name: _grasps(config, name) for name in table.frozen}
     for source, target in table.transfers():
         head, name = ForceHead.from_pretrained(source, config.tokenizer or None), transfer_name(source, target)
         frozen = table.frozen[target]
         each = head(_frames(tokenizer, frozen)).numpy()
         rows["zero_shot"][name] = score(frozen.force_N.reshape(-1, 3), each)
         sensors = as_virtual(target), as_virtual(source)
-        rows["calibrated"][name] = calibrated_cell(tokenizer, head, SETS[config.set], *sensors, frozen, config.pairs)
+        rows["calibrated"][name] = calibrated_cell(tokenizer, head, sensors, grasps[target], frozen)
     for seed in range(config.seeds):
         untrained = partial(encode_set, Tokenizer.random(tokenizer.config, seed))
         rows[f"random encoder {seed}"] = learnt_row(table, untrained, 1, POOL)
     rows["hand descriptor"] = descriptor_row(table, config.seeds)
     rows["mean"] = mean_row(table)
     return {"set": facts["set"], "set_hash": facts["set_hash"], "tokenizer_hash": tokenizer.hash, "rows": rows}
+
+
+def _grasps(config: OutsideCommand, sensor: str) -> list[UnitGrasps]:
+    worn = units(SETS[config.set], as_virtual(sensor))
+    bar = tqdm(worn, desc=f"grasps of {sensor}")
+    return [grasp(unit, number, config.pairs) for number, unit in enumerate(bar)]
 
 
 def _frames(tokenizer: Tokenizer, frozen: Any) -> torch.Tensor:
