@@ -125,17 +125,17 @@ def test_equilibrium_variants_on_a_known_gap() -> None:
     assert levels == pytest.approx(3 * float(equilibrium(left, same, LossConfig())))
 
 
-def test_whitened_equilibrium_knows_no_unit_of_the_latent() -> None:
+def test_equilibrium_in_a_units_own_size_knows_no_gain() -> None:
     torch.manual_seed(0)
     left = torch.randn(8, 16, 6)
     right = left + 0.3 * torch.randn(8, 16, 6)
-    config = LossConfig(equilibrium="levels", equilibrium_scale="whitened")
-    mix = torch.linalg.qr(torch.randn(6, 6))[0]  # any rotation; a skewed mix would meet the floor
-    plain, mixed = equilibrium(left, right, config), equilibrium(left @ mix, right @ mix, config)
-    assert equilibrium(0.01 * left, 0.01 * right, config) == pytest.approx(float(plain), rel=1e-3)
-    assert mixed == pytest.approx(float(plain), rel=1e-3)
+    config = LossConfig(equilibrium="levels", equilibrium_scale="per_unit")
+    plain = float(equilibrium(left, right, config, per_unit=4))
+    weak = torch.cat([0.5 * right[:4], 2.0 * right[4:]])  # two units that answer otherwise
+    assert equilibrium(0.01 * left, weak, config, per_unit=4) == pytest.approx(plain, rel=1e-3)
+    assert equilibrium(left, torch.cat([right[:2], 0.5 * right[2:]]), config, per_unit=4) > 1.5 * plain
     absolute = replace(config, equilibrium_scale="absolute")
-    assert equilibrium(0.01 * left, 0.01 * right, absolute) < 1e-3 * equilibrium(left, right, absolute)
+    assert equilibrium(left, weak, absolute) > 1.5 * equilibrium(left, right, absolute)
 
 
 def test_kl_is_zero_for_the_prior_only() -> None:

@@ -82,8 +82,9 @@ class LossConfig:
     equilibrium_warmup_steps: CountOrZero = 300
     # patch is the paper's; real totals balance better; levels = patches, 4×4 regions and total added
     equilibrium: Literal["patch", "levels"] = "patch"
-    # absolute is the paper's; whitened counts in units of the latent's own spread: shrinking z is no way out
-    equilibrium_scale: Literal["absolute", "whitened"] = "absolute"
+    # absolute is the paper's; per_unit divides each unit's latents by their own size over its contacts: how strongly a
+    # unit answers is no imbalance then
+    equilibrium_scale: Literal["absolute", "per_unit"] = "absolute"
     # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
     pair_quality: NotNegative = 0.0
     # extra weight where current differs from reference; 0 = plain L1
