@@ -2,7 +2,6 @@ import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -235,24 +234,11 @@ def test_the_family_replaces_cameras_only_and_only_its_share() -> None:
     assert draw_finger(rng, "tactip", PairCacheConfig()) == "tactip"
 
 
-FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
-
-
-def test_small_draws_the_whole_family_of_sensors() -> None:
-    names = ("small_draw", "small_agree")
-    first, second = (read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names)
-    assert first.run.data == second.run.data == FAMILY
-
-
-def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
-    names = ("small_draw", "small_agree", "small_held", "small")
-    stages = [read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names]
-    for before, after in pairwise(stages):
-        assert after.run.init == f"{before.out}/tokenizer"
-        assert after.run.model == before.run.model
-    for held in stages[2:]:  # the same pads, but flat handles that twist them
-        usual = {"flat_share": FAMILY.flat_share, "flat_torsion_arm_mm": FAMILY.flat_torsion_arm_mm}
-        assert replace(held.run.data, **usual) == FAMILY
+def test_the_second_stage_of_small_starts_from_what_the_first_left_on_the_same_pairs() -> None:
+    first, second = (read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in ("small_draw", "small"))
+    assert second.run.init == f"{first.out}/tokenizer" and second.run.model == first.run.model
+    assert first.run.data == second.run.data and first.cache == second.cache
+    assert first.run.data.family_share > 0.5 and first.run.data.flat_share > 0.3
 
 
 def test_nano_is_smaller_and_what_is_given_wins() -> None:
