@@ -53,6 +53,7 @@ def measure(contacts: int, seed: int) -> dict[str, Any]:
         "cattaneo_mindlin": theory.cattaneo_mindlin,
         "mesh_convergence": theory.mesh_convergence,
         "reciprocity": theory.reciprocity,
+        "force_balance": theory.force_balance,
         "tactip_slope_N_per_mm": dome_slope,
     }
     parts |= {name: partial(compare, as_virtual(name), contacts, seed) for name in SENSORS}

@@ -6,7 +6,7 @@ Every check returns what was computed over what theory says, so that 1 is right.
 import numpy as np
 
 from benchmarks.finite_elements.friction import CellForces, FrictionContact, Motion
-from uniforce_vtla.contact.elastic import Gel, Influence, Layer, cell_edges, compute_influence
+from uniforce_vtla.contact.elastic import Gel, Influence, Layer, PadMesh, cell_edges, compute_influence
 
 SMOOTH = 1e-6  # friction so small that it doesn't count
 _POISSON = 0.48
@@ -83,6 +83,13 @@ def reciprocity() -> float:
     n = skin.shape[1] * 3
     square = skin.reshape(n, n)
     return float(np.abs(square - square.T).max() / np.abs(square).max())
+
+
+def force_balance() -> float:
+    """Return the largest difference between what a cell is loaded with and what reaches the mount, per newton."""
+    gel = Gel((12.0, 12.0), (Layer(4.0, 1.0),), 0.5)
+    mesh = PadMesh(gel)
+    return float(max(np.abs(mesh.reaction(*cell) - np.eye(3)).max() for cell in ((5, 5), (2, 7), (0, 4))))
 
 
 def _pressed(gel: Gel, gap_mm: np.ndarray, depths_mm: tuple[float, ...]) -> list[CellForces]:

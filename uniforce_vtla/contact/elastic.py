@@ -92,7 +92,7 @@ def _load(gel: Gel) -> Influence:
 
 def compute_influence(gel: Gel, progress: bool = True) -> Influence:
     """Return the influence matrices of ``gel`` by solving its finite elements; a third of the time without mirror."""
-    mesh = _Mesh(gel)
+    mesh = PadMesh(gel)
     rows, columns = mesh.cell_shape
     cell_of = np.full((rows, columns), -1)
     cell_of[mesh.inside] = np.arange(mesh.inside.sum())
@@ -133,7 +133,7 @@ def cell_edges(length_mm: float, cell_mm: float) -> np.ndarray:
     return np.concatenate([[-half], edges, [half]]) if rest > _SPLIT_MM else edges
 
 
-class _Mesh:
+class PadMesh:
     """Hexahedra of one gel, its stiffness matrix factorised."""
 
     def __init__(self, gel: Gel) -> None:
@@ -167,6 +167,8 @@ class _Mesh:
         self._place = np.full(basis.N, -1)
         self._place[free] = np.arange(len(free))
         self._free, self._solve = free, _factorised(stiffness[free][:, free])
+        held = [np.setdiff1d(self._dofs[axis], free) for axis in range(3)]
+        self._reaction = [stiffness[rows][:, free] for rows in held]
         self._readout = int(np.searchsorted(levels, gel.readout_mm - _SPLIT_MM))
 
     def _rim(self) -> np.ndarray:
@@ -177,6 +179,15 @@ class _Mesh:
 
     def response(self, row: int, column: int) -> tuple[np.ndarray, np.ndarray]:
         """Return (3, rows, columns, 3) motion of the skin's and the readout's nodes per newton on a cell, each axis."""
+        moved = self._moved(row, column)
+        return self._at_level(moved, 0), self._at_level(moved, self._readout)
+
+    def reaction(self, row: int, column: int) -> np.ndarray:
+        """Return (3, 3) force the mount is pushed with, [axis, axis of 1 N on a cell]: in balance the identity."""
+        moved = self._moved(row, column)[self._free]
+        return -np.stack([(rows @ moved).sum(axis=0) for rows in self._reaction])
+
+    def _moved(self, row: int, column: int) -> np.ndarray:
         corners = self._node[0, row : row + 2, column : column + 2].ravel()
         load = np.zeros((len(self._free), 3))
         for axis in range(3):
@@ -184,7 +195,7 @@ class _Mesh:
             load[place[place >= 0], axis] = 0.25  # a clamped node hands its share to the mount
         moved = np.zeros((len(self._place), 3))
         moved[self._free] = self._solve(load)
-        return self._at_level(moved, 0), self._at_level(moved, self._readout)
+        return moved
 
     def _at_level(self, moved: np.ndarray, level: int) -> np.ndarray:
         nodes = self._node[level]
