@@ -73,6 +73,7 @@ def attend_one(q: Tensor, k: Tensor, v: Tensor, mask: Tensor | None) -> Tensor:
         v: (L_keys, head).
         mask: (1, 1, 1 or L, L_keys), bool (True is seen) or additive, or None.
     """
+    k, v = k.contiguous(), v.contiguous()  # of strided ones oneDNN makes products a thousand times slower
     scores = linear(q.flatten(0, 2), k)  # (heads·L, L_keys)
     if mask is not None:
         apart = scores.view(*q.shape[:3], -1)
