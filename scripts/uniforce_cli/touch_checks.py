@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
-from uniforce_cli.touch import QUARTERS
 from uniforce_robots.sensors.finger import TactileFinger
 from uniforce_robots.sensors.orientation import TURNS, Orientation
+from uniforce_vtla.contracts import QUARTERS
 
 WAIT_MS = 1000.0
 PRESSED_COUNTS = 400.0  # summed over a quarter's taxels; a light touch gives 300 on one
