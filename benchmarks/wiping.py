@@ -18,7 +18,7 @@ from uniforce_cli.boundary import Level, command
 from uniforce_cli.score import SCRIPTS, ScoreConfig, check_film, score_arms
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.evaluation.arms import ArmReport, own_scenes, table
+from uniforce_vtla.evaluation.arms import ArmReport, own_scenes, table, whose_turn
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import PICTURE_DPI, draw_arms
 from uniforce_vtla.figure_file import save_figure
@@ -175,7 +175,10 @@ def _same_level(earlier: dict[str, Any], level: str) -> bool:
 
 
 def replay(command: BenchmarkConfig) -> str:
-    """Roll the table's first seeds out again into a folder of their own; say on how many the outcome differs."""
+    """Roll the table's first seeds out again into a folder of their own; say on how many the outcome differs.
+
+    Where training seeds took turns, a scene is compared if the checkpoint whose turn it was is here.
+    """
     path = Path(command.results) / "wiping.json"
     if not path.exists():
         raise DatasetError(expected(str(path), "a committed table", "no such file", "Run the benchmark first."))
@@ -185,13 +188,16 @@ def replay(command: BenchmarkConfig) -> str:
     for config in wanted:
         config.resume = False  # an earlier replay proves nothing about this one
         config.first_seed = committed["arms"][config.arm]["seeds"][0]
-    differing, lines = 0, []
-    for again in score_arms(wanted, command.workers):
-        before = committed["arms"][again.arm]["by_seed"][: command.replay]
-        now = "".join(row.code for row in again.rows)
-        differing += sum(a != b for a, b in zip(before, now, strict=True))
+    seeds, here = committed["checkpoints"], split(command.checkpoints)
+    own = [scene for scene in range(command.replay) if whose_turn(scene, seeds) in here]
+    differing, compared, lines = 0, 0, []
+    for config, again in zip(wanted, score_arms(wanted, command.workers), strict=True):
+        scenes = range(command.replay) if config.policy in SCRIPTS else own
+        before = "".join(committed["arms"][again.arm]["by_seed"][scene] for scene in scenes)
+        now = "".join(again.rows[scene].code for scene in scenes)
+        differing, compared = differing + sum(a != b for a, b in zip(before, now, strict=True)), compared + len(now)
         lines.append(f"{again.arm:24s} committed {before}  now {now}")
-    verdict = f"{differing} of {len(wanted) * command.replay} episodes differ from {path}"
+    verdict = f"{differing} of {compared} episodes differ from {path}"
     return "\n".join([*lines, verdict])
 
 
