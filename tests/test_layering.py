@@ -128,5 +128,5 @@ def test_no_folder_shadows_the_datasets_library() -> None:
 def test_a_command_of_the_benchmarks_does_its_work_when_it_is_run() -> None:
     """``python -m`` of a file that only defines its command ends with 0 and has done nothing."""
     texts = {file: file.read_text() for file in (ROOT / BENCHMARKS).rglob("*.py")}
-    commands = {file.name: text for file, text in texts.items() if "@command(" in text}
+    commands = {str(file.relative_to(ROOT)): text for file, text in texts.items() if "@command(" in text}
     assert commands and not [name for name, text in commands.items() if '__name__ == "__main__"' not in text]

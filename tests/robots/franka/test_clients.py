@@ -24,7 +24,7 @@ from uniforce_robots.franka.stream import ArmStream, StreamSettings
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError
 
-HERE = Path(common.__file__).parent
+CHILDREN = Path(common.__file__).parent
 PATIENCE_s = 60.0  # a busy machine; the robot's own clock is what is asserted on
 BOX = GuardLimits(low=(0.2, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
 pytestmark = pytest.mark.slow
@@ -291,7 +291,7 @@ def test_ctrl_c_at_the_terminal_leaves_a_child_to_its_parent() -> None:
     """Else both clients die in the middle of a motion, and their tracebacks bury what the recorder says."""
     program = "import common; common.serve('json', lambda _: common.say('ended', orders=common.orders(20)))"
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    child = subprocess.Popen([sys.executable, "-c", program], **pipes, text=True, cwd=HERE)  # type: ignore[call-overload]
+    child = subprocess.Popen([sys.executable, "-c", program], **pipes, text=True, cwd=CHILDREN)  # type: ignore[call-overload]
     assert child.stdout is not None and '"loaded"' in child.stdout.readline()
     child.send_signal(signal.SIGINT)
     assert (*child.communicate(timeout=20), child.returncode) == ('{"say": "ended", "orders": null}\n', "", 0)
