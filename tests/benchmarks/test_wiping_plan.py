@@ -69,29 +69,6 @@ def test_a_run_is_resumed_and_a_finished_one_left_alone(view: Path, tmp_path: Pa
     assert train_arm(config) == done and len(calls) == 2
 
 
-ROOT = Path(__file__).parents[2]
-SHIPPED = ROOT / BenchmarkConfig().checkpoints
-FOLDERS = sorted(config.parent for config in SHIPPED.parent.glob("*/*/config.json"))
-
-
-def test_the_benchmark_finds_them() -> None:
-    assert SHIPPED in {folder.parent for folder in FOLDERS}
-
-
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: f"{folder.parent.name}/{folder.name}")
-def test_it_was_trained_as_the_plan_says(folder: Path) -> None:
-    plan, config = RECIPES[folder.name], stored_config(folder)
-    touch = TouchSettings(input=plan.touch_input, slots=dict(plan.slots))
-    wanted = PI05UniforceConfig(size="tiny", recipe="scored", device="cpu", touch=touch)
-    assert (config.size, config.recipe, config.n_action_steps) == ("tiny", "scored", wanted.n_action_steps)
-    assert config.augment == wanted.augment and config.touch.directions == wanted.touch.directions
-    assert (config.touch.input, config.finger_by_slot()) == (plan.touch_input, dict(plan.slots))
-    wanted.action.target_range = config.action.target_range  # of the demos
-    assert config.action == wanted.action
-    PI05UniforcePolicy.from_pretrained(folder, config=config)  # strict: every weight is there
-
-
-TABLE = json.loads((Path(__file__).parents[2] / "docs/results/wiping.json").read_text())
 ROW = EpisodeRow(0, "success", True, False, False, 0.05, 6.0, 7.0, 10.0, 20.0, 30.0)
 
 
@@ -110,30 +87,6 @@ def test_a_swap_uses_its_partners_checkpoint() -> None:
     assert len(swaps) == 3
     for swap in swaps:
         assert by_name[swap.first].checkpoint == by_name[swap.second].checkpoint
-
-
-def test_the_committed_table_adds_up() -> None:
-    """Both seeds' scenes together are the arm's, for every arm of a policy."""
-    for arm in (arm for arm in ARMS if arm.checkpoint not in SCRIPTS):
-        names = [f"{seed}/{arm.checkpoint}" for seed in TABLE["checkpoints"]]
-        parts = [scores_of(TABLE, name)["arms"][arm.name] for name in names]
-        whole = TABLE["arms"][arm.name]
-        assert sum(part["clean"] for part in parts) == whole["clean"]
-        assert sum(part["success"] for part in parts) == whole["success"]
-        assert [f"{part['clean']}/{part['n']}" for part in parts] == whole["clean_by_checkpoint"]
-
-
-def test_the_committed_tests_follow_from_the_committed_letters() -> None:
-    outcome = {name[0]: name for name in OUTCOME_NAMES} | {"C": "success"}
-    reports = {
-        name: ArmReport(
-            name, [replace(ROW, seed=seed, outcome=outcome[c], clean=c == "C") for seed, c in enumerate(arm["by_seed"])]
-        )
-        for name, arm in TABLE["arms"].items()
-    }
-    for now, committed in ((better(reports, BETTER), TABLE["tests"]), (as_good(reports, AS_GOOD), TABLE["as_good"])):
-        wanted = [{k: v for k, v in t.items() if k != "arms"} for t in committed]
-        assert [{k: pytest.approx(v) for k, v in t.items() if k != "arms"} for t in now] == wanted
 
 
 def test_profiles_are_drawn_also_where_an_arm_never_wiped(tmp_path: Path) -> None:

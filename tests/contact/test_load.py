@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from properties import examples
 
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap, gap_maps
+from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap, gap_maps, pressure
 from uniforce_vtla.contact.indenters import HEIGHTS
 from uniforce_vtla.contact.simulator import free_air
 from uniforce_vtla.contact.traction import solve_traction
@@ -119,6 +119,16 @@ def test_friction_holds_the_gel_that_a_press_would_push_aside() -> None:
     under = np.hypot(*rest.T) < 4
     motion = [np.hypot(*(s.markers_px(state)[0][0] - s.markers_px(free_air(1))[0][0]).T) for s in (sticky, smooth)]
     assert motion[0][under].mean() < 0.7 * motion[1][under].mean()
+
+
+def test_a_solved_contact_stays_solved_while_its_batch_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pressure, "_TOLERANCE", -1.0)
+    rng = np.random.default_rng(0)
+    for cells in [2, 3, 4, 5, 6] * 40:
+        half = rng.standard_normal((cells, cells + 1)).astype(np.float32)
+        gap = 1e-3 * np.abs(rng.standard_normal((1, cells))).astype(np.float32)
+        share, _ = pressure.share_load(0.1 * half @ half.T, gap, np.full((1, cells), 1 / cells, np.float32), steps=200)
+        assert share.min() >= 0 and share.sum() == pytest.approx(1, abs=1e-5)
 
 
 def test_dome_widens_its_contact_with_load() -> None:

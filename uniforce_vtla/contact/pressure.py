@@ -14,6 +14,7 @@ _MAX_STEPS = 12  # marker motion is then within .3 % of the limit's in the media
 _TOLERANCE = 0.02  # share of the load that a step still moves from cell to cell: enough
 _REACH_MM = 3.0  # cells this close to the first touch carry the load the iteration starts from
 _LEAST_N = 1e-9  # smaller loads give way as this one does: squares of gaps over them leave float32
+_FLATTEST = 1e-6  # mm per newton: softest distribution of pressure that is real; compliances' least is 7e-5
 _TINY = np.float32(1e-30)
 
 
@@ -76,7 +77,10 @@ def share_load(
         change = direction @ compliance
         change -= _mean(change, touching)
         curvature = np.where(touching, change * direction, 0).sum(axis=1)
-        size = (np.where(touching, error * direction, 0).sum(axis=1) / np.maximum(curvature, _TINY))[:, None]
+        # what has converged waits for the others of its batch: on rounding alone its step would be anything
+        moves = curvature > _FLATTEST * (direction**2).sum(axis=1)
+        along = np.where(touching, error * direction, 0).sum(axis=1)
+        size = np.where(moves, along / np.maximum(curvature, _TINY), 0).astype(np.float32)[:, None]
         stepped = np.maximum(share - size * direction, 0)
         sinks_in = (stepped == 0) & (error < 0)  # free cells that the object would pass through
         stepped = np.where(sinks_in, stepped - size * error, stepped)
