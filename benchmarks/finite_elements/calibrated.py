@@ -1,7 +1,7 @@
 """Label-free calibration on finite elements: grasps of each unit of a set with an anchor, then its frozen contacts.
 
-The unit's pictures come from contacts solved step by step, the anchor's from the fast model under the same force: the
-anchor is the sensor that is known.
+The unit's pictures come from contacts solved step by step, the anchor's from the fast model under the same force. The
+anchor is a unit as drawn: its newtons are known, or no calibration could give any.
 """
 
 from dataclasses import dataclass
@@ -14,9 +14,8 @@ from benchmarks.finite_elements.contacts import solve_contacts
 from benchmarks.finite_elements.sets import STEPS, Unit, pictures
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import encode_set, score
-from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import FLAT
-from uniforce_vtla.contact.simulator import draw_simulator, images_of
+from uniforce_vtla.contact.simulator import TactileSimulator, images_of
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.mirror import mirrored
@@ -69,8 +68,7 @@ def calibrate_unit(
 ) -> Calibration:
     """Return the calibration of unit ``number`` of the first of ``sensors`` against the second, its anchor."""
     sensor, anchor = sensors
-    rng = np.random.default_rng([GRASPS_SEED, number, 1])
-    other = draw_simulator(rng, anchor, 1.0, ContactOptions())
+    other = TactileSimulator(anchor, seed=GRASPS_SEED + number)
     seen = images_of(other, mirrored(grasps.contact))
     new = encode(tokenizer, sensor, grasps.reference, grasps.images)
     known = encode(tokenizer, anchor, other.reference(), seen, right=True)

@@ -42,7 +42,6 @@ class CalibrateCommand:
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
     task: Literal["both", "small", "tool"] = "both"  # which objects must agree, or the calibration is refused
     grasps: Count = 600  # simulated pairs
-    units: Count = 1  # simulated units of the new sensor that take turns; 1 = your own sensor
     out: OutFolder = "outputs/calibration"  # the map's folder
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     fit: CalibrationConfig = field(default_factory=CalibrationConfig)  # what judges, and what is refused
@@ -73,19 +72,18 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
 def simulated_grasps(
     config: CalibrateCommand, tokenizer: Tokenizer, new: VirtualSensor, anchor: VirtualSensor
 ) -> Grasps:
-    """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools."""
+    """Grasp in simulation, the new sensor left and the anchor right, both as drawn: half small objects, half tools."""
     import numpy as np
 
     from uniforce_vtla.contact.indenters import PRETRAIN
     from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
     from uniforce_vtla.contact.sampling import FLAT, ForceRange
-    from uniforce_vtla.contact.units import Look
     from uniforce_vtla.tokenizer.pair_cache import shrink
 
-    per_unit, side = max(1, config.grasps // config.units), tokenizer.config.side
+    side, n = tokenizer.config.side, config.grasps
     arm = ForceRange(flat_torsion_arm_mm=9.0)  # a held tool twists flat pads so far
-    settings = PairSettings(pairs_per_unit=per_unit, look=Look(), flat_share=0.5, force_range=arm)
-    rng, n = np.random.default_rng([config.seed, 55]), per_unit * config.units
+    settings = PairSettings(unit_strength=0.0, pairs_per_unit=n, flat_share=0.5, force_range=arm)
+    rng = np.random.default_rng([config.seed, 55])
     pairs = equilibrium_pairs(rng, n, new, anchor, PRETRAIN, settings, lambda images: shrink(images, side))
     left = tokenizer.encode(pairs.left_reference, pairs.left_current, "left")
     right = tokenizer.encode(pairs.right_reference, pairs.right_current, "right")

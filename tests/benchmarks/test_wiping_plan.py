@@ -8,16 +8,12 @@ import pytest
 
 from benchmarks import train_arm as module
 from benchmarks.train_arm import TrainArmConfig, arguments, train_arm
-from benchmarks.wiping import BenchmarkConfig, draw_z_profiles
+from benchmarks.wiping import draw_z_profiles
 from benchmarks.wiping_plan import ARMS, AS_GOOD, BETTER, RECIPES
-from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig, TouchSettings
-from lerobot_policy_pi05_uniforce.controller import stored_config
 from uniforce_cli.score import SCRIPTS
 from uniforce_vtla.errors import DatasetError
-from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, scores_of
-from uniforce_vtla.evaluation.comparison import as_good, better
-from uniforce_vtla.keys import OUTCOME_NAMES, VIEW_MARKER
+from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
+from uniforce_vtla.keys import VIEW_MARKER
 from uniforce_vtla.sensors import list_sensors
 
 

@@ -20,7 +20,7 @@ from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import VirtualSensor
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.tokenizer.entry import letterbox
@@ -131,6 +131,9 @@ def draw_finger(rng: np.random.Generator, sensor: str, config: PairCacheConfig) 
 
 
 def _shard_paths(folder: Path, config: PairCacheConfig) -> list[Path]:
+    if config.units % config.units_per_shard:
+        wanted = f"a multiple of units_per_shard={config.units_per_shard}"
+        raise ContractError(expected("units", wanted, config.units, "Change one of them."))
     count = len(RIGS) * config.units // config.units_per_shard
     return [folder / f"shard_{number:03d}.npz" for number in range(count)]
 
