@@ -14,6 +14,7 @@ from benchmarks import tokenizer_questions as questions
 from benchmarks.baselines import rows as baseline_rows
 from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
 from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
 from benchmarks.probes.zero_shot import (
     POOL,
@@ -50,6 +51,7 @@ from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
+PICTURED = 64  # pairs per rig that are redrawn
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
 OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``baselines=true`` measures
@@ -69,7 +71,8 @@ class TokenizerReportCommand:
     Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v2 seeds=3
     """
 
-    question: Literal["force", "slip"] = "force"  # force (Q3) | slip (real)
+    # force (Q3) | correlation of the latent with force (Q1) | reconstruction (Q2) | slip (real)
+    question: Literal["force", "correlation", "reconstruction", "slip"] = "force"
     # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     data: FolderPath = ""
     recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
@@ -272,11 +275,24 @@ def _report(command: TokenizerReportCommand) -> str:
     if command.question == "slip":
         table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
         return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
+    if command.question in ("correlation", "reconstruction"):
+        return _latent_or_pictures(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)
     path = write_json(_table_path(command, report_set), content)
     draw_table(content, path.with_suffix(".png"))
     lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
     return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])
+
+
+def _latent_or_pictures(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
+    results = Path(command.results)
+    if command.question == "correlation":
+        table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+        found = latent_correlation(tokenizer, table) | {"set": report_set.name}
+    else:
+        found = reconstructions(tokenizer, PICTURED, results / "reconstruction.png")
+    found |= {"tokenizer_hash": tokenizer.hash}
+    return f"written to {write_json(results / f'{command.question}.json', found | provenance())}"
 
 
 def _numbers(values: dict[str, float]) -> str:
