@@ -15,7 +15,6 @@ from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.file_hashes import HASHES, write_hashes
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.descriptor_head import SCENE, SHIPPED, DescriptorHead
-from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 from uniforce_vtla.tokenizer.weights import ASSETS
 
 CONFIG, WEIGHTS, CARD = "config.json", "model.safetensors", "README.md"
@@ -147,10 +146,6 @@ def _read_force(folder: Path) -> None:
     ForceHead.from_pretrained(path=folder)(Tokenizer.from_pretrained().encode(image, image))
 
 
-def _load_maps(folder: Path) -> None:
-    SensorTransfer.from_pretrained(folder, Tokenizer.from_pretrained().hash)
-
-
 def _load_descriptor_head(folder: Path) -> None:
     DescriptorHead.from_pretrained(folder.name, folder.parent)
 
@@ -200,12 +195,6 @@ CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (
     _head_of(
         "the other tokenizer's, whole",
         lambda folder: shutil.copytree(ASSETS / "nano" / "force_head_tactip", folder, dirs_exist_ok=True),
-    ),
-    CheckpointDamage(
-        "sensor maps: of another tokenizer, saved so",
-        set_in_config(tokenizer_hash="0" * 64),
-        ASSETS / "small" / "transfer",
-        _load_maps,
     ),
     CheckpointDamage(
         "descriptor head: of another sensor, saved so",

@@ -47,7 +47,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
         came = repr(saved.get("type"))[:80]
         raise CheckpointError(expected(f"policy type of {where}", TYPE, came, "Choose another folder."))
     if "touch_input" in saved:
-        do = "Run python -m lerobot_policy_pi05_uniforce.migration FOLDER."
+        do = "Its tokenizer is no longer shipped: run it with version 0.1.0, or train again."
         raise CheckpointError(expected(where, "settings in groups", "the form of version 0.1.0", do))
     for name, only in NEVER_STORED.items():
         if saved.get(name, only) != only:
@@ -134,7 +134,7 @@ def check_same(saved: Mapping[str, Any], running: PI05UniforceConfig) -> None:
 
 def _facts(touch: Mapping[str, Any]) -> dict[str, Any]:
     tokenizer = (touch["tokenizer"] or {}).get("hash", "")
-    alike = {name: touch[name] for name in ("input", "site", "directions")}
+    alike = {name: touch[name] for name in ("input", "site")}
     return {"slots": sorted(touch["slots"] or ()), "tokenizer": tokenizer, **alike}
 
 

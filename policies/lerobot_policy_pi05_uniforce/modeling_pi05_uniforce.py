@@ -86,10 +86,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
         training.read_view(meta, config)
         if meta is not None:
             training.read_provenance(meta, config)
-            if config.augment.sensor_transfer and tokens is not None:
-                from lerobot_policy_pi05_uniforce.touch.transfer import transferred_touch
-
-                tokens.transferred = transferred_touch(config)
         if not stats:
             return
         stats.update(floor_quantiles(stats))

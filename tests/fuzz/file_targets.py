@@ -32,7 +32,6 @@ from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMa
 from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.sensor_transfer import FOLDER, SensorTransfer
 from uniforce_vtla.tokenizer.training_state import load_state, save_state
 
 TYPED = (UniForceError,)
@@ -124,12 +123,6 @@ def adapter(folder: Path) -> FileTarget:
     return FileTarget(root, lambda: Calibration.load(root, HASH)(Latent.of(torch.zeros(1, 16, 6), HASH)))
 
 
-def transfer(folder: Path) -> FileTarget:
-    root = folder / "data"
-    SensorTransfer(["gelsight", "tactip"], 12, HASH).save(root / FOLDER, {})
-    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root, HASH).mapped(torch.zeros(2, 12), 0, 1))
-
-
 def policy(folder: Path) -> FileTarget:
     """Read config, weights and processors of a tiny policy, as the scorer does."""
     stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
@@ -191,7 +184,6 @@ FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones firs
     "adapter": adapter,
     "descriptor_head": descriptor_head,
     "force_head": force_head,
-    "transfer": transfer,
     "tokenizer": tokenizer,
     "view": view,
     "dataset": dataset,

@@ -1,4 +1,4 @@
-"""Defaults of the two sizes, and the recipes: ``plain``, and ``scored`` as the benchmark's arms were trained."""
+"""Defaults of the two sizes."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -30,32 +30,12 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "augment.touch_noise": (0.2, 0.0),
     "sampler.noise_scale": (0.0, 1.0),
 }
-PLAIN: dict[str, Any] = {
-    "touch.directions": 0,
+OFF: dict[str, Any] = {  # what no size uses by default
     "action.delta_knee": [],
     "action.previous_steps": 0,
     "action.previous_axes": [],
     "augment.state_noise": [],
-    "augment.sensor_transfer": 0.0,
 }
-# The nine settings of the scored arms; what each bought is in docs/experiments/tiny_policy.md
-SCORED: dict[str, Any] = {
-    "n_action_steps": 4,
-    "action.previous_steps": 4,
-    # a policy that reads that its fingers stand still leaves them so, and stalls
-    "action.previous_axes": [0, 1, 2],
-    # so that .4 mm of height and .03 mm of width, a newton's worth, weigh
-    "action.delta_knee": [0.0, 0.0, 0.003, 0.0, 0.0003],
-}
-# 6 mm of height, 1.4 mm of width: no press is read off the pose
-SCORED_TOUCH: dict[str, Any] = {"augment.state_noise": [0.0, 0.0, 0.2, 0.0, 0.1]}
-SCORED_LATENT: dict[str, Any] = {
-    "touch.directions": 4,  # grip and pull, nothing sideways, in which fingers of one grasp may disagree by newtons
-    "augment.touch_noise": 1.0,  # as far apart as fingers of one grasp
-    "augment.sensor_transfer": 0.2,
-}
-# so that the masked control shows nothing the policy never met
-SCORED_ONE_SLOT: dict[str, Any] = {"augment.touch_dropout": 0.1}
 
 
 def resolve_size(size: str, device: str | None) -> str:
@@ -72,13 +52,7 @@ def resolve_size(size: str, device: str | None) -> str:
     return size
 
 
-def recipe_settings(recipe: str, size: str, slots: Sequence[str], touch_input: str) -> dict[str, Any]:
-    """Return setting → default: the size's, and over it the recipe's for this touch input."""
-    found = {path: values[SIZES.index(size)] for path, values in BY_SIZE.items()} | PLAIN
-    found["augment.touch_dropout"] = TWO_SLOT_DROPOUT if len(slots) > 1 else 0.0
-    if recipe == "plain":
-        return found
-    found |= SCORED | (SCORED_TOUCH if slots else {})
-    if slots and touch_input == "latent":
-        found |= SCORED_LATENT | (SCORED_ONE_SLOT if len(slots) == 1 else {})
-    return found
+def size_settings(size: str, slots: Sequence[str]) -> dict[str, Any]:
+    """Return setting → default."""
+    found = {path: values[SIZES.index(size)] for path, values in BY_SIZE.items()} | OFF
+    return found | {"augment.touch_dropout": TWO_SLOT_DROPOUT if len(slots) > 1 else 0.0}

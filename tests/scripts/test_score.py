@@ -1,4 +1,4 @@
-"""The benchmark with the one arm that needs no checkpoint, and what it says where checkpoints are missing."""
+"""Arms of a score take turns, resume, and are controlled; scripts are scored as policies are."""
 
 import dataclasses
 import json
@@ -10,15 +10,13 @@ import joblib
 import numpy as np
 import pytest
 
-from benchmarks.wiping import BenchmarkConfig, configs, main, report
-from benchmarks.wiping_plan import ARMS
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.blind import BEST
 from uniforce_cli import score_worker
 from uniforce_cli.score import SCRIPTS, ScoreConfig, score, score_arms
 from uniforce_cli.score_worker import Job, ShuffledTouch, controlled, donated_touch, score_job
-from uniforce_vtla.errors import ContractError, DatasetError
-from uniforce_vtla.evaluation.arms import EpisodeRow, read_rows
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.keys import TACTILE_NAMES
 
 RolledOut = Callable[[Callable[[score_worker.Job], bool]], list[score_worker.Job]]
@@ -49,31 +47,12 @@ def test_a_script_is_not_taken_for_a_policy() -> None:
     assert arms == ["V+T", "expert", "blind"] and ScoreConfig(policy="expert", arm="me").arm == "me"
 
 
-def test_arms_without_a_checkpoint_are_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "vt").mkdir()
-    (tmp_path / "vt" / "config.json").write_text("{}")
-    found = configs(BenchmarkConfig(checkpoints=str(tmp_path)), rollouts=3)
-    assert {c.arm for c in found} == {a.name for a in ARMS if a.checkpoint in ("vt", *SCRIPTS)}
-    assert {c.swap for c in found if c.arm in ("V+G", "V+U")} == {"touch0:left"}
-    assert "left out: V+T+G" in capsys.readouterr().out
-    with pytest.raises(DatasetError, match="Train the arms"):
-        configs(BenchmarkConfig(checkpoints=str(tmp_path), only="V"), rollouts=3)
-
-
 def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_out: RolledOut) -> None:
-    for folder in (tmp_path / "seed0" / "v", tmp_path / "seed1" / "v", tmp_path / "seed0" / "vt"):
-        folder.mkdir(parents=True)
-        (folder / "config.json").write_text("{}")
     rolled_out(lambda job: "seed0" in job.config.policy_of(job.seed))
-    both = f"{tmp_path / 'seed0'}, {tmp_path / 'seed1'}"
-    command = BenchmarkConfig(checkpoints=both, rollouts=5, out=str(tmp_path / "out"), results=str(tmp_path))
-    with pytest.raises(DatasetError, match="Train the arms"):
-        configs(dataclasses.replace(command, only="V+T"), rollouts=5)  # one training seed lacks it
-    wanted = configs(dataclasses.replace(command, only="V"), rollouts=5)
-    assert wanted[0].policies == [str(tmp_path / seed / "v") for seed in ("seed0", "seed1")]
-    table = json.loads(report(command, score_arms(wanted, workers=1), 0.0).read_text())
-    assert table["arms"]["V"]["by_seed"] == "CsCsC" and table["checkpoints"] == both.split(", ")
-    assert table["arms"]["V"]["clean_by_checkpoint"] == ["3/3", "0/2"]
+    config = ScoreConfig(policy="seed0/v, seed1/v", arm="V", rollouts=5, out=str(tmp_path))
+    assert config.policies == ["seed0/v", "seed1/v"]
+    (report,) = score_arms([config], workers=1)
+    assert [row.clean for row in report.rows] == [True, False, True, False, True]
 
 
 def test_arms_take_turns_and_a_second_run_does_nothing(tmp_path: Path, rolled_out: RolledOut) -> None:
@@ -123,25 +102,7 @@ def test_two_dask_workers_score_as_one_process_does(tmp_path: Path) -> None:
     assert [report.as_dict() for report in one] == [report.as_dict() for report in two]
 
 
-@pytest.mark.slow
-def test_the_expert_is_scored_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    where = [f"out={tmp_path / 'out'}", f"results={tmp_path}", "only=expert", "videos=0", "workers=1"]
-    assert main([*where, "rollouts=1", "first_seed=10007"]) == 0
-    written = json.loads((tmp_path / "wiping.json").read_text())
-    assert written["arms"]["expert"]["n"] == 1 and written["level"] == "paper" and written["tests"] == []
-    assert (tmp_path / "wiping_z.png").exists()
-    assert main([*where, "replay=1"]) == 0
-    assert "0 of 1 episodes differ" in capsys.readouterr().out
-    (again,) = (tmp_path / "out_replay").glob("**/episodes.jsonl")
-    assert list(read_rows(again)) == [10_007]  # the table's scene, whatever the first one is by default
-
-
-def test_nothing_to_replay_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([f"results={tmp_path}", "replay=2"]) == 2
-    assert "Run the benchmark first" in capsys.readouterr().err
-
-
-def test_every_script_of_the_plan_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:
+def test_every_script_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:
     assert set(score_worker.SCRIPTS) == set(SCRIPTS)
     swept = json.loads(RESULTS.joinpath("blind_scripts.json").read_text())
     assert f"open_loop_press{BEST.press_N:g}_grip{BEST.grip_N:g}" == swept["best_blind"]
