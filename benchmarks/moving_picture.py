@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from uniforce_cli.score import Rig
+from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import policy_on_rig
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, expected

@@ -5,123 +5,21 @@ from __future__ import annotations
 import itertools
 import json
 import logging
-import re
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from uniforce_cli.boundary import Level, Sensor, command
-from uniforce_vtla.contracts import Finger
+from uniforce_cli.boundary import command
+from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import (
-    Count,
-    CountOrZero,
-    FolderPath,
-    OutFolder,
-    Pattern,
-    Policies,
-    Seed,
-    Seeds,
-    Slots,
-    Workers,
-    split,
-)
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
     from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
 
-SCRIPTS = ("expert", "blind")  # the scene's own: one regulates by both pads' true wrench, one uses no touch
 ROWS = "episodes.jsonl"
-ArmName = Annotated[str, Pattern("a name", r"[^/\\]{1,100}", "V+T")]
-
-
-@dataclass(frozen=True)
-class Rig:
-    """A scene's level and what the fingers wear there; "" is the usual sensor, no swap and no calibration."""
-
-    level: str
-    left_sensor: str = ""
-    right_sensor: str = ""
-    swap: str = ""
-    left_calibration: str = ""
-    right_calibration: str = ""
-
-    @property
-    def mounted(self) -> dict[Finger, str]:
-        """Finger → sensor of the scene; the usual rig where none is named."""
-        return {"left": self.left_sensor or "gelsight", "right": self.right_sensor or "tactip"}
-
-    @property
-    def calibrations(self) -> dict[Finger, str]:
-        """Finger → folder of the calibration it wears."""
-        worn: dict[Finger, str] = {"left": self.left_calibration, "right": self.right_calibration}
-        return {finger: folder for finger, folder in worn.items() if folder}
-
-
-@dataclass
-class ScoreConfig:
-    """Roll a checkpoint out and score it from simulator truth.
-
-    Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
-    """
-
-    policy: Policies = "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
-    arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
-    level: Level = "paper"  # the shipped policy learnt at paper
-    left_sensor: Sensor = ""  # "" = gelsight, and it must be what the policy knows
-    right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
-    left_calibration: FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
-    right_calibration: FolderPath = ""  # likewise
-    swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
-    control: Literal["", "masked", "shuffled"] = ""  # touch taken away | another scene's touch of the same phase
-    rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
-    first_seed: Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
-    workers: Workers = 2  # processes, one torch thread each
-    videos: CountOrZero = 1  # episodes filmed, the first ones
-    film: Seeds = field(default_factory=list)  # seeds filmed besides; rolled out again where scored unfilmed
-    resume: bool = True  # keep episodes already scored in `out`
-    out: OutFolder = "outputs/score"  # rows, table, picture and videos go here
-
-    def __post_init__(self) -> None:
-        """Name the arm."""
-        self.arm = self.arm or (self.policy if self.policy in SCRIPTS else "V+T")
-
-    @property
-    def policies(self) -> list[str]:
-        """Policies that take turns."""
-        return split(self.policy) or [self.policy]
-
-    def policy_of(self, seed: int) -> str:
-        """Return which policy acts in the scene of that seed."""
-        from uniforce_vtla.evaluation.arms import whose_turn
-
-        return whose_turn(seed - self.first_seed, self.policies)
-
-    @property
-    def seeds(self) -> range:
-        """Scenes that are scored."""
-        return range(self.first_seed, self.first_seed + self.rollouts)
-
-    @property
-    def rig(self) -> Rig:
-        """The scene's level and what the fingers wear."""
-        return Rig(**{field.name: getattr(self, field.name) for field in fields(Rig)})
-
-    @property
-    def folder(self) -> Path:
-        """Where this arm's rows, sheets and videos go."""
-        swap = f"_{self.swap.replace(':', '-')}" if self.swap else ""
-        swap += "".join(f"_{finger}-calibrated" for finger in self.rig.calibrations)
-        arm = re.sub(r"\W+", "-", self.arm.replace("+", "")).strip("-")
-        control = f"_{self.control}" if self.control else ""
-        return Path(self.out) / f"{arm}_{'+'.join(self.rig.mounted.values())}_{self.level}{swap}{control}"
-
-    def video(self, seed: int) -> Path:
-        """Return where an episode's video lies, once it is filmed."""
-        return self.folder / f"seed_{seed}.mp4"
 
 
 def score(config: ScoreConfig) -> ArmReport:

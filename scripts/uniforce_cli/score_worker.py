@@ -21,7 +21,7 @@ from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import Script, walk
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_cli.boundary import one_thread
-from uniforce_cli.score import Rig, ScoreConfig
+from uniforce_cli.score_settings import Rig, ScoreConfig
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of

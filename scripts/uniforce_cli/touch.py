@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from uniforce_cli.boundary import Sensor, command, one_thread
+from uniforce_vtla.contracts import QUARTERS
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Names, NotNegative, OutFile, Positive, Range, Text, TokenizerFolder, split
 from uniforce_vtla.sensors import get_sensor, list_sensors
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from uniforce_robots.sensors.finger import TactileFinger
 
 STAND_IN = "standin"
-QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")  # row by row, as the marker image shows the pad
 Controller = Annotated[int, Range(0, 15)]
 Degrees = Annotated[float, Range(0, 359.999)]
 Quarters = Annotated[str, Names(QUARTERS, many=True)]

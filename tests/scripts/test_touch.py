@@ -17,9 +17,9 @@ from uniforce_cli.touch_view import OUTPUTS, TouchView, as_text, panel, save_pan
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
 from uniforce_robots.sensors.orientation import TURNS, Orientation
 from uniforce_robots.standins.process import StandIn
-from uniforce_robots.standins.scene import QUARTERS, Scene, frame_cycle, taxel_cycle
+from uniforce_robots.standins.scene import Scene, frame_cycle, taxel_cycle
 from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap
-from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.contracts import QUARTERS, ContactState
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers import Canonicalizer
 

@@ -10,12 +10,11 @@ from scipy.interpolate import interp1d
 
 from uniforce_vtla.contact.indenters import gap_maps
 from uniforce_vtla.contact.simulator import TactileSimulator, free_air
-from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.contracts import QUARTERS, ContactState
 from uniforce_vtla.errors import ContractError, expected
 
 KEY_STATES = 48  # contact states per press that are simulated; taxel scans between them are interpolated
 TAXEL_NOISE_COUNTS = 2.0  # of real patches at rest: 1 to 5
-QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")  # as the marker image shows the pad
 
 
 @dataclass

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from uniforce_robots.standins.scene import QUARTERS, TAXEL_NOISE_COUNTS, Scene, taxel_cycle
+from uniforce_robots.standins.scene import TAXEL_NOISE_COUNTS, Scene, taxel_cycle
+from uniforce_vtla.contracts import QUARTERS
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.reference import capture_taxel_reference
 
