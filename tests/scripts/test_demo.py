@@ -61,8 +61,8 @@ def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path: Path, capfd: p
 @pytest.mark.parametrize(
     ("settings", "taken"),
     [
-        ({}, [CLEAN]),
-        ({"keep_events": True}, [CLEAN, EVENT]),
+        ({}, [CLEAN, EVENT]),
+        ({"keep_events": False}, [CLEAN]),
         ({"keep_failures": True}, [CLEAN, EVENT, FAILED, ABORTED]),
     ],
 )
