@@ -36,6 +36,7 @@ class EpisodeRow:
     think_p50_ms: float
     think_p95_ms: float
     missed_deadlines: int = 0  # calls answered after the action queue ran dry
+    in_band_share: float = 0.0  # of the sliding distance, pressed within the limits' band
     # tool height from first to last contact, at PROFILE_POINTS even shares of that time
     z_profile_mm: tuple[float, ...] = ()
 
@@ -63,6 +64,7 @@ def row_of(rollout: Rollout) -> EpisodeRow:
         think_p50_ms=float(np.percentile(rollout.think_ms, 50)),
         think_p95_ms=float(np.percentile(rollout.think_ms, 95)),
         missed_deadlines=int(rollout.facts.get("missed_deadlines", 0)),
+        in_band_share=round(float(result.metrics["in_band_share"]), 4),
         z_profile_mm=z_profile(trace),
     )
 
@@ -121,6 +123,7 @@ class ArmReport:
         seeds = [row.seed for row in self.rows]
         return counts | {
             "clean_wilson_95": [interval.low, interval.high],
+            "in_band_share": sum(row.in_band_share for row in self.rows) / self.n,
             "seeds": [seeds[0], seeds[-1]],
             "by_seed": "".join(row.code for row in self.rows),
         }
