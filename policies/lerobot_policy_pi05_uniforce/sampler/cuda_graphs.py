@@ -12,18 +12,16 @@ buffers without a graph, on any device: that is what the tests do, and all that 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill, Prefix, PrefixEncoder
+from lerobot_policy_pi05_uniforce.sampler.prepared import Prepared, StepTable
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler, StepTable
 
 Recordable = Callable[..., tuple[Tensor, ...]]
 BUCKETS = (48, 96, 200)  # text tokens: a short prompt, one with many state digits, π0.5's most
@@ -75,10 +73,21 @@ class Pair(NamedTuple):
     flow: Replayed
 
 
+class Sampler(Protocol):
+    """What is recorded: the ``FastSampler``."""
+
+    network: Any
+    prepared: Prepared
+    encoder: PrefixEncoder
+
+    def flow(self, prefix: Prefix, noise: Tensor, tables: list[StepTable]) -> Tensor:
+        """Return the actions at the end of the flow."""
+
+
 class GraphedSampler:
     """Samples like the ``FastSampler`` it is given, by replay; without ``capture`` (tests, CPU) by calling again."""
 
-    def __init__(self, sampler: FastSampler, capture: bool = True) -> None:
+    def __init__(self, sampler: Sampler, capture: bool = True) -> None:
         self._sampler, self._capture = sampler, capture
         self._pairs: dict[tuple, Pair] = {}
         self._latest: Pair | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
@@ -11,11 +11,9 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
+from lerobot_policy_pi05_uniforce.sampler.prepared import Prepared
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
-
-if TYPE_CHECKING:
-    from lerobot_policy_pi05_uniforce.sampler.fast import Prepared
 
 
 class Inputs(NamedTuple):

@@ -16,7 +16,7 @@ import psutil
 
 from uniforce_robots.franka.arm import ROBOT_STOPS, ArmState, refuse_stopped
 from uniforce_robots.franka.child import Child, END_s
-from uniforce_robots.franka.hand import HandCommand, HandReading, OUTER_m
+from uniforce_robots.franka.hand_command import HandCommand, HandReading, OUTER_m
 from uniforce_vtla.errors import RobotError, expected
 
 if TYPE_CHECKING:

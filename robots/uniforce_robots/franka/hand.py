@@ -4,70 +4,19 @@ The real hand answers a command when its fingers have arrived, gives its state a
 interruption badly; a control loop at 30 Hz can wait for none of that.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from uniforce_robots.franka.limits import require_in_limits
+from uniforce_robots.franka.clients import HandClient
+from uniforce_robots.franka.hand_command import HandCommand, HandReading, THINNEST_m
+from uniforce_robots.franka.settings import HandSettings
 from uniforce_vtla.errors import RobotError, SensorError, expected
 
-if TYPE_CHECKING:
-    from uniforce_robots.franka.clients import HandClient
-
 log = logging.getLogger(__name__)
-THINNEST_m = 0.002  # of what may be grasped; fingers closer than this hold nothing
-OUTER_m = 0.08  # outer tolerance of a grasp: the tool may be thicker than the target, on purpose
 GRACE_s = 0.5  # a command may take its travel at the set speed and this much more: the hand begins slowly
 LOST_s = 0.3  # three readings without hold, by the hand's own word: what was grasped counts as lost
 WIDEST_m = 0.12  # no hand opens so far
-
-
-@dataclass(frozen=True)
-class HandCommand:
-    """What to ask of the hand: a grasp where ``force_N`` > 0, a plain move where it is 0."""
-
-    width_m: float
-    speed_m_s: float
-    force_N: float = 0.0
-
-    @property
-    def grasp_width_m(self) -> float:
-        """Width to name in a grasp: wide enough that fingers closed on nothing lie outside the tolerance."""
-        return max(self.width_m, 2 * THINNEST_m)
-
-    @property
-    def inner_m(self) -> float:
-        """Inner tolerance of a grasp: anything thicker than ``THINNEST_m`` counts as held."""
-        return self.grasp_width_m - THINNEST_m
-
-
-@dataclass(frozen=True)
-class HandReading:
-    """What the hand said: opening between the fingers, whether it holds something, host clock at receipt."""
-
-    time_s: float
-    width_m: float
-    max_width_m: float
-    is_grasped: bool
-
-
-@dataclass(frozen=True)
-class HandSettings:
-    """How widths become commands; hard limits in ``limits.HARD_LIMITS``."""
-
-    speed_m_s: float = 0.05  # of the fingers
-    # of a grasp; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
-    grip_force_N: float = 10.0
-    grasp_below_m: float = 0.04  # a closing target below this is a grasp (force-bound), above it a move (position)
-    hysteresis_m: float = 0.003  # a smaller change of the target is no new command
-    reading_age_s: float = 0.5  # an older reading stops the arm; the hand gives about ten a second
-
-    def __post_init__(self) -> None:
-        require_in_limits(self)
 
 
 def next_command(target_m: float, last: HandCommand | None, settings: HandSettings) -> HandCommand | None:

@@ -14,28 +14,15 @@ from dataclasses import dataclass
 from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
 from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
-from uniforce_robots.franka.limits import require_in_limits
 from uniforce_robots.franka.poses import ToolPose, between
 from uniforce_robots.franka.send_check import SendCheck
+from uniforce_robots.franka.settings import StreamSettings
 from uniforce_robots.franka.state_check import StateCheck
 from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
 JOIN_s = 10.0  # a backend's own deadlines are shorter
 GOOD_RATE = 0.9  # share of commands in time, below which someone should look at the computer
-
-
-@dataclass(frozen=True)
-class StreamSettings:
-    """Rhythm of the stream; hard limits in ``limits.HARD_LIMITS``."""
-
-    rate_hz: float = 100.0  # targets per second
-    action_period_s: float = 1 / 30  # how long a ramp to a new action takes; the policy's own period
-    stale_s: float = 0.2  # an action older than this is no longer followed
-    state_age_s: float = 0.2  # an older reading is not used; a robot whose clock stands still for so long is gone
-
-    def __post_init__(self) -> None:
-        require_in_limits(self)
 
 
 @dataclass(frozen=True)
