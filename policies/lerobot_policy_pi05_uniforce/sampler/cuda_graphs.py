@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
+from lerobot_policy_pi05_uniforce.sampler.layers import Prepared, StepTable
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefill, Prefix, PrefixEncoder
-from lerobot_policy_pi05_uniforce.sampler.prepared import Prepared, StepTable
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
 

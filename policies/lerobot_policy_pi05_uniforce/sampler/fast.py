@@ -11,9 +11,16 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.sampler.cuda_graphs import GraphedSampler
-from lerobot_policy_pi05_uniforce.sampler.layers import attend, gated_hidden, linear, modulated, rotated
+from lerobot_policy_pi05_uniforce.sampler.layers import (
+    Prepared,
+    StepTable,
+    attend,
+    gated_hidden,
+    linear,
+    modulated,
+    rotated,
+)
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, Prefix, PrefixEncoder, drop_dead
-from lerobot_policy_pi05_uniforce.sampler.prepared import Prepared, StepTable
 from lerobot_policy_pi05_uniforce.touch.tokens import SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
 

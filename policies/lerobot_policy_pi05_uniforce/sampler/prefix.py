@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce.sampler import layers as ops
-from lerobot_policy_pi05_uniforce.sampler.prepared import Prepared
+from lerobot_policy_pi05_uniforce.sampler.layers import Prepared
 from lerobot_policy_pi05_uniforce.touch.tokens import GatedColumns, SuffixTouch
 from uniforce_vtla.errors import ContractError, expected
 
