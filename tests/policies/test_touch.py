@@ -77,7 +77,7 @@ def test_force_tokens_keep_amplitude(make_policy):
     assert torch.allclose(tokens(touch, 0).square().mean(-1), torch.ones(1, 16), atol=1e-3)
 
 
-@pytest.mark.parametrize("settings", [{}, {"touch__input": "wrench"}, {"size": "base"}, {"action__previous_steps": 4}])
+@pytest.mark.parametrize("settings", [{}, {"touch__input": "wrench"}, {"size": "base"}])
 def test_a_token_of_tiny_also_holds_the_whole_map(settings, make_config):
     config = make_config(**{**settings, "tiny__width": 64})
     shape = (16, 6) if config.touch.input == "latent" else (1, 4)
