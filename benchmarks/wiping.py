@@ -190,12 +190,16 @@ def replay(command: BenchmarkConfig) -> str:
         config.first_seed = committed["arms"][config.arm]["seeds"][0]
     seeds, here = committed["checkpoints"], split(command.checkpoints)
     own = [scene for scene in range(command.replay) if whose_turn(scene, seeds) in here]
+    if not own and any(config.policy not in SCRIPTS for config in wanted):
+        do = "Name those of the table."
+        raise DatasetError(expected("checkpoints to replay", " | ".join(seeds), command.checkpoints, do))
     differing, compared, lines = 0, 0, []
     for config, again in zip(wanted, score_arms(wanted, command.workers), strict=True):
         scenes = range(command.replay) if config.policy in SCRIPTS else own
         before = "".join(committed["arms"][again.arm]["by_seed"][scene] for scene in scenes)
         now = "".join(again.rows[scene].code for scene in scenes)
-        differing, compared = differing + sum(a != b for a, b in zip(before, now, strict=True)), compared + len(now)
+        differing += sum(a != b for a, b in zip(before, now, strict=True))
+        compared += len(now)
         lines.append(f"{again.arm:24s} committed {before}  now {now}")
     verdict = f"{differing} of {compared} episodes differ from {path}"
     return "\n".join([*lines, verdict])
