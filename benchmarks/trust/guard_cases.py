@@ -19,9 +19,10 @@ from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.arm import ArmState, Gains
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.hand import HandReading
+from uniforce_robots.franka.hand_command import HandReading
 from uniforce_robots.franka.poses import ToolPose
-from uniforce_robots.franka.stream import ArmStream, StreamSettings
+from uniforce_robots.franka.settings import StreamSettings
+from uniforce_robots.franka.stream import ArmStream
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES
 

@@ -122,7 +122,6 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
 
     record.record(record.RecordConfig(episodes=config.episodes, level=config.level, root=str(out / "demos")))
     say("\n[2/5] training view: cameras resized once, touch encoded once by the frozen tokenizer")
-    # few demos, and the nudged expert may have an event in each of them: all that wiped the board, as the policy learnt
     view.make_view(view.ViewConfig(roots=str(out / "demos"), out=str(out / "view")))
     say(f"\n[3/5] training a tiny policy for {config.train_steps} steps with LeRobot's own trainer")
     lerobot_training.train(_train_arguments(config, out))

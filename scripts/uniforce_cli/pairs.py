@@ -17,6 +17,7 @@ from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Sha
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
+    from uniforce_robots.franka.settings import HandSettings
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
     from uniforce_robots.pairs.rig import PairRig, RobotRig
@@ -125,7 +126,6 @@ def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
     """
     from uniforce_cli.touch import TouchConfig, opened
     from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
-    from uniforce_robots.franka.hand import HandSettings
     from uniforce_robots.pairs.rig import RobotRig
     from uniforce_robots.teleop import UniforceHandGuide, UniforceHandGuideConfig
     from uniforce_vtla.keys import AXES

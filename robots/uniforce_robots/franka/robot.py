@@ -18,7 +18,8 @@ from uniforce_robots.franka.arm import ArmState
 from uniforce_robots.franka.clients import make_backend
 from uniforce_robots.franka.config import UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardChain
-from uniforce_robots.franka.hand import Hand, HandReading, require_open
+from uniforce_robots.franka.hand import Hand, require_open
+from uniforce_robots.franka.hand_command import HandReading
 from uniforce_robots.franka.poses import ToolPose
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_vtla.errors import RobotError, SensorError, expected

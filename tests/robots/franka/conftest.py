@@ -5,7 +5,7 @@ import pytest
 from fci_client import wait_until
 
 from uniforce_robots.franka.limits import HARD_LIMITS, Range
-from uniforce_robots.franka.stream import StreamSettings
+from uniforce_robots.franka.settings import StreamSettings
 
 
 @pytest.fixture
