@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from uniforce_vtla.contact.family import FamilyBounds, Span
 from uniforce_vtla.contact.materials import PadMaterial
 from uniforce_vtla.contact.virtual import VirtualSensor
+from uniforce_vtla.tokenizer.family import FamilyBounds, Span
 
 
 def half_extent_px(sensor: VirtualSensor) -> np.ndarray:

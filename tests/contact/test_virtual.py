@@ -1,10 +1,8 @@
-"""Sensors that exist only in simulation: drawings, shapes, the procedural family and what lies outside it."""
+"""Sensors that exist only in simulation: drawings and shapes."""
 
 import numpy as np
 import pytest
-from outside_family import half_extent_px, outside
 
-from uniforce_vtla.contact.family import FamilyBounds, FlatFamily, draw_dome, draw_flat
 from uniforce_vtla.contact.sampling import sample_objects
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.units import Look, UnitVariation
@@ -44,27 +42,6 @@ def test_diamonds_are_squares_on_their_corner() -> None:
 
 def test_layouts() -> None:
     assert len(staggered(3, 4, (1.0, 1.0))) == 4 + 3 + 4
-
-
-@pytest.mark.parametrize("draw", [draw_flat, draw_dome])
-def test_every_member_of_the_family_is_inside_it_and_in_view(draw) -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(40):
-        sensor = draw(rng)
-        assert outside(sensor) == []
-        assert len(sensor.spec.layout_mm) >= 12 and np.all(half_extent_px(sensor) < (320, 240))
-
-
-def test_the_family_draws_different_pictures() -> None:
-    rng = np.random.default_rng(1)
-    pictures = [TactileSimulator(draw_flat(rng)).reference() for _ in range(4)]
-    assert len({p.tobytes() for p in pictures}) == 4
-
-
-def test_outside_names_what_differs() -> None:
-    assert outside(GELSIGHT_D) == ["visible: marker_shape diamond"]
-    narrow = FamilyBounds(flat=FlatFamily(px_per_mm=(10.0, 12.0)))
-    assert any("px_per_mm" in line for line in outside(as_virtual("gelsight"), narrow))
 
 
 def test_a_look_changes_the_picture_but_nothing_hidden() -> None:

@@ -1,7 +1,7 @@
 """Pretraining data: equilibrium pairs drawn once, area-resized, as uint8 shards; or drawn anew for every step.
 
 ⟨GelSight, TacTip⟩ and ⟨uSkin, TacTip⟩, TacTip on the right finger (UniForce paper, "Data Collection Protocol"); a share
-of the cameras may be procedural instead (contact/family.py), always paired by equal traction.
+of the cameras may be procedural instead (tokenizer/family.py), always paired by equal traction.
 """
 
 import json
@@ -14,7 +14,6 @@ import torch
 from tqdm import tqdm
 
 from uniforce_vtla.array_file import read_arrays
-from uniforce_vtla.contact.family import draw_dome, draw_flat
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange
@@ -24,6 +23,7 @@ from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.tokenizer.entry import letterbox
+from uniforce_vtla.tokenizer.family import draw_dome, draw_flat
 from uniforce_vtla.tokenizer.settings import PairCacheConfig
 
 RIGS = (("gelsight", "tactip"), ("uskin", "tactip"))
