@@ -15,7 +15,6 @@ from benchmarks.probes.disturbances import Creep, Light, lagging_force
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.sequences import press_shear_release
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
-from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_objects
 from uniforce_vtla.contact.simulator import TactileSimulator, draw_simulator
@@ -111,32 +110,3 @@ class _Unit:
             return self.reference, self.simulator.marker_images(contact)
         frames = self.light.on(self.simulator.raw_frames(contact))
         return self.reference, np.stack([self._canonicalizer.marker_image(frame) for frame in frames])
-
-
-# -- pairs that don't fit -----------------------------------------------------------------------------------
-
-HARD_PAIRS = PairSettings(
-    flat_share=0.0,
-    unit_strength=1.5,
-    pairs_per_unit=8,
-    options=ContactOptions(marker_loss=True, loss_probability=0.02),
-    look=Look(),
-    misaligned_cells=1,  # 1 mm: as well as two fingers are set up by hand
-    imbalance=0.10,  # of the normal force: friction in the object's support
-)
-HARD_PAIRS_SEED, HARD_PAIRS_COUNT = 31_003, 128
-
-
-def draw_hard_pairs(left: VirtualSensor, right: VirtualSensor) -> PairBatch:
-    """Return frozen pairs with unseen indenters whose fingers are misaligned and out of balance."""
-    rng = np.random.default_rng(HARD_PAIRS_SEED)
-    return equilibrium_pairs(rng, HARD_PAIRS_COUNT, left, right, UNSEEN, settings=HARD_PAIRS)
-
-
-def pairs_digest(pairs: PairBatch) -> str:
-    """Return the sha256 over all images and forces."""
-    digest = hashlib.sha256()
-    for name in ("left_reference", "left_current", "right_reference", "right_current"):
-        digest.update(np.packbits(getattr(pairs, name) > 0).tobytes())
-    digest.update(np.ascontiguousarray(pairs.force_N).tobytes())
-    return digest.hexdigest()

@@ -11,9 +11,7 @@ from benchmarks.probes.hard_sets import (
     HETERO_HARD,
     HETERO_HARD_TRAINING,
     draw_hard,
-    draw_hard_pairs,
     hetero_sensors,
-    pairs_digest,
 )
 from benchmarks.probes.labelled_cache import cached
 from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled, set_facts, within
@@ -121,13 +119,6 @@ def test_the_canonicalizer_is_in_the_way() -> None:
     sensor = hetero_sensors()["gelsight_d"]
     direct = draw_hard(replace(BRIEF, canonicalize=False), sensor, 32)
     assert not np.array_equal(direct.frames, draw_hard(BRIEF, sensor, 32).frames)
-
-
-def test_hard_pairs_repeat(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("benchmarks.probes.hard_sets.HARD_PAIRS_COUNT", 3)
-    sensors = hetero_sensors()
-    digests = {pairs_digest(draw_hard_pairs(sensors["uskin"], sensors["tactip"])) for _ in range(2)}
-    assert len(digests) == 1
 
 
 def test_a_cached_set_is_drawn_once(tmp_path: Path) -> None:
