@@ -43,6 +43,13 @@ def test_rows_survive_a_line_cut_short(tmp_path: Path) -> None:
     assert read_rows(file) == {3: row(3), 4: row(4, "residual", False)}
 
 
+def test_rows_of_another_version_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "episodes.jsonl"
+    file.write_text('{"seed": 5, "height": 2}\n')
+    with pytest.raises(ContractError, match="another folder"):
+        read_rows(file)
+
+
 def test_table_and_picture_show_every_arm(tmp_path: Path) -> None:
     reports = [ArmReport("V", [row(0, "residual", False)]), ArmReport("V+T", [row(0)])]
     text = table(reports)

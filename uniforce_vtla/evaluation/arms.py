@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.keys import OUTCOME_NAMES
@@ -72,11 +73,19 @@ def write_row(path: Path, row: EpisodeRow) -> None:
 
 
 def read_rows(path: Path) -> dict[int, EpisodeRow]:
-    """Return the finished rows by seed; a last line cut short by a kill is left out."""
+    """Return the finished rows by seed; a last line cut short by a kill is left out.
+
+    Raises:
+        ContractError: rows of another version.
+    """
     if not path.exists():
         return {}
     complete = path.read_text().split("\n")[:-1]
-    rows = [EpisodeRow(**json.loads(line)) for line in complete if line]
+    try:
+        rows = [EpisodeRow(**json.loads(line)) for line in complete if line]
+    except (TypeError, ValueError) as error:
+        do = "Score into another folder."
+        raise ContractError(expected(str(path), "rows of this version", error, do)) from error
     return {row.seed: row for row in rows}
 
 
