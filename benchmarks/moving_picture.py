@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import policy_on_rig
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, expected
@@ -64,7 +65,8 @@ class Watched:
 
 def film(config: MovingPictureConfig) -> tuple[Watched, Rollout]:
     """Roll the scene out; return what was seen at each chunk and the scored episode."""
-    env, controller = policy_on_rig(config.policy, config.level, config.left_sensor, config.right_sensor, config.swap)
+    rig = Rig(config.level, config.left_sensor, config.right_sensor, config.swap)
+    env, controller = policy_on_rig(config.policy, rig)
     watched = Watched(controller)
     return watched, roll_out(env, watched, config.seed)
 

@@ -14,6 +14,7 @@ from benchmarks import tokenizer_questions as questions
 from benchmarks.baselines import rows as baseline_rows
 from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
 from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
 from benchmarks.probes.zero_shot import (
     POOL,
@@ -50,11 +51,12 @@ from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
+PICTURED = 64  # pairs per rig that are redrawn
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
 OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``baselines=true`` measures
 # its sensors are the registry's, which is what the package's heads are for
-SHIPPED_HEADS_SET = "zero_shot_v1"
+SHIPPED_HEADS_SET = "zero_shot_v2"
 
 
 WEIGHTS_OF_BASELINES = ("anytouch", "t3", "t3_encoder", "unit")
@@ -66,15 +68,16 @@ ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
 class TokenizerReportCommand:
     """Answer one question about a tokenizer; or freeze a set, train the shipped heads, replay a committed table.
 
-    Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v1 seeds=3
+    Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v2 seeds=3
     """
 
-    question: Literal["force", "slip"] = "force"  # force (Q3) | slip (real)
+    # force (Q3) | correlation of the latent with force (Q1) | reconstruction (Q2) | slip (real)
+    question: Literal["force", "correlation", "reconstruction", "slip"] = "force"
     # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     data: FolderPath = ""
     recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
-    # zero_shot_v1 | hetero_hard_v1 | heldout_visible_v1 or _v2 | heldout_hidden_v1
-    set: ReportSetName = "zero_shot_v1"
+    # zero_shot_v2 | hetero_hard_v2 | fe_dev_v1 (for choosing) | fe_contacts_v1 (for scoring)
+    set: ReportSetName = "zero_shot_v2"
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     # tables and figures; of replay and only: where the table is read
     results: OutFolder = "outputs/tokenizer_report"
@@ -83,7 +86,7 @@ class TokenizerReportCommand:
     cache: OutFolder = "outputs/labelled"
     seeds: Heads = 3  # heads per cell
     freeze: bool = False  # only draw the set and write its hash
-    # also write tokenizer and heads into the package (set=zero_shot_v1)
+    # also write tokenizer and heads into the package (set=zero_shot_v2)
     ship: Literal["", "small", "nano"] = ""
     table: FileName = ""  # another name for the table's file; empty = the set's own
     # also the rows that train networks of their own: hours on two cores, one row at a time
@@ -225,7 +228,7 @@ def shipped_row(tokenizer: Tokenizer, table: Table, count: int) -> Cells:
 def replay(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> float:
     """Re-measure cells from the shipped weights; return the largest difference of R² to the committed table.
 
-    ``zero_shot_v1`` replays the shipped heads; the other sets train their heads again from the same seeds.
+    ``zero_shot_v2`` replays the shipped heads; the other sets train their heads again from the same seeds.
     """
     table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
     _say_if_redrawn(command, report_set, table.frozen)
@@ -272,11 +275,24 @@ def _report(command: TokenizerReportCommand) -> str:
     if command.question == "slip":
         table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
         return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
+    if command.question in ("correlation", "reconstruction"):
+        return _latent_or_pictures(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)
     path = write_json(_table_path(command, report_set), content)
     draw_table(content, path.with_suffix(".png"))
     lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
     return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])
+
+
+def _latent_or_pictures(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
+    results = Path(command.results)
+    if command.question == "correlation":
+        table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
+        found = latent_correlation(tokenizer, table) | {"set": report_set.name}
+    else:
+        found = reconstructions(tokenizer, PICTURED, results / "reconstruction.png")
+    found |= {"tokenizer_hash": tokenizer.hash}
+    return f"written to {write_json(results / f'{command.question}.json', found | provenance())}"
 
 
 def _numbers(values: dict[str, float]) -> str:

@@ -1,12 +1,10 @@
 """What lies outside the procedural family: proof that held-out sensors could not have been drawn in pretraining."""
 
-from dataclasses import fields
-
 import numpy as np
 
-from uniforce_vtla.contact.family import HIDDEN, FamilyBounds, Span
-from uniforce_vtla.contact.materials import MATERIALS, PadMaterial
+from uniforce_vtla.contact.materials import PadMaterial
 from uniforce_vtla.contact.virtual import VirtualSensor
+from uniforce_vtla.tokenizer.family import FamilyBounds, Span
 
 
 def half_extent_px(sensor: VirtualSensor) -> np.ndarray:
@@ -31,19 +29,30 @@ def outside(sensor: VirtualSensor, bounds: FamilyBounds | None = None) -> list[s
         found.append("visible: layout is no lattice of the family")
     if np.any(half_extent_px(sensor) > np.array([320, 240])):
         found.append("visible: layout reaches beyond the image")
-    base = MATERIALS["gelsight" if spec.dome_radius_mm is None else "tactip"]
-    for name in (f.name for f in fields(PadMaterial)):
-        found += _hidden_difference(name, getattr(material, name), getattr(base, name), b.material)
-    return found
+    return found + [
+        f"hidden: {name} {value:.3g} (family {span[0]}–{span[1]})"
+        for name, (value, span) in _hidden_numbers(material, b, flat=spec.dome_radius_mm is None).items()
+        if not span[0] - 1e-9 <= value <= span[1] + 1e-9
+    ]
 
 
-def _hidden_difference(name: str, value: object, base: object, spread: Span) -> list[str]:
-    if name == "fisheye":  # shows in the reference
-        return []
-    low, high = spread if name in HIDDEN else (1.0, 1.0)
-    numbers, bases = np.atleast_1d(value), np.atleast_1d(base)  # type: ignore[call-overload]
-    inside = np.all((numbers >= bases * low - 1e-9) & (numbers <= bases * high + 1e-9))
-    return [] if inside else [f"hidden: {name} {value} (family {base} × {low}–{high})"]
+def _hidden_numbers(material: PadMaterial, b: FamilyBounds, flat: bool) -> dict[str, tuple[float, Span]]:
+    """Return name → (the material's number, the family's range) of what no reference image shows."""
+    skin = material.layers[0]
+    young = skin.young_MPa * material.stiffness
+    if flat:
+        return {
+            "thickness": (skin.thickness_mm, b.flat.thickness_mm),
+            "Young's modulus": (young, b.flat.young_MPa),
+            "Poisson's ratio": (skin.poisson, b.flat.poisson),
+            "marker depth": (material.readout_mm, b.flat.readout_mm),
+        }
+    return {
+        "thickness": (skin.thickness_mm, b.dome.skin_mm),
+        "Young's modulus": (young, b.dome.skin_MPa),
+        "filling": (material.layers[1].thickness_mm, b.dome.filling_mm),
+        "pin": (material.pin_mm, b.dome.pin_mm),
+    }
 
 
 def _is_lattice(points_mm: np.ndarray) -> bool:

@@ -5,11 +5,11 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks.probes.hard_sets import HardSettings
-from benchmarks.probes.labelled_set import LabelledSet, SetConfig
+from benchmarks.probes.labelled_set import LabelledSet
 from uniforce_vtla.array_file import read_arrays
 
 ARRAYS = tuple(f.name for f in fields(LabelledSet) if f.name != "digest")
@@ -17,7 +17,7 @@ ARRAYS = tuple(f.name for f in fields(LabelledSet) if f.name != "digest")
 
 def cached(
     folder: Path,
-    settings: SetConfig | HardSettings,
+    settings: Any,
     sensor: str,
     side: int,
     draw: Callable[[], LabelledSet],

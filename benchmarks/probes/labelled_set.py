@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.probes.sequences import force_sequences
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange
-from uniforce_vtla.contact.sequences import force_sequences
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 
@@ -28,10 +28,12 @@ class SetConfig:
     length: int  # frames per sequence
     indenters: tuple[str, ...]  # names drawn from
     force_range: ForceRange = field(default_factory=ForceRange)  # 16 N, ±8 N: over-pressing is read too
+    flat_share: float = 0.0  # of held flat tools among the indenters
 
 
-FROZEN = SetConfig("zero_shot_v1", seed=7_001, sequences=120, length=12, indenters=UNSEEN)
-HEAD_TRAINING = SetConfig("head_training_v1", seed=7_002, sequences=400, length=12, indenters=SEEN)
+FROZEN = SetConfig("zero_shot_v2", seed=7_001, sequences=120, length=12, indenters=UNSEEN)
+# half of them held tools: that is what a policy's fingers hold
+HEAD_TRAINING = SetConfig("head_training_v2", seed=7_002, sequences=400, length=12, indenters=SEEN, flat_share=0.5)
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,8 @@ class LabelledSet:
 def draw_labelled(config: SetConfig, sensor: str, side: int) -> LabelledSet:
     """Return ``sensor``'s sequences, at the model's size, with descriptors of the full-size images."""
     rng = np.random.default_rng(config.seed)
-    batch = force_sequences(rng, sensor, config.sequences, config.length, config.indenters, config.force_range)
+    drawn = config.indenters, config.force_range, 1.0, config.flat_share
+    batch = force_sequences(rng, sensor, config.sequences, config.length, *drawn)
     digest = hashlib.sha256(sensor.encode())
     reference, frames, descriptor = [], [], []
     for before, after in zip(batch.reference, batch.frames, strict=True):

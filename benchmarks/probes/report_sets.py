@@ -6,18 +6,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from benchmarks.probes.hard_sets import (
-    HELDOUT_HIDDEN,
-    HELDOUT_VISIBLE,
-    HELDOUT_VISIBLE_2,
-    HETERO_HARD,
-    HETERO_HARD_TRAINING,
-    HardSettings,
-    draw_hard,
-    hetero_sensors,
-    visible_sensors,
-    visible_sensors_2,
-)
+from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV, ElementSettings, draw_elements
+from benchmarks.probes.hard_sets import HETERO_HARD, HETERO_HARD_TRAINING, HardSettings, draw_hard, hetero_sensors
 from benchmarks.probes.labelled_cache import cached
 from benchmarks.probes.labelled_set import (
     FROZEN,
@@ -27,19 +17,20 @@ from benchmarks.probes.labelled_set import (
     SetConfig,
     draw_labelled,
 )
-from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, hidden_sensors
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.nominal_scale import nominal_zoom
 
 Sensors = dict[str, VirtualSensor]
+Recipe = SetConfig | HardSettings | ElementSettings
 
 
 @dataclass(frozen=True)
 class ReportSet:
     """A frozen set and the set that heads are trained on."""
 
-    frozen: SetConfig | HardSettings  # recipe of what is scored (unseen indenters)
-    training: SetConfig | HardSettings  # recipe of what heads are trained on (seen indenters)
+    frozen: Recipe  # of what is scored
+    training: Recipe  # of what heads are trained on
     sources: Callable[[], Sensors]  # sensors heads are trained on, one head each
     targets: Callable[[], Sensors]  # sensors that are scored
     table: str  # file of the table, inside the results folder
@@ -52,26 +43,24 @@ class ReportSet:
     @property
     def facts_file(self) -> str:
         """File that holds the recipe and hash, committed before training."""
-        return "zero_shot_set.json" if self.name == FROZEN.name else f"{self.name}_set.json"
+        return f"{self.name}_set.json"
 
-    def draw(self, recipe: SetConfig | HardSettings, sensors: Sensors, side: int, folder: Path) -> dict:
+    def draw(self, recipe: Recipe, sensors: Sensors, side: int, folder: Path) -> dict:
         """Return name → LabelledSet, drawn once and kept in ``folder``."""
         bar = tqdm(sensors.items(), desc=f"drawing {recipe.name}")
         return {name: self._one(recipe, name, sensor, side, folder) for name, sensor in bar}
 
     @staticmethod
-    def _one(
-        recipe: SetConfig | HardSettings, name: str, sensor: VirtualSensor, side: int, folder: Path
-    ) -> LabelledSet:
+    def _one(recipe: Recipe, name: str, sensor: VirtualSensor, side: int, folder: Path) -> LabelledSet:
         zoom = nominal_zoom(sensor.spec)
         return cached(folder, recipe, name, side, lambda: draw(recipe, sensor, side), zoom)
 
 
-def draw(recipe: SetConfig | HardSettings, sensor: VirtualSensor, side: int) -> LabelledSet:
+def draw(recipe: Recipe, sensor: VirtualSensor, side: int) -> LabelledSet:
     """Return one sensor's sequences by the recipe's own way of drawing."""
     if isinstance(recipe, SetConfig):
         return draw_labelled(recipe, sensor.name, side)
-    return draw_hard(recipe, sensor, side)
+    return (draw_elements if isinstance(recipe, ElementSettings) else draw_hard)(recipe, sensor, side)  # type: ignore
 
 
 def _registry_sensors() -> Sensors:
@@ -79,19 +68,13 @@ def _registry_sensors() -> Sensors:
 
 
 REPORT_SETS = {
-    "zero_shot_v1": ReportSet(FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"),
-    "hetero_hard_v1": ReportSet(
+    "zero_shot_v2": ReportSet(FROZEN, HEAD_TRAINING, _registry_sensors, _registry_sensors, "zero_shot_force.json"),
+    "hetero_hard_v2": ReportSet(
         HETERO_HARD, HETERO_HARD_TRAINING, hetero_sensors, hetero_sensors, "zero_shot_force_hard.json"
     ),
-    "heldout_visible_v1": ReportSet(
-        HELDOUT_VISIBLE, HETERO_HARD_TRAINING, hetero_sensors, visible_sensors, "heldout_visible.json"
-    ),
-    "heldout_visible_v2": ReportSet(
-        HELDOUT_VISIBLE_2, HETERO_HARD_TRAINING, hetero_sensors, visible_sensors_2, "heldout_visible_2.json"
-    ),
-    "heldout_hidden_v1": ReportSet(
-        HELDOUT_HIDDEN, HETERO_HARD_TRAINING, hetero_sensors, hidden_sensors, "heldout_hidden.json"
-    ),
+    # heads learn on the fast contact model, finite elements solved step by step are read
+    "fe_dev_v1": ReportSet(FE_DEV, HEAD_TRAINING, _registry_sensors, _registry_sensors, "fe_dev.json"),
+    "fe_contacts_v1": ReportSet(FE_CONTACTS, HEAD_TRAINING, _registry_sensors, _registry_sensors, "fe_contacts.json"),
 }
 
 

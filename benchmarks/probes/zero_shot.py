@@ -117,9 +117,10 @@ def predict(head: ForceRegressor, z: torch.Tensor) -> np.ndarray:
 
 
 def score(truth_N: np.ndarray, said_N: np.ndarray) -> dict[str, list[float]]:
-    """Return R² and MAE per axis over all frames, and over those within the paper's range."""
+    """Return R², |r| and MAE per axis over all frames, and R² and MAE over those within the paper's range."""
     small = within(truth_N)
     return {
+        "abs_r": _abs_r(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
         "r2": _r2(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
         "mae_N": _mae(truth_N.reshape(-1, 3), said_N.reshape(-1, 3)),
         "r2_paper_range": _r2(truth_N[small], said_N[small]),
@@ -159,6 +160,13 @@ def _r2(truth: np.ndarray, said: np.ndarray) -> list[float]:
     residual = ((truth - said) ** 2).sum(axis=0)
     spread = ((truth - truth.mean(axis=0)) ** 2).sum(axis=0)
     return [float(v) for v in 1 - residual / spread]
+
+
+def _abs_r(truth: np.ndarray, said: np.ndarray) -> list[float]:
+    """Return |correlation|: what is left when gain and offset are forgiven; 0 of a constant."""
+    a, b = truth - truth.mean(axis=0), said - said.mean(axis=0)
+    length = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
+    return [float(v) for v in np.abs((a * b).sum(axis=0)) / np.maximum(length, 1e-12)]
 
 
 def _mae(truth: np.ndarray, said: np.ndarray) -> list[float]:

@@ -103,9 +103,7 @@ def _sound(options: Mapping[str, Option], room: Room) -> tuple[str, ...]:
     for option in options.values():
         rule = option.rule
         if isinstance(rule, Existing) and option.default not in ("", *rule.words, str(PUBLISHED)):
-            several = str(ROOT / "checkpoints" / "wiping" / "seed0")
-            policy = several if rule.marker == "." else str(shipped_checkpoint())
-            found.append(f"{option.name}={room.sound(rule.marker, policy)}")
+            found.append(f"{option.name}={room.sound(rule.marker, str(shipped_checkpoint()))}")
     return tuple(found)
 
 

@@ -15,13 +15,10 @@ from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.file_hashes import HASHES, write_hashes
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.descriptor_head import SCENE, SHIPPED, DescriptorHead
-from uniforce_vtla.tokenizer.sensor_transfer import SensorTransfer
 from uniforce_vtla.tokenizer.weights import ASSETS
 
 CONFIG, WEIGHTS, CARD = "config.json", "model.safetensors", "README.md"
 STATISTICS = "policy_preprocessor_step_3_normalizer_processor.safetensors"
-ARMS = Path(__file__).parents[2] / "checkpoints" / "wiping"
-OTHER_ARM = ARMS / "seed0" / "vtg"
 
 Tensors = dict[str, torch.Tensor]
 Damage = Callable[[Path], object]
@@ -67,6 +64,21 @@ def cut(name: str, share: float = 0.9) -> Damage:
 def replaced(name: str, other: Path) -> Damage:
     """Take a file from another checkpoint."""
     return lambda folder: shutil.copyfile(other / name, folder / name)
+
+
+def of_another_training(name: str) -> Damage:
+    """Let a file be what another training would have saved: it loads, and is of other numbers."""
+
+    def damage(folder: Path) -> None:
+        path = folder / name
+        if path.suffix == ".json":
+            path.write_text(json.dumps(json.loads(path.read_text()) | {"n_action_steps": 5}))
+            return
+        tensors = load_file(path)
+        next(tensor for tensor in tensors.values() if tensor.is_floating_point()).add_(0.01)
+        save_file(tensors, path)
+
+    return damage
 
 
 def linked(name: str, other: Path) -> Damage:
@@ -147,10 +159,6 @@ def _read_force(folder: Path) -> None:
     ForceHead.from_pretrained(path=folder)(Tokenizer.from_pretrained().encode(image, image))
 
 
-def _load_maps(folder: Path) -> None:
-    SensorTransfer.from_pretrained(folder, Tokenizer.from_pretrained().hash)
-
-
 def _load_descriptor_head(folder: Path) -> None:
     DescriptorHead.from_pretrained(folder.name, folder.parent)
 
@@ -172,18 +180,18 @@ CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (
     _policy("one bit of a weight", flipped(WEIGHTS, 0.7)),
     _policy("one bit of the weights' header", flipped(WEIGHTS, 0.0005)),
     _policy("weights cut", cut(WEIGHTS)),
-    _policy("weights of another arm", replaced(WEIGHTS, OTHER_ARM)),
+    _policy("weights of another training", of_another_training(WEIGHTS)),
     _policy("a weight that is NaN, saved so", with_tensors(made_nan)),
     _policy("a tensor more, saved so", with_tensors(lambda tensors: tensors.update(more=torch.zeros(2)))),
     _policy("a tensor less, saved so", with_tensors(lambda tensors: tensors.popitem())),
     _policy("another tactile tokenizer named, saved so", another_tokenizer),
-    _policy("config of another arm", replaced(CONFIG, OTHER_ARM)),
+    _policy("config of another training", of_another_training(CONFIG)),
     _policy("config cut", cut(CONFIG)),
     _policy("no config", removed(CONFIG)),
     _policy("a config that asks not to be verified", set_in_config(verify="off")),
-    _policy("preprocessor of another arm", replaced("policy_preprocessor.json", OTHER_ARM)),
-    _policy("statistics of another arm", replaced(STATISTICS, OTHER_ARM)),
-    _policy("statistics linked to another arm's", linked(STATISTICS, OTHER_ARM)),
+    _policy("preprocessor of another training", of_another_training("policy_preprocessor.json")),
+    _policy("statistics of another training", of_another_training(STATISTICS)),
+    _policy("weights linked to another folder's", linked(WEIGHTS, ASSETS / "small" / "tokenizer")),
     _policy("no statistics", removed(STATISTICS)),
     _policy("a state file more", lambda folder: (folder / "policy_more.safetensors").write_bytes(b"x")),
     _policy("card of another licence", edited(CARD, "license: ", "license: not-")),
@@ -200,12 +208,6 @@ CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (
     _head_of(
         "the other tokenizer's, whole",
         lambda folder: shutil.copytree(ASSETS / "nano" / "force_head_tactip", folder, dirs_exist_ok=True),
-    ),
-    CheckpointDamage(
-        "sensor maps: of another tokenizer, saved so",
-        set_in_config(tokenizer_hash="0" * 64),
-        ASSETS / "small" / "transfer",
-        _load_maps,
     ),
     CheckpointDamage(
         "descriptor head: of another sensor, saved so",

@@ -13,11 +13,11 @@ from lerobot_env_uniforce_wiping.recording import CLEAR_m, TraceRecorder
 from lerobot_env_uniforce_wiping.scene_params import SceneParams, draw_scene
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from lerobot_env_uniforce_wiping.touch import PadImages
+from lerobot_env_uniforce_wiping.worn import WornSensor, worn
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, Finger
 from uniforce_vtla.errors import ContractError, RolloutError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, ScoreLimits, score_episode
 from uniforce_vtla.keys import AXES, CAMERAS, tactile_name
-from uniforce_vtla.sensors import get_sensor
 
 
 class WipeEnv(gymnasium.Env):
@@ -29,8 +29,8 @@ class WipeEnv(gymnasium.Env):
 
     Args:
         level: name of a locked level.
-        left_sensor: sensor worn by the left finger.
-        right_sensor: sensor worn by the right finger.
+        left_sensor: sensor worn by the left finger, by name as drawn or as one unit of any sensor.
+        right_sensor: likewise, of the right finger.
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
         max_steps: cut episodes earlier or later than the level does.
         render_mode: gymnasium's; pictures are always arrays.
@@ -41,14 +41,15 @@ class WipeEnv(gymnasium.Env):
     def __init__(
         self,
         level: str = "easy",
-        left_sensor: str = "gelsight",
-        right_sensor: str = "tactip",
+        left_sensor: str | WornSensor = "gelsight",
+        right_sensor: str | WornSensor = "tactip",
         expose_wrench: bool = False,
         max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
     ) -> None:
         self.level = get_level(level)
-        self.sensors = {"left": get_sensor(left_sensor).name, "right": get_sensor(right_sensor).name}
+        self.worn: dict[Finger, WornSensor] = {"left": worn(left_sensor), "right": worn(right_sensor)}
+        self.sensors: dict[str, str] = {finger: sensor.kind for finger, sensor in self.worn.items()}
         self.limits = replace(ScoreLimits(), in_band_share=self.level.in_band_share or 0.0)
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
         self._painter = Painter()
@@ -122,7 +123,7 @@ class WipeEnv(gymnasium.Env):
         self._recorder = TraceRecorder(self._sim)
         self._steps = 0
         self.task = self.task_description = scene.task
-        self._touch = {f: PadImages(self.sensors[f], f, seed) for f in FINGERS}
+        self._touch = {f: PadImages(self.worn[f], f, seed) for f in FINGERS}
         self._painter.reset(self._sim)
 
     def advance(self, action: np.ndarray) -> bool:

@@ -57,6 +57,9 @@ SHEAR_DAMPING = 20.0  # N s/m, half critical
 SHEAR_MASS_kg = 0.05  # armature that keeps the pad's shear mode stable at this time step
 GRIPPER_N_m = 1200.0  # nominal stiffness of the gripper's servo, force per finger over width error
 GRIPPER_FORCE_N = 70.0  # servo limit
+# MuJoCo carries a box at its corners. At the radius of gyration of a 25 mm pad they give way to rocking as an even gel
+# does, and hold as much twist as it, 9.6 mm times friction; corners of the pad itself would hold 18 mm
+GYRATION_m = 0.0072
 TOOL_DOWN = np.diag([1.0, -1.0, -1.0])  # tool frame in the base frame at yaw 0: x closes, z points down
 READS = 4  # force samples averaged over a control step
 
@@ -104,7 +107,7 @@ def _finger(name: str, side: int, sensor: str, friction: float) -> str:
     radius = get_sensor(sensor).dome_radius_mm
     contact = f'friction="{friction} 0.005 0.0001" condim="4" priority="2" solimp="0.5 0.5 0.001"'
     if radius is None:
-        shape = f'type="box" size="0.0025 0.0125 0.0125" pos="{side * 0.0025} 0 0"'
+        shape = f'type="box" size="0.0025 {GYRATION_m} {GYRATION_m}" pos="{side * 0.0025} 0 0"'
     else:
         shape = f'type="sphere" size="{radius / 1000}" pos="{side * radius / 1000} 0 0"'
     return (

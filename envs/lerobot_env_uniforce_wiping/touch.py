@@ -5,6 +5,7 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping.mjcf import FELT_m
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
+from lerobot_env_uniforce_wiping.worn import WornSensor
 from uniforce_vtla.contact import TactileSimulator, free_air
 from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contracts import ContactState, Finger
@@ -16,14 +17,14 @@ class PadImages:
     """What one finger's sensor shows in the scene, in its own frame, never flipped.
 
     Args:
-        sensor: registry name.
-        finger: which finger wears it.
+        sensor: what the finger wears.
+        finger: which finger it is.
         seed: draws the sensor's noise; the same episode shows the same images.
     """
 
-    def __init__(self, sensor: str, finger: Finger, seed: int) -> None:
+    def __init__(self, sensor: WornSensor, finger: Finger, seed: int) -> None:
         self.finger = finger
-        self._sensor = TactileSimulator(sensor, seed=2 * seed + (finger == "right"))
+        self._sensor = TactileSimulator(sensor.sensor, sensor.unit, seed=2 * seed + (finger == "right"))
         self._free = self._sensor.reference()
         self.reference = cv2.cvtColor(self._free, cv2.COLOR_GRAY2RGB)
 

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 TYPE = "pi05_uniforce"
+# settings of who loads a checkpoint, not of who wrote it: stored at these values alone
+NEVER_STORED = {"verify": "full", "left_calibration": "", "right_calibration": ""}
 PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
 # of whole numbers in config.json: far beyond what is ever trained, far below what fills a machine
 COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")
@@ -45,11 +47,12 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
         came = repr(saved.get("type"))[:80]
         raise CheckpointError(expected(f"policy type of {where}", TYPE, came, "Choose another folder."))
     if "touch_input" in saved:
-        do = "Run python -m lerobot_policy_pi05_uniforce.migration FOLDER."
+        do = "Its tokenizer is no longer shipped: run it with version 0.1.0, or train again."
         raise CheckpointError(expected(where, "settings in groups", "the form of version 0.1.0", do))
-    if saved.get("verify", "full") != "full":
-        do = "Only who loads a checkpoint chooses how it is verified. Copy it again."
-        raise CheckpointError(expected(f"verify in {where}", "full", repr(saved["verify"])[:80], do))
+    for name, only in NEVER_STORED.items():
+        if saved.get(name, only) != only:
+            do = "Only who loads a checkpoint chooses this. Copy it again."
+            raise CheckpointError(expected(f"{name} in {where}", repr(only), repr(saved[name])[:80], do))
     touch, tiny = ({} if not isinstance(saved.get(name), dict) else saved[name] for name in ("touch", "tiny"))
     encodes = touch.get("input") == "latent" and touch.get("slots")
     if not touch or (encodes and not isinstance(touch.get("tokenizer"), dict)):
@@ -131,7 +134,7 @@ def check_same(saved: Mapping[str, Any], running: PI05UniforceConfig) -> None:
 
 def _facts(touch: Mapping[str, Any]) -> dict[str, Any]:
     tokenizer = (touch["tokenizer"] or {}).get("hash", "")
-    alike = {name: touch[name] for name in ("input", "site", "directions")}
+    alike = {name: touch[name] for name in ("input", "site")}
     return {"slots": sorted(touch["slots"] or ()), "tokenizer": tokenizer, **alike}
 
 

@@ -8,18 +8,17 @@ from typing import Any
 from lerobot.configs import NormalizationMode, PreTrainedConfig
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
 
-from lerobot_policy_pi05_uniforce.recipes import GRID, recipe_settings, resolve_size
+from lerobot_policy_pi05_uniforce.checkpoint import NEVER_STORED
+from lerobot_policy_pi05_uniforce.sizes import GRID, resolve_size, size_settings
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
-from uniforce_vtla.tokenizer.latent import MOST_DIRECTIONS
 
-# take the recipe's value, else the size's (recipes.py); never left after __post_init__
-_BY_RECIPE: Any = None
+# take the size's value (sizes.py); never left after __post_init__
+_BY_SIZE: Any = None
 
 CHOICES = {
     "size": ("tiny", "base"),
-    "recipe": ("plain", "scored"),
     "verify": ("full", "quick", "off"),
     "touch.input": ("latent", "wrench", "descriptor", "marker_pair", "none"),
     "touch.site": ("prefix", "suffix"),
@@ -40,9 +39,7 @@ class TouchSettings:
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     site: str = "prefix"
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
-    start_at_base: bool = _BY_RECIPE
-    # read latents along so many directions on which all sensors agree (tokenizer/sensor_transfer.py); 0 = the whole map
-    directions: int = _BY_RECIPE
+    start_at_base: bool = _BY_SIZE
     # "error": hold and stop; "mask": go on without that slot, logged; simulation only
     on_sensor_loss: str = "error"
     # weight of an auxiliary loss: the latents when the next chunk begins (training.NextForce); views only
@@ -58,20 +55,20 @@ class TouchSettings:
 class ActionSettings:
     """What the network predicts, in which units, and within which bounds (action.py)."""
 
-    form: str = _BY_RECIPE  # "target_delta" (tiny) | "absolute" (base)
+    form: str = _BY_SIZE  # "target_delta" (tiny) | "absolute" (base)
     # "flow": matching, as π0.5 | "regression": its last step alone, from zero noise, one step to sample (tiny)
-    objective: str = _BY_RECIPE
+    objective: str = _BY_SIZE
     # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
     delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
     # the same units: beyond it a move is predicted by its logarithm, so that corrections of force weigh beside whole
     # moves; 0 = linear, [] = all axes
-    delta_knee: list[float] = _BY_RECIPE
+    delta_knee: list[float] = _BY_SIZE
     # target_delta: the demos' lowest and highest target per axis; targets stay within. Found in the data; [] = unknown
     target_range: list[list[float]] = field(default_factory=list)
     # target_delta of tiny: the previous action, as the command's move over so many steps, stands beside the state;
     # 0 = not given. As many as n_action_steps, or more
-    previous_steps: int = _BY_RECIPE
-    previous_axes: list[int] = _BY_RECIPE  # its axes; [] = all
+    previous_steps: int = _BY_SIZE
+    previous_axes: list[int] = _BY_SIZE  # its axes; [] = all
     # True: an action far outside the demos' range stops the rollout with an error. For a robot; NaN always stops
     stop_outside_demos: bool = False
 
@@ -81,14 +78,11 @@ class AugmentSettings:
     """What is drawn anew for every training sample; nothing of it runs at rollout."""
 
     # lights and camera poses (augment.py); 0 = none, 1 = about as much as scenes of level paper differ; base 0
-    camera_variation: float = _BY_RECIPE
-    # Gaussian noise on latents in units of each channel's spread; tiny .2, base 0. With touch.directions in units of
-    # what fingers of one grasp disagree by along each
-    touch_noise: float = _BY_RECIPE
-    touch_dropout: float = _BY_RECIPE  # chance to hide a slot; .3 with two slots, 0 with one
-    state_noise: list[float] = _BY_RECIPE  # Gaussian noise on the normalised state, per axis; [] = none
-    # share of samples whose latents are mapped to another sensor's (touch/transfer.py); one kind of sensor per slot
-    sensor_transfer: float = _BY_RECIPE
+    camera_variation: float = _BY_SIZE
+    # Gaussian noise on latents in units of each channel's spread; tiny .2, base 0
+    touch_noise: float = _BY_SIZE
+    touch_dropout: float = _BY_SIZE  # chance to hide a slot; .3 with two slots, 0 with one
+    state_noise: list[float] = _BY_SIZE  # Gaussian noise on the normalised state, per axis; [] = none
 
 
 @dataclass
@@ -106,23 +100,25 @@ class SamplerSettings:
 
     # "fast": sampler/fast.py, with CUDA graphs on cuda | "eager": without them | "stock": LeRobot's own loop
     kind: str = "fast"
-    noise_scale: float = _BY_RECIPE  # of the flow's starting noise; tiny 0 (the central action), base 1
+    noise_scale: float = _BY_SIZE  # of the flow's starting noise; tiny 0 (the central action), base 1
 
 
 @PreTrainedConfig.register_subclass("pi05_uniforce")
 @dataclass
 class PI05UniforceConfig(PI05Config):
-    """π0.5 with force tokens.  A field left out takes its recipe's or its size's default (``recipes.py``).
+    """π0.5 with force tokens.  A field left out takes its size's default (``sizes.py``).
 
     Raises:
         ContractError: an unknown choice, slot, finger or token site, or settings that don't go together.
     """
 
     size: str = "auto"  # "tiny" (CPU, from scratch) | "base" (real π0.5) | "auto": base where CUDA is
-    recipe: str = "plain"  # "plain": latents, nothing else | "scored": as the benchmark's arms were trained
     swap: str = ""  # "touch0:left" lets another finger fill a slot at rollout; weights don't change
     left_sensor: str = ""  # kind mounted on the left finger; provenance, "" = not stated
     right_sensor: str = ""  # kind mounted on the right finger
+    # folder of `uniforce calibrate`, for a new sensor on that finger at rollout; never stored with a policy
+    left_calibration: str = ""
+    right_calibration: str = ""
     text_tokenizer_name: str | None = None  # folder or hub name; None: packaged (tiny), PaliGemma's (base)
     # repo_id, episodes, frames, fps of the training data: provenance, for the model card
     trained_on: dict[str, str] = field(default_factory=dict)
@@ -137,24 +133,24 @@ class PI05UniforceConfig(PI05Config):
     sampler: SamplerSettings = field(default_factory=SamplerSettings)
 
     # π0.5's own, with defaults by size
-    chunk_size: int = _BY_RECIPE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
-    n_action_steps: int = _BY_RECIPE  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
-    image_resolution: tuple[int, int] = _BY_RECIPE  # [px] tiny 56² = 16 patches of 14² per camera; base 224²
-    max_action_dim: int = _BY_RECIPE  # tiny 8 (5 axes, padded); base 32, as the published weights
-    max_state_dim: int = _BY_RECIPE  # tiny 8; base 32
-    tokenizer_max_length: int = _BY_RECIPE  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
-    optimizer_lr: float = _BY_RECIPE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
-    scheduler_warmup_steps: int = _BY_RECIPE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
-    scheduler_decay_steps: int = _BY_RECIPE  # tiny 100 000: any shorter run gets its whole cosine
-    scheduler_decay_lr: float = _BY_RECIPE  # tiny 1e-5; base 2.5e-6
+    chunk_size: int = _BY_SIZE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
+    n_action_steps: int = _BY_SIZE  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
+    image_resolution: tuple[int, int] = _BY_SIZE  # [px] tiny 56² = 16 patches of 14² per camera; base 224²
+    max_action_dim: int = _BY_SIZE  # tiny 8 (5 axes, padded); base 32, as the published weights
+    max_state_dim: int = _BY_SIZE  # tiny 8; base 32
+    tokenizer_max_length: int = _BY_SIZE  # [text tokens] tiny 64 (a usual prompt is 20–40); base 200
+    optimizer_lr: float = _BY_SIZE  # tiny 1e-3 (from scratch); base 2.5e-5 (openpi's fine-tuning peak)
+    scheduler_warmup_steps: int = _BY_SIZE  # tiny: 0.03 of the decay; scaled with it when a run is shorter
+    scheduler_decay_steps: int = _BY_SIZE  # tiny 100 000: any shorter run gets its whole cosine
+    scheduler_decay_lr: float = _BY_SIZE  # tiny 1e-5; base 2.5e-6
 
     def __post_init__(self) -> None:
         self.size = resolve_size(self.size, self.device)
-        self._check_choices("recipe", "touch.input")
+        self._check_choices("touch.input")
         for slot in self.touch.slots:
             _require(slot in SLOTS, "touch slot", " or ".join(SLOTS), slot)
         self.finger_by_slot()
-        for path, value in recipe_settings(self.recipe, self.size, self.slots, self.touch.input).items():
+        for path, value in size_settings(self.size, self.slots).items():
             owner, name = self._owner(path)
             if getattr(owner, name) is None:
                 setattr(owner, name, copy.deepcopy(value))
@@ -185,12 +181,11 @@ class PI05UniforceConfig(PI05Config):
         _require(square, "image_resolution", "a square", self.image_resolution)
         latents = touch.input == "latent" and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
+        fit = latents or not (self.left_calibration or self.right_calibration)
+        _require(fit, "left_calibration, right_calibration", "latents to map", came)
         fit = latents or not touch.next_force_weight
         _require(fit, "touch.next_force_weight", "latents to predict", came)
-        share, deltas = augment.sensor_transfer, self.state_token and action.form == "target_delta"
-        _require(0 <= share <= latents, "augment.sensor_transfer", "a share of latents", f"{share}, {came}")
-        fit = 0 <= touch.directions <= (MOST_DIRECTIONS if latents else 0)
-        _require(fit, "touch.directions", f"0 to {MOST_DIRECTIONS} of latents", touch.directions)
+        deltas = self.state_token and action.form == "target_delta"
         _require(augment.camera_variation >= 0, "augment.camera_variation", "≥ 0", augment.camera_variation)
         steps, axes = action.previous_steps, action.previous_axes
         fit = steps >= 0 and (deltas or not steps)
@@ -200,11 +195,16 @@ class PI05UniforceConfig(PI05Config):
 
     def _save_pretrained(self, save_directory: Path) -> None:
         """Write ``config.json``."""
-        given, self.verify = self.verify, "full"
+        given = {name: getattr(self, name) for name in NEVER_STORED}
+        self._set(NEVER_STORED)
         try:
             super()._save_pretrained(save_directory)
         finally:
-            self.verify = given
+            self._set(given)
+
+    def _set(self, values: dict[str, Any]) -> None:
+        for name, value in values.items():
+            setattr(self, name, value)
 
     @property
     def slots(self) -> tuple[str, ...]:
@@ -230,7 +230,7 @@ class PI05UniforceConfig(PI05Config):
     @property
     def whole_map(self) -> bool:
         """Whether a force token also holds what is made of its slot's whole latent map; not tried at size base."""
-        return self.size == "tiny" and self.touch.input == "latent" and not self.touch.directions
+        return self.size == "tiny" and self.touch.input == "latent"
 
     @property
     def latent_grid(self) -> int:

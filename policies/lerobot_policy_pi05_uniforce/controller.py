@@ -103,18 +103,26 @@ class PolicyController:
         mounted: finger → kind of sensor the robot or scene wears.
         swap: which finger fills a slot instead, e.g. ``touch0:left``.
         asked: finger → kind the user named; only a named kind may differ from the trained one, which ``notes`` say.
+        calibrations: finger → folder of a calibration that its sensor wears.
 
     Raises:
         CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
     """
 
     def __init__(
-        self, checkpoint: Path, mounted: dict[Finger, str], swap: str = "", asked: dict[Finger, str] | None = None
+        self,
+        checkpoint: Path,
+        mounted: dict[Finger, str],
+        swap: str = "",
+        asked: dict[Finger, str] | None = None,
+        calibrations: dict[Finger, str] | None = None,
     ) -> None:
         config = stored_config(Path(checkpoint))
         config.swap = swap or config.swap
         for finger, sensor in (asked or {}).items():
             setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))
+        for finger, folder in (calibrations or {}).items():
+            setattr(config, f"{finger}_calibration", folder)
         self.notes = stored.check_sensors(config, mounted)
         folder = str(config.pretrained_path)
         self.policy = PI05UniforcePolicy.from_pretrained(folder, config=config)

@@ -22,7 +22,7 @@ from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
 from lerobot_policy_pi05_uniforce.touch.controls import ControlInput
-from lerobot_policy_pi05_uniforce.touch.encode import ENCODER, TouchInput, check_hash, is_packaged
+from lerobot_policy_pi05_uniforce.touch.encode import ENCODER, TouchInput, check_hash, is_packaged, load_calibrations
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.json_file import read_object
@@ -79,17 +79,13 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if config.touch.input not in ("latent", "none"):
             return ControlInput(config)
         rows = (config.tokens_per_slot, config.latent_size) if self.model.tactile_encoder else (0, 0)
-        return TouchInput(config, self.model.tactile_encoder, rows)
+        return TouchInput(config, self.model.tactile_encoder, rows, load_calibrations(config))
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
         config, tokens = self.config, self.model.force_tokens
         training.read_view(meta, config)
         if meta is not None:
             training.read_provenance(meta, config)
-            if config.augment.sensor_transfer and tokens is not None:
-                from lerobot_policy_pi05_uniforce.touch.transfer import transferred_touch
-
-                tokens.transferred = transferred_touch(config)
         if not stats:
             return
         stats.update(floor_quantiles(stats))

@@ -68,7 +68,7 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.tactile_encoder = build_encoder(config, empty) if latents else None
         vlm_width = self.paligemma_with_expert.paligemma.config.text_config.hidden_size
         width = vlm_width if config.touch.site == "prefix" else self.action_in_proj.out_features
-        self.force_tokens: Any = self._make_force_tokens(config, width, empty)
+        self.force_tokens: Any = self._make_force_tokens(config, width)
         gated = config.touch.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
         self.state_token: Any = StateToken(config, vlm_width) if config.state_token else None
@@ -96,17 +96,12 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         self.paligemma_with_expert.paligemma.lm_head = nn.Identity()
         self.paligemma_with_expert.gemma_expert.lm_head = nn.Identity()
 
-    def _make_force_tokens(self, config: PI05UniforceConfig, width: int, empty: bool) -> nn.Module | None:
+    def _make_force_tokens(self, config: PI05UniforceConfig, width: int) -> nn.Module | None:
         if not config.slots:
             return None
         if config.touch.input != "latent":
             return control_tokens(config, width)
-        tokens = ForceTokens(config, (config.tokens_per_slot, config.latent_size), width)
-        if config.touch.directions and not empty:  # a checkpoint brings its own
-            from lerobot_policy_pi05_uniforce.touch.transfer import take_directions
-
-            take_directions(tokens, config)
-        return tokens
+        return ForceTokens(config, (config.tokens_per_slot, config.latent_size), width)
 
     def sample_actions(
         self,

@@ -1,78 +1,158 @@
-"""Calibrate a new sensor without force labels, by grasping an externally held object with a known one."""
+"""Calibrate a new sensor without force labels, by grasping externally held objects with a known one."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_vtla.options import Count, Names, OutFolder, Seed, TokenizerFolder
+from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.options import Count, FolderPath, Names, OutFolder, Seed, Text, TokenizerFolder, split
 from uniforce_vtla.sensors import list_sensors
-from uniforce_vtla.tokenizer.settings import CalibrationConfig
+from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
 
 if TYPE_CHECKING:
+    from uniforce_vtla.contact.virtual import VirtualSensor
     from uniforce_vtla.tokenizer.api import Tokenizer
     from uniforce_vtla.tokenizer.calibration import Calibration
+    from uniforce_vtla.tokenizer.latent import Latent
 
 # of contact.virtual, slow to import; tested
 VIRTUAL = ("gelsight_stiff", "tactip_soft", "uskin_keen", "gelsight_d")
 VirtualSensorName = Annotated[str, Names((*VIRTUAL, *list_sensors()))]
+TURN_DEG = 10.0  # pairs tell the angle between two fingers to a few degrees
+logger = logging.getLogger(__name__)
 
 
 @dataclass
 class CalibrateCommand:
-    """Fit an adapter for the sensor ``new`` to paired grasps with the sensor ``anchor``; no force is measured.
+    """Fit a map for the sensor ``new`` to paired grasps with the sensor ``anchor``; no force is measured.
 
-    Grasps are simulated in this release: a minute with an object held from outside, 10 Hz, every force.
-
-    Example: uniforce calibrate new=gelsight_stiff anchor=tactip out=outputs/calibration
+    Two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push and twist; after a minute
+    take a tool's flat handle. Record that with: uniforce pairs robot=franka indenters=small,tool
+    Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs out=outputs/calibration
+    In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip
+    Use it: uniforce score … left_calibration=outputs/calibration
     """
 
     new: VirtualSensorName = "gelsight_stiff"  # the sensor to fit
     anchor: VirtualSensorName = "tactip"  # the sensor that is known
-    grasps: Count = 600  # pairs: one minute at 10 Hz
-    units: Count = 8  # units of the new sensor that take turns; 1 = your own sensor
-    out: OutFolder = "outputs/calibration"  # the adapter's folder
+    pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
+    tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
+    task: Literal["both", "small", "tool"] = "both"  # which objects must agree, or the calibration is refused
+    grasps: Count = 600  # simulated pairs
+    out: OutFolder = "outputs/calibration"  # the map's folder
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
-    fit: CalibrationConfig = field(default_factory=CalibrationConfig)  # the adapter's size and steps
+    fit: CalibrationConfig = field(default_factory=CalibrationConfig)  # what judges, and what is refused
     seed: Seed = 0  # of the grasps
 
 
-def calibrate_sensor(command: CalibrateCommand, tokenizer: Tokenizer, new: str, anchor: str) -> Calibration:
-    """Grasp in simulation, the new sensor left and the anchor right, and fit; SensorError for unknown sensors."""
+@dataclass(frozen=True)
+class Grasps:
+    """Pooled latents (n, P, L) of both fingers on the same grasps, and what was grasped."""
+
+    new: Latent
+    anchor: Latent
+    classes: tuple[str, ...]
+
+
+def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
+    """Gather grasps and fit; raises as ``calibrate``, SensorError for an unknown sensor, DatasetError for bad pairs."""
+    from uniforce_vtla.contact.virtual import any_virtual
+    from uniforce_vtla.tokenizer.calibration import calibrate
+    from uniforce_vtla.tokenizer.force_head import ForceHead
+
+    new, anchor = any_virtual(config.new), any_virtual(config.anchor)
+    grasps = recorded_grasps(config, tokenizer) if config.pairs else simulated_grasps(config, tokenizer, new, anchor)
+    head = ForceHead.from_pretrained(anchor.like, config.tokenizer or None)
+    return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
+
+
+def simulated_grasps(
+    config: CalibrateCommand, tokenizer: Tokenizer, new: VirtualSensor, anchor: VirtualSensor
+) -> Grasps:
+    """Grasp in simulation, the new sensor left and the anchor right, both as drawn: half small objects, half tools."""
     import numpy as np
 
     from uniforce_vtla.contact.indenters import PRETRAIN
     from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
-    from uniforce_vtla.contact.units import Look
-    from uniforce_vtla.contact.virtual import as_virtual, hidden_sensors
-    from uniforce_vtla.tokenizer.calibration import calibrate
-    from uniforce_vtla.tokenizer.latent import POOL, pool_latent
+    from uniforce_vtla.contact.sampling import FLAT, ForceRange
     from uniforce_vtla.tokenizer.pair_cache import shrink
 
-    per_unit, side = max(1, command.grasps // command.units), tokenizer.config.side
-    left_sensor, right_sensor = (hidden_sensors().get(name) or as_virtual(name) for name in (new, anchor))
-    pairs = equilibrium_pairs(
-        np.random.default_rng([command.seed, 55]),
-        per_unit * command.units,
-        left_sensor,
-        right_sensor,
-        PRETRAIN,
-        settings=PairSettings(pairs_per_unit=per_unit, look=Look()),
-        transform=lambda images: shrink(images, side),
-    )
+    side, n = tokenizer.config.side, config.grasps
+    arm = ForceRange(flat_torsion_arm_mm=9.0)  # a held tool twists flat pads so far
+    settings = PairSettings(unit_strength=0.0, pairs_per_unit=n, flat_share=0.5, force_range=arm)
+    rng = np.random.default_rng([config.seed, 55])
+    pairs = equilibrium_pairs(rng, n, new, anchor, PRETRAIN, settings, lambda images: shrink(images, side))
     left = tokenizer.encode(pairs.left_reference, pairs.left_current, "left")
     right = tokenizer.encode(pairs.right_reference, pairs.right_current, "right")
-    latents = pool_latent(left, POOL), pool_latent(right, POOL)  # (n, POOL², L): what heads and policies read
-    return calibrate(*latents, tokenizer.hash, new, anchor, command.fit)
+    classes = tuple("tool" if name == FLAT else "small" for name in pairs.indenters)
+    return Grasps(_pooled(left), _pooled(right), classes)
+
+
+def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
+    """Read recorded pairs of the two sensors; either finger may wear the new one.
+
+    Raises:
+        DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
+    """
+    import torch
+
+    from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
+
+    found: dict[str, list[Latent]] = {config.new: [], config.anchor: []}
+    classes: list[str] = []
+    for recording in read_uniforce_pairs(config.pairs):
+        if set(recording.sensors) != set(found):
+            do = "Name them new= and anchor=."
+            raise DatasetError(expected(f"sensors of {recording}", sorted(found), recording.sensors, do))
+        left = tokenizer.encode(recording.left_reference[None], recording.left_frames, "left")
+        right = tokenizer.encode(recording.right_reference[None], recording.right_frames, "right")
+        for name, latent in zip(recording.sensors, (left, right), strict=True):
+            found[name].append(_pooled(latent))
+        kind = "tool" if recording.indenter in split(config.tools) else "small"
+        classes += [kind] * len(recording.left_frames)
+    new, anchor = (torch.cat(found[name]) for name in (config.new, config.anchor))
+    return Grasps(new, anchor, tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
+
+
+def _pooled(z: Latent) -> Latent:
+    from uniforce_vtla.tokenizer.latent import POOL, pool_latent
+
+    return pool_latent(z, POOL)  # type: ignore[return-value]  # (n, POOL², L): what heads and policies read
+
+
+def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
+    """Return which class the task needs agrees least, in words.
+
+    Raises:
+        ContractError: it agrees too little to be of use.
+    """
+    classes = OBJECT_CLASSES if config.task == "both" else (config.task,)
+    name, r2 = found.worst(classes)
+    if r2 < config.fit.refuse_below:
+        do = f"Grasp more {name} objects, from light to firm, all over the pad; or say task= if you need only others."
+        wanted = f"R² of Fz ≥ {config.fit.refuse_below} against the anchor"
+        raise ContractError(expected(f"calibration on {name} objects", wanted, f"{r2:.2f}", do))
+    return f"{name} objects agree least: R² of Fz {r2:.2f}"
 
 
 @command(CalibrateCommand)
-def main(command: CalibrateCommand) -> None:
+def main(config: CalibrateCommand) -> None:
     from uniforce_vtla.tokenizer.api import Tokenizer
+    from uniforce_vtla.tokenizer.calibration import AXES
 
     one_thread()
-    tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
-    found = calibrate_sensor(command, tokenizer, command.new, command.anchor)
-    change = f"imbalance on held-out grasps {found.imbalance_before:.3f} → {found.imbalance_after:.3f}"
-    print(f"{command.new} against {command.anchor}: {change}; adapter in {found.save(command.out)}")
+    found = calibrate_sensor(config, Tokenizer.from_pretrained(config.tokenizer or None))
+    print(f"{config.new} against {config.anchor}, held-out grasps, R² (|r|) of the force read")
+    for name, judged in found.agreement.items():
+        axes = [f"F{a} {r2:.2f} ({r:.2f})" for a, r2, r in zip(AXES, judged.r2, judged.abs_r, strict=True)]
+        before = " ".join(f"{r2:.2f}" for r2 in judged.r2_before)
+        print(f"  {name:5} {', '.join(axes)}; before {before}; {judged.grasps} grasps")
+    if abs(found.turn_deg) > TURN_DEG:
+        logger.warning("%s seems turned by %.0f°: see `uniforce touch check=angle`", config.new, found.turn_deg)
+    worst = check_agreement(found, config)
+    if found.worst()[1] < config.fit.warn_below:
+        logger.warning("%s: grasp again, more of them and all over the pad", worst)
+    print(f"{worst}; map in {found.save(config.out)}. Next: uniforce score left_calibration={config.out} …")

@@ -60,13 +60,12 @@ def convert(config: ConvertConfig) -> Path:
 
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy, weights
     from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
-    from lerobot_policy_pi05_uniforce.migration import grouped
     from uniforce_datasets.training_view import TrainingView
 
     if config.revision and Path(config.source).exists():
         raise ContractError(expected("revision", "a hub id as source", config.source, "Leave it out."))
     revision = config.revision or None
-    source = grouped(read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError))
+    source = read_object(weights.find(config.source, weights.CONFIG, revision), CheckpointError)
     weights.check_files(config.source, "full", revision, local_files_only=False)
     slots = dict(pair.strip().split(":") for pair in config.touch_slots.split(",") if pair)
     view = TrainingView(config.view, slots=slots, touch=config.touch_input)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +12,7 @@ from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import (
     Count,
     CountOrZero,
+    FolderPath,
     OutFolder,
     Pattern,
     Policies,
@@ -26,6 +27,29 @@ SCRIPTS = ("expert", "blind")  # the scene's own: one regulates by both pads' tr
 ArmName = Annotated[str, Pattern("a name", r"[^/\\]{1,100}", "V+T")]
 
 
+@dataclass(frozen=True)
+class Rig:
+    """A scene's level and what the fingers wear there; "" is the usual sensor, no swap and no calibration."""
+
+    level: str
+    left_sensor: str = ""
+    right_sensor: str = ""
+    swap: str = ""
+    left_calibration: str = ""
+    right_calibration: str = ""
+
+    @property
+    def mounted(self) -> dict[Finger, str]:
+        """Finger → sensor of the scene; the usual rig where none is named."""
+        return {"left": self.left_sensor or "gelsight", "right": self.right_sensor or "tactip"}
+
+    @property
+    def calibrations(self) -> dict[Finger, str]:
+        """Finger → folder of the calibration it wears."""
+        worn: dict[Finger, str] = {"left": self.left_calibration, "right": self.right_calibration}
+        return {finger: folder for finger, folder in worn.items() if folder}
+
+
 @dataclass
 class ScoreConfig:
     """Roll a checkpoint out and score it from simulator truth.
@@ -38,6 +62,8 @@ class ScoreConfig:
     level: Level = "paper"  # the shipped policy learnt at paper
     left_sensor: Sensor = ""  # "" = gelsight, and it must be what the policy knows
     right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
+    left_calibration: FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
+    right_calibration: FolderPath = ""  # likewise
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
     control: Literal["", "masked", "shuffled"] = ""  # touch taken away | another scene's touch of the same phase
     rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
@@ -69,17 +95,18 @@ class ScoreConfig:
         return range(self.first_seed, self.first_seed + self.rollouts)
 
     @property
-    def mounted(self) -> dict[Finger, str]:
-        """Finger → sensor of the scene scored; the usual rig where none is named."""
-        return {"left": self.left_sensor or "gelsight", "right": self.right_sensor or "tactip"}
+    def rig(self) -> Rig:
+        """The scene's level and what the fingers wear."""
+        return Rig(**{field.name: getattr(self, field.name) for field in fields(Rig)})
 
     @property
     def folder(self) -> Path:
         """Where this arm's rows, sheets and videos go."""
         swap = f"_{self.swap.replace(':', '-')}" if self.swap else ""
+        swap += "".join(f"_{finger}-calibrated" for finger in self.rig.calibrations)
         arm = re.sub(r"\W+", "-", self.arm.replace("+", "")).strip("-")
         control = f"_{self.control}" if self.control else ""
-        return Path(self.out) / f"{arm}_{'+'.join(self.mounted.values())}_{self.level}{swap}{control}"
+        return Path(self.out) / f"{arm}_{'+'.join(self.rig.mounted.values())}_{self.level}{swap}{control}"
 
     def video(self, seed: int) -> Path:
         """Return where an episode's video lies, once it is filmed."""

@@ -21,7 +21,8 @@ from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import Script, walk
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_cli.boundary import one_thread
-from uniforce_cli.score_settings import ScoreConfig
+from uniforce_cli.score_settings import Rig, ScoreConfig
+from uniforce_vtla.contracts import Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet
@@ -72,8 +73,7 @@ def score_job(job: Job) -> tuple[int, EpisodeRow]:
     """Roll one episode out and return its row."""
     one_thread()  # processes share the cores
     config, seed = job.config, job.seed
-    rig = config.left_sensor, config.right_sensor, config.swap
-    env, controller = _build(config.policy_of(seed), config.level, *rig, config.control, config.folder)
+    env, controller = _build(config.policy_of(seed), config.rig, config.control, config.folder)
     film = seed < config.first_seed + config.videos or seed in config.film
     torch.manual_seed(seed)  # the policy's own noise is part of the paired seed
     rollout = roll_out(env, controller, seed, keep_frames=film)
@@ -83,20 +83,17 @@ def score_job(job: Job) -> tuple[int, EpisodeRow]:
 
 
 @functools.lru_cache(maxsize=64)  # arms take turns, and training seeds within them
-def _build(
-    policy: str, level: str, left: str, right: str, swap: str, control: str, out: Path
-) -> tuple[WipeEnv, Controller]:
+def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Controller]:
     """Build both once per process and store which sensors they run on."""
     controller: Controller
     if policy in SCRIPTS:
         if control:
             do = "Controls are for policies."
             raise ContractError(expected(f"control of the {policy}", "none", control, do))
-        mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
-        env = WipeEnv(level, mounted["left"], mounted["right"])
+        env = WipeEnv(rig.level, rig.mounted["left"], rig.mounted["right"])
         controller = ScriptController(SCRIPTS[policy]())
     else:
-        env, plain = policy_on_rig(policy, level, left, right, swap)
+        env, plain = policy_on_rig(policy, rig)
         controller = controlled(plain, control, env)
     write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     return env, controller
@@ -154,13 +151,13 @@ class ShuffledTouch:
         return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
 
 
-def policy_on_rig(policy: str, level: str, left: str, right: str, swap: str) -> tuple[WipeEnv, PolicyController]:
-    """Return a scene and the checkpoint that acts in it; "shipped" is the package's own, "" the usual sensor."""
-    mounted = ScoreConfig(left_sensor=left, right_sensor=right).mounted
+def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
+    """Return a scene and the checkpoint that acts in it; "shipped" is the package's own."""
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
-    controller = PolicyController(path, mounted, swap, asked={"left": left, "right": right})
+    asked: dict[Finger, str] = {"left": rig.left_sensor, "right": rig.right_sensor}
+    controller = PolicyController(path, rig.mounted, rig.swap, asked, rig.calibrations)
     wrench = controller.needs_true_wrench
-    return WipeEnv(level, mounted["left"], mounted["right"], expose_wrench=wrench), controller
+    return WipeEnv(rig.level, rig.mounted["left"], rig.mounted["right"], expose_wrench=wrench), controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

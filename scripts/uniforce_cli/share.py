@@ -11,7 +11,7 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import Dataset, Existing, FilePath, HubName, OutFolder, Text
+from uniforce_vtla.options import Dataset, Existing, FilePath, HubName, OutFolder
 from uniforce_vtla.results_file import write_json
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ class ShareConfig:
     checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
     out: OutFolder = "outputs/shared"  # folder to hand on; no path of this machine is left in it
     scores: FilePath = ""  # wiping.json of uniforce score; "" = the card says "not scored"
-    scored_as: Text = ""  # only this checkpoint's scores of benchmarks.wiping: …/seed0/vt as scored there; "" = all
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
     dataset: Dataset = ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
@@ -55,7 +54,7 @@ def share(config: ShareConfig) -> Path:
     from lerobot_policy_pi05_uniforce.model_card import model_card
 
     source, out = Path(config.checkpoint), Path(config.out)
-    scores = _scores(config)
+    scores = _read(Path(config.scores)) if config.scores else None
     policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
     policy.config.touch.tokenizer_path = policy.config.pretrained_path = None  # paths of this machine
@@ -129,13 +128,6 @@ def share_dataset(config: ShareConfig) -> str:
     return f"pushed {dataset.num_episodes} episodes to {config.push}"
 
 
-def _scores(config: ShareConfig) -> dict[str, Any] | None:
-    from uniforce_vtla.evaluation.arms import scores_of
-
-    found = _read(Path(config.scores)) if config.scores else None
-    return scores_of(found, config.scored_as) if found and config.scored_as else found
-
-
 def _read(path: Path) -> dict[str, Any] | None:
     return read_object(path, CheckpointError) if path.is_file() else None
 
@@ -143,7 +135,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 @command(ShareConfig)
 def main(config: ShareConfig) -> int:
     one_thread()
-    _scores(config)  # a damaged file is named first
+    _read(Path(config.scores))  # a damaged file is named first
     if bool(config.dataset) == bool(config.checkpoint):
         came = "both" if config.dataset else "neither"
         raise ContractError(expected("share", "checkpoint=… or dataset=…", came, "Name one."))

@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 
 STAND_IN = "standin"
 Controller = Annotated[int, Range(0, 15)]
+Degrees = Annotated[float, Range(0, 359.999)]
 Quarters = Annotated[str, Names(QUARTERS, many=True)]
 NewtonsHead = Annotated[str, Names((*list_sensors(), "none"))]
 
 
 @dataclass
 class TouchConfig:
-    """Show what a tactile sensor measures, live; or check its rate or which way up it is.
+    """Show what a tactile sensor measures, live; or check its rate, which way up it is, or its angle.
 
     Example: uniforce touch sensor=tactip finger=right source=/dev/v4l/by-path/pci-0000:00:14.0-usb-0:1:1.0-video-index0
     uSkin: uniforce touch sensor=uskin source=/dev/serial/by-id/usb-VScom_USB-CAN check=rate
@@ -37,10 +38,11 @@ class TouchConfig:
     source: Text = ""  # camera: device or http://…; uskin: serial port or ws://host:port; or standin
     finger: Literal["left", "right"] = "left"  # that wears it; forces are in that finger's own frame
     output: Literal["terminal", "rerun"] = "terminal"  # rerun needs rerun-sdk
-    check: Literal["", "rate", "orientation"] = ""  # rate, ages, losses | press where asked; empty = live view
+    # rate, ages, losses | press where asked | drag the skin: the angle on its mount; empty = live view
+    check: Literal["", "rate", "orientation", "angle"] = ""
     seconds: NotNegative = 0.0  # how long; 0 = until Ctrl-C (a rate check then takes 5 s)
     refresh_hz: Positive = 10.0  # pictures per second
-    rotation_deg: Literal[0, 90, 180, 270] = 0  # how the sensor is turned on its finger
+    rotation_deg: Degrees = 0.0  # how the sensor is turned on its finger, counter-clockwise; taxels by quarters
     flip: bool = False  # uskin: columns run the other way
     controller: Controller = 0  # uskin: microcontroller id in the low bits of its CAN ids
     lock_camera: bool = True  # lock exposure, white balance and gain; false leaves the camera's automatics
@@ -115,11 +117,13 @@ def run(config: TouchConfig) -> int:
     if not config.check:
         show(config)
         return 0
-    from uniforce_cli.touch_checks import check_orientation, check_rate
+    from uniforce_cli.touch_checks import check_angle, check_orientation, check_rate
 
     with opened(config) as finger:
         if config.check == "rate":
             return check_rate(finger, config.seconds or 5.0)
+        if config.check == "angle":
+            return check_angle(finger, config.seconds or 60.0)
         return check_orientation(finger, split(config.quarters), config.seconds or 60.0)
 
 

@@ -1,4 +1,4 @@
-"""Two checks of a tactile sensor: how fast and fresh it is, and which way up it sits on its finger."""
+"""Checks of a tactile sensor: how fast and fresh it is, which way up it sits on its finger, and at what angle."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -9,12 +9,16 @@ import numpy as np
 from uniforce_robots.sensors.finger import TactileFinger
 from uniforce_robots.sensors.orientation import TURNS, Orientation
 from uniforce_vtla.contracts import QUARTERS
+from uniforce_vtla.sensors import get_sensor
+from uniforce_vtla.tokenizer.descriptor import describe
 
 WAIT_MS = 1000.0
 PRESSED_COUNTS = 400.0  # summed over a quarter's taxels; a light touch gives 300 on one
 PRESSED_SHARE = 0.01  # of a quarter's pixels that changed
 RELEASED = 0.5  # of those: the finger is off again
 POLL_S = 0.004
+DRAGGED_PX = 1.5  # mean motion of the markers that counts as a drag
+ANGLE_DEG = 5.0  # a hand drags no straighter
 
 
 def check_rate(finger: TactileFinger, seconds: float) -> int:
@@ -68,6 +72,47 @@ def check_orientation(finger: TactileFinger, asked: Sequence[str], seconds: floa
     return 1
 
 
+def check_angle(finger: TactileFinger, seconds: float) -> int:
+    """Have the skin dragged towards the fingertip, once; print the angle on the mount. 0 if it is set right.
+
+    Raises SensorError: the sensor died.
+    """
+    print("Press a fingertip on the pad and drag the skin straight towards the sensor's tip, then let go.", flush=True)
+    moved_px = _longest_drag(finger, seconds)
+    if moved_px is None:
+        print(f"  nothing was dragged within {seconds:g} s")
+        return 1
+    off_deg = off_upwards_deg(moved_px)
+    print(f"  markers moved by {np.hypot(*moved_px):.1f} px, {off_deg:+.0f}° off the fingertip's direction")
+    if abs(off_deg) <= ANGLE_DEG:
+        print("angle agrees")
+        return 0
+    now_deg = finger.config.rotation_deg
+    step = 90 if get_sensor(finger.config.sensor).signal == "taxel" else 1
+    print(f"angle does not agree: set rotation_deg={round((now_deg - off_deg) / step) * step % 360}")
+    return 1
+
+
+def off_upwards_deg(moved_px: np.ndarray) -> float:
+    """Return the angle of (dx, dy), y down, from straight up; counter-clockwise as the image shows it, ±180."""
+    return float((np.degrees(np.arctan2(-moved_px[1], moved_px[0])) - 90 + 180) % 360 - 180)
+
+
+def _longest_drag(finger: TactileFinger, seconds: float) -> np.ndarray | None:
+    """Return the mean motion (2,) px of the markers where one drag was longest; None where none came in time."""
+    index, end_s = -1, time.monotonic() + seconds
+    best: np.ndarray = np.zeros(2)
+    reference = finger.reference_image()[..., 0]
+    while time.monotonic() < end_s:
+        touch = finger.next_touch(index, WAIT_MS)
+        index, moved = touch.index, describe(reference, finger.marker_image(touch.raw)[None])[0, :2]
+        length, longest = np.hypot(*moved), np.hypot(*best)
+        best = moved if length > longest else best
+        if longest >= DRAGGED_PX and length < RELEASED * DRAGGED_PX:
+            return best
+    return None
+
+
 def _next_response(finger: TactileFinger, seconds: float, wanted: Callable[[np.ndarray], bool]) -> np.ndarray | None:
     """Return the first (4,) response of the quarters that is ``wanted``; None where none came in time."""
     index, end_s = -1, time.monotonic() + seconds
@@ -91,7 +136,7 @@ def quarter_response(finger: TactileFinger, raw: np.ndarray) -> np.ndarray:
     return rise.reshape(2, height // 2, 2, width // 2).sum(axis=(1, 3)).ravel() / scale  # row by row
 
 
-def advice(seen: dict[str, str], rotation_deg: int, flip: bool) -> str:
+def advice(seen: dict[str, str], rotation_deg: float, flip: bool) -> str:
     """Return what to set, given asked → measured quarters under the present orientation."""
     if rotation_deg or flip:
         return "orientation does not agree: run this check again with rotation_deg=0 flip=false to learn what to set"

@@ -12,7 +12,6 @@ Train a policy with LeRobot's trainer; everything after the verb is a setting of
       output_dir=outputs/train steps=3000 batch_size=32
 
   policy=NAME            becomes --policy.type=NAME; policy.size=tiny|base chooses the size (tiny without CUDA)
-  policy.recipe=scored   train as the benchmark's arms were trained; without it: latents, nothing else
   policy.touch.slots="{touch0: right, touch1: left}"   which finger fills which touch slot; {} or
   policy.touch.input=none                              trains without touch
   resume=true config_path=outputs/train/checkpoints/last/pretrained_model/train_config.json

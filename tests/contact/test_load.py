@@ -1,5 +1,6 @@
 """Pressure and traction: forces are conserved, depth follows force, friction caps."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -8,9 +9,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from properties import examples
 
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap, gap_maps
+from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap, gap_maps, pressure
 from uniforce_vtla.contact.indenters import HEIGHTS
-from uniforce_vtla.contact.pads import build_pad
+from uniforce_vtla.contact.simulator import free_air
 from uniforce_vtla.contact.traction import solve_traction
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.sensors import get_sensor, list_sensors
@@ -44,8 +45,8 @@ def test_force_is_conserved(
 ) -> None:
     force = np.array([[share * fz * np.cos(way), share * fz * np.sin(way), fz]])
     carried, moment = simulator(sensor).carried(pressed(name, force, 0.0, center, angle))
-    np.testing.assert_allclose(carried, force, rtol=1e-3, atol=1e-3)
-    assert abs(moment[0]) < 0.01 + 0.01 * fz
+    np.testing.assert_allclose(carried, force, atol=0.004 * fz)
+    assert abs(moment[0]) < 0.01 + 0.015 * fz
 
 
 @examples(40)
@@ -66,20 +67,21 @@ def test_depth_grows_with_force(sensor: str, name: str, center: tuple[float, flo
 @given(sensors, names, st.floats(0, 30), st.floats(-200, 200), st.floats(0.5, 16))
 def test_no_cell_exceeds_friction(sensor: str, name: str, shear: float, torsion: float, fz: float) -> None:
     contact = pressed(name, np.array([[shear, 0, fz]]), torsion)
-    traction = simulator(sensor)._traction(contact)
-    assert (np.hypot(*traction.q_MPa[0]) <= traction.p_MPa[0] * 1.001 + 1e-7).all()
+    traction = simulator(sensor).traction(contact)
+    assert (np.hypot(*traction.shear_N[0]) <= traction.press_N[0] * 1.001 + 1e-7).all()
     carried, _ = simulator(sensor).carried(contact)
     assert np.hypot(*carried[0, :2]) <= fz * 1.002
 
 
 def test_partial_slip_hands_load_to_sticking_cells() -> None:
     """Torsion and shear that slip on one side only are still carried as a whole."""
-    position = build_pad(get_sensor("gelsight")).position_mm
+    pad = simulator("gelsight").pad
+    position = pad.position_mm
     p = np.exp(-(position**2).sum(axis=1, keepdims=True).T / 30).astype(np.float32)
     total = float(p.sum())
     shear, torsion = np.array([[0.45 * total, 0.0]]), np.array([2.0 * total])
-    free = solve_traction(p, position, shear, torsion, friction=np.inf)
-    capped = solve_traction(p, position, shear, torsion, friction=1.0)
+    free = solve_traction(p, position, pad.influence.skin, shear, torsion, friction=1e6)
+    capped = solve_traction(p, position, pad.influence.skin, shear, torsion, friction=1.0)
     assert (np.hypot(*free[0]) > p[0] * 1.01).any() and (np.hypot(*capped[0]) <= p[0] * 1.001).all()
     np.testing.assert_allclose(capped.sum(axis=2), shear, rtol=0.03, atol=0.03 * total)
     moment = (position[:, 0] * capped[0, 1] - position[:, 1] * capped[0, 0]).sum()
@@ -91,11 +93,13 @@ def test_gross_slip_carries_friction_times_pressure() -> None:
     assert simulator("gelsight").carried(pressed("sphere", force))[0][0, 0] == pytest.approx(4.0, rel=1e-2)
 
 
-@pytest.mark.parametrize("sensor", SENSORS)
-def test_full_flat_face_reaches_rated_depth_at_the_papers_force(sensor: str) -> None:
-    gap = flat_face_gap(np.zeros((1, 2)), np.full((1, 2), 60.0), np.zeros(1), np.zeros((1, 2)))
-    state = ContactState(gap, np.array([[0, 0, 12]], np.float32), np.zeros(1, np.float32))
-    assert simulator(sensor).depth_mm(state)[0] == pytest.approx(get_sensor(sensor).rated_depth_mm, rel=0.01)
+def test_flat_tools_press_pads_as_stiffly_as_measured_ones() -> None:
+    """Real TacTips give 3.3 to 4.7 N/mm; a bonded gel under a whole face hardly yields."""
+    gap = flat_face_gap(np.zeros((2, 2)), np.full((2, 2), 60.0), np.zeros(2), np.zeros((2, 2)))
+    state = ContactState(gap, np.array([[0, 0, 3], [0, 0, 6]], np.float32), np.zeros(2, np.float32))
+    dome, gel = (simulator(name).depth_mm(state) for name in ("tactip", "gelsight"))
+    assert 3.0 < 3 / (dome[1] - dome[0]) < 5.0
+    assert gel[1] < 0.3
 
 
 @pytest.mark.parametrize("sensor", SENSORS)
@@ -103,11 +107,32 @@ def test_typical_indenters_stay_within_twice_the_rated_depth(sensor: str) -> Non
     force = np.array([[0, 0, 12.0]])
     depth = [float(simulator(sensor).depth_mm(pressed(name, force))[0]) for name in HEIGHTS]
     rated = get_sensor(sensor).rated_depth_mm
-    assert 0.6 * rated < np.median(depth) < 1.8 * rated
+    assert 0.4 * rated < np.median(depth) < 2 * rated
+
+
+def test_friction_holds_the_gel_that_a_press_would_push_aside() -> None:
+    state = pressed("cylinder", np.array([[0, 0, 8.0]]))
+    sticky, smooth = (
+        TactileSimulator("gelsight", options=replace(ContactOptions().quiet(), friction=mu)) for mu in (1.0, 1e-6)
+    )
+    rest = sticky.spec.layout_mm
+    under = np.hypot(*rest.T) < 4
+    motion = [np.hypot(*(s.markers_px(state)[0][0] - s.markers_px(free_air(1))[0][0]).T) for s in (sticky, smooth)]
+    assert motion[0][under].mean() < 0.7 * motion[1][under].mean()
+
+
+def test_a_solved_contact_stays_solved_while_its_batch_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pressure, "_TOLERANCE", -1.0)
+    rng = np.random.default_rng(0)
+    for cells in [2, 3, 4, 5, 6] * 40:
+        half = rng.standard_normal((cells, cells + 1)).astype(np.float32)
+        gap = 1e-3 * np.abs(rng.standard_normal((1, cells))).astype(np.float32)
+        share, _ = pressure.share_load(0.1 * half @ half.T, gap, np.full((1, cells), 1 / cells, np.float32), steps=200)
+        assert share.min() >= 0 and share.sum() == pytest.approx(1, abs=1e-5)
 
 
 def test_dome_widens_its_contact_with_load() -> None:
     gap = flat_face_gap(np.zeros((2, 2)), np.full((2, 2), 60.0), np.zeros(2), np.zeros((2, 2)))
     state = ContactState(gap, np.array([[0, 0, 1], [0, 0, 8]], np.float32), np.zeros(2, np.float32))
-    cells = (simulator("tactip")._traction(state).p_MPa > 0).sum(axis=1)
+    cells = (simulator("tactip").traction(state).press_N > 0).sum(axis=1)
     assert cells[1] > 2 * cells[0]

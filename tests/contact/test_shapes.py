@@ -8,8 +8,8 @@ from properties import examples
 
 from uniforce_vtla.contact import PRETRAIN, SEEN, UNSEEN, flat_face_gap, gap_map, gap_maps
 from uniforce_vtla.contact.indenters import HEIGHTS
-from uniforce_vtla.contact.raster import fill_discs, fill_squares
 from uniforce_vtla.errors import ContractError
+from uniforce_vtla.markers.raster import fill_discs, fill_squares
 
 
 def test_split_is_the_papers() -> None:
@@ -21,8 +21,8 @@ def test_split_is_the_papers() -> None:
 @pytest.mark.parametrize("name", sorted(HEIGHTS))
 def test_every_indenter_touches_at_zero_and_is_finite_somewhere(name: str) -> None:
     gap = gap_map(name, (1.5, -2.0), 0.4)
-    assert gap.shape == (40, 40) and gap.dtype == np.float32
-    assert gap.min() == 0 and 8 <= np.isfinite(gap).sum() < 800 and not np.isnan(gap).any()
+    assert gap.shape == (32, 32) and gap.dtype == np.float32
+    assert gap.min() == 0 and 8 <= np.isfinite(gap).sum() < 520 and not np.isnan(gap).any()
 
 
 def test_all_shapes_differ() -> None:
@@ -41,8 +41,8 @@ def test_batch_of_gaps_equals_singles() -> None:
 
 
 def test_center_moves_the_object_right_and_down() -> None:
-    rows, columns = np.nonzero(gap_map("sphere", (6.5, 3.5), 0.0) == 0)
-    assert columns.mean() == pytest.approx(19.5 + 6.5) and rows.mean() == pytest.approx(19.5 + 3.5)
+    rows, columns = np.nonzero(gap_map("sphere", (6.875, 3.125), 0.0) == 0)
+    assert columns.mean() == pytest.approx(15.5 + 5.5) and rows.mean() == pytest.approx(15.5 + 2.5)
 
 
 def test_angle_turns_x_towards_y() -> None:
@@ -53,8 +53,8 @@ def test_angle_turns_x_towards_y() -> None:
 
 def test_flat_face_covers_its_rectangle_and_tilts() -> None:
     gap = flat_face_gap(np.zeros((1, 2)), np.array([[20.0, 10.0]]), np.zeros(1), np.array([[0.05, 0.0]]))[0]
-    assert np.isfinite(gap).sum() == 200
-    assert gap[20, 29] > gap[20, 10] == 0
+    assert np.isfinite(gap).sum() == 128  # cells of 1.25 mm
+    assert gap[16, 23] > gap[16, 8] == 0
     away = flat_face_gap(np.full((1, 2), 90.0), np.full((1, 2), 10.0), np.zeros(1), np.zeros((1, 2)))
     assert np.isinf(away).all()
 

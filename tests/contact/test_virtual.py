@@ -1,19 +1,17 @@
-"""Sensors that exist only in simulation: drawings, shapes, the procedural family and what lies outside it."""
+"""Sensors that exist only in simulation: drawings and shapes."""
 
 import numpy as np
 import pytest
-from outside_family import half_extent_px, outside
 
-from uniforce_vtla.contact.family import FamilyBounds, FlatFamily, draw_dome, draw_flat
-from uniforce_vtla.contact.raster import fill_squares
 from uniforce_vtla.contact.sampling import sample_objects
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import GELSIGHT_D, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError
+from uniforce_vtla.markers.raster import fill_squares
 from uniforce_vtla.sensors import list_sensors
-from uniforce_vtla.sensors.layouts import rings, scattered, staggered
+from uniforce_vtla.sensors.layouts import staggered
 
 
 def press(n: int = 4) -> ContactState:
@@ -42,40 +40,8 @@ def test_diamonds_are_squares_on_their_corner() -> None:
     assert abs(np.count_nonzero(diamond) - 1600) < 60 and image.any()
 
 
-def test_dashes_are_wide_and_low() -> None:
-    dash = fill_squares(np.full((1, 1, 2), 100.0), np.full((1, 1), 50.0), aspect=2.5)[0]
-    rows, columns = np.nonzero(dash)
-    assert abs(np.ptp(columns) + 1 - 50) <= 1 and abs(np.ptp(rows) + 1 - 20) <= 1
-
-
 def test_layouts() -> None:
     assert len(staggered(3, 4, (1.0, 1.0))) == 4 + 3 + 4
-    assert len(rings((6, 12), 2.0)) == 19
-    points = scattered(30, (10.0, 8.0), 1.5, seed=0)
-    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    np.fill_diagonal(distance, np.inf)
-    assert len(points) == 30 and distance.min() >= 1.5
-
-
-@pytest.mark.parametrize("draw", [draw_flat, draw_dome])
-def test_every_member_of_the_family_is_inside_it_and_in_view(draw) -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(40):
-        sensor = draw(rng)
-        assert outside(sensor) == []
-        assert len(sensor.spec.layout_mm) >= 12 and np.all(half_extent_px(sensor) < (320, 240))
-
-
-def test_the_family_draws_different_pictures() -> None:
-    rng = np.random.default_rng(1)
-    pictures = [TactileSimulator(draw_flat(rng)).reference() for _ in range(4)]
-    assert len({p.tobytes() for p in pictures}) == 4
-
-
-def test_outside_names_what_differs() -> None:
-    assert outside(GELSIGHT_D) == ["visible: marker_shape diamond"]
-    narrow = FamilyBounds(flat=FlatFamily(px_per_mm=(10.0, 12.0)))
-    assert any("px_per_mm" in line for line in outside(as_virtual("gelsight"), narrow))
 
 
 def test_a_look_changes_the_picture_but_nothing_hidden() -> None:

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,17 +11,13 @@ from scipy import stats
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import (
-    PROFILE_POINTS,
     ArmReport,
     EpisodeRow,
     read_rows,
-    scores_of,
     table,
     write_row,
-    z_profile,
 )
 from uniforce_vtla.evaluation.comparison import AtMostWorse, as_good, better
-from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import anytime, holm, mcnemar, non_inferior, wilson
 from uniforce_vtla.keys import OUTCOME_NAMES
@@ -48,6 +43,13 @@ def test_rows_survive_a_line_cut_short(tmp_path: Path) -> None:
     assert read_rows(file) == {3: row(3), 4: row(4, "residual", False)}
 
 
+def test_rows_of_another_version_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "episodes.jsonl"
+    file.write_text('{"seed": 5, "height": 2}\n')
+    with pytest.raises(ContractError, match="another folder"):
+        read_rows(file)
+
+
 def test_table_and_picture_show_every_arm(tmp_path: Path) -> None:
     reports = [ArmReport("V", [row(0, "residual", False)]), ArmReport("V+T", [row(0)])]
     text = table(reports)
@@ -55,51 +57,9 @@ def test_table_and_picture_show_every_arm(tmp_path: Path) -> None:
     assert draw_arms(reports, tmp_path / "arms.png", "t").stat().st_size > 1000
 
 
-def trace(press_N: list[float], tool_z_mm: list[float], phase: list[int]) -> EpisodeTrace:
-    fields = dict.fromkeys(STEP_FIELDS, np.zeros(len(phase)))
-    given = {"press_N": press_N, "tool_z_mm": tool_z_mm, "phase": phase}
-    return EpisodeTrace(**fields | {k: np.asarray(v) for k, v in given.items()}, rated_depth_mm=(1.5, 5.0))
-
-
-def test_a_profile_ends_with_the_last_contact_and_keeps_what_was_lifted_between() -> None:
-    """The lift at the end is twenty times as high as anything the wipe itself shows."""
-    heights = [30.0, 8.0, 9.0, 20.0, 8.5, 8.0, 25.0, 40.0]
-    wipe = trace([0.0, 5.0, 6.0, 0.0, 6.0, 5.0, 0.0, 0.0], heights, [1, 2, 2, 2, 2, 2, 2, 3])
-    profile = z_profile(wipe)
-    assert len(profile) == PROFILE_POINTS and profile[0] == 8.0 and profile[-1] == 8.0
-    assert 19 < max(profile) <= 20
-    assert z_profile(trace([0.0] * 3, [8.0] * 3, [2, 2, 2])) == ()  # never touched the board
-
-
 def test_one_letter_a_seed_says_what_happened() -> None:
     rows = [row(0), replace(row(1), clean=False, slippage=True), row(2, "failed_grasp", clean=False)]
     assert ArmReport("V", rows).as_dict()["by_seed"] == "Csf"
-
-
-TABLE: dict[str, Any] = {
-    "level": "paper",
-    "checkpoints": ["arms/seed0", "arms/seed1"],
-    "arms": {
-        "V": {"checkpoint": "v", "by_seed": "CCCCC"},
-        "V+T": {"checkpoint": "vt", "by_seed": "CsrCf"},
-        "V+U": {"checkpoint": "vt", "by_seed": "saCCC"},
-    },
-    "tests": ["of both"],
-    "as_good": ["of both"],
-}
-
-
-def test_a_checkpoints_scores_are_of_its_own_turns_alone() -> None:
-    first, second = scores_of(TABLE, "arms/seed0/vt"), scores_of(TABLE, "arms/seed1/vt")
-    assert first["arms"]["V+T"] == {"n": 3, "clean": 1, "success": 1, "by_seed": "Crf"}
-    assert second["arms"]["V+T"] == {"n": 2, "clean": 1, "success": 2, "by_seed": "sC"}
-    assert list(first["arms"]) == ["V+T", "V+U"] and first["tests"] == first["as_good"] == []
-
-
-@pytest.mark.parametrize("checkpoint", ["vt", "arms/seed2/vt", "arms/seed0/vtg", "arms/seed0/expert"])
-def test_a_checkpoint_that_was_not_scored_is_refused(checkpoint: str) -> None:
-    with pytest.raises(ContractError, match="as it was scored"):
-        scores_of(TABLE, checkpoint)
 
 
 ROW = EpisodeRow(0, "success", True, False, False, 0.05, 6.0, 7.0, 10.0, 20.0, 30.0)

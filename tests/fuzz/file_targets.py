@@ -28,11 +28,10 @@ from uniforce_vtla.errors import UniForceError
 from uniforce_vtla.file_hashes import HASHES, check_hashes, write_hashes
 from uniforce_vtla.keys import ACTION, STATE
 from uniforce_vtla.tokenizer import ForceHead, Latent, Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
+from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
 from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.sensor_transfer import FOLDER, SensorTransfer
 from uniforce_vtla.tokenizer.training_state import load_state, save_state
 
 TYPED = (UniForceError,)
@@ -119,14 +118,9 @@ def descriptor_head(folder: Path) -> FileTarget:
 
 
 def adapter(folder: Path) -> FileTarget:
-    root = Calibration(LatentAdapter(6, 4).eval(), HASH, "new", "anchor", 1.0, 0.5).save(folder / "data")
+    judged = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
+    root = Calibration(LatentMap(16, 6).eval(), HASH, HASH, "new", "anchor", 1.0, 0.0, judged).save(folder / "data")
     return FileTarget(root, lambda: Calibration.load(root, HASH)(Latent.of(torch.zeros(1, 16, 6), HASH)))
-
-
-def transfer(folder: Path) -> FileTarget:
-    root = folder / "data"
-    SensorTransfer(["gelsight", "tactip"], 12, HASH).save(root / FOLDER, {})
-    return FileTarget(root, lambda: SensorTransfer.from_pretrained(root, HASH).mapped(torch.zeros(2, 12), 0, 1))
 
 
 def policy(folder: Path) -> FileTarget:
@@ -190,7 +184,6 @@ FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones firs
     "adapter": adapter,
     "descriptor_head": descriptor_head,
     "force_head": force_head,
-    "transfer": transfer,
     "tokenizer": tokenizer,
     "view": view,
     "dataset": dataset,

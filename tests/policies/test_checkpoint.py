@@ -1,6 +1,5 @@
 import importlib.metadata
 import json
-import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,11 +14,9 @@ from transformers import AutoTokenizer
 
 from benchmarks.policy import text_tokenizer
 from benchmarks.policy.memory import bench_memory
-from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, migration, weights
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, weights
 from lerobot_policy_pi05_uniforce.checkpoint import check_sensors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
-from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint
-from lerobot_policy_pi05_uniforce.migration import grouped
 from lerobot_policy_pi05_uniforce.model_card import model_card
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
     FOLDER,
@@ -108,14 +105,14 @@ def test_swap_runs_the_same_checkpoint(make_policy, make_batch, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("directions", 2), ("site", "suffix")],
+    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("site", "suffix")],
 )
 def test_touch_settings_must_be_the_checkpoints_own(checkpoint, name, value):
     config = PreTrainedConfig.from_pretrained(checkpoint)
     setattr(config.touch, name, value)
     with pytest.raises(CheckpointError, match=f"touch settings.*'{name}'") as error:
         PI05UniforcePolicy.from_pretrained(checkpoint, config=config)
-    others = {"slots", "tokenizer", "directions", "site"} - {name}
+    others = {"slots", "tokenizer", "site"} - {name}
     assert not any(f"'{other}'" in str(error.value) for other in others)  # only what differs is named
 
 
@@ -158,34 +155,10 @@ def test_the_packages_tokenizer_is_stored_once(make_policy, make_batch, tmp_path
         assert torch.equal(loaded.predict_action_chunk(batch), policy.predict_action_chunk(batch))
 
 
-# of the V+T policy of version 0.1.0
-FLAT = json.loads((Path(__file__).parent / "flat_config.json").read_text())
-
-
-def test_settings_of_0_1_0_are_migrated(tmp_path):
-    shipped = json.loads((shipped_checkpoint() / "config.json").read_text())
-    assert grouped(FLAT) == shipped == grouped(shipped)
-    turned_off = {"keep_inside_demos": False, "cuda_graphs": False}
-    assert grouped(FLAT | turned_off)["action"]["target_range"] == []
-    assert grouped(FLAT | turned_off)["sampler"]["kind"] == "eager"
-    (tmp_path / "config.json").write_text(json.dumps(FLAT))
-    with pytest.raises(CheckpointError, match=r"migration FOLDER"):
+def test_a_checkpoint_of_0_1_0_is_named_so(tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps({"type": "pi05_uniforce", "touch_input": "latent"}))
+    with pytest.raises(CheckpointError, match=r"version 0\.1\.0"):
         PI05UniforcePolicy.from_pretrained(tmp_path)
-
-
-def test_a_folder_of_0_1_0_is_rewritten_in_place_and_its_weights_still_load(tmp_path, capsys):
-    folder = Path(shutil.copytree(shipped_checkpoint(), tmp_path / "old"))
-    whole = PI05UniforcePolicy.from_pretrained(folder).state_dict()
-    (folder / "config.json").write_text(json.dumps(FLAT))
-    save_file(dict(whole), folder / "model.safetensors")  # the tactile tokenizer among them
-    with pytest.raises(CheckpointError, match=r"config\.json"):
-        migration.migrate(folder)  # not the files that were saved
-    write_hashes(folder)
-    assert migration.main([str(folder)]) == 0 and migration.main([str(folder)]) == 0
-    assert "rewritten" in capsys.readouterr().out
-    again = PI05UniforcePolicy.from_pretrained(folder).state_dict()
-    assert all(torch.equal(again[name], tensor) for name, tensor in whole.items())
-    assert migration.main([str(tmp_path / "nowhere")]) == 2
 
 
 def test_tensors_lie_where_new_ones_would(tmp_path: Path) -> None:

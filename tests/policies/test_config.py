@@ -1,4 +1,4 @@
-"""Settings: groups on the command line and in files, what sizes and recipes set, and what doesn't go together."""
+"""Settings: groups on the command line and in files, what sizes set, and what doesn't go together."""
 
 import dataclasses
 import sys
@@ -9,7 +9,7 @@ from lerobot.configs import PreTrainedConfig
 from lerobot.scripts import lerobot_train
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig
-from lerobot_policy_pi05_uniforce.recipes import PLAIN, SCORED, SCORED_LATENT, SCORED_ONE_SLOT, SCORED_TOUCH
+from lerobot_policy_pi05_uniforce.sizes import OFF
 from uniforce_vtla.errors import ContractError
 
 GROUPS = ("touch", "action", "augment", "tiny", "sampler")
@@ -40,9 +40,9 @@ def test_lerobots_help_names_our_settings(monkeypatch: pytest.MonkeyPatch, capsy
     assert stop.value.code in (0, None) and "--policy.touch.slots" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("recipe", ["plain", "scored"])
-def test_a_config_survives_a_round_trip(recipe, make_config, tmp_path) -> None:
-    config = make_config(recipe=recipe, swap="touch0:left", left_sensor="uskin")
+@pytest.mark.parametrize("previous_steps", [0, 4])
+def test_a_config_survives_a_round_trip(previous_steps, make_config, tmp_path) -> None:
+    config = make_config(action__previous_steps=previous_steps, swap="touch0:left", left_sensor="uskin")
     config._save_pretrained(tmp_path)
     again = PreTrainedConfig.from_pretrained(tmp_path)
     assert isinstance(again, PI05UniforceConfig) and again == config
@@ -52,30 +52,11 @@ def test_a_config_survives_a_round_trip(recipe, make_config, tmp_path) -> None:
     assert later.touch.site == "suffix" and later.augment == config.augment
 
 
-def test_the_default_is_the_plain_recipe_and_the_scored_one_its_nine_settings() -> None:
-    nine = SCORED | SCORED_TOUCH | SCORED_LATENT | SCORED_ONE_SLOT
-    plain, scored = parsed(), parsed("--recipe=scored")
-    assert plain == parsed("--recipe=plain") and len(nine) == 9
-    assert {path: value(scored, path) for path in nine} == nine
-    assert {path: value(plain, path) for path in PLAIN} == PLAIN
-    names = [f.name for f in dataclasses.fields(plain)]
-    differing = {name for name in names if getattr(plain, name) != getattr(scored, name)}
-    assert differing == {"recipe", "n_action_steps", "touch", "action", "augment"}
-    assert parsed("--recipe=scored", "--n_action_steps=8", "--touch.directions=2").touch.directions == 2
-
-
-@pytest.mark.parametrize(
-    ("given", "unset"),
-    [
-        (["--touch.input=none"], SCORED_TOUCH | SCORED_LATENT),
-        (["--touch.input=wrench"], SCORED_LATENT),
-        (["--touch.slots={touch0: right, touch1: left}"], {}),
-    ],
-)
-def test_a_scored_arm_takes_what_its_touch_allows(given, unset) -> None:
-    plain, arm = parsed(*given), parsed("--recipe=scored", *given)
-    assert all(value(arm, path) == value(plain, path) for path in (unset | SCORED_ONE_SLOT))
-    assert all(value(arm, path) == wanted for path, wanted in SCORED.items())
+def test_what_no_size_uses_is_off_and_what_is_given_stays() -> None:
+    plain = parsed()
+    assert {path: value(plain, path) for path in OFF} == OFF
+    given = parsed("--action.previous_steps=4", "--n_action_steps=3", "--augment.state_noise=[0,0,.2,0,.1]")
+    assert (given.action.previous_steps, given.n_action_steps) == (4, 3) and given.augment.state_noise[2] == 0.2
 
 
 def test_there_are_at_most_25_settings_of_our_own_at_the_top_and_35_in_groups() -> None:
@@ -99,11 +80,6 @@ def test_auto_size_is_tiny_on_a_cpu() -> None:
         ({"touch__input": "video"}, r"touch\.input"),
         ({"action__form": "velocity"}, r"action\.form"),
         ({"action__objective": "diffusion"}, r"flow \| regression"),
-        ({"recipe": "secret"}, "plain"),
-        ({"augment__sensor_transfer": 1.5}, r"augment\.sensor_transfer"),
-        ({"touch__input": "wrench", "augment__sensor_transfer": 0.5}, r"augment\.sensor_transfer"),
-        ({"touch__directions": 17}, r"touch\.directions"),
-        ({"touch__input": "wrench", "touch__directions": 2}, r"touch\.directions"),
         ({"touch__input": "wrench", "touch__next_force_weight": 0.1}, "next_force_weight"),
         *(({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes") for a in ([5], [1, 1])),
         ({"action__previous_steps": 4, "action__form": "absolute"}, "previous_steps"),

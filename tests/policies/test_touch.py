@@ -1,3 +1,4 @@
+import json
 import logging
 
 import numpy as np
@@ -7,9 +8,11 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from policy_samples import OPEN, SITES, alive, inputs, ours, start_noise
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
+from lerobot_policy_pi05_uniforce.checkpoint import check_settings
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
+from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
@@ -74,7 +77,7 @@ def test_force_tokens_keep_amplitude(make_policy):
     assert torch.allclose(tokens(touch, 0).square().mean(-1), torch.ones(1, 16), atol=1e-3)
 
 
-@pytest.mark.parametrize("settings", [{}, {"touch__input": "wrench"}, {"size": "base"}, {"recipe": "scored"}])
+@pytest.mark.parametrize("settings", [{}, {"touch__input": "wrench"}, {"size": "base"}])
 def test_a_token_of_tiny_also_holds_the_whole_map(settings, make_config):
     config = make_config(**{**settings, "tiny__width": 64})
     shape = (16, 6) if config.touch.input == "latent" else (1, 4)
@@ -309,3 +312,29 @@ def test_the_gate_and_what_starts_random_learn_at_their_own_rates(make_policy):
     assert len(groups[2]["params"]) == 1 and len(groups[1]["params"]) > 5
     trained = {id(p) for group in groups for p in group["params"]}
     assert trained == {id(p) for p in policy.parameters() if p.requires_grad}
+
+
+def test_a_finger_wears_its_calibration_at_rollout_and_no_checkpoint_names_one(make_policy, make_batch, tmp_path):
+    policy = make_policy()
+    batch = make_batch(policy)
+    before = policy.touch.gather(batch, torch.device("cpu"), training=False)[0][0]
+    found = LatentMap(policy.config.tokens_per_slot, policy.config.latent_size)
+    found.shift.fill_(0.5)
+    judged = {"tool": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
+    Calibration(found, policy.config.tokenizer_hash, "", "new", "tactip", 1.0, 0.0, judged).save(tmp_path / "map")
+    finger = policy.config.finger_by_slot()["touch0"]
+    policy.save_pretrained(tmp_path / "policy")
+    config = PI05UniforceConfig.from_pretrained(
+        tmp_path / "policy", cli_overrides=[f"--{finger}_calibration={tmp_path / 'map'}"]
+    )
+    worn = PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)
+    after = worn.touch.gather(batch, torch.device("cpu"), training=False)[0][0]
+    assert torch.allclose(after, before + 0.5, atol=1e-6)
+    worn.save_pretrained(tmp_path / "again")
+    stored = json.loads((tmp_path / "again" / "config.json").read_text())
+    assert stored[f"{finger}_calibration"] == ""
+    with pytest.raises(CheckpointError, match="Only who loads"):
+        check_settings(stored | {f"{finger}_calibration": "/elsewhere"}, "config.json")
+    Calibration(found, "another", "", "new", "tactip", 1.0, 0.0, judged).save(tmp_path / "map")
+    with pytest.raises(CheckpointError, match="Calibrate again"):
+        PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)

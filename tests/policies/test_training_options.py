@@ -20,7 +20,7 @@ OPTIONS = {
     "full": {},
     "expert_only": {"train_expert_only": True},
     "frozen_vision": {"freeze_vision_encoder": True},
-    "scored": {"recipe": "scored", "augment__sensor_transfer": 0.0, "touch__directions": 0},
+    "previous_action": {"action__previous_steps": 4, "augment__state_noise": [0.0, 0.0, 0.2, 0.0, 0.1]},
     "next_force": {"touch__next_force_weight": 0.5},
     "no_touch": {"touch__input": "none", "touch__slots": {}},
 }

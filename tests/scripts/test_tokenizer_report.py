@@ -21,7 +21,7 @@ from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 def test_a_table_needs_a_frozen_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folders = [f"{name}={tmp_path}" for name in ("results", "facts", "cache")]
-    assert main(["set=hetero_hard_v1", *folders]) == 2
+    assert main(["set=hetero_hard_v2", *folders]) == 2
     assert "freeze=true" in capsys.readouterr().err
 
 
@@ -39,7 +39,7 @@ def test_one_row_measured_anew_leaves_the_rest_of_the_table(tmp_path: Path, monk
     sets = {name: draw_hard(recipe, as_virtual(name), 128) for name in ("tactip", "uskin")}
     table = Table(sets, sets, HeadTrainingConfig(steps=2))
     monkeypatch.setattr(tokenizer_report, "draw_sets", lambda *_: table)
-    report_set = get_report_set("hetero_hard_v1")
+    report_set = get_report_set("hetero_hard_v2")
     (tmp_path / report_set.facts_file).write_text(json.dumps(set_facts_of(recipe, sets)))
     tokenizer = Tokenizer.random(TokenizerConfig(width=16, depth=1, heads=2))
     command = TokenizerReportCommand(set=report_set.name, results=str(tmp_path), facts=str(tmp_path), seeds=1)

@@ -1,4 +1,4 @@
-"""``uniforce touch``: the live view, its outputs, and the two checks, against stand-ins."""
+"""``uniforce touch``: the live view, its outputs, and its checks, against stand-ins."""
 
 import re
 import subprocess
@@ -11,14 +11,15 @@ import cv2
 import numpy as np
 import pytest
 
-from uniforce_cli.touch import main
-from uniforce_cli.touch_checks import advice, quarter_response
+from uniforce_cli.touch import TouchConfig, main
+from uniforce_cli.touch_checks import advice, check_angle, quarter_response
 from uniforce_cli.touch_view import OUTPUTS, TouchView, as_text, panel, save_panel
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
 from uniforce_robots.sensors.orientation import TURNS, Orientation
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, frame_cycle, taxel_cycle
-from uniforce_vtla.contracts import QUARTERS
+from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap
+from uniforce_vtla.contracts import QUARTERS, ContactState
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.markers import Canonicalizer
 
@@ -175,8 +176,41 @@ def test_advice_asks_for_what_it_needs():
     assert "rotation_deg=0" in advice({"top-left": "top-right"}, 90, False)
 
 
+class Dragged:
+    """A TacTip mounted at an angle whose skin is dragged towards its tip and let go."""
+
+    def __init__(self, mounted_deg: float, set_deg: float) -> None:
+        self.config = TouchConfig("tactip", rotation_deg=set_deg)
+        simulator = TactileSimulator("tactip", options=ContactOptions().quiet())
+        face = flat_face_gap(np.zeros((6, 2)), np.full((6, 2), 20.0), np.zeros(6), np.zeros((6, 2)))
+        pull = np.array([0, 1, 2, 3, 2, 0], np.float32)
+        force = np.column_stack([0 * pull, -pull, np.full(6, 5.0)]).astype(np.float32)
+        frames = simulator.raw_frames(ContactState(face, force, np.zeros(6, np.float32)))
+        upright = Orientation(set_deg)
+        mounted = [Orientation(-mounted_deg % 360).of_frame(f) for f in (simulator.raw_reference(), *frames)]
+        self.frames = [upright.of_frame(frame) for frame in mounted]
+        self.canonicalizer = Canonicalizer("tactip")
+        self.canonicalizer.set_reference(self.frames[0])
+        self.marker_image = self.canonicalizer.marker_image
+
+    def reference_image(self) -> np.ndarray:
+        return np.repeat(self.marker_image(self.frames[0])[..., None], 3, axis=2)
+
+    def next_touch(self, index: int, _: float) -> SimpleNamespace:
+        return SimpleNamespace(index=index + 1, raw=self.frames[min(index + 2, len(self.frames) - 1)])
+
+
+@pytest.mark.parametrize(("mounted", "rotation"), [(0, 0), (18, 18), (339, 0), (18, 0)])
+def test_a_drag_tells_the_angle_on_the_mount(mounted: int, rotation: int, capsys: pytest.CaptureFixture[str]):
+    code = check_angle(Dragged(mounted, rotation), 20.0)  # type: ignore[arg-type]
+    out = capsys.readouterr().out
+    assert code == int(mounted != rotation) and ("angle agrees" in out) == (mounted == rotation)
+    if code:
+        assert abs(float(out.split("rotation_deg=")[1]) - mounted) <= 4
+
+
 def test_a_finger_without_a_stand_in_name_is_made_from_its_source():
-    from uniforce_cli.touch import TouchConfig, make_finger
+    from uniforce_cli.touch import make_finger
 
     links = {"ws://10.0.0.5:5000": "server", "/dev/ttyUSB0": "slcan"}
     for source, link in links.items():

@@ -21,7 +21,7 @@ from uniforce_vtla.array_file import read_array
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.file_hashes import HASHES, check_hashes, drop_hashes
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
-from uniforce_vtla.tokenizer.calibration import Calibration, LatentAdapter
+from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
 from uniforce_vtla.tokenizer.training_state import load_state
 
@@ -105,8 +105,9 @@ def test_sizes_beyond_any_machine_cost_nothing(tmp_path: Path) -> None:
     small = TokenizerConfig(side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
     tokenizer = Tokenizer.random(small).save(tmp_path / "tokenizer")
     head = ForceHead(ForceRegressor(HeadConfig()), "tactip", "a").save(tmp_path / "head")
-    adapter = Calibration(LatentAdapter(6, 4), "a", "new", "anchor", 1.0, 0.5).save(tmp_path / "adapter")
-    for folder in (tokenizer, head, adapter):
+    agreed = {"small": Agreement(9, (1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))}
+    calibration = Calibration(LatentMap(4, 6), "a", "b", "new", "anchor", 1.0, 0.0, agreed).save(tmp_path / "map")
+    for folder in (tokenizer, head, calibration):
         drop_hashes(folder)
     facts = json.loads((tokenizer / "config.json").read_text())["model"]
     for changes in ({"width": 8192, "depth": 64}, {"depth": 10**9}, {"side": 2048, "patch": 1}, {"patch": 0}):
@@ -117,10 +118,10 @@ def test_sizes_beyond_any_machine_cost_nothing(tmp_path: Path) -> None:
         set_in(head / "config.json", head=changes)
         with pytest.raises(CheckpointError):
             ForceHead.from_pretrained(path=head)
-    for changes in ({"hidden": 16384}, {"latent": 10**12}, {"new": None, "imbalance_after": "x"}):
-        set_in(adapter / "config.json", **{"latent": 6, "hidden": 4} | changes)
+    for changes in ({"patches": 16384}, {"latent": 10**12}, {"ridge": "x"}, {"agreement": {"small": 1}}):
+        set_in(calibration / "config.json", **{"latent": 6, "patches": 4, "ridge": 1.0} | changes)
         with pytest.raises(CheckpointError):
-            Calibration.load(adapter, "a")
+            Calibration.load(calibration, "a")
 
 
 def test_an_array_that_announces_more_than_it_holds(tmp_path: Path) -> None:
@@ -138,7 +139,7 @@ def test_a_damaged_training_state_is_named(tmp_path: Path) -> None:
 
 
 ROOT = Path(__file__).parents[2]
-OURS = ("checkpoints", "policies", "robots", "uniforce_vtla")
+OURS = ("policies", "robots", "uniforce_vtla")
 SHIPPED = sorted(path.parent for folder in OURS for path in (ROOT / folder).rglob("model.safetensors"))
 SOUND = {damage.sound: replace(damage, damage=lambda _: None) for damage in CHECKPOINT_DAMAGES}
 
@@ -155,7 +156,7 @@ def test_what_is_not_damaged_is_accepted(sound: CheckpointDamage, tmp_path: Path
 
 
 def test_every_shipped_checkpoint_is_as_it_was_saved() -> None:
-    assert len(SHIPPED) >= 18
+    assert len(SHIPPED) >= 15
     for folder in SHIPPED:
         assert (folder / HASHES).is_file(), folder
         check_hashes(folder, CheckpointError)

@@ -1,8 +1,8 @@
+import itertools
 import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from accelerate.state import AcceleratorState
 
 from uniforce_cli.pretrain import PRESETS, PretrainCommand, main
 from uniforce_vtla.arguments import parse, read
-from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
+from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import (
@@ -58,10 +58,10 @@ def test_cache_resumes_and_refuses_another_recipe(tmp_path: Path) -> None:
     build_cache(tmp_path, SMALL_DATA)
     assert (tmp_path / "shard_001.npz").read_bytes() == kept
     stored = json.loads((tmp_path / "config.json").read_text())
-    del stored["family"]  # as a cache from before that option
+    del stored["imbalance"]  # as a cache from before that option
     (tmp_path / "config.json").write_text(json.dumps(stored))
     build_cache(tmp_path, SMALL_DATA)
-    for other in ({"seed": 9}, {"family": "v2"}):
+    for other in ({"seed": 9}, {"imbalance": 0.1}):
         with pytest.raises(DatasetError, match="another folder"):
             build_cache(tmp_path, replace(SMALL_DATA, **other))
 
@@ -73,7 +73,7 @@ def test_a_tiny_batch_is_overfitted(data: PairCache, tiny: TokenizerConfig) -> N
     config = LossConfig(equilibrium_weight=0.1)
     losses = []
     torch.manual_seed(0)
-    for step in range(120):
+    for step in range(260):  # markers move little on 32 px: it leaves copying after some 150
         loss, parts, _ = pair_loss(model, pairs, config, step)
         optimizer.zero_grad()
         loss.backward()
@@ -125,17 +125,17 @@ def test_equilibrium_variants_on_a_known_gap() -> None:
     assert levels == pytest.approx(3 * float(equilibrium(left, same, LossConfig())))
 
 
-def test_whitened_equilibrium_knows_no_unit_of_the_latent() -> None:
+def test_equilibrium_in_a_units_own_size_knows_no_gain() -> None:
     torch.manual_seed(0)
     left = torch.randn(8, 16, 6)
     right = left + 0.3 * torch.randn(8, 16, 6)
-    config = LossConfig(equilibrium="levels", equilibrium_scale="whitened")
-    mix = torch.linalg.qr(torch.randn(6, 6))[0]  # any rotation; a skewed mix would meet the floor
-    plain, mixed = equilibrium(left, right, config), equilibrium(left @ mix, right @ mix, config)
-    assert equilibrium(0.01 * left, 0.01 * right, config) == pytest.approx(float(plain), rel=1e-3)
-    assert mixed == pytest.approx(float(plain), rel=1e-3)
+    config = LossConfig(equilibrium="levels", equilibrium_scale="per_unit")
+    plain = float(equilibrium(left, right, config, per_unit=4))
+    weak = torch.cat([0.5 * right[:4], 2.0 * right[4:]])  # two units that answer otherwise
+    assert equilibrium(0.01 * left, weak, config, per_unit=4) == pytest.approx(plain, rel=1e-3)
+    assert equilibrium(left, torch.cat([right[:2], 0.5 * right[2:]]), config, per_unit=4) > 1.5 * plain
     absolute = replace(config, equilibrium_scale="absolute")
-    assert equilibrium(0.01 * left, 0.01 * right, absolute) < 1e-3 * equilibrium(left, right, absolute)
+    assert equilibrium(left, weak, absolute) > 1.5 * equilibrium(left, right, absolute)
 
 
 def test_kl_is_zero_for_the_prior_only() -> None:
@@ -235,36 +235,12 @@ def test_the_family_replaces_cameras_only_and_only_its_share() -> None:
     assert draw_finger(rng, "tactip", PairCacheConfig()) == "tactip"
 
 
-def lenses(family: str) -> list[float]:
-    rng, config = np.random.default_rng(0), PairCacheConfig(family_share=1.0, family=family)  # type: ignore[arg-type]
-    drawn = [as_virtual(draw_finger(rng, "gelsight", config)) for _ in range(300)]
-    return [sensor.spec.px_per_mm[0] for sensor in drawn]
-
-
-def test_wider_family_draws_what_the_first_could_not() -> None:
-    first, wider = lenses("v1"), lenses("v2")
-    assert min(first) >= 17 and max(first) <= 30
-    assert 16 <= min(wider) < 17 and 30 < max(wider) <= 32
-
-
-FAMILY = PairCacheConfig(units=1536, seed=2, family_share=0.6, free_look=True, marker_loss=0.02)
-
-
-def test_small_draws_the_whole_family_of_sensors() -> None:
-    names = ("small_draw", "small_agree")
-    first, second = (read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names)
-    assert first.run.data == second.run.data == FAMILY
-
-
 def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:
-    names = ("small_draw", "small_agree", "small_held", "small")
-    stages = [read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in names]
-    for before, after in pairwise(stages):
-        assert after.run.init == f"{before.out}/tokenizer"
-        assert after.run.model == before.run.model
-    for held in stages[2:]:  # the same pads, but flat handles that twist them
-        usual = {"flat_share": FAMILY.flat_share, "flat_torsion_arm_mm": FAMILY.flat_torsion_arm_mm}
-        assert replace(held.run.data, **usual) == FAMILY
+    stages = [read(PretrainCommand, [f"preset={n}"], PRESETS)[0] for n in ("small_draw", "small_agree", "small")]
+    for earlier, later in itertools.pairwise(stages):
+        assert later.run.init == f"{earlier.out}/tokenizer" and later.run.model == earlier.run.model
+        assert later.run.data == earlier.run.data or later.cache != earlier.cache
+    assert stages[2].run.data.flat_share > stages[1].run.data.flat_share > 0.3
 
 
 def test_nano_is_smaller_and_what_is_given_wins() -> None:

@@ -4,7 +4,6 @@ from uniforce_vtla.contact.indenters import PRETRAIN, SEEN, UNSEEN, flat_face_ga
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import PAPER_RANGE, ForceRange
-from uniforce_vtla.contact.sequences import SequenceBatch, force_sequences
 from uniforce_vtla.contact.simulator import TactileSimulator, free_air
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.markers.mirror import mirrored
@@ -18,12 +17,10 @@ __all__ = [
     "ForceRange",
     "PairBatch",
     "PairSettings",
-    "SequenceBatch",
     "TactileSimulator",
     "UnitVariation",
     "equilibrium_pairs",
     "flat_face_gap",
-    "force_sequences",
     "free_air",
     "gap_map",
     "gap_maps",

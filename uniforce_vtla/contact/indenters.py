@@ -85,10 +85,17 @@ def gap_maps(names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray,
     Raises:
         ContractError: unknown indenter.
     """
+    return _map(indenter_gap(names, center_mm, angle_rad, scale, cell_positions_mm()))
+
+
+def indenter_gap(
+    names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray, position_mm: np.ndarray
+) -> np.ndarray:
+    """Return (B, N) gaps as ``gap_maps`` does, at any (N, 2) positions on the pad."""
     unknown = sorted(set(names) - set(HEIGHTS))
     if unknown:
         raise ContractError(expected("indenter", " | ".join(HEIGHTS), unknown, "Check the spelling."))
-    x, y = _local(center_mm, angle_rad)
+    x, y = _local(center_mm, angle_rad, position_mm)
     scale = np.asarray(scale, dtype=np.float64)[:, None]
     gap = np.empty_like(x)
     for name in dict.fromkeys(names):
@@ -108,22 +115,31 @@ def flat_face_gap(
         angle_rad: (B,) rotation in the pad plane, x towards y.
         tilt_rad: (B, 2) slope of the gap along pad x and y; positive opens towards +x, +y.
     """
-    x, y = _local(center_mm, angle_rad)
+    return _map(flat_gap(center_mm, size_mm, angle_rad, tilt_rad, cell_positions_mm()))
+
+
+def flat_gap(
+    center_mm: np.ndarray, size_mm: np.ndarray, angle_rad: np.ndarray, tilt_rad: np.ndarray, position_mm: np.ndarray
+) -> np.ndarray:
+    """Return (B, N) gaps as ``flat_face_gap`` does, at any (N, 2) positions on the pad."""
+    x, y = _local(center_mm, angle_rad, position_mm)
     half = np.asarray(size_mm)[:, None] / 2  # (B, 1, 2)
     inside = (np.abs(x) <= half[..., 0]) & (np.abs(y) <= half[..., 1])
-    slope = np.tan(np.asarray(tilt_rad)) @ cell_positions_mm().T  # (B, G·G)
-    return _grounded(np.where(inside, slope, np.inf))
+    return _grounded(np.where(inside, np.tan(np.asarray(tilt_rad)) @ position_mm.T, np.inf))
 
 
-def _local(center_mm: np.ndarray, angle_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return grid cells as (B, G·G) x and y in each object's own frame."""
-    arm = cell_positions_mm()[None] - np.asarray(center_mm)[:, None]
+def _local(center_mm: np.ndarray, angle_rad: np.ndarray, position_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions as (B, N) x and y in each object's own frame."""
+    arm = position_mm[None] - np.asarray(center_mm)[:, None]
     cos, sin = np.cos(angle_rad)[:, None], np.sin(angle_rad)[:, None]
     return cos * arm[..., 0] + sin * arm[..., 1], cos * arm[..., 1] - sin * arm[..., 0]
 
 
 def _grounded(gap: np.ndarray) -> np.ndarray:
-    """Shift (B, G·G) so that the point that touches first is at 0; rows without an object stay ``inf``."""
+    """Shift (B, N) so that the point that touches first is at 0; rows without an object stay ``inf``."""
     first = gap.min(axis=1, keepdims=True)
-    gap = gap - np.where(np.isfinite(first), first, 0)
+    return gap - np.where(np.isfinite(first), first, 0)
+
+
+def _map(gap: np.ndarray) -> np.ndarray:
     return gap.reshape(-1, GRID_CELLS, GRID_CELLS).astype(np.float32)

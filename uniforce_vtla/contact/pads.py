@@ -1,4 +1,4 @@
-"""The pad grid every contact lives on, where a sensor has material on it, and how far its skin stands back.
+"""The grid every contact lives on, where a sensor has skin on it, and how far that skin stands back.
 
 Square cells, x right, y down, 0 at the pad's centre; the skin stands back from the tangent plane.
 """
@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from uniforce_vtla.contact.elastic import Gel, Influence, cell_edges, influence, sagitta_mm
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.sensors import SensorSpec
 
-GRID_CELLS = 40  # cells per side: 1 mm cells cover the largest pad (TacTip, 40 mm)
-CELL_MM = 1.0  # side of a cell; half the smallest marker pitch, finer buys nothing a marker shows
-CELL_AREA_MM2 = CELL_MM**2
+GRID_CELLS = 32
+CELL_MM = 1.25
 _LARGE_MM = 1e3  # stands in for "no object here" in sums, where inf would give NaN
 
 
@@ -24,12 +23,14 @@ def cell_positions_mm() -> np.ndarray:
 
 @dataclass(frozen=True)
 class Pad:
-    """A sensor's cells."""
+    """The C cells of a sensor's skin, and how they give way."""
 
-    cells: np.ndarray  # (C,) indices into the flattened grid of the cells with material
-    position_mm: np.ndarray  # (C, 2) their centres
-    coverage: np.ndarray  # (C,) share of each cell that is material, 0–1
-    dome_mm: np.ndarray  # (C,) how far the skin lies behind the tangent plane
+    position_mm: np.ndarray  # (C, 2) centres
+    area_mm2: np.ndarray  # (C,) a cell at the pad's border may be cut
+    block: np.ndarray  # (C, b·b) indices of the cells of the objects' grid that make up each
+    dome_mm: np.ndarray  # (G·G,) how far the skin lies behind the tangent plane
+    influence: Influence
+    normal: np.ndarray  # (C, C) mm per newton: inward displacement of cells by pressure
 
     def total_gap_mm(self, gap_mm: np.ndarray) -> np.ndarray:
         """Return (B, C) distance from skin to object, given (B, G, G) gaps to the tangent plane.
@@ -41,8 +42,8 @@ class Pad:
             came = "NaN" if gap_mm.shape[1:] == (GRID_CELLS, GRID_CELLS) else gap_mm.shape
             wanted = f"numbers or inf, (B, {GRID_CELLS}, {GRID_CELLS})"
             raise ContractError(expected("gap_mm", wanted, came, "Use contact.indenters."))
-        flat = gap_mm.reshape(len(gap_mm), -1)[:, self.cells]  # (B, C)
-        return np.minimum(flat + self.dome_mm, np.float32(_LARGE_MM)).astype(np.float32)
+        near = (gap_mm.reshape(len(gap_mm), -1) + self.dome_mm)[:, self.block]  # (B, C, b·b)
+        return np.minimum(near.min(axis=2), np.float32(_LARGE_MM)).astype(np.float32)
 
 
 def has_object(total_gap_mm: np.ndarray) -> np.ndarray:
@@ -50,16 +51,26 @@ def has_object(total_gap_mm: np.ndarray) -> np.ndarray:
     return total_gap_mm.min(axis=1) < _LARGE_MM / 2
 
 
-def build_pad(spec: SensorSpec) -> Pad:
-    """Return the pad of ``spec`` on the common grid."""
-    position = cell_positions_mm()
-    half = np.asarray(spec.pad_size_mm, dtype=np.float32) / 2
-    if spec.dome_radius_mm is None:
-        inside = np.clip((half - np.abs(position)) / CELL_MM + 0.5, 0, 1).prod(axis=1)
-        dome = np.zeros(len(position), dtype=np.float32)
-    else:
-        radius = np.hypot(*position.T)
-        inside = np.clip((half[0] - radius) / CELL_MM + 0.5, 0, 1)
-        dome = spec.dome_radius_mm - np.sqrt(np.maximum(spec.dome_radius_mm**2 - radius**2, 0))
-    cells = np.flatnonzero(inside > 0)
-    return Pad(cells, position[cells], inside[cells].astype(np.float32), dome[cells].astype(np.float32))
+def build_pad(gel: Gel) -> Pad:
+    """Return the pad of ``gel``; its finite elements are solved at first use."""
+    x, y = (cell_edges(length, gel.cell_mm) for length in gel.size_mm)
+    centre = np.stack(np.meshgrid((x[1:] + x[:-1]) / 2, (y[1:] + y[:-1]) / 2), axis=-1).reshape(-1, 2)
+    area = (np.diff(y)[:, None] * np.diff(x)).ravel()
+    dome = np.zeros(GRID_CELLS**2, dtype=np.float32)
+    if gel.dome_radius_mm:
+        inside = np.hypot(*centre.T) <= gel.size_mm[0] / 2
+        centre, area = centre[inside], area[inside]
+        dome = sagitta_mm(np.hypot(*cell_positions_mm().T), gel.dome_radius_mm).astype(np.float32)
+    moved = influence(gel)
+    normal = np.ascontiguousarray(moved.skin[2, :, 2])
+    return Pad(centre.astype(np.float32), area.astype(np.float32), _blocks(centre, gel), dome, moved, normal)
+
+
+def _blocks(centre_mm: np.ndarray, gel: Gel) -> np.ndarray:
+    """Return (C, b·b) indices into the objects' grid of the cells within each of the pad's."""
+    side = max(1, round(gel.cell_mm / CELL_MM))
+    corner = centre_mm / CELL_MM - (side - 1) / 2 + GRID_CELLS / 2
+    first = np.clip(np.floor(corner), 0, GRID_CELLS - side)  # (C, 2) column, row
+    step = np.arange(side)
+    rows, columns = first[:, 1, None, None] + step[:, None], first[:, 0, None, None] + step
+    return (rows * GRID_CELLS + columns).reshape(len(centre_mm), -1).astype(int)

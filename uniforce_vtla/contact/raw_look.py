@@ -9,8 +9,8 @@ from functools import cache
 import cv2
 import numpy as np
 
-from uniforce_vtla.contact.raster import CENTRE_PX
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
+from uniforce_vtla.markers.raster import CENTRE_PX
 
 _EDGE_BLUR_PX = 1.2  # a camera's edge spread
 _PIXEL_NOISE = 2.0  # grey levels, standard deviation
@@ -21,20 +21,21 @@ _RIM_PX = (247.0, 262.0)  # bright ring just outside the 240 px (20 mm) of the d
 
 
 def gelsight_frames(
-    marker_images: np.ndarray, indentation_mm: np.ndarray, px_per_mm: float, rng: np.random.Generator
+    marker_images: np.ndarray, indentation_mm: np.ndarray, cell_mm: float, px_per_mm: float, rng: np.random.Generator
 ) -> np.ndarray:
     """Return (B, 480, 640, 3) uint8 RGB: dark markers on a gel under three coloured lights.
 
     Args:
         marker_images: (B, 480, 640) uint8.
-        indentation_mm: (B, G, G) inward displacement on the pad grid of 1 mm cells.
+        indentation_mm: (B, G, G) inward displacement of square cells, the grid's middle at the image's.
+        cell_mm: their side.
         px_per_mm: image scale.
         rng: pixel noise.
     """
     frames = []
     for image, depth in zip(marker_images, indentation_mm, strict=True):
         ink = cv2.GaussianBlur(image.astype(np.float32) / 255, (0, 0), _EDGE_BLUR_PX)
-        lit = _gel_light() + _slope_shade(depth, px_per_mm)
+        lit = _gel_light() + _slope_shade(depth, cell_mm, px_per_mm)
         frames.append(_exposed(lit * (1 - _GEL_MARKER_DARKNESS * ink)[..., None], rng))
     return np.stack(frames)
 
@@ -53,15 +54,15 @@ def _exposed(frame: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.clip(frame + noise, 0, 255).astype(np.uint8)
 
 
-def _slope_shade(depth_mm: np.ndarray, px_per_mm: float) -> np.ndarray:
+def _slope_shade(depth_mm: np.ndarray, cell_mm: float, px_per_mm: float) -> np.ndarray:
     """Return (H, W, 3) colour that the indentation's slopes catch from lights at 90°, 210° and 330°."""
     H, W = MARKER_IMAGE_SHAPE
-    smooth = cv2.GaussianBlur(depth_mm.astype(np.float32), (0, 0), 1.0)
-    dy, dx = np.gradient(smooth)
-    centre = (len(depth_mm) - 1) / 2
+    smooth = cv2.GaussianBlur(depth_mm.astype(np.float32), (0, 0), 1.0 / cell_mm)
+    dy, dx = np.gradient(smooth, cell_mm)
+    centre, px_per_cell = (len(depth_mm) - 1) / 2, px_per_mm * cell_mm
     x, y = (
-        (np.arange(W) - CENTRE_PX[0]) / px_per_mm + centre,
-        (np.arange(H) - CENTRE_PX[1]) / px_per_mm + centre,
+        (np.arange(W) - CENTRE_PX[0]) / px_per_cell + centre,
+        (np.arange(H) - CENTRE_PX[1]) / px_per_cell + centre,
     )
     map_x, map_y = (a.astype(np.float32) for a in np.meshgrid(x, y))
     slope = [cv2.remap(d, map_x, map_y, cv2.INTER_LINEAR) for d in (dx, dy)]

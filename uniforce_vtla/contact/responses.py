@@ -1,13 +1,14 @@
-"""How a unit's markers and taxels answer to traction: precomputed influence of grid cells on each of them."""
+"""How a unit's markers and taxels answer to traction: what the finite elements say at each of them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csr_array
 
+from uniforce_vtla.contact.elastic import Influence
 from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial
-from uniforce_vtla.contact.pads import CELL_AREA_MM2, Pad
 from uniforce_vtla.contact.traction import Traction
 
 
@@ -29,54 +30,64 @@ class ContactOptions:
 
 @dataclass(frozen=True)
 class MarkerMotion:
-    """Motion of M markers: ``shift_mm`` (B, M, 2) on the surface, ``growth`` (B, M) factor on their size."""
+    """Motion of M markers: ``shift_mm`` (B, M, 2) as the camera sees it, ``growth`` (B, M) factor on their size."""
 
     shift_mm: np.ndarray
     growth: np.ndarray
 
 
+class PointMotion:
+    """Displacement of points at a pad's readout depth, and its gradient along the skin; linear in traction."""
+
+    def __init__(self, influence: Influence, point_mm: np.ndarray, scale: float, reach_mm: float = 0.0) -> None:
+        """Take (M, 2) points; with a reach each moves as the mean of what lies within it."""
+        ring = [reach_mm / 2**0.5 * np.array(way) for way in ((1, 1), (1, -1), (-1, 1), (-1, -1))] if reach_mm else [0]
+        around = np.concatenate([point_mm + offset for offset in ring])
+        at = _interpolated(influence.fields, influence.x_mm, influence.y_mm, around)  # (M, F, 3, C)
+        at = at.reshape(len(ring), len(point_mm), *at.shape[1:]).mean(axis=0)
+        by_cell = (at * np.float32(scale)).transpose(3, 2, 1, 0)  # (C, 3, F, M)
+        self._of_shear, self._of_press = (np.ascontiguousarray(part) for part in (by_cell[:, :2], by_cell[:, 2]))
+
+    def __call__(self, traction: Traction) -> np.ndarray:
+        """Return (B, F, M): the six of ``Influence.fields``."""
+        B, (_, F, M) = len(traction.press_N), self._of_press.shape
+        shear = traction.shear_N.transpose(0, 2, 1).reshape(B, -1)
+        motion = traction.press_N @ self._of_press[traction.cells].reshape(-1, F * M)
+        return (motion + shear @ self._of_shear[traction.cells].reshape(-1, F * M)).reshape(B, F, M)
+
+
+def _interpolated(field: np.ndarray, x_mm: np.ndarray, y_mm: np.ndarray, point_mm: np.ndarray) -> np.ndarray:
+    """Return (M, …) of a (rows, columns, …) field at (M, 2) points, bilinearly; beyond the pad its border's value."""
+    (i, tx), (j, ty) = _place(x_mm, point_mm[:, 0]), _place(y_mm, point_mm[:, 1])
+    corners = (j * len(x_mm) + i)[:, None] + np.array([0, 1, len(x_mm), len(x_mm) + 1])
+    weights = np.stack([(1 - ty) * (1 - tx), (1 - ty) * tx, ty * (1 - tx), ty * tx], axis=1)
+    rows = np.repeat(np.arange(len(point_mm)), 4)
+    nodes = len(x_mm) * len(y_mm)
+    mix = csr_array((weights.ravel().astype(np.float32), (rows, corners.ravel())), (len(point_mm), nodes))
+    return (mix @ field.reshape(nodes, -1)).reshape(len(point_mm), *field.shape[2:])
+
+
+def _place(edges: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which interval of ``edges`` each value is in, and how far into it, 0–1."""
+    value = np.clip(value, edges[0], edges[-1])
+    index = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
+    return index, (value - edges[index]) / (edges[index + 1] - edges[index])
+
+
 class CameraResponse:
-    """Influence matrices of one unit. Linear in traction, then limited by the material's stretch.
+    """Markers of one unit as its camera sees them."""
 
-    Field by field: outward push of pressure (FOTS' dilation, as a superposition over cells), growth of area,
-    inward displacement w and its slope (from the indentation p/k, blurred by the skin), drag of shear.
-    """
-
-    def __init__(self, pad: Pad, rest_mm: np.ndarray, material: PadMaterial, gain: float = 1.0) -> None:
-        arm = rest_mm[None] - pad.position_mm[:, None]  # (C, M, 2) from cell to marker
-        r2 = (arm**2).sum(axis=-1)
-        A, m = CELL_AREA_MM2, material
-        push = m.dilation_per_N * np.exp(-r2 / m.dilation_radius_mm**2) * A
-        blur = np.exp(-r2 / (2 * m.skin_blur_mm**2)) * A / (2 * np.pi * m.skin_blur_mm**2)
-        local = [push * arm[..., 0], push * arm[..., 1], m.area_per_N * np.exp(-r2 / m.area_radius_mm**2) * A]
-        slope = [-blur * arm[..., axis] / m.skin_blur_mm**2 for axis in (0, 1)]
-        near, wide = (np.exp(-r2 / radius**2) for radius in m.drag_radii_mm)
-        drag = m.drag_mm_per_N * (m.drag_local_share * near + (1 - m.drag_local_share) * wide) * A
-        self._rest_mm, self._material, self._gain = rest_mm, material, gain
-        self._from_pressure = np.concatenate(local, axis=1).astype(np.float32)  # (C, 3·M)
-        self._from_depth = np.concatenate([blur, *slope] if m.pin_mm else [blur], axis=1).astype(np.float32)
-        self._from_shear = drag.astype(np.float32)  # (C, M)
+    def __init__(self, influence: Influence, rest_mm: np.ndarray, material: PadMaterial, scale: float = 1.0) -> None:
+        self._rest_mm, self._material = rest_mm, material
+        self._motion = PointMotion(influence, rest_mm, scale)
 
     def __call__(self, traction: Traction) -> MarkerMotion:
         """Return the motion of all markers under a batch of tractions."""
-        B, cells, m = len(traction.p_MPa), traction.cells, self._material
-        field = (traction.p_MPa @ self._from_pressure[cells]).reshape(B, 3, -1)  # (B, 3, M)
-        drag = (traction.q_MPa.reshape(2 * B, -1) @ self._from_shear[cells]).reshape(B, 2, -1)
-        depth = traction.indentation_mm @ self._from_depth[cells]
-        depth = depth.reshape(B, -1, len(self._rest_mm))  # (B, 1 or 3, M): w, and for pins ∂w/∂x, ∂w/∂y
-        shift = field[:, :2] + drag
-        if m.pin_mm:
-            shift = shift - m.pin_mm * depth[:, 1:]
-        shift = _limited(shift * self._gain, m.stretch_limit_mm).transpose(0, 2, 1)  # (B, M, 2)
-        nearer = depth[:, 0] / m.camera_mm  # (B, M): what is pressed towards the camera looks larger
-        shift = shift + self._rest_mm * nearer[..., None]
-        return MarkerMotion(shift, np.sqrt(1 + field[:, 2]) * (1 + nearer))
-
-
-def _limited(shift: np.ndarray, limit_mm: float) -> np.ndarray:
-    """Stiffen (B, 2, M) motion smoothly so that its length stays below ``limit_mm``."""
-    length2 = (shift**2).sum(axis=1, keepdims=True)
-    return shift / np.sqrt(1 + length2 / np.float32(limit_mm**2))
+        m, field = self._material, self._motion(traction)
+        shift = field[:, :2] - m.pin_mm * field[:, 4:]  # a pin tilts with the skin that holds it
+        nearer = field[:, 2] / m.camera_mm  # (B, M): what is pressed towards the camera looks larger
+        shift = shift.transpose(0, 2, 1) + self._rest_mm * nearer[..., None]
+        return MarkerMotion(shift, np.sqrt(np.clip(1 + field[:, 3], 0.25, 4.0)) * (1 + nearer))
 
 
 def taxel_positions_mm(layout_mm: np.ndarray) -> np.ndarray:
@@ -88,24 +99,36 @@ def taxel_positions_mm(layout_mm: np.ndarray) -> np.ndarray:
 
 
 class TaxelResponse:
-    """Influence of grid cells on taxels, in counts; image x → count x, image y (down) → minus count y."""
+    """Magnets in the elastomer over Hall sensors: a magnet that moves changes the field of every sensor.
+
+    Dipoles along z. Image x → count x, image y (down) → minus count y.
+    """
 
     def __init__(
-        self, pad: Pad, taxel_mm: np.ndarray, pitch_mm: float, material: TaxelMaterial, gain: np.ndarray
+        self,
+        influence: Influence,
+        taxel_mm: np.ndarray,
+        material: TaxelMaterial,
+        gain: np.ndarray,
+        scale: float = 1.0,
     ) -> None:
-        sigma = material.reach_pitch * pitch_mm
-        arm = taxel_mm[None] - pad.position_mm[:, None]  # (C, 16, 2) from cell to taxel
-        weight = np.exp(-(arm**2).sum(axis=-1) / (2 * sigma**2)) * CELL_AREA_MM2
-        talk = material.cross_talk * material.normal_counts_per_N * weight[..., None] * arm / sigma
-        self._normal = (material.normal_counts_per_N * weight).astype(np.float32)  # (C, 16)
-        self._shear = (material.shear_counts_per_N * weight).astype(np.float32)
-        self._talk = np.concatenate([talk[..., 0], talk[..., 1]], axis=1).astype(np.float32)  # (C, 32)
+        self._motion = PointMotion(influence, taxel_mm, scale, material.magnet_mm / 2)
+        self._apart_mm = (taxel_mm[None] - taxel_mm[:, None]).astype(np.float32)  # (sensor, magnet, 2)
+        self._material = material
+        self._rest = self._field(np.zeros((1, 3, len(taxel_mm)), np.float32))
         self._gain = gain.astype(np.float32)  # (16, 3)
 
     def __call__(self, traction: Traction) -> np.ndarray:
         """Return (B, 16, 3) float32 counts above the baseline, without noise."""
-        p, cells = traction.p_MPa, traction.cells
-        B = len(p)
-        shear = (traction.q_MPa.reshape(2 * B, -1) @ self._shear[cells]).reshape(B, 2, -1)  # (B, 2, 16)
-        shear = shear + (p @ self._talk[cells]).reshape(B, 2, -1)
-        return np.stack([shear[:, 0], -shear[:, 1], p @ self._normal[cells]], axis=-1) * self._gain
+        change = self._field(self._motion(traction)) - self._rest
+        return change * np.array([1, -1, 1], np.float32) * self._gain
+
+    def _field(self, moved_mm: np.ndarray) -> np.ndarray:
+        """Return (B, 16, 3) counts of the field at the sensors, given (B, 3 or more, 16) displacements of magnets."""
+        m = self._material
+        aside = self._apart_mm + moved_mm[:, :2].transpose(0, 2, 1)[:, None]  # (B, sensor, magnet, 2)
+        over = np.maximum(m.hall_mm - moved_mm[:, 2], 0.2 * m.hall_mm)[:, None, :, None]  # it can't reach the board
+        r2 = (aside**2).sum(axis=-1, keepdims=True) + over**2
+        along = 3 * over**2 / r2 - 1  # dipole: 3 (m·r) r / r⁵ − m / r³
+        field = np.concatenate([3 * over * aside / r2, along], axis=-1) / r2**1.5
+        return (field.sum(axis=2) * (0.5 * m.rest_counts * m.hall_mm**3)).astype(np.float32)

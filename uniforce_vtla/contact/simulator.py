@@ -4,10 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial
-from uniforce_vtla.contact.pads import GRID_CELLS, build_pad, has_object
-from uniforce_vtla.contact.pressure import Pressure, build_foundation, solve_pressure
-from uniforce_vtla.contact.raster import CENTRE_PX, fill_discs, fill_squares
+from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial, gel_of
+from uniforce_vtla.contact.pads import CELL_MM, GRID_CELLS, build_pad, has_object
+from uniforce_vtla.contact.pressure import Pressure, solve_pressure
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
 from uniforce_vtla.contact.responses import (
     CameraResponse,
@@ -20,8 +19,8 @@ from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
-from uniforce_vtla.sensors.spec import DASH_ASPECT
 
 Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
 
@@ -52,30 +51,28 @@ class TactileSimulator:
         self.options = options or ContactOptions()
         self._rng = np.random.default_rng(seed)
         self._material = drawing.material
-        self.pad = build_pad(self.spec)
-        self._foundation = build_foundation(
-            self.pad,
-            self.spec.rated_depth_mm,
-            self._material.rated_force_N,
-            self._material.footprint_exponent,
-            self.unit.stiffness,
-        )
+        self.pad = build_pad(gel_of(self.spec, self._material))
+        self._stiffness = self._material.stiffness * self.unit.stiffness
         self._respond = self._build_response()
 
     def reference(self) -> np.ndarray:
         """Return the (480, 640) uint8 marker image in free air, without noise."""
-        return self._images(free_air(1), noise=False)[0]
+        return self._images(self.traction(free_air(1)), noise=False)[0]
 
     def marker_images(self, contact: ContactState) -> np.ndarray:
         """Return (B, 480, 640) uint8 marker images in {0, 255}, in this sensor's own frame."""
-        return self._images(contact, self.options.noise)
+        return self.images_under(self.traction(contact))
+
+    def images_under(self, traction: Traction) -> np.ndarray:
+        """Return the marker images of given forces on the pad's cells, instead of a contact's."""
+        return self._images(traction, self.options.noise)
 
     def markers_px(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
         """Return marker centres (B, M, 2) as x, y pixels and sizes (B, M): sides or diameters in pixels.
 
         A lost marker's centre is NaN.
         """
-        return self._markers(contact, self.options.noise)
+        return self._markers(self.traction(contact), self.options.noise)
 
     def faces_object(self, contact: ContactState) -> np.ndarray:
         """Return (B,) bool: whether any part of the pad has an object before it."""
@@ -87,8 +84,8 @@ class TactileSimulator:
 
     def carried(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
         """Return force (B, 3) N and torsion (B,) Nmm the pad really carries: less than asked where it slips."""
-        traction = self._traction(contact)
-        return transmitted(traction.p_MPa, traction.q_MPa, self.pad.position_mm[traction.cells])
+        traction = self.traction(contact)
+        return transmitted(traction.press_N, traction.shear_N, self.pad.position_mm[traction.cells])
 
     def counts(self, contact: ContactState) -> np.ndarray:
         """Return (B, 16, 3) float32 counts above the baseline.
@@ -99,7 +96,7 @@ class TactileSimulator:
         if not isinstance(self._respond, TaxelResponse):
             do = "Use raw_frames for a camera."
             raise ContractError(expected("counts", "a taxel sensor", self.spec.name, do))
-        return self._counts(contact, self.options.noise)
+        return self._counts(self.traction(contact), self.options.noise)
 
     def raw_reference(self) -> np.ndarray:
         """Return one free-air raw signal: (480, 640, 3) uint8 RGB frame, or (16, 3) int32 counts."""
@@ -108,35 +105,36 @@ class TactileSimulator:
     def raw_frames(self, contact: ContactState) -> np.ndarray:
         """Return what the driver would deliver: (B, 480, 640, 3) uint8 RGB, or (B, 16, 3) int32 counts."""
         if isinstance(self._respond, TaxelResponse):
-            return (self._baseline + self._counts(contact, self.options.noise)).astype(np.int32)
+            return (self._baseline + self._counts(self.traction(contact), self.options.noise)).astype(np.int32)
         images = self.marker_images(contact)
         if self.spec.dome_radius_mm is not None:
             return tactip_frames(images, self._rng)
-        return gelsight_frames(images, self._indentation_mm(contact), self.spec.px_per_mm[0], self._rng)
+        return gelsight_frames(images, self._indentation_mm(contact), CELL_MM, self.spec.px_per_mm[0], self._rng)
 
     def _pressure(self, contact: ContactState) -> Pressure:
-        return solve_pressure(self._foundation, contact.gap_mm, contact.force_N[:, 2])
+        return solve_pressure(self.pad, contact.gap_mm, contact.force_N[:, 2], self._stiffness)
 
     def _indentation_mm(self, contact: ContactState) -> np.ndarray:
-        """Return (B, G, G) inward displacement of the surface under the object."""
-        pressure = self._pressure(contact)
+        """Return (B, G, G) inward displacement of the skin by pressure."""
         depth = np.zeros((len(contact.gap_mm), GRID_CELLS**2), dtype=np.float32)
-        depth[:, self.pad.cells] = pressure.p_MPa / pressure.stiffness[:, None]
+        moved = self._pressure(contact).press_N @ self.pad.normal / self._stiffness
+        depth[:, self.pad.block] = moved[..., None]
         return depth.reshape(-1, GRID_CELLS, GRID_CELLS)
 
-    def _traction(self, contact: ContactState) -> Traction:
-        pressure = self._pressure(contact)
-        cells = np.flatnonzero(pressure.p_MPa.any(axis=0))  # most contacts press few
-        p = pressure.p_MPa[:, cells]
-        position = self.pad.position_mm[cells]
-        q = solve_traction(p, position, contact.force_N[:, :2], contact.torsion_Nmm, self.options.friction)
-        return Traction(cells, p, q, p / pressure.stiffness[:, None])
+    def traction(self, contact: ContactState) -> Traction:
+        """Return the forces on the pad's cells."""
+        press = self._pressure(contact).press_N
+        cells = np.flatnonzero(press.any(axis=0))  # most contacts press few
+        press, skin = press[:, cells], self.pad.influence.skin[:, cells][..., cells]
+        load = (contact.force_N[:, :2], contact.torsion_Nmm)
+        shear = solve_traction(press, self.pad.position_mm[cells], skin, *load, self.options.friction)
+        return Traction(cells, press, shear)
 
-    def _markers(self, contact: ContactState, noise: bool) -> tuple[np.ndarray, np.ndarray]:
+    def _markers(self, traction: Traction, noise: bool) -> tuple[np.ndarray, np.ndarray]:
         if isinstance(self._respond, TaxelResponse):
-            discs = self._discs(contact, noise)
+            discs = self._discs(traction, noise)
             return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
-        motion = self._respond(self._traction(contact))
+        motion = self._respond(traction)
         mm = self.spec.marker_size_mm * self.unit.marker_size * self.unit.view_scale
         size = mm * self.spec.px_per_mm[0] * motion.growth
         return self._disturbed(self._project(self._rest_mm + motion.shift_mm), noise), size
@@ -161,27 +159,25 @@ class TactileSimulator:
             centre_px = np.where(lost[..., None], np.nan, centre_px)
         return centre_px
 
-    def _counts(self, contact: ContactState, noise: bool) -> np.ndarray:
+    def _counts(self, traction: Traction, noise: bool) -> np.ndarray:
         assert isinstance(self._respond, TaxelResponse)
-        counts = self._respond(self._traction(contact))
+        counts = self._respond(traction)
         if noise:
             scatter = self._rng.standard_normal(counts.shape) * self.options.noise_counts
             counts = counts + scatter.astype(np.float32)
         return np.round(counts)
 
-    def _discs(self, contact: ContactState, noise: bool) -> list[TaxelDiscs]:
-        return [place_discs(counts, _SCALES) for counts in self._counts(contact, noise)]
+    def _discs(self, traction: Traction, noise: bool) -> list[TaxelDiscs]:
+        return [place_discs(counts, _SCALES) for counts in self._counts(traction, noise)]
 
-    def _images(self, contact: ContactState, noise: bool) -> np.ndarray:
+    def _images(self, traction: Traction, noise: bool) -> np.ndarray:
         """Return (B, 480, 640): taxels drawn by the canonicalizer's rule, camera markers by our own."""
         if isinstance(self._respond, TaxelResponse):
-            return np.stack([draw_discs(discs) for discs in self._discs(contact, noise)])
-        centre_px, size_px = self._markers(contact, noise)
+            return np.stack([draw_discs(discs) for discs in self._discs(traction, noise)])
+        centre_px, size_px = self._markers(traction, noise)
         turn = self.unit.rotation_rad
         if self.spec.marker_shape == "disc":
             return fill_discs(centre_px, size_px)
-        if self.spec.marker_shape == "dash":
-            return fill_squares(centre_px, size_px, turn, DASH_ASPECT)
         return fill_squares(centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0))
 
     def _build_response(self) -> CameraResponse | TaxelResponse:
@@ -193,10 +189,10 @@ class TactileSimulator:
             shear = rng.integers(*self._material.baseline_shear, size=(len(taxel_mm), 2))
             normal = rng.integers(*self._material.baseline_normal, size=(len(taxel_mm), 1))
             self._baseline = np.concatenate([shear, normal], axis=1)  # raw counts at rest
-            pitch_mm = float(np.mean(self.spec.pad_size_mm)) / 4
-            return TaxelResponse(self.pad, taxel_mm, pitch_mm, self._material, gain)
+            return TaxelResponse(self.pad.influence, taxel_mm, self._material, gain, 1 / self._stiffness)
         self._rest_mm = self._unit_layout(rng, offset)
-        return CameraResponse(self.pad, self._rest_mm, self._material, self.unit.gain)
+        scale = self.unit.gain / self._stiffness
+        return CameraResponse(self.pad.influence, self._rest_mm, self._material, scale)
 
     def _unit_layout(self, rng: np.random.Generator, offset_mm: np.ndarray) -> np.ndarray:
         """Return (M, 2) rest positions of this unit's markers in mm."""

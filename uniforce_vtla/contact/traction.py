@@ -1,11 +1,12 @@
-"""Shear load → tangential traction: shared in proportion to pressure, capped by friction."""
+"""Shear load → tangential traction: the skin sticks to the object as far as friction allows."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from uniforce_vtla.contact.pads import CELL_AREA_MM2
-
+_STICK_STEPS = 2  # marker motion is then within some 4 % of friction solved step by step; more don't come closer
+_LOST, _ARM_mm = 2e-3, 3.0  # share of the normal force, and its arm, that sticking may lose of the load
+_TINY = np.float32(1e-30)
 _PASSES = 6  # rounds of handing capped cells' excess to sticking ones; the residual is < 1 % after 4
 
 
@@ -14,52 +15,85 @@ class Traction:
     """What the object does to the pad, on the cells any contact of the batch presses."""
 
     cells: np.ndarray  # (K,) indices into the pad's cells
-    p_MPa: np.ndarray  # (B, K) pressure
-    q_MPa: np.ndarray  # (B, 2, K) shear traction, x right, y down
-    indentation_mm: np.ndarray  # (B, K) inward displacement under the object
+    press_N: np.ndarray  # (B, K) normal force on each
+    shear_N: np.ndarray  # (B, 2, K) tangential force on each, x right, y down
 
 
 def solve_traction(
-    p_MPa: np.ndarray,
+    press_N: np.ndarray,
     position_mm: np.ndarray,
+    skin: np.ndarray,
     shear_N: np.ndarray,
     torsion_Nmm: np.ndarray,
     friction: float,
 ) -> np.ndarray:
-    """Return (B, 2, C) tangential traction in MPa that carries shear and torsion.
+    """Return (B, 2, C) tangential forces on cells, in N, that carry shear and torsion.
 
-    Every cell gets q = p·(s + ω × r), r from the centre of pressure. Cells beyond |q| = μ·p slip: they keep
-    μ·p, and the rest of the load is offered to the others. A load beyond friction is not reached.
+    Every cell first gets q = p·(s + ω × r), r from the centre of pressure. Cells beyond |q| = μ·p slip: they keep
+    μ·p, and the rest of the load is offered to the others. Then forces that cancel in sum make the skin follow the
+    rigid object: friction holds a gel that pressure would push aside. A load beyond friction is not reached.
 
     Args:
-        p_MPa: (B, C) pressure.
+        press_N: (B, C) normal force on each cell.
         position_mm: (C, 2) cell centres.
+        skin: (3, C, 3, C) displacement of cells in mm per newton on cells.
         shear_N: (B, 2) fx, fy.
         torsion_Nmm: (B,) moment about the centre of pressure, inward normal.
         friction: μ.
     """
-    centre = (p_MPa @ position_mm) / np.maximum(p_MPa.sum(axis=1, keepdims=True), 1e-9)  # (B, 2)
-    arm = position_mm.T[None] - centre[:, :, None]  # (B, 2, C)
-    ratio = _share(p_MPa, arm, shear_N, torsion_Nmm)  # (B, 2, C) = q / p
-    return _cap(ratio, p_MPa, arm, shear_N, torsion_Nmm, friction) * p_MPa[:, None]
+    B, C = press_N.shape
+    total = np.maximum(press_N.sum(axis=1, keepdims=True), 1e-9)
+    arm = position_mm.T[None] - ((press_N @ position_mm) / total)[:, :, None]  # (B, 2, C)
+    load = (shear_N, torsion_Nmm)
+    ratio = even = _cap(_share(press_N, arm, *load), press_N, arm, *load, friction)  # (B, 2, C) = q / p
+    dragged = skin[:2, :, :2].reshape(2 * C, 2 * C)  # symmetric
+    pushed = (press_N @ skin[:2, :, 2].reshape(2 * C, C).T).reshape(B, 2, C)
+    weight, direction, old = press_N / total, np.zeros_like(ratio), np.ones(B, np.float32)
+    for step in range(_STICK_STEPS):
+        moved = ((ratio * press_N[:, None]).reshape(B, -1) @ dragged).reshape(B, 2, C) + pushed
+        slip = _less_rigid(moved, weight, arm)
+        length = (slip**2 * press_N[:, None]).sum(axis=(1, 2))
+        direction = (length / np.maximum(old, _TINY) * (step > 0))[:, None, None] * direction - slip
+        change = ((direction * press_N[:, None]).reshape(B, -1) @ dragged).reshape(B, 2, C)
+        along = direction * press_N[:, None]
+        size = -(slip * along).sum(axis=(1, 2)) / np.maximum((change * along).sum(axis=(1, 2)), _TINY)
+        ratio = _cap(ratio + size[:, None, None] * direction, press_N, arm, *load, friction)
+        old = length
+    # near gross slip too few cells stick to carry the load: as much of the even shares as it takes
+    shear = ratio * press_N[:, None]
+    lost = np.hypot(*(even * press_N[:, None] - shear).sum(axis=2).T) / total[:, 0]
+    lost = lost + np.abs(_moment((even - ratio) * press_N[:, None], arm)) / total[:, 0] / _ARM_mm
+    back = np.maximum(1 - _LOST / np.maximum(lost, _LOST), 0)[:, None, None].astype(np.float32)
+    return shear + back * (even * press_N[:, None] - shear)
 
 
-def transmitted(p_MPa: np.ndarray, q_MPa: np.ndarray, position_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _less_rigid(moved: np.ndarray, weight: np.ndarray, arm: np.ndarray) -> np.ndarray:
+    """Return (B, 2, C) motion without the object's own shift and turn, as cells weigh."""
+    moved = moved - (moved * weight[:, None]).sum(axis=2, keepdims=True)
+    turn = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+    inertia = np.maximum((weight * (arm**2).sum(axis=1)).sum(axis=1), 1e-9)
+    angle = (weight[:, None] * moved * turn).sum(axis=(1, 2)) / inertia
+    return moved - angle[:, None, None] * turn
+
+
+def transmitted(
+    press_N: np.ndarray, cell_shear_N: np.ndarray, position_mm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the force (B, 3) in N and the moment about the centre of pressure (B,) in Nmm carried by a field."""
-    centre = (p_MPa @ position_mm) / np.maximum(p_MPa.sum(axis=1, keepdims=True), 1e-9)
+    centre = (press_N @ position_mm) / np.maximum(press_N.sum(axis=1, keepdims=True), 1e-9)
     arm = position_mm.T[None] - centre[:, :, None]
-    force = np.concatenate([q_MPa.sum(axis=2), p_MPa.sum(axis=1, keepdims=True)], axis=1)
-    return force * CELL_AREA_MM2, _moment(q_MPa, arm)
+    force = np.concatenate([cell_shear_N.sum(axis=2), press_N.sum(axis=1, keepdims=True)], axis=1)
+    return force, _moment(cell_shear_N, arm)
 
 
 def _moment(q: np.ndarray, arm: np.ndarray) -> np.ndarray:
-    return (arm[:, 0] * q[:, 1] - arm[:, 1] * q[:, 0]).sum(axis=1) * CELL_AREA_MM2
+    return (arm[:, 0] * q[:, 1] - arm[:, 1] * q[:, 0]).sum(axis=1)
 
 
 def _share(weight: np.ndarray, arm: np.ndarray, shear_N: np.ndarray, torsion_Nmm: np.ndarray) -> np.ndarray:
     """Return (B, 2, C) traction per weight, s + ω × r, that carries the load."""
-    total = weight.sum(axis=1) * CELL_AREA_MM2  # (B,)
-    inertia = (weight * (arm**2).sum(axis=1)).sum(axis=1) * CELL_AREA_MM2
+    total = weight.sum(axis=1)  # (B,)
+    inertia = (weight * (arm**2).sum(axis=1)).sum(axis=1)
     s = shear_N / np.maximum(total, 1e-9)[:, None] * (total > 1e-9)[:, None]
     omega = torsion_Nmm / np.maximum(inertia, 1e-9) * (inertia > 1e-9)
     turn = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
@@ -81,7 +115,7 @@ def _cap(
             break
         ratio = ratio * np.minimum(1, friction / np.maximum(length, 1e-9))[:, None]
         q = ratio * p[:, None]
-        missing = shear_N - q.sum(axis=2) * CELL_AREA_MM2  # (B, 2)
+        missing = shear_N - q.sum(axis=2)  # (B, 2)
         sticking = p * (length < friction)
         ratio = ratio + _share(sticking, arm, missing, torsion_Nmm - _moment(q, arm)) * (sticking > 0)[:, None]
     length = np.sqrt((ratio**2).sum(axis=1))

@@ -1,23 +1,20 @@
-"""From scored episodes to an arm's line in the table, and to the part of a table that is one checkpoint's."""
+"""From scored episodes to an arm's line in the table."""
 
 import json
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path, PurePath
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.evaluation.episode import WIPING_PHASE, EpisodeTrace
 from uniforce_vtla.evaluation.rollout import Rollout
 from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.keys import OUTCOME_NAMES
 
-PROFILE_POINTS = 60
 CONTACT_N = 0.5  # of press: the eraser is on the board
-CLEAN, EVENTFUL = "C", "s"  # letters of ``EpisodeRow.code``: wiped clean, wiped with an event
 
 
 @dataclass(frozen=True)
@@ -36,13 +33,12 @@ class EpisodeRow:
     think_p50_ms: float
     think_p95_ms: float
     missed_deadlines: int = 0  # calls answered after the action queue ran dry
-    # tool height from first to last contact, at PROFILE_POINTS even shares of that time
-    z_profile_mm: tuple[float, ...] = ()
+    in_band_share: float = 0.0  # of the sliding distance, pressed within the limits' band
 
     @property
     def code(self) -> str:
         """One letter: C clean success, s success with an event, f failed grasp, r residual, a aborted."""
-        return CLEAN if self.clean else self.outcome[0]
+        return "C" if self.clean else self.outcome[0]
 
 
 def row_of(rollout: Rollout) -> EpisodeRow:
@@ -63,18 +59,8 @@ def row_of(rollout: Rollout) -> EpisodeRow:
         think_p50_ms=float(np.percentile(rollout.think_ms, 50)),
         think_p95_ms=float(np.percentile(rollout.think_ms, 95)),
         missed_deadlines=int(rollout.facts.get("missed_deadlines", 0)),
-        z_profile_mm=z_profile(trace),
+        in_band_share=round(float(result.metrics["in_band_share"]), 4),
     )
-
-
-def z_profile(trace: EpisodeTrace) -> tuple[float, ...]:
-    """Return the tool's height from the first to the last contact of the wipe, or nothing where there was none."""
-    touching = np.flatnonzero((trace.phase == WIPING_PHASE) & (np.asarray(trace.press_N) > CONTACT_N))
-    if len(touching) < 2:
-        return ()
-    height = trace.tool_z_mm[touching[0] : touching[-1] + 1]
-    at = np.linspace(0, len(height) - 1, PROFILE_POINTS)
-    return tuple(round(float(z), 2) for z in np.interp(at, np.arange(len(height)), height))
 
 
 def write_row(path: Path, row: EpisodeRow) -> None:
@@ -87,12 +73,20 @@ def write_row(path: Path, row: EpisodeRow) -> None:
 
 
 def read_rows(path: Path) -> dict[int, EpisodeRow]:
-    """Return the finished rows by seed; a last line cut short by a kill is left out."""
+    """Return the finished rows by seed; a last line cut short by a kill is left out.
+
+    Raises:
+        ContractError: rows of another version.
+    """
     if not path.exists():
         return {}
     complete = path.read_text().split("\n")[:-1]
-    rows = [EpisodeRow(**json.loads(line)) for line in complete if line]
-    return {row.seed: replace(row, z_profile_mm=tuple(row.z_profile_mm)) for row in rows}
+    try:
+        rows = [EpisodeRow(**json.loads(line)) for line in complete if line]
+    except (TypeError, ValueError) as error:
+        do = "Score into another folder."
+        raise ContractError(expected(str(path), "rows of this version", error, do)) from error
+    return {row.seed: row for row in rows}
 
 
 @dataclass(frozen=True)
@@ -121,6 +115,7 @@ class ArmReport:
         seeds = [row.seed for row in self.rows]
         return counts | {
             "clean_wilson_95": [interval.low, interval.high],
+            "in_band_share": sum(row.in_band_share for row in self.rows) / self.n,
             "seeds": [seeds[0], seeds[-1]],
             "by_seed": "".join(row.code for row in self.rows),
         }
@@ -141,29 +136,3 @@ def table(reports: Sequence[ArmReport]) -> str:
 def whose_turn(scene: int, names: Sequence[str]) -> str:
     """Return which of several training seeds' checkpoints acts in a scene, counted from the first one scored."""
     return names[scene % len(names)]
-
-
-def own_scenes(by_seed: str, name: str, names: Sequence[str]) -> dict[str, Any]:
-    """Return an arm's counts on the scenes that were one checkpoint's turn, from the letters of all of them."""
-    letters = "".join(letter for scene, letter in enumerate(by_seed) if whose_turn(scene, names) == name)
-    clean = letters.count(CLEAN)
-    return {"n": len(letters), "clean": clean, "success": clean + letters.count(EVENTFUL), "by_seed": letters}
-
-
-def scores_of(table: Mapping[str, Any], checkpoint: str) -> dict[str, Any]:
-    """Return the part of a benchmark's table that belongs on a checkpoint's card.
-
-    Args:
-        table: of several arms (``wiping.json``); each says the name of its ``checkpoint``.
-        checkpoint: as it was scored: a folder of ``table["checkpoints"]`` and its own name, ``…/seed0/vt``.
-
-    Raises:
-        ContractError: a checkpoint that isn't in the table.
-    """
-    seeds, folder = list(table.get("checkpoints", ())), PurePath(checkpoint)
-    arms = {name: arm for name, arm in table["arms"].items() if arm.get("checkpoint") == folder.name}
-    if str(folder.parent) not in seeds or not arms:
-        do = "Name it as it was scored."
-        raise ContractError(expected("checkpoint", f"a checkpoint inside {seeds}", checkpoint, do))
-    own = {name: own_scenes(arm["by_seed"], str(folder.parent), seeds) for name, arm in arms.items()}
-    return dict(table) | {"checkpoints": [checkpoint], "arms": own, "tests": [], "as_good": []}

@@ -1,7 +1,7 @@
 """One scale for every camera: a lens's px/mm, known from the data sheet, is taken out of its marker images.
 
 A wider lens shrinks every motion, and a picture alone doesn't tell a near small gel from a far large one: a tokenizer
-misreads the newtons behind a lens it never saw (docs/experiments/tokenizer_family.md). The scale of a camera on its
+misreads the newtons behind a lens it never saw (docs/experiments/tokenizer.md). The scale of a camera on its
 pad is known without any recording, so marker images of flat gels and of domes come at the scale of the GelSight and
 the TacTip that pretraining is centred on. Taxels are rendered, not seen, and keep their own.
 """

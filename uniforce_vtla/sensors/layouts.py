@@ -29,25 +29,3 @@ def staggered(rows: int, columns: int, pitch_mm: tuple[float, float]) -> np.ndar
         count = columns - row % 2
         points += [((i - (count - 1) / 2) * pitch_mm[0], y[row]) for i in range(count)]
     return np.asarray(points, dtype=np.float32)
-
-
-def scattered(count: int, half_mm: tuple[float, float], gap_mm: float, seed: int) -> np.ndarray:
-    """Return up to ``count`` random positions within ±``half_mm`` that keep ``gap_mm`` apart (dart throwing)."""
-    rng = np.random.default_rng(seed)
-    points: list[np.ndarray] = []
-    for _ in range(200 * count):
-        point = rng.uniform(-1, 1, 2) * half_mm
-        if all(np.linalg.norm(point - other) >= gap_mm for other in points):
-            points.append(point)
-        if len(points) == count:
-            break
-    return np.asarray(points, dtype=np.float32)
-
-
-def rings(counts: tuple[int, ...], spacing_mm: float) -> np.ndarray:
-    """Return concentric circles around a centre marker: ``counts[k]`` markers at radius (k + 1)·spacing."""
-    points = [(0.0, 0.0)]
-    for k, count in enumerate(counts):
-        angles = 2 * np.pi * np.arange(count) / count
-        points += [((k + 1) * spacing_mm * np.cos(a), (k + 1) * spacing_mm * np.sin(a)) for a in angles]
-    return np.asarray(points, dtype=np.float32)

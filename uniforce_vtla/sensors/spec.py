@@ -5,8 +5,6 @@ from typing import Literal
 
 import numpy as np
 
-DASH_ASPECT = 2.5  # width over height; printed dashes of real gels are about that long
-
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSpec:
@@ -19,10 +17,9 @@ class SensorSpec:
     # (M, 2) rest position of each marker on the pad, x right, y down, 0 at the pad's centre
     layout_mm: np.ndarray
     px_per_mm: tuple[float, float]  # (x, y) scale from the pad to the 640×480 canonical image
-    # what a marker looks like at rest; a diamond is a square on its corner, a dash a bar ``DASH_ASPECT`` times as
-    # wide as high
-    marker_shape: Literal["square", "disc", "diamond", "dash"]
-    marker_size_mm: float  # side of a square or diamond, diameter of a disc, or width of a dash
+    # what a marker looks like at rest; a diamond is a square on its corner
+    marker_shape: Literal["square", "disc", "diamond"]
+    marker_size_mm: float  # side of a square or diamond, diameter of a disc
     pad_size_mm: tuple[float, float]  # (x, y) extent of the sensing surface
     dome_radius_mm: float | None = None  # radius of curvature of the skin; None for a flat pad
     rated_depth_mm: float  # deepest indentation the maker allows; deeper counts as excess force

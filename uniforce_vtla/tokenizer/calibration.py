@@ -1,13 +1,15 @@
-"""Label-free calibration: a sensor never pretrained on learns the known one's latent on the same grasps.
+"""Label-free calibration: a sensor never pretrained on learns to give the known one's latents on the same grasps.
 
-Both fingers grasp an externally held object for about a minute.  Their forces are equal, so their latents should be:
-a small adapter on the new sensor's latent is fitted until they are.  No force is ever measured.  It corrects what a
-reference image can't show: stiffness and gain.
+Both fingers grasp an externally held object for two minutes, half the time small objects, half the time tools. Their
+forces are equal, so their latents should be. What differs depends on the place on the pad: one linear map of the whole
+pooled latent, ridge-regressed towards the identity in closed form, is fitted to the pairs. No force is ever measured.
+It corrects what a reference image can't show: stiffness, thickness and gain.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,65 +18,90 @@ from torch import nn
 
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.tokenizer.latent import Latent, as_map, own_latent
-from uniforce_vtla.tokenizer.settings import CalibrationConfig
-from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.few_frames import in_plane_turn_rad
+from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.latent import Latent, own_latent
+from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
+from uniforce_vtla.tokenizer.weights import content_hash, load_model, read_config, save_checkpoint
 
-MAX_SIZE = 16384  # of an adapter's latent and hidden units, see model.LIMITS
+MAX_NUMBERS = 4096  # of a pooled latent; larger maps are none of ours
+RIDGES = tuple(10.0**k for k in range(-4, 3))  # tried by cross-validation, in units of the latent's mean variance
+FOLDS = 5
+AXES = ("x", "y", "z")
 
 
-class LatentAdapter(nn.Module):
-    """z' = z + affine(z) + bend(z, mean of z over the pad); starts as the identity.
+class LatentMap(nn.Module):
+    """z' = z + weight · (z − centre) + shift over all P·L numbers of a pooled latent; starts as the identity."""
 
-    The same for every patch: stiffness and gain belong to the sensor, not to a place on it.
-    """
+    weight: torch.Tensor
+    centre: torch.Tensor
+    shift: torch.Tensor
 
-    spread: torch.Tensor
-
-    def __init__(self, latent: int, hidden: int) -> None:
+    def __init__(self, patches: int, latent: int) -> None:
         super().__init__()
-        self.register_buffer("spread", torch.ones(latent))
-        self.affine = nn.Linear(latent, latent)
-        self.bend = nn.Sequential(nn.Linear(2 * latent, hidden), nn.Tanh(), nn.Linear(hidden, latent))
-        for layer in (self.affine, self.bend[2]):
-            nn.init.zeros_(layer.weight)
-            nn.init.zeros_(layer.bias)
+        self.patches, self.latent, numbers = patches, latent, patches * latent
+        for name, shape in {"weight": (numbers, numbers), "centre": (numbers,), "shift": (numbers,)}.items():
+            self.register_buffer(name, torch.zeros(shape))
 
     def forward(self, z: torch.Tensor) -> torch.Tensor:
-        """Return adapted latents (B, P, latent)."""
-        unit = z / self.spread
-        around = unit.mean(dim=1, keepdim=True).expand_as(unit)
-        return z + self.spread * (self.affine(unit) + self.bend(torch.cat([unit, around], dim=-1)))
+        """Return mapped latents (B, P, latent)."""
+        flat = z.flatten(1)
+        return (flat + (flat - self.centre) @ self.weight + self.shift).view_as(z)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Force read from the calibrated finger against the anchor's, held-out grasps of one class of objects."""
+
+    grasps: int
+    r2: tuple[float, float, float]  # x, y, z
+    abs_r: tuple[float, float, float]
+    r2_before: tuple[float, float, float]  # without the map
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A fitted adapter and how well the fingers agree on held-out grasps, before and after."""
+    """A fitted map, the tokenizer and head it belongs to, and how well the fingers agree with it."""
 
-    adapter: LatentAdapter  # the network, in eval mode
-    tokenizer_hash: str  # the tokenizer whose latents it adapts
+    map: LatentMap
+    tokenizer_hash: str  # whose latents it maps
+    head_hash: str  # of the force head that judged it
     new: str
     anchor: str
-    # ‖z_new − z_anchor‖² over ‖z_anchor − mean‖², held-out grasps, total latent of the pad
-    imbalance_before: float
-    imbalance_after: float  # the same with the adapter
+    ridge: float  # chosen by cross-validation
+    turn_deg: float  # that brings the new sensor's shear, as read before, to the anchor's; x towards y
+    agreement: dict[str, Agreement]  # by class of objects
 
     @torch.no_grad()
     def __call__(self, z: Latent) -> Latent:
-        """Return the latents (B, P, latent) the anchor would have given; raises as ``ForceHead`` does."""
+        """Return the pooled latents (B, P, latent) the anchor would have given; raises as ``ForceHead`` does."""
         own = own_latent(z, self.tokenizer_hash, f"the calibration of {self.new}")
-        return Latent.of(self.adapter(own), self.tokenizer_hash)
+        wanted, came = len(self.map.centre), own[0].numel() if len(own) else 0
+        if own.ndim != 3 or came != wanted:
+            do = "Pool them as the calibration's were: pool_latent(z)."
+            raise ContractError(expected("latents to calibrate", f"(B, P, L) of {wanted}", tuple(z.shape), do))
+        return Latent.of(self.map(own), self.tokenizer_hash)
+
+    @property
+    def hash(self) -> str:
+        """Content hash of the map and what it belongs to; a policy that wears it stores this."""
+        return content_hash(self.map, {"tokenizer_hash": self.tokenizer_hash})
+
+    def worst(self, classes: Sequence[str] = OBJECT_CLASSES) -> tuple[str, float]:
+        """Return the class and R² of Fz that agrees least among ``classes``."""
+        return min(((name, self.agreement[name].r2[2]) for name in classes), key=lambda found: found[1])
 
     def facts(self) -> dict[str, object]:
         """Return which sensors it matches, and how well."""
-        names = ("new", "anchor", "imbalance_before", "imbalance_after")
-        return {name: getattr(self, name) for name in names}
+        judged = {name: asdict(found) for name, found in self.agreement.items()}
+        numbers = {"ridge": self.ridge, "turn_deg": self.turn_deg}
+        return {"new": self.new, "anchor": self.anchor, **numbers, "agreement": judged}
 
     def save(self, path: str | Path) -> Path:
-        """Write the adapter and its facts to a folder ``load`` reads."""
-        sizes = {"latent": self.adapter.affine.in_features, "hidden": self.adapter.bend[0].out_features}
-        facts = self.facts() | sizes | {"tokenizer_hash": self.tokenizer_hash}
-        return save_checkpoint(Path(path), self.adapter, facts)
+        """Write the map and its facts to a folder ``load`` reads."""
+        sizes = {"patches": self.map.patches, "latent": self.map.latent}
+        hashes = {"tokenizer_hash": self.tokenizer_hash, "head_hash": self.head_hash}
+        return save_checkpoint(Path(path), self.map, self.facts() | sizes | hashes)
 
     @classmethod
     def load(cls, path: str | Path, tokenizer_hash: str) -> Calibration:
@@ -89,85 +116,129 @@ class Calibration:
             do = "Calibrate again with this tokenizer."
             raise CheckpointError(expected(f"tokenizer of {folder}", tokenizer_hash, came, do))
         try:
-            latent, hidden = (check_count(name, facts[name], MAX_SIZE) for name in ("latent", "hidden"))
-            names = str(facts["new"]), str(facts["anchor"])
-            judged = float(facts["imbalance_before"]), float(facts["imbalance_after"])
-        except (KeyError, TypeError, ValueError, ContractError) as error:
+            patches, latent = (check_count(name, facts[name], MAX_NUMBERS) for name in ("patches", "latent"))
+            check_count("numbers", patches * latent, MAX_NUMBERS)
+            texts = str(facts["head_hash"]), str(facts["new"]), str(facts["anchor"])
+            ridge, turn = float(facts["ridge"]), float(facts["turn_deg"])
+            agreement = {name: _agreement(found) for name, found in facts["agreement"].items()}
+        except (KeyError, TypeError, ValueError, AttributeError, ContractError) as error:
             wanted, do = "the facts of a calibration", "Calibrate again."
             raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
-        adapter = load_model(folder, lambda: LatentAdapter(latent, hidden))
-        return cls(adapter.eval(), tokenizer_hash, *names, *judged)
+        found = load_model(folder, lambda: LatentMap(patches, latent))
+        return cls(found.eval(), tokenizer_hash, *texts, ridge, turn, agreement)
 
 
 def calibrate(
     z_new: torch.Tensor,
     z_anchor: torch.Tensor,
-    tokenizer_hash: str,
+    classes: Sequence[str],
+    head: ForceHead,
     new: str,
     anchor: str,
     config: CalibrationConfig | None = None,
 ) -> Calibration:
-    """Fit an adapter to paired latents of the same grasps.
+    """Fit the map to paired pooled latents of the same grasps, and judge it on grasps it didn't see.
 
     Args:
         z_new: (n, P, latent) of the sensor to calibrate, canonical frame.
         z_anchor: (n, P, latent) of the known sensor on the other finger.
-        tokenizer_hash: of the tokenizer both came from.
+        classes: (n) what was grasped: "small" or "tool".
+        head: force head of the anchor; it reads both fingers for the judgement, the fit doesn't need it.
         new: name of the sensor to calibrate.
         anchor: name of the known one.
-        config: sizes and steps.
+        config: share held out, fewest grasps, seed.
 
     Raises:
-        ContractError: too few grasps, different shapes, NaN, no origin, or grasps that never load the sensors.
-        CheckpointError: latents of another tokenizer.
+        ContractError: too few grasps of a class, different shapes, NaN, no origin, or grasps that never load the
+            sensors.
+        CheckpointError: latents of another tokenizer than the head's.
     """
     config = config or CalibrationConfig()
-    z_new, z_anchor = (own_latent(z, tokenizer_hash, "calibration") for z in (z_new, z_anchor))
-    _check(z_new, z_anchor, config)
-    order = np.random.default_rng(config.seed).permutation(len(z_new))
-    judge, fit = np.split(order, [max(1, int(config.held_out * len(order)))])
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(config.seed)
-        adapter = _fit(z_new[fit], z_anchor[fit], config)
-    with torch.no_grad():
-        before = imbalance(z_new[judge], z_anchor[judge])
-        after = imbalance(adapter(z_new[judge]), z_anchor[judge])
-    return Calibration(adapter, tokenizer_hash, new, anchor, before, after)
+    origin = head.tokenizer_hash
+    own_new, own_anchor = (own_latent(z, origin, "calibration") for z in (z_new, z_anchor))
+    names = np.asarray(classes)
+    _check(own_new, own_anchor, names, config)
+    judge, fit = _split(names, config)
+    x, y = (z.flatten(1).double() for z in (own_new, own_anchor))
+    ridge = _best_ridge(x[fit], y[fit])
+    found = LatentMap(*own_new.shape[1:])
+    for name, value in zip(("weight", "centre", "shift"), _ridge_map(x[fit], y[fit], ridge), strict=True):
+        getattr(found, name).copy_(value)
+    truth, before, after = (head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new)))
+    kinds = names[judge]
+    judged = {c: _judged(truth[kinds == c], before[kinds == c], after[kinds == c]) for c in OBJECT_CLASSES}
+    head_hash = content_hash(head.model, {"source": head.source})
+    turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
+    return Calibration(found.eval(), origin, head_hash, new, anchor, ridge, turn_deg, judged)
 
 
-def imbalance(z_new: torch.Tensor, z_anchor: torch.Tensor) -> float:
-    """Return the disagreement of the pads' total latents over the anchor's own variance; 0 is equilibrium."""
-    new, anchor = z_new.mean(dim=1), z_anchor.mean(dim=1)  # (n, latent)
-    spread = (anchor - anchor.mean(dim=0)).square().sum()
-    return float((new - anchor).square().sum() / spread.clamp_min(1e-12))
+def _split(classes: np.ndarray, config: CalibrationConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows that judge, the same share of each class, and rows that are fitted to, both in random order."""
+    order = np.random.default_rng(config.seed).permutation(len(classes))
+    rank = np.zeros(len(order))
+    for name in OBJECT_CLASSES:
+        rows = order[classes[order] == name]
+        rank[rows] = np.arange(len(rows)) / len(rows)
+    return order[rank[order] < config.held_out], order[rank[order] >= config.held_out]
 
 
-def _fit(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfig) -> LatentAdapter:
-    adapter = LatentAdapter(z_new.shape[-1], config.hidden)
-    adapter.spread.copy_(z_anchor.flatten(0, 1).std(dim=0).clamp_min(1e-6))
-    rates = {"lr": config.learning_rate, "weight_decay": config.identity_pull}
-    optimizer = torch.optim.AdamW(adapter.parameters(), **rates)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.steps)
-    for _ in range(config.steps):
-        rows = torch.randint(len(z_new), (config.batch,))
-        gap = (adapter(z_new[rows]) - z_anchor[rows]) / adapter.spread
-        regions = as_map(gap).unfold(2, 2, 2).unfold(3, 2, 2).mean(dim=(-1, -2))  # 2×2 patches at a time
-        # fingers balance in total, maps only loosely
-        loss = 10 * gap.mean(dim=1).square().mean() + regions.square().mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-    return adapter.eval()
+def _ridge_map(x: torch.Tensor, y: torch.Tensor, ridge: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return weight (N, N), centre (N,) and shift (N,) that bring x (n, N) to y; ``ridge`` holds weight at 0."""
+    centre, shift = x.mean(dim=0), (y - x).mean(dim=0)
+    around = x - centre
+    covariance = around.T @ around / len(x)
+    held = ridge * covariance.diagonal().mean() * torch.eye(len(covariance), dtype=x.dtype)
+    target = around.T @ (y - x - shift) / len(x)
+    return torch.linalg.solve(covariance + held, target), centre, shift
 
 
-def _check(z_new: torch.Tensor, z_anchor: torch.Tensor, config: CalibrationConfig) -> None:
-    if z_new.shape != z_anchor.shape or z_new.ndim != 3:
-        came = f"{tuple(z_new.shape)} and {tuple(z_anchor.shape)}"
-        raise ContractError(expected("paired latents", "(n, P, latent) twice", came, "Pair them by frame."))
-    if len(z_new) < config.min_pairs:
-        do = "Grasp for a minute, with every force from light to strong."
-        raise ContractError(expected("grasps", f"at least {config.min_pairs}", len(z_new), do))
+def _best_ridge(x: torch.Tensor, y: torch.Tensor) -> float:
+    """Return which of ``RIDGES`` leaves the smallest error on grasps left out in turn."""
+    fold = torch.arange(len(x)) % FOLDS  # rows come in random order
+
+    def error(ridge: float) -> float:
+        total = 0.0
+        for k in range(FOLDS):
+            weight, centre, shift = _ridge_map(x[fold != k], y[fold != k], ridge)
+            left_out = x[fold == k]
+            total += float((left_out + (left_out - centre) @ weight + shift - y[fold == k]).square().sum())
+        return total
+
+    return min(RIDGES, key=error)
+
+
+def _judged(truth: np.ndarray, before: np.ndarray, after: np.ndarray) -> Agreement:
+    return Agreement(len(truth), _r2(truth, after), _abs_r(truth, after), _r2(truth, before))
+
+
+def _r2(truth: np.ndarray, read: np.ndarray) -> tuple[float, float, float]:
+    spread = np.maximum(((truth - truth.mean(axis=0)) ** 2).sum(axis=0), 1e-12)
+    x, y, z = (1 - ((read - truth) ** 2).sum(axis=0) / spread).tolist()
+    return x, y, z
+
+
+def _abs_r(truth: np.ndarray, read: np.ndarray) -> tuple[float, float, float]:
+    a, b = truth - truth.mean(axis=0), read - read.mean(axis=0)
+    length = np.sqrt((a**2).sum(axis=0) * (b**2).sum(axis=0))
+    x, y, z = np.abs((a * b).sum(axis=0) / np.maximum(length, 1e-12)).tolist()
+    return x, y, z
+
+
+def _agreement(stored: dict[str, object]) -> Agreement:
+    r2, abs_r, before = ([float(v) for v in stored[name]] for name in ("r2", "abs_r", "r2_before"))  # type: ignore[attr-defined]
+    return Agreement(int(stored["grasps"]), (*r2,), (*abs_r,), (*before,))  # type: ignore[call-overload,arg-type]
+
+
+def _check(z_new: torch.Tensor, z_anchor: torch.Tensor, classes: np.ndarray, config: CalibrationConfig) -> None:
+    if z_new.shape != z_anchor.shape or z_new.ndim != 3 or len(classes) != len(z_new):
+        came = f"{tuple(z_new.shape)}, {tuple(z_anchor.shape)} and {len(classes)} classes"
+        raise ContractError(expected("paired latents", "(n, P, latent) twice, n classes", came, "Pair them by frame."))
+    if unknown := set(classes.tolist()) - set(OBJECT_CLASSES):
+        raise ContractError(expected("class of an object", " | ".join(OBJECT_CLASSES), sorted(unknown), "Name it so."))
+    for name in OBJECT_CLASSES:
+        if (count := int((classes == name).sum())) < config.min_pairs // 2:
+            do = f"Grasp one class for a minute, then the other: {name} objects are missing."
+            raise ContractError(expected(f"grasps of {name} objects", f"at least {config.min_pairs // 2}", count, do))
     if not bool(z_new.isfinite().all() and z_anchor.isfinite().all()):
         raise ContractError(expected("latents", "finite numbers", "NaN or inf", "Check the recordings."))
     if float(z_anchor.mean(dim=1).std(dim=0).max()) < 1e-6:

@@ -13,8 +13,6 @@ from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 
 POOL = 4  # regions per side of a pooled map: what heads, calibrations and policies read
-# of a pooled latent are kept; beyond them fingers of one grasp differ as much as grasps do (sensor_transfer.py)
-MOST_DIRECTIONS = 16
 
 # What only picks, joins, reshapes or moves numbers; everything else gives a plain tensor.
 PICKS = ("__getitem__", "unbind", "cat", "stack", "unsqueeze", "squeeze", "flatten", "unflatten")

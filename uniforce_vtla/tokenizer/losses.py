@@ -17,7 +17,6 @@ from uniforce_vtla.tokenizer.settings import LossConfig
 Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 # regions per side; None = every patch
 LEVELS: dict[str, tuple[int | None, ...]] = {"patch": (None,), "levels": (None, POOL, 1)}
-WHITENING_FLOOR = 0.01  # of the mean variance; below it a direction of the latent counts as noise
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,9 @@ class Side:
 
 
 def objective(
-    decoder: Decoder, left: Side, right: Side, config: LossConfig, step: int
+    decoder: Decoder, left: Side, right: Side, config: LossConfig, step: int, per_unit: int = 1
 ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-    """Return the loss and its parts for one batch of equilibrium pairs.
+    """Return the loss and its parts for one batch of equilibrium pairs, ``per_unit`` contacts of each unit in turn.
 
     ``copied`` among the parts is what the reference itself would score in all four branches: a model whose
     reconstructions sum to no less has learnt nothing.
@@ -56,7 +55,7 @@ def objective(
         parts[f"recon_{i}{j}"] = reconstruction(image, sides[j], config)
     recon = torch.stack(list(parts.values())).sum()
     parts["kl"] = kl(left.posterior) + kl(right.posterior)
-    parts["equilibrium"] = equilibrium(z["L"], z["R"], config)
+    parts["equilibrium"] = equilibrium(z["L"], z["R"], config, per_unit)
     with torch.no_grad():
         parts["copied"] = 2 * sum(reconstruction(s.reference, s, config) for s in (left, right))  # type: ignore
     pull = config.equilibrium_weight * min(1.0, (step + 1) / max(1, config.equilibrium_warmup_steps))
@@ -81,31 +80,29 @@ def kl(posterior: Posterior) -> torch.Tensor:
     return 0.5 * (mean**2 + log_variance.exp() - 1 - log_variance).mean()
 
 
-def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig) -> torch.Tensor:
-    """Return ‖z_L − z_R‖² / P by patch (paper), or added to the same of regions and of the total."""
+def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig, per_unit: int = 1) -> torch.Tensor:
+    """Return ‖z_L − z_R‖² / P by patch (paper), or added to the same of regions and of the total.
+
+    ``per_unit``: rows (B, P, L) come unit by unit, so many contacts of each.
+    """
+    if config.equilibrium_scale == "per_unit":
+        z_left, z_right = (_in_own_units(z, per_unit) for z in (z_left, z_right))
     errors = []
     for grid in LEVELS[config.equilibrium]:
         left, right = (z if grid is None else pool_latent(z, grid) for z in (z_left, z_right))
-        errors.append(_imbalance(left, right, config.equilibrium_scale == "whitened"))  # (B,)
+        errors.append((left - right).square().sum(-1).mean(1))  # (B,)
     error = torch.stack(errors).sum(dim=0)
     return (error * quality_weights(error.detach(), config.pair_quality)).mean()
 
 
-def _imbalance(left: torch.Tensor, right: torch.Tensor, whitened: bool) -> torch.Tensor:
-    """Return (B,) the mean over patches of ‖left − right‖², Mahalanobis by the batch's own spread if ``whitened``.
+def _in_own_units(z: torch.Tensor, per_unit: int) -> torch.Tensor:
+    """Return (B, P, L) over each unit's root mean square.
 
-    The spread takes part in the gradient: only then is a smaller latent no better balanced one.
+    The size takes part in the gradient, so that a smaller latent is no better balanced one.
     """
-    left, right = left.float(), right.float()  # a 6×6 system isn't solved in half precision
-    difference = left - right  # (B, P, L)
-    if not whitened:
-        return difference.square().sum(-1).mean(1)
-    around = torch.cat([left - left.mean(dim=0), right - right.mean(dim=0)]).flatten(0, 1)  # (2·B·P, L)
-    covariance = around.T @ around / len(around)
-    floor = WHITENING_FLOOR * covariance.diagonal().mean() + 1e-12
-    covariance = covariance + floor * torch.eye(len(covariance), device=left.device, dtype=left.dtype)
-    in_units = torch.linalg.solve(covariance, difference.flatten(0, 1).T).T.view_as(difference)
-    return (difference * in_units).sum(-1).mean(1)
+    by_unit = z.unflatten(0, (-1, per_unit))
+    size = by_unit.square().mean(dim=(1, 2, 3), keepdim=True).sqrt()
+    return (by_unit / size.clamp_min(1e-6)).flatten(0, 1)
 
 
 def quality_weights(error: torch.Tensor, tolerance: float) -> torch.Tensor:

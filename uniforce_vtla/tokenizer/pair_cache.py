@@ -1,7 +1,7 @@
 """Pretraining data: equilibrium pairs drawn once, area-resized, as uint8 shards; or drawn anew for every step.
 
 ⟨GelSight, TacTip⟩ and ⟨uSkin, TacTip⟩, TacTip on the right finger (UniForce paper, "Data Collection Protocol"); a share
-of the cameras may be procedural instead (contact/family.py), always paired by equal traction.
+of the cameras may be procedural instead (tokenizer/family.py), always paired by equal traction.
 """
 
 import json
@@ -14,16 +14,16 @@ import torch
 from tqdm import tqdm
 
 from uniforce_vtla.array_file import read_arrays
-from uniforce_vtla.contact.family import BOUNDS, draw_dome, draw_flat
 from uniforce_vtla.contact.pairs import PairBatch, PairSettings, equilibrium_pairs
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import VirtualSensor
-from uniforce_vtla.errors import DatasetError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.markers.mirror import to_canonical
 from uniforce_vtla.tokenizer.entry import letterbox
+from uniforce_vtla.tokenizer.family import draw_dome, draw_flat
 from uniforce_vtla.tokenizer.settings import PairCacheConfig
 
 RIGS = (("gelsight", "tactip"), ("uskin", "tactip"))
@@ -127,10 +127,13 @@ def draw_finger(rng: np.random.Generator, sensor: str, config: PairCacheConfig) 
     share = config.family_share
     if sensor not in FAMILIES or share <= 0 or rng.random() >= share:
         return sensor
-    return FAMILIES[sensor](rng, BOUNDS[config.family])
+    return FAMILIES[sensor](rng)
 
 
 def _shard_paths(folder: Path, config: PairCacheConfig) -> list[Path]:
+    if config.units % config.units_per_shard:
+        wanted = f"a multiple of units_per_shard={config.units_per_shard}"
+        raise ContractError(expected("units", wanted, config.units, "Change one of them."))
     count = len(RIGS) * config.units // config.units_per_shard
     return [folder / f"shard_{number:03d}.npz" for number in range(count)]
 

@@ -202,7 +202,7 @@ def pair_loss(
             strict=True,
         )
     )
-    loss, parts = objective(model.decoder, left, right, config, step)
+    loss, parts = objective(model.decoder, left, right, config, step, per_unit)
     return loss, parts, spread
 
 

@@ -22,6 +22,8 @@ LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below wha
     "material": (0, 256),
 }
 MAX_PATCHES = 4096  # 64×64
+# what a calibration grasps, half and half: one class alone fails on the other (docs/design.md)
+OBJECT_CLASSES = ("small", "tool")
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,9 @@ class LossConfig:
     equilibrium_warmup_steps: CountOrZero = 300
     # patch is the paper's; real totals balance better; levels = patches, 4×4 regions and total added
     equilibrium: Literal["patch", "levels"] = "patch"
-    # absolute is the paper's; whitened counts in units of the latent's own spread: shrinking z is no way out
-    equilibrium_scale: Literal["absolute", "whitened"] = "absolute"
+    # absolute is the paper's; per_unit divides each unit's latents by their own size over its contacts: how strongly a
+    # unit answers is no imbalance then
+    equilibrium_scale: Literal["absolute", "per_unit"] = "absolute"
     # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
     pair_quality: NotNegative = 0.0
     # extra weight where current differs from reference; 0 = plain L1
@@ -102,7 +105,6 @@ class PairCacheConfig:
     seed: Seed = 1  # of everything drawn
     # share of cameras drawn from the procedural family; 0 = the paper's three sensors
     family_share: Share = 0.0
-    family: Literal["v1", "v2", "v3"] = "v1"  # bounds of that family (contact/family.py)
     free_look: bool = False  # every camera with a pose, zoom and marker size of its own
     marker_loss: Share = 0.0  # chance per marker and frame, in half of the units
     misaligned_cells: CountOrZero = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
@@ -138,14 +140,10 @@ class PretrainSettings:
 
 @dataclass(frozen=True)
 class CalibrationConfig:
-    """How an adapter is fitted."""
+    """How a calibration's map is fitted and judged."""
 
-    hidden: CountOrZero = 32  # units that bend the latent; 0 leaves it an affine map
-    steps: Count = 800  # of Adam, cosine to zero; seconds on one core
-    batch: Count = 64  # pairs per step
-    learning_rate: Rate = 5e-3  # peak
-    # keeps weights the grasps don't decide where they started: at the identity
-    identity_pull: NotNegative = 1e-3
     held_out: Share = 0.2  # share of the grasps that only judge
-    min_pairs: Count = 50  # fewer can't decide some hundred numbers
-    seed: Seed = 0  # split and batches
+    min_pairs: Count = 50  # half of them of each class; fewer say nothing about whole maps
+    seed: Seed = 0  # which grasps judge
+    refuse_below: Share = 0.5  # R² of Fz on held-out grasps of the task's class; less is no calibration
+    warn_below: Share = 0.8  # less is worth another try

@@ -17,6 +17,7 @@ from uniforce_vtla.keys import SLOTS, latent_key, tactile_key
 from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
 from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
+from uniforce_vtla.tokenizer.calibration import Calibration, LatentMap
 from uniforce_vtla.tokenizer.entry import prepare_tensor
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.weights import SIZES, content_hash
@@ -112,11 +113,37 @@ def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
         raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
 
 
+def load_calibrations(config: PI05UniforceConfig) -> dict[Finger, LatentMap]:
+    """Return finger → map onto the latents the policy knows, for the fingers whose sensor wears one.
+
+    Raises:
+        CheckpointError: made for another tokenizer, or of other sizes than this policy's latents.
+    """
+    found: dict[Finger, LatentMap] = {}
+    for finger in FINGERS:
+        if folder := getattr(config, f"{finger}_calibration"):
+            worn = Calibration.load(folder, config.tokenizer_hash)
+            wanted, came = (config.tokens_per_slot, config.latent_size), (worn.map.patches, worn.map.latent)
+            if came != wanted:
+                do = "Calibrate with this version."
+                raise CheckpointError(expected(f"latents of {folder}", wanted, came, do))
+            logger.info("%s finger wears the calibration of %s against %s", finger, worn.new, worn.anchor)
+            found[finger] = worn.map.to(config.device)
+    return found
+
+
 class TouchInput:
     """Turn a batch into one (B, rows, numbers) tensor (``shape``) and one (B,) mask per slot."""
 
-    def __init__(self, config: PI05UniforceConfig, encoder: Any, shape: tuple[int, int]) -> None:
+    def __init__(
+        self,
+        config: PI05UniforceConfig,
+        encoder: Any,
+        shape: tuple[int, int],
+        calibrations: dict[Finger, LatentMap] | None = None,
+    ) -> None:
         self.config, self.shape = config, shape
+        self.calibrations = calibrations or {}  # of what is encoded now; cached latents are used as they are
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
         self.masked = False  # every slot masked: the control that takes touch away from a trained policy
         self._logged: set[str] = set()
@@ -167,7 +194,8 @@ class TouchInput:
             return latent.reshape(len(latent), *self.shape)
         finger = self.config.finger_by_slot()[slot]
         reference, current = (image.to(device) for image in self.pair(batch, finger))
-        return self.encoder(slot, finger, reference, current)
+        latent = self.encoder(slot, finger, reference, current)
+        return self.calibrations[finger](latent) if finger in self.calibrations else latent
 
     def pair(self, batch: dict[str, Tensor], finger: Finger) -> list[Tensor]:
         """Return a finger's reference and current marker images, (B, H, W)."""

@@ -10,8 +10,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from uniforce_vtla.errors import ContractError, expected
-
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
@@ -38,40 +36,21 @@ class ForceTokens(nn.Module):
 
     def __init__(self, config: PI05UniforceConfig, input_shape: tuple[int, int], width: int) -> None:
         super().__init__()
-        directions = config.touch.directions
         self.noise = config.augment.touch_noise if config.touch.input == "latent" else 0.0
-        self.needs_transfer = config.augment.sensor_transfer > 0
-        self.transferred: nn.Module | None = None  # training only, with sensor_transfer: TransferredTouch
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
-        if directions:
-            self.register_buffer("directions", torch.zeros(math.prod(input_shape), directions))
-            self.register_buffer("origin", torch.zeros(directions))
-            self.register_buffer("disagreement", torch.ones(directions))
-        self.agreed_only = bool(directions)
-        rows, numbers = (1, directions) if directions else input_shape
-        self.proj = _two_layers(numbers, width)
-        self.whole = _two_layers(rows * numbers, width) if config.whole_map else None
+        self.proj = _two_layers(input_shape[1], width)
+        self.whole = _two_layers(math.prod(input_shape), width) if config.whole_map else None
         self.cell_embedding = nn.Parameter(0.5 * torch.randn(config.tokens_per_slot, width))
         self.slot_embedding = nn.Parameter(0.5 * torch.randn(len(config.slots), width))
         self.gain = nn.Parameter(torch.ones(1))  # not a scalar: FSDP shards none
 
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
-        if self.training and self.needs_transfer:
-            if self.transferred is None:
-                do = "Give the policy its dataset_meta, or set policy.augment.sensor_transfer=0."
-                came = "no view"
-                raise ContractError(expected("sensor_transfer", "maps, found by a view's sensors", came, do))
-            touch = self.transferred(touch, slot)
-        if self.agreed_only:
-            features = (touch.flatten(1) @ self.directions - self.origin)[:, None]  # (B, 1, directions)
-        else:
-            features = (touch - self.input_mean) / self.input_scale
+        features = (touch - self.input_mean) / self.input_scale
         if self.training and self.noise:
             # what survives it is what many cells agree on, and that is what another sensor's latents share
-            unit = self.disagreement if self.agreed_only else 1.0
-            features = features + self.noise * unit * torch.randn_like(features)
+            features = features + self.noise * torch.randn_like(features)
         hidden = self.proj(features)  # (B, K or 1, D)
         if self.whole is not None:
             hidden = hidden + self.whole(features.flatten(1))[:, None]

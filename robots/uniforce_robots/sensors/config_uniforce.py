@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from lerobot.cameras.configs import CameraConfig
 
-from uniforce_robots.sensors.orientation import Orientation
+from uniforce_robots.sensors.orientation import TURNS, Orientation
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.sensors import get_sensor
@@ -22,7 +22,8 @@ class SampledCameraConfig(CameraConfig):
     connect_ms: float = 5000.0  # the first sample must come within
     # equal samples in a row that mean a frozen sensor, 0 never looks. 8: the arm is held .5 s after at most, at 30 fps
     frozen_after: int = 8
-    rotation_deg: int = 0  # 0 | 90 | 180 | 270, counter-clockwise; see `uniforce touch check=orientation`
+    # counter-clockwise, below 360; taxels by quarters. See `uniforce touch check=orientation` and check=angle
+    rotation_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.max_age_ms > 0:
@@ -149,6 +150,9 @@ class UniforceUskinConfig(TactileFingerConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._one_of("link", "slcan", "server")
+        if self.rotation_deg not in TURNS:
+            do = "A grid of taxels turns by quarters."
+            raise ContractError(expected("rotation_deg", TURNS, self.rotation_deg, do))
 
 
 @CameraConfig.register_subclass("uniforce_scene")

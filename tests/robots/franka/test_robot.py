@@ -82,7 +82,7 @@ BAD = [
     *({**action(), "x.pos": bad} for bad in (float("nan"), "0.45", None, [0.3], np.zeros(2), True)),
     {**action(), "width.pos": float("inf")},
     {**action(), "yaw.pos": torch.zeros(5)},
-    {**action(), "width.pos": type},
+    {**action(), "width.pos": object()},
     {axis: 0.0 for axis in AXES if axis != "yaw.pos"},
     *(None, [0.45, 0, 0.3, 0, 0.08], "home", 3),
 ]

@@ -1,0 +1,120 @@
+"""What each choice of the pretraining buys: short runs, one choice changed at a time, on development sets."""
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from benchmarks.probes.report_sets import get_report_set
+from benchmarks.probes.zero_shot import check_frozen, encode_set, learnt_row
+from benchmarks.real.readouts import RIDGES, head_reading, labels_mm, latent_features, transfer
+from benchmarks.real.tactip_shear import TactipSet, read_tactip_shear
+from benchmarks.tokenizer_report import draw_sets
+from uniforce_cli.boundary import command, one_thread
+from uniforce_vtla.options import Count, FolderPath, FolderPaths, OutFile, OutFolder, split
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.latent import POOL
+from uniforce_vtla.tokenizer.pretrain import Pretraining, open_source
+from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings, TokenizerConfig
+
+SET = "fe_dev_v1"
+FULL = PairCacheConfig(family_share=0.6, free_look=True, marker_loss=0.02, flat_share=0.35, flat_torsion_arm_mm=9)
+PER_UNIT = LossConfig(
+    equilibrium="levels", equilibrium_scale="per_unit", equilibrium_weight=20, equilibrium_warmup_steps=600
+)
+ABSOLUTE = replace(PER_UNIT, equilibrium_scale="absolute", equilibrium_weight=600)
+CHOICES: dict[str, tuple[PairCacheConfig, LossConfig]] = {
+    "all": (FULL, PER_UNIT),
+    "no procedural family": (replace(FULL, family_share=0.0), PER_UNIT),
+    "no held tools": (replace(FULL, flat_share=0.0), PER_UNIT),
+    "latent's own unit": (FULL, ABSOLUTE),
+    "patches alone": (FULL, replace(PER_UNIT, equilibrium="patch")),
+}
+
+
+@dataclass
+class PretrainingChoicesCommand:
+    """Pretrain a small tokenizer per choice and seed; score zero-shot force on finite elements and on real TacTips.
+
+    Run it again to go on.
+    Example: python -m benchmarks.pretraining_choices real=cr_tactip/…/train_data,cr_tactip/…/val_data
+    """
+
+    real: FolderPaths = ""  # two folders of one real TacTip: a readout is fitted on the first, scored on the second
+    seeds: Count = 3
+    steps: Count = 1500  # of each run; nano itself takes 2,600
+    units: Count = 512  # per rig
+    frames: Count = 300  # of each real folder, at most
+    facts: FolderPath = "docs/results"  # the frozen set's recipe and hash
+    cache: OutFolder = "outputs/labelled"  # drawn sets
+    work: OutFolder = "outputs/pretraining_choices"  # pairs and runs
+    out: OutFile = "outputs/pretraining_choices.json"
+
+
+def pretrained(config: PretrainingChoicesCommand, name: str, seed: int) -> Tokenizer:
+    """Return the tokenizer of one run, trained where it isn't yet."""
+    data, loss = CHOICES[name]
+    data = replace(data, units=config.units)
+    work, slug = Path(config.work), name.replace(" ", "_").replace("'", "")
+    pairs = f"pairs_{data.family_share}_{data.flat_share}"  # shared by choices that draw alike
+    model = TokenizerConfig(width=64, embed_hidden=128, warp=True)
+    settings = PretrainSettings(model, loss, data, steps=config.steps, seed=seed, strips_every=0)
+    return Pretraining(settings, work / f"{slug}_{seed}", open_source(settings, work / pairs)).run()
+
+
+def measure(config: PretrainingChoicesCommand, tokenizer: Tokenizer, seed: int, real: list[TactipSet]) -> dict:
+    """Return one run's scores."""
+    report_set = get_report_set(SET)
+    table = draw_sets(report_set, tokenizer.config.side, Path(config.cache))
+    check_frozen(json.loads((Path(config.facts) / report_set.facts_file).read_text()), table.frozen)
+    row = learnt_row(table, lambda s: encode_set(tokenizer, s), 1, POOL)
+    cells = [row[name] for name in row if len(set(name.split("->"))) == 2]
+    r2, r = (np.array([cell[key] for cell in cells]) for key in ("r2", "abs_r"))
+    found: dict[str, Any] = {
+        "fz_r2": r2[:, 2].mean(),
+        "fz_r2_worst": r2[:, 2].min(),
+        "fz_r": r[:, 2].mean(),
+        "shear_r2": r2[:, :2].mean(),
+        "shear_r": r[:, :2].mean(),
+    }
+    if real:
+        labelled = table.training["tactip"]
+        model = train_head(encode_set(tokenizer, labelled), labelled.force_N, HeadTrainingConfig(), seed)
+        nothing_fitted = head_reading(tokenizer, ForceHead(model, "tactip", tokenizer.hash), real[1])
+        found["real_head_shear_r"] = nothing_fitted["shear_r"]
+        found["real_head_depth_rank"] = nothing_fitted["depth_rank"]
+        features = latent_features(tokenizer)
+        fitted_on, scored_on = ((features(s), labels_mm(s)) for s in real)
+        read = [transfer(fitted_on, scored_on, ridge)["as_is"] for ridge in RIDGES]
+        found["real_readout_shear_r"] = np.mean([one["shear_r"] for one in read])
+    return {key: round(float(value), 4) for key, value in found.items()}
+
+
+@command(PretrainingChoicesCommand)
+def main(config: PretrainingChoicesCommand) -> None:
+    """Entry of ``python -m benchmarks.pretraining_choices``."""
+    one_thread()
+    torch.set_num_threads(1)
+    path = Path(config.out)
+    found = json.loads(path.read_text())["runs"] if path.is_file() else {}
+    real = [read_tactip_shear(Path(folder), config.frames) for folder in split(config.real)]
+    runs = [(name, seed) for seed in range(config.seeds) for name in CHOICES if f"{name}, seed {seed}" not in found]
+    for name, seed in tqdm(runs, desc="runs"):
+        found[f"{name}, seed {seed}"] = measure(config, pretrained(config, name, seed), seed, real)
+        facts = {"set": SET, "steps": config.steps, "units": config.units, "runs": found}
+        write_json(path, facts | provenance())
+    for name in CHOICES:
+        own = [row for key, row in found.items() if key.startswith(f"{name}, ")]
+        print(name, "  ".join(f"{key} {np.mean([row[key] for row in own]):.2f}" for key in own[0]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

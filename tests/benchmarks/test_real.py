@@ -1,0 +1,110 @@
+"""Recordings in their authors' form, made here: what is read, what a turned sensor's angle is, what is refused."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+
+from benchmarks.real.pictures import marker_counts
+from benchmarks.real.readouts import Readout, descriptor_features, labels_mm, latent_features, transfer
+from benchmarks.real.tactip_shear import SHEAR, marker_image, read_tactip_shear
+from uniforce_vtla.contact import TactileSimulator, free_air, gap_map
+from uniforce_vtla.contracts import ContactState
+from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.settings import TokenizerConfig
+
+RADIUS_PX = 210
+
+
+def presses(n: int) -> tuple[ContactState, pd.DataFrame]:
+    rng = np.random.default_rng(0)
+    depth, shear = rng.uniform(1, 5, n), rng.uniform(-2, 2, (n, 2))
+    force = np.column_stack([0.5 * shear, 3 * depth]).astype(np.float32)
+    gap = np.repeat(gap_map("sphere", (0.0, 0.0), 0.0)[None], n, axis=0)
+    table = pd.DataFrame({"sensor_image": [f"image_{k + 1}.png" for k in range(n)], "pose_z": depth})
+    table[SHEAR] = shear
+    return ContactState(gap, force, np.zeros(n, np.float32)), table
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("a") / "robot" / "surface_3d" / "train"
+    (folder / "processed_images").mkdir(parents=True)
+    contact, table = presses(40)
+    simulator = TactileSimulator("tactip", seed=0)
+    for name, image in zip(
+        ["image_0.png", *table["sensor_image"]],
+        [*simulator.marker_images(free_air(1)), *simulator.marker_images(contact)],
+        strict=True,
+    ):  # the dome's 480 px, shrunk as theirs are
+        shrunk = cv2.resize(image[:, 80:560], (2 * RADIUS_PX, 2 * RADIUS_PX), interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / "processed_images" / name), np.where(shrunk > 127, 255, 0).astype(np.uint8))
+    table.to_csv(folder / "targets_images.csv", index=False)
+    (folder / "processed_image_params.json").write_text(json.dumps({"circle_mask_radius": RADIUS_PX}))
+    return folder
+
+
+def test_pictures_come_back_at_the_sensors_scale(recording: Path) -> None:
+    read = read_tactip_shear(recording, 10)
+    wanted = TactileSimulator("tactip", seed=0).reference()
+    assert read.current.shape == (10, 480, 640) and read.reference_from == "free air" and read.name == "robot/train"
+    overlap = np.logical_and(read.reference > 0, wanted > 0).sum() / np.logical_or(read.reference > 0, wanted > 0).sum()
+    assert overlap > 0.7
+
+
+def test_the_lightest_contact_stands_in_for_free_air(recording: Path, tmp_path: Path) -> None:
+    for path in recording.iterdir():
+        (tmp_path / path.name).symlink_to(path)
+    (tmp_path / "processed_images").unlink()
+    (tmp_path / "processed_images").mkdir()
+    for path in (recording / "processed_images").glob("image_[1-9]*.png"):
+        (tmp_path / "processed_images" / path.name).symlink_to(path)
+    assert read_tactip_shear(tmp_path, 3).reference_from.endswith("mm deep")
+
+
+@pytest.mark.parametrize("gone", ["processed_image_params.json", "processed_images/image_1.png"])
+def test_what_is_missing_is_named(recording: Path, tmp_path: Path, gone: str) -> None:
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for path in recording.rglob("*.*"):
+        if str(path.relative_to(recording)) != gone:
+            (copy / path.relative_to(recording)).parent.mkdir(exist_ok=True)
+            (copy / path.relative_to(recording)).symlink_to(path)
+    with pytest.raises(DatasetError, match="Copy the recording again"):
+        read_tactip_shear(copy, 40)
+
+
+def test_readouts_find_depth_and_shear(recording: Path, tiny: TokenizerConfig) -> None:
+    read = read_tactip_shear(recording, 40)
+    for features in (latent_features(Tokenizer.random(tiny)), descriptor_features):
+        said = Readout.fit(features(read), labels_mm(read), 0.1)(features(read))
+        assert np.corrcoef(said[:, 0], read.depth_mm)[0, 1] > 0.9
+
+
+def test_a_turned_sensor_is_read_after_its_angle() -> None:
+    rng = np.random.default_rng(1)
+    label = rng.normal(size=(200, 3))
+    angle = np.radians(39)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    turned = np.column_stack([1.5 * label[:, 0] + 0.2, 0.8 * label[:, 1:] @ turn])
+    found = transfer((label, label), (turned, label), 0.01)
+    assert found["angle_deg"] == pytest.approx(-39, abs=1)
+    assert found["as_is"]["shear_r"] < 0.85 and found["one_angle"]["shear_r"] > 0.99
+    assert found["few_frames"]["shear_r2"] > 0.95 and found["few_frames"]["depth_r2"] > 0.95
+
+
+def test_markers_of_pictures_are_counted(tmp_path: Path) -> None:
+    frames = TactileSimulator("gelsight", seed=0).raw_frames(free_air(3))
+    for number, frame in enumerate([*frames, np.zeros_like(frames[0])]):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), frame[..., ::-1])
+    found = marker_counts(tmp_path, "gelsight", 10)["stills"]
+    assert found["refused"] == 1 and found["markers_10_50_90"][1] == pytest.approx(80, abs=1)
+
+
+def test_a_picture_that_is_none(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="picture"):
+        marker_image(tmp_path / "none.png", 200.0)

@@ -1,0 +1,153 @@
+"""Arms of a score take turns, resume, and are controlled; scripts are scored as policies are."""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import pytest
+
+from lerobot_env_uniforce_wiping import WipeEnv
+from lerobot_env_uniforce_wiping.blind import BEST
+from uniforce_cli import score_worker
+from uniforce_cli.score import SCRIPTS, ScoreConfig, score, score_arms
+from uniforce_cli.score_worker import Job, ShuffledTouch, controlled, donated_touch, score_job
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.evaluation.arms import EpisodeRow
+from uniforce_vtla.keys import TACTILE_NAMES
+
+RolledOut = Callable[[Callable[[score_worker.Job], bool]], list[score_worker.Job]]
+
+
+@pytest.fixture
+def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
+    """Let a rule say whether an episode is clean, instead of rolling it out; return what was asked for."""
+
+    def stand_in(clean: Callable[[score_worker.Job], bool]) -> list[score_worker.Job]:
+        jobs: list[score_worker.Job] = []
+
+        def fake(job: score_worker.Job) -> tuple[int, EpisodeRow]:
+            jobs.append(job)
+            return job.index, EpisodeRow(job.seed, "success", clean(job), False, False, 0, 0, 0, 0, 0, 0)
+
+        monkeypatch.setattr(score_worker, "score_job", fake)
+        return jobs
+
+    return stand_in
+
+
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
+
+
+def test_a_script_is_not_taken_for_a_policy() -> None:
+    arms = [ScoreConfig(policy=policy).arm for policy in ("shipped", "expert", "blind")]
+    assert arms == ["V+T", "expert", "blind"] and ScoreConfig(policy="expert", arm="me").arm == "me"
+
+
+def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_out: RolledOut) -> None:
+    rolled_out(lambda job: "seed0" in job.config.policy_of(job.seed))
+    config = ScoreConfig(policy="seed0/v, seed1/v", arm="V", rollouts=5, out=str(tmp_path))
+    assert config.policies == ["seed0/v", "seed1/v"]
+    (report,) = score_arms([config], workers=1)
+    assert [row.clean for row in report.rows] == [True, False, True, False, True]
+
+
+def test_arms_take_turns_and_a_second_run_does_nothing(tmp_path: Path, rolled_out: RolledOut) -> None:
+    jobs = rolled_out(lambda job: True)
+    arms = [ScoreConfig(arm=name, rollouts=2, first_seed=5, out=str(tmp_path)) for name in ("V", "V+T")]
+    for _ in range(2):
+        reports = score_arms(arms, workers=1)
+        assert [(job.seed, job.config.arm) for job in jobs] == [(5, "V"), (5, "V+T"), (6, "V"), (6, "V+T")]
+    assert [r.count("clean") for r in reports] == [2, 2]
+
+
+def test_a_scored_seed_is_rolled_out_again_to_be_filmed_and_only_once(tmp_path: Path, rolled_out: RolledOut) -> None:
+    def filmed(job: score_worker.Job) -> bool:
+        if job.seed in job.config.film:
+            job.config.video(job.seed).touch()
+        return True
+
+    jobs = rolled_out(filmed)
+    plain = ScoreConfig(arm="V", rollouts=3, first_seed=5, out=str(tmp_path))
+    score_arms([plain], workers=1)
+    for _ in range(2):
+        reports = score_arms([dataclasses.replace(plain, film=[6])], workers=1)
+        assert [job.seed for job in jobs] == [5, 6, 7, 6] and reports[0].n == 3
+    with pytest.raises(ContractError, match="5…7"):
+        score_arms([dataclasses.replace(plain, film=[8])], workers=1)
+
+
+def test_a_slot_the_policy_lacks_is_refused_before_processes_start(tmp_path: Path, rolled_out: RolledOut) -> None:
+    jobs = rolled_out(lambda job: True)
+    with pytest.raises(ContractError, match="touch0"):
+        score(ScoreConfig(swap="nose:left", workers=1, out=str(tmp_path)))
+    assert not jobs
+
+
+@pytest.mark.slow
+def test_two_dask_workers_score_as_one_process_does(tmp_path: Path) -> None:
+    """An extra: joblib's Dask back-end carries rollouts over a cluster."""
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is optional")
+    plain = ScoreConfig(policy="blind", level="easy", rollouts=2, videos=0, out=str(tmp_path / "one"))
+    one = score_arms([plain], workers=1)
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        distributed.Client(cluster),
+        joblib.parallel_config(backend="dask"),
+    ):
+        two = score_arms([dataclasses.replace(plain, out=str(tmp_path / "two"))], workers=2)
+    assert [report.as_dict() for report in one] == [report.as_dict() for report in two]
+
+
+def test_every_script_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:
+    assert set(score_worker.SCRIPTS) == set(SCRIPTS)
+    swept = json.loads(RESULTS.joinpath("blind_scripts.json").read_text())
+    assert f"open_loop_press{BEST.press_N:g}_grip{BEST.grip_N:g}" == swept["best_blind"]
+
+
+class Watching:
+    """A controller that keeps what it was shown."""
+
+    def __init__(self) -> None:
+        self.seen: list[dict[str, Any]] = []
+
+    def reset(self, env: object) -> None:
+        self.seen = []
+
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        self.seen.append(observation)
+        return np.zeros((1, 5))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", [0, 2])
+def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    bank = donated_touch("easy", {"left": "gelsight", "right": "tactip"}, donors=1)
+    assert set(bank) == {0, 1, 2, 3}
+    monkeypatch.setattr(WipeEnv, "phase", phase)
+    watching, env = Watching(), WipeEnv("easy")
+    observation, _ = env.reset(seed=3)
+    shuffled = ShuffledTouch(watching, bank)
+    for _ in range(2):  # the same scene gets the same other scene's touch
+        shuffled.reset(env)
+        shuffled.chunk(observation, "wipe")
+        seen = watching.seen[0]
+        images = {name: seen["pixels"][name] for name in TACTILE_NAMES}
+        assert all(i.shape == (480, 640, 3) and set(np.unique(i)) <= {0, 255} for i in images.values())
+        packed = {n: np.packbits(image[..., 0] > 0, axis=-1) for n, image in images.items()}
+        assert any(all(np.array_equal(packed[n], donor[n]) for n in TACTILE_NAMES) for donor in bank[phase])
+        assert np.array_equal(seen["pixels"]["front"], observation["pixels"]["front"])
+        assert np.array_equal(seen["agent_pos"], observation["agent_pos"])
+    if phase == 2:  # pressed on the board there, in free air here
+        assert not np.array_equal(images["tactile_left"], observation["pixels"]["tactile_left"])
+
+
+def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
+    with pytest.raises(ContractError, match="masked"):
+        controlled(None, "asleep", WipeEnv("easy"))  # type: ignore[arg-type]
+    job = Job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
+    with pytest.raises(ContractError, match="Controls are for policies"):
+        score_job(job)

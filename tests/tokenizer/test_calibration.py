@@ -1,0 +1,118 @@
+"""Label-free calibration: equal forces give equal latents afterwards, and what can't be calibrated is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from uniforce_vtla.errors import CheckpointError, ContractError
+from uniforce_vtla.tokenizer.calibration import Calibration, LatentMap, calibrate
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
+from uniforce_vtla.tokenizer.latent import Latent
+from uniforce_vtla.tokenizer.settings import CalibrationConfig
+
+CLASSES = ("small", "tool") * 150
+WHOLE = torch.eye(96) + 0.3 * torch.randn(96, 96, generator=torch.Generator().manual_seed(1)) / 96**0.5
+
+
+@pytest.fixture
+def head() -> ForceHead:
+    torch.manual_seed(0)
+    return ForceHead(ForceRegressor(HeadConfig()), "tactip", "abc")
+
+
+def grasps(n: int = 300) -> tuple[Latent, Latent]:
+    """A new sensor whose whole map differs from the anchor's: regions mixed, weaker, shifted."""
+    torch.manual_seed(0)
+    anchor = torch.randn(n, 6) @ torch.randn(6, 96)
+    new = 0.7 * anchor @ WHOLE + 0.2 + 0.01 * torch.randn(n, 96)
+    return Latent.of(new.view(n, 16, 6), "abc"), Latent.of(anchor.view(n, 16, 6), "abc")
+
+
+def test_the_map_starts_as_the_identity() -> None:
+    z = torch.randn(3, 16, 6)
+    assert torch.equal(LatentMap(16, 6)(z), z)
+
+
+def test_grasps_it_never_saw_balance_afterwards(head: ForceHead) -> None:
+    new, anchor = grasps()
+    found = calibrate(new[:200], anchor[:200], CLASSES[:200], head, "new", "old")
+    before, after = ((z[200:] - anchor[200:]).square().mean() for z in (new, found(new)))
+    assert before > 0.05 and after < 0.02 * before
+    for judged in found.agreement.values():
+        assert min(judged.r2) > 0.95 and judged.grasps == 20 and max(judged.r2_before) < min(judged.r2)
+    assert found.worst()[1] == min(judged.r2[2] for judged in found.agreement.values())
+
+
+def test_equal_sensors_stay_as_they_are(head: ForceHead) -> None:
+    _, anchor = grasps()
+    found = calibrate(anchor, anchor, CLASSES, head, "new", "old")
+    assert torch.allclose(found(anchor), anchor, atol=1e-5)
+
+
+def test_the_ridge_grows_with_what_can_not_be_explained(head: ForceHead) -> None:
+    new, anchor = grasps()
+    noisy = Latent.of(new + 3 * torch.randn(new.shape), "abc")
+    few = slice(0, 60)
+    exact, loose = (calibrate(z[few], anchor[few], CLASSES[few], head, "new", "old").ridge for z in (new, noisy))
+    assert loose > 10 * exact
+
+
+def test_one_class_of_objects_does_not_speak_for_the_other(head: ForceHead) -> None:
+    """Tools whose latents answer the other way round: each class is judged on its own grasps."""
+    new, anchor = grasps()
+    tool = torch.tensor([name == "tool" for name in CLASSES])
+    twisted = new.as_subclass(torch.Tensor).clone()
+    twisted[tool] = torch.randn(int(tool.sum()), 16, 6)
+    found = calibrate(Latent.of(twisted, "abc"), anchor, CLASSES, head, "new", "old")
+    assert found.worst()[0] == "tool" and found.agreement["tool"].r2[2] < found.agreement["small"].r2[2] - 0.1
+
+
+def test_saved_equals_loaded_and_another_tokenizer_is_refused(head: ForceHead, tmp_path: Path) -> None:
+    new, anchor = grasps()
+    found = calibrate(new, anchor, CLASSES, head, "new", "old")
+    found.save(tmp_path)
+    again = Calibration.load(tmp_path, "abc")
+    assert torch.equal(again(new), found(new)) and again.agreement == found.agreement and again.hash == found.hash
+    assert again.head_hash == found.head_hash and again(new).tokenizer_hash == "abc"
+    with pytest.raises(CheckpointError, match="Calibrate again"):
+        Calibration.load(tmp_path, "xyz")
+    with pytest.raises(CheckpointError, match="calibration of new"):
+        again(Latent.of(anchor, "xyz"))
+    with pytest.raises(CheckpointError, match="latents for calibration"):
+        calibrate(Latent.of(new, "xyz"), anchor, CLASSES, head, "new", "old")
+
+
+@pytest.mark.parametrize("shape", [(4, 64, 6), (16, 6), (0, 16, 6)])
+def test_only_pooled_latents_are_mapped(shape: tuple[int, ...], head: ForceHead) -> None:
+    found = calibrate(*grasps(), CLASSES, head, "new", "old")
+    with pytest.raises(ContractError, match="pool_latent"):
+        found(Latent.of(torch.zeros(shape), "abc"))
+
+
+@pytest.mark.parametrize(
+    ("new", "anchor", "classes", "says"),
+    [
+        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small",) * 90, "tool objects are missing"),
+        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), ("small", "hammer") * 45, "class of an object"),
+        (torch.rand(90, 16, 6), torch.rand(90, 9, 6), CLASSES[:90], "twice"),
+        (torch.rand(90, 16, 6), torch.rand(90, 16, 6), CLASSES[:80], "80 classes"),
+        (torch.full((90, 16, 6), torch.nan), torch.ones(90, 16, 6), CLASSES[:90], "finite"),
+        (torch.rand(90, 16, 6), torch.ones(90, 16, 6), CLASSES[:90], "changing"),
+    ],
+)
+def test_bad_grasps_are_refused(
+    new: torch.Tensor, anchor: torch.Tensor, classes: tuple[str, ...], says: str, head: ForceHead
+) -> None:
+    with pytest.raises(ContractError, match=says):
+        calibrate(Latent.of(new, "abc"), Latent.of(anchor, "abc"), classes, head, "new", "old", CalibrationConfig())
+
+
+def test_who_judges_is_drawn_by_the_seed_alone(head: ForceHead) -> None:
+    new, anchor = grasps()
+    one, two, three = (
+        calibrate(new, anchor, CLASSES, head, "new", "old", CalibrationConfig(seed=seed)) for seed in (0, 0, 1)
+    )
+    assert one.agreement == two.agreement != three.agreement
+    assert np.isfinite([*one.agreement["tool"].abs_r]).all()

@@ -1,0 +1,79 @@
+"""What ten frames with a known force say of a sensor: its angle on the mount, a gain and an offset per axis.
+
+Beside the label-free calibration, for people who have a scale or a force gauge for a minute.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.results_file import write_json
+
+FEWEST = 10  # seven numbers are fitted
+
+
+def in_plane_turn_rad(read: np.ndarray, known: np.ndarray) -> float:
+    """Return the turn, x towards y, that brings (n, 2) readings closest to (n, 2) known vectors (Procrustes)."""
+    a, b = (v - v.mean(axis=0) for v in (read, known))
+    return float(np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum()))
+
+
+@dataclass(frozen=True)
+class ForceCorrection:
+    """Turn the shear plane by ``turn_rad``, then gain · force + offset per axis; canonical frame."""
+
+    turn_rad: float  # x towards y
+    gain: tuple[float, float, float]  # x, y, z
+    offset_N: tuple[float, float, float]
+
+    @classmethod
+    def fit(cls, read_N: np.ndarray, known_N: np.ndarray) -> ForceCorrection:
+        """Return the correction that brings (n, 3) readings to known forces.
+
+        Raises:
+            ContractError: fewer than ``FEWEST`` frames, another shape, NaN, or an axis that was never loaded.
+        """
+        if read_N.shape != known_N.shape or read_N.ndim != 2 or read_N.shape[1] != 3 or len(read_N) < FEWEST:
+            came = f"{read_N.shape} and {known_N.shape}"
+            raise ContractError(expected("labelled frames", f"({FEWEST} or more, 3) twice", came, "Record more."))
+        if not (np.isfinite(read_N).all() and np.isfinite(known_N).all()):
+            raise ContractError(expected("labelled frames", "finite forces", "NaN or inf", "Leave them out."))
+        if read_N.std(axis=0).min() < 1e-6 or known_N.std(axis=0).min() < 1e-6:
+            do = "Press and pull in all directions."
+            raise ContractError(expected("labelled frames", "changing forces", "an axis never loaded", do))
+        turn = in_plane_turn_rad(read_N[:, :2], known_N[:, :2])
+        turned = _turned(read_N, turn)
+        lines = [np.polyfit(turned[:, k], known_N[:, k], 1) for k in range(3)]
+        (gx, ox), (gy, oy), (gz, oz) = ((float(g), float(o)) for g, o in lines)
+        return cls(turn, (gx, gy, gz), (ox, oy, oz))
+
+    def __call__(self, read_N: np.ndarray) -> np.ndarray:
+        """Return corrected forces (n, 3) in N."""
+        return _turned(read_N, self.turn_rad) * self.gain + self.offset_N
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as JSON."""
+        return write_json(Path(path), asdict(self))
+
+    @classmethod
+    def load(cls, path: str | Path) -> ForceCorrection:
+        """Read what ``save`` wrote; CheckpointError: something else."""
+        stored = read_object(Path(path), CheckpointError)
+        try:
+            gain, offset = (tuple(float(v) for v in stored[name]) for name in ("gain", "offset_N"))
+            found = cls(float(stored["turn_rad"]), gain, offset)  # type: ignore[arg-type]
+        except (KeyError, TypeError, ValueError) as error:
+            raise CheckpointError(expected(str(path), "a force correction", error, "Fit it again.")) from error
+        if len(gain) != 3 or len(offset) != 3 or not np.isfinite([found.turn_rad, *gain, *offset]).all():
+            raise CheckpointError(expected(str(path), "seven finite numbers", stored, "Fit it again."))
+        return found
+
+
+def _turned(force_N: np.ndarray, turn_rad: float) -> np.ndarray:
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    return np.column_stack([force_N[:, :2] @ np.array([[cos, sin], [-sin, cos]]), force_N[:, 2]])
