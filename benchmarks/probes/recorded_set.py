@@ -133,7 +133,7 @@ def shear_agreement(labelled: LabelledSet) -> np.ndarray:
     """Return (2,) correlations of the markers' mean motion with shear force, x and y.
 
     A flat pad's markers are dragged the way the object pushes. So both must be clearly positive; a negative one says
-    that this axis needs the other sign in ``ForceAxes``, two near zero that x and y may be swapped. A dome tells
+    that this axis needs the other sign in ``ForceAxes``, two near zero that x and y may be swapped. A dome says
     little: where it is pressed moves its pins more than shear does (0.0 to 0.4, real TacTips alike).
     NaN where there is no shear.
     """

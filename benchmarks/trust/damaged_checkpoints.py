@@ -18,6 +18,7 @@ from uniforce_vtla.tokenizer.descriptor_head import SCENE, SHIPPED, DescriptorHe
 from uniforce_vtla.tokenizer.weights import ASSETS
 
 CONFIG, WEIGHTS, CARD = "config.json", "model.safetensors", "README.md"
+PREPROCESSOR = "policy_preprocessor.json"
 STATISTICS = "policy_preprocessor_step_3_normalizer_processor.safetensors"
 
 Tensors = dict[str, torch.Tensor]
@@ -66,27 +67,12 @@ def replaced(name: str, other: Path) -> Damage:
     return lambda folder: shutil.copyfile(other / name, folder / name)
 
 
-def of_another_training(name: str) -> Damage:
-    """Let a file be what another training would have saved: it loads, and is of other numbers."""
-
-    def damage(folder: Path) -> None:
-        path = folder / name
-        if path.suffix == ".json":
-            path.write_text(json.dumps(json.loads(path.read_text()) | {"n_action_steps": 5}))
-            return
-        tensors = load_file(path)
-        next(tensor for tensor in tensors.values() if tensor.is_floating_point()).add_(0.01)
-        save_file(tensors, path)
-
-    return damage
-
-
-def linked(name: str, other: Path) -> Damage:
-    """Let a file be a link to another checkpoint's."""
+def linked(name: str, target: Path) -> Damage:
+    """Let a file be a link to another one."""
 
     def damage(folder: Path) -> None:
         (folder / name).unlink()
-        (folder / name).symlink_to(other / name)
+        (folder / name).symlink_to(target)
 
     return damage
 
@@ -108,16 +94,30 @@ def edited(name: str, old: str, new: str) -> Damage:
     return damage
 
 
+def changed(name: str, change: Callable[[Tensors], object]) -> Damage:
+    """Change the tensors of a file; its hash stays the old one."""
+
+    def damage(folder: Path) -> None:
+        tensors = load_file(folder / name)
+        change(tensors)
+        save_file(tensors, folder / name)
+
+    return damage
+
+
 def with_tensors(change: Callable[[Tensors], object]) -> Damage:
     """Change the weights and write the hashes again, as a careless saving would."""
 
     def damage(folder: Path) -> None:
-        tensors = load_file(folder / WEIGHTS)
-        change(tensors)
-        save_file(tensors, folder / WEIGHTS)
+        changed(WEIGHTS, change)(folder)
         write_hashes(folder)
 
     return damage
+
+
+def other_numbers(tensors: Tensors) -> None:
+    """Give one tensor the numbers another training would."""
+    next(tensor for tensor in tensors.values() if tensor.is_floating_point()).add_(0.01)
 
 
 def made_nan(tensors: Tensors) -> None:
@@ -180,18 +180,18 @@ CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (
     _policy("one bit of a weight", flipped(WEIGHTS, 0.7)),
     _policy("one bit of the weights' header", flipped(WEIGHTS, 0.0005)),
     _policy("weights cut", cut(WEIGHTS)),
-    _policy("weights of another training", of_another_training(WEIGHTS)),
+    _policy("weights of another training", changed(WEIGHTS, other_numbers)),
     _policy("a weight that is NaN, saved so", with_tensors(made_nan)),
     _policy("a tensor more, saved so", with_tensors(lambda tensors: tensors.update(more=torch.zeros(2)))),
     _policy("a tensor less, saved so", with_tensors(lambda tensors: tensors.popitem())),
     _policy("another tactile tokenizer named, saved so", another_tokenizer),
-    _policy("config of another training", of_another_training(CONFIG)),
+    _policy("config of another training", edited(CONFIG, '"n_action_steps": 6', '"n_action_steps": 5')),
     _policy("config cut", cut(CONFIG)),
     _policy("no config", removed(CONFIG)),
     _policy("a config that asks not to be verified", set_in_config(verify="off")),
-    _policy("preprocessor of another training", of_another_training("policy_preprocessor.json")),
-    _policy("statistics of another training", of_another_training(STATISTICS)),
-    _policy("weights linked to another folder's", linked(WEIGHTS, ASSETS / "small" / "tokenizer")),
+    _policy("preprocessor of another training", edited(PREPROCESSOR, "policy_preprocessor", "another_preprocessor")),
+    _policy("statistics of another training", changed(STATISTICS, other_numbers)),
+    _policy("statistics linked to a tokenizer's weights", linked(STATISTICS, ASSETS / "small" / "tokenizer" / WEIGHTS)),
     _policy("no statistics", removed(STATISTICS)),
     _policy("a state file more", lambda folder: (folder / "policy_more.safetensors").write_bytes(b"x")),
     _policy("card of another licence", edited(CARD, "license: ", "license: not-")),

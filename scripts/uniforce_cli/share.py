@@ -54,7 +54,7 @@ def share(config: ShareConfig) -> Path:
     from lerobot_policy_pi05_uniforce.model_card import model_card
 
     source, out = Path(config.checkpoint), Path(config.out)
-    scores = _read(Path(config.scores)) if config.scores else None
+    scores = _read(Path(config.scores))
     policy = _load(source)
     processors = make_pre_post_processors(policy.config, pretrained_path=str(source))
     policy.config.touch.tokenizer_path = policy.config.pretrained_path = None  # paths of this machine

@@ -121,7 +121,7 @@ def test_shear_agreement_shows_the_signs() -> None:
 
 @pytest.mark.parametrize("sensor", ["gelsight", "uskin"])
 def test_simulated_markers_agree_with_our_axes(sensor: str) -> None:
-    """Flat pads drag their markers along the shear force they report; a dome's pins tell less."""
+    """Flat pads drag their markers along the shear force they report; a dome's pins follow it less."""
     from benchmarks.probes.sequences import force_sequences
 
     batch = force_sequences(np.random.default_rng(1), sensor, 10, 5, ("sphere",), units=2, transform=None)
