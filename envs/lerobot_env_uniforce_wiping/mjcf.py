@@ -52,8 +52,10 @@ ROTATION_Nm_rad = 60.0  # stiffness about each axis
 DAMPING_RATIO = 0.8  # of the Cartesian impedance at nominal stiffness
 EFFECTIVE_MASS_kg = 3.0  # of the tool at its tip, for the damping only
 EFFECTIVE_INERTIA_kgm2 = 0.05  # likewise
-SHEAR_N_m = 8000.0  # both pads alike: a load from outside is then shared equally, F_L ≈ F_R
-SHEAR_DAMPING = 20.0  # N s/m, half critical
+# Both pads alike, so that a load from outside is shared equally, F_L ≈ F_R: a TacTip (4 N/mm by finite elements) on a
+# finger that gives way by 12 N/mm. With stiffer springs an eraser that leans loads one pad (docs/experiments/scene.md)
+SHEAR_N_m = 3000.0
+SHEAR_DAMPING = 12.0  # N s/m, half critical
 SHEAR_MASS_kg = 0.05  # armature that keeps the pad's shear mode stable at this time step
 GRIPPER_N_m = 1200.0  # nominal stiffness of the gripper's servo, force per finger over width error
 GRIPPER_FORCE_N = 70.0  # servo limit

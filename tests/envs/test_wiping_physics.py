@@ -59,7 +59,7 @@ def test_finer_time_steps_change_nothing_that_matters(depth_m: float, residual: 
     """480, 960 and 1920 Hz agree; the lightest press lies where a newton decides between all of the ink and none."""
     strokes = [stroke(depth_m, SolverSettings(substeps=n)) for n in (4, 8, 16)]
     for a, b in itertools.combinations(strokes, 2):
-        assert a.press_N == pytest.approx(b.press_N, abs=0.08)
+        assert a.press_N == pytest.approx(b.press_N, abs=0.12)
         assert a.residual == pytest.approx(b.residual, abs=residual)
 
 

@@ -1,0 +1,166 @@
+"""Gates of a level: what must wipe it, what must not, each on the same fresh scenes."""
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from benchmarks.blind_styles import MeasuredPress, MeasuredRelative
+from benchmarks.gates.fitting import Fitted, fit
+from benchmarks.gates.observer import Observed
+from benchmarks.gates.readings import EverySixth, Frozen, PlaneKnown, ReadingExpert, scaled, shifted
+from benchmarks.gates.scripts import HarderEachLook, KeepingExpert, LagIdentifying
+from lerobot_env_uniforce_wiping.blind import BEST, BlindScript, BlindSettings, OpenLoopRegulator
+from lerobot_env_uniforce_wiping.env import WipeEnv
+from lerobot_env_uniforce_wiping.episodes import Script, run_script
+from lerobot_env_uniforce_wiping.expert import WipeExpert
+from lerobot_env_uniforce_wiping.levels import get_level, level_hash
+from uniforce_cli.boundary import Level, command, one_thread
+from uniforce_vtla.evaluation.statistics import wilson
+from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Workers
+from uniforce_vtla.results_file import provenance, write_json
+
+RELATIVE = BlindSettings(press_N=6.0, grip_N=7.5)  # forces as they are wanted: these scripts know what they read
+
+
+@dataclass(frozen=True)
+class Gate:
+    """One script and the share of clean wipes it must reach, or must not exceed."""
+
+    make: Callable[[Fitted, Path], Script]
+    at_least: float | None = None
+    at_most: float | None = None
+
+    def holds(self, clean: float) -> bool:
+        """Return whether the level may be used, as far as this script goes."""
+        return clean >= (self.at_least or 0.0) and clean <= (1.0 if self.at_most is None else self.at_most)
+
+
+def _lag_identifying(fitted: Fitted, folder: Path) -> Script:
+    def style(layout, settings):  # type: ignore[no-untyped-def]
+        regulator = LagIdentifying(layout, settings)
+        regulator.laws = (fitted.arm, fitted.gripper)
+        return regulator
+
+    return BlindScript(RELATIVE, style)
+
+
+def _reads(change: Callable[[Fitted, Path], Callable[[], Any]], **bars: float) -> Gate:
+    return Gate(lambda fitted, folder: ReadingExpert(change(fitted, folder)), **bars)
+
+
+def _always(make: Callable[[], Script], **bars: float) -> Gate:
+    return Gate(lambda fitted, folder: make(), **bars)
+
+
+GATES: dict[str, Gate] = {
+    "expert": _always(WipeExpert, at_least=0.97),
+    "touch every sixth step": _reads(lambda f, p: EverySixth, at_least=0.88),
+    "reads × .9": _reads(lambda f, p: partial(scaled, 0.9), at_least=0.90),
+    "reads × 1.1": _reads(lambda f, p: partial(scaled, 1.1), at_least=0.90),
+    "reads × .7": _reads(lambda f, p: partial(scaled, 0.7), at_most=0.15),
+    "reads × 1.4": _reads(lambda f, p: partial(scaled, 1.4), at_most=0.15),
+    "reads 2 N less": _reads(lambda f, p: partial(shifted, -2.0), at_most=0.15),
+    "reads 2 N more": _reads(lambda f, p: partial(shifted, 2.0), at_most=0.15),
+    "open loop": _always(lambda: BlindScript(BEST, OpenLoopRegulator), at_most=0.15),
+    "measured relative": _always(lambda: BlindScript(RELATIVE, MeasuredRelative), at_most=0.15),
+    "lag identifying": Gate(_lag_identifying, at_most=0.15),
+    "harder each look": _always(lambda: HarderEachLook(RELATIVE, MeasuredPress), at_most=0.15),
+    "plane known": _reads(lambda f, p: partial(PlaneKnown, f.plane_stiffness_N_m, f.plane_rest_m), at_most=0.15),
+    "observer of pose and commands": _reads(lambda f, p: partial(Observed, p / "observer.pt", False), at_most=0.15),
+    "observer that sees the ink": _reads(lambda f, p: partial(Observed, p / "observer_ink.pt", True), at_most=0.20),
+    "frozen touch": _reads(lambda f, p: Frozen, at_most=0.20),
+    "keeps depth": _always(partial(KeepingExpert, False), at_most=0.20),
+    "keeps height": _always(partial(KeepingExpert, True), at_most=0.20),
+}
+
+
+@dataclass
+class GatesCommand:
+    """Run every script on the same scenes; say which gates hold; write gates.json.
+
+    Example: python -m benchmarks.gates level=touch episodes=100 first_seed=1000000
+    """
+
+    level: Level = "touch"
+    episodes: Count = 100  # scenes, the same for every script
+    first_seed: Seed = 1_000_000  # of them
+    learn_from: Count = 250  # scenes that lag laws and observers are fitted on
+    learn_seed: Seed = 30_000  # where these start
+    workers: Workers = 2
+    work: OutFolder = "outputs/gates"  # what was learnt, and episodes so far: run it again to go on
+    out: OutFile = "outputs/gates.json"
+
+
+def _episode(level: str, name: str, seed: int, fitted: Fitted, folder: Path) -> dict[str, Any]:
+    result = run_script(WipeEnv(level=level), GATES[name].make(fitted, folder), seed)
+    return {"script": name, "seed": seed, "clean": result.clean, "outcome": result.outcome} | {
+        key: round(float(value), 4) for key, value in result.metrics.items()
+    }
+
+
+def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
+    """Return a row per script and scene; those of an earlier run are kept."""
+    folder = Path(config.work)
+    path = folder / f"{config.level}_{level_hash(get_level(config.level))}_{config.first_seed}.jsonl"
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+    done = {(row["script"], row["seed"]) for row in rows}
+    seeds = range(config.first_seed, config.first_seed + config.episodes)
+    wanted = [(name, seed) for seed in seeds for name in GATES if (name, seed) not in done]
+    jobs = [delayed(_episode)(config.level, name, seed, fitted, folder) for name, seed in wanted]
+    with path.open("a") as file:
+        for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            rows.append(row)
+    return [row for row in rows if row["seed"] in seeds]
+
+
+def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return a line per script."""
+    found = {}
+    for name, gate in GATES.items():
+        own = [row for row in rows if row["script"] == name]
+        clean = sum(row["clean"] for row in own)
+        interval = wilson(clean, len(own))
+        found[name] = {
+            "n": len(own),
+            "clean": clean,
+            "wilson95": [interval.low, interval.high],
+            "at_least": gate.at_least,
+            "at_most": gate.at_most,
+            "holds": gate.holds(clean / len(own)),
+            "in_band_share": sum(row["in_band_share"] for row in own) / len(own),
+        }
+    return found
+
+
+@command(GatesCommand)
+def main(config: GatesCommand) -> None:
+    """Entry of ``python -m benchmarks.gates``."""
+    one_thread()
+    fitted = fit(config.level, config.learn_from, config.learn_seed, config.workers, Path(config.work))
+    scripts = summarise(run_all(config, fitted))
+    for name, line in scripts.items():
+        bar = f"≥ {line['at_least']}" if line["at_least"] is not None else f"≤ {line['at_most']}"
+        print(f"{name:32} {line['clean']:3}/{line['n']}  {bar:7} {'holds' if line['holds'] else 'DOES NOT HOLD'}")
+    content = {
+        "level": config.level,
+        "level_hash": level_hash(get_level(config.level)),
+        "seeds": [config.first_seed, config.first_seed + config.episodes - 1],
+        "learnt_on": [config.learn_seed, config.learn_seed + config.learn_from - 1],
+        "fitted": asdict(fitted),
+        "all_hold": all(line["holds"] for line in scripts.values()),
+        "scripts": scripts,
+    }
+    print(f"written to {write_json(Path(config.out), content | provenance())}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""What the cleverest scripts may learn beforehand: stiffness from lag, press from height, an observer; other scenes."""
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from benchmarks.gates.observer import save_observer, seen, train_observer
+from benchmarks.gates.readings import sunk_m
+from benchmarks.gates.scripts import LagIdentifying, LagLaw
+from lerobot_env_uniforce_wiping.blind import BEST, BlindScript
+from lerobot_env_uniforce_wiping.env import WipeEnv
+from lerobot_env_uniforce_wiping.episodes import walk
+from lerobot_env_uniforce_wiping.expert import AGAINST_PULL, TouchSettings, WipeExpert
+
+PRESS_N = (4.0, 8.5)  # wanted presses of the episodes that are learnt from, so that press differs from one to the next
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What was learnt; all of it from scenes that are scored nowhere."""
+
+    arm: LagLaw
+    gripper: LagLaw
+    plane_stiffness_N_m: float
+    plane_rest_m: float
+    observer_r2: float
+    observer_ink_r2: float
+
+
+def fit(level: str, episodes: int, first_seed: int, workers: int, folder: Path) -> Fitted:
+    """Return what the scripts learn; kept in ``folder``, where a second run finds it."""
+    path = folder / "fitted.json"
+    if path.is_file():
+        stored = json.loads(path.read_text())
+        return Fitted(LagLaw(**stored.pop("arm")), LagLaw(**stored.pop("gripper")), **stored)
+    folder.mkdir(parents=True, exist_ok=True)
+    jobs = [delayed(_observe)(level, seed) for seed in range(first_seed, first_seed + episodes)]
+    found = list(tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="scenes to learn from"))
+    stiffness, rest = _line(found)
+    r2 = {}
+    for name, ink in (("observer", False), ("observer_ink", True)):
+        data = [
+            (f.seen if ink else np.where(np.arange(11) == 10, 0, f.seen).astype(np.float32), f.press_N) for f in found
+        ]
+        model, r2[name] = train_observer(data)
+        save_observer(model, folder / f"{name}.pt")
+    arm, gripper = (_law([(f.lag_s[k], f.scale[k]) for f in found if f.lag_s[k]]) for k in range(2))
+    fitted = Fitted(arm, gripper, stiffness, rest, r2["observer"], r2["observer_ink"])
+    path.write_text(json.dumps(asdict(fitted)))
+    return fitted
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One scene: what an expert's episode showed step by step, and the lags of a script in free air."""
+
+    seen: np.ndarray  # (T, 11)
+    press_N: np.ndarray  # (T,)
+    sunk_m: np.ndarray  # (T,)
+    lag_s: tuple[float | None, float | None]  # arm, gripper
+    scale: tuple[float, float]  # their true stiffnesses over nominal
+
+
+def _observe(level: str, seed: int) -> Observation:
+    env, rng = WipeEnv(level=level), np.random.default_rng([seed, 77])
+    settings = AGAINST_PULL if env.level.pull else TouchSettings()
+    expert = WipeExpert(settings=replace(settings, press_N=float(rng.uniform(*PRESS_N))))
+    looked, press, sunk, grasp_m = [], [], [], np.nan
+    for _ in walk(env, expert, seed):
+        if expert.phase in ("descend", "close"):
+            grasp_m = float(env.state[2])
+        looked.append(seen(env, ink=True))
+        press.append(env.sim.press_N)
+        sunk.append(sunk_m(env, grasp_m))
+    regulators: list[LagIdentifying] = []
+
+    def style(layout, settings):  # type: ignore[no-untyped-def]
+        regulators.append(LagIdentifying(layout, settings))
+        return regulators[-1]
+
+    script = BlindScript(BEST, style)
+    for _ in walk(env, script, seed):
+        if script.phase == "wipe":
+            break
+    lags = regulators[-1].arm.lag_s, regulators[-1].gripper.lag_s
+    scales = float(env.scene.stiffness_scale), float(env.scene.gripper_gain)
+    return Observation(np.array(looked), np.array(press, np.float32), np.array(sunk), lags, scales)
+
+
+def _line(found: list[Observation]) -> tuple[float, float]:
+    """Return stiffness N/m and rest m of press = stiffness · (rest + sunk), while it presses."""
+    sunk, press = (np.concatenate([getattr(f, name) for f in found]) for name in ("sunk_m", "press_N"))
+    pressing = (press > 0.5) & np.isfinite(sunk)
+    # by their spreads: least squares would flatten the line by the board's unevenness, and regulate too weakly
+    stiffness = press[pressing].std() / sunk[pressing].std()
+    return float(stiffness), float(press[pressing].mean() / stiffness - sunk[pressing].mean())
+
+
+def _law(pairs: list[tuple[float | None, float]]) -> LagLaw:
+    """Return the line of log stiffness over log lag."""
+    if len(pairs) < 2:
+        return LagLaw(0.0, 0.0)
+    lag, scale = np.log(np.array(pairs, dtype=np.float64)).T
+    b, a = np.polyfit(lag, scale, 1)
+    return LagLaw(float(a), float(b))
