@@ -30,22 +30,25 @@ class NetworkUnits(nn.Module):
     """SI units ↔ what the network predicts, per axis: linear, or by logarithm (asinh) beyond a knee.
 
     A newton of grip is a tenth of a millimetre of command where closing the hand is forty: squared errors of plain
-    moves hardly see forces.
+    moves hardly see forces. And a move grows along the chunk: in units of one size late steps, which are never
+    executed, weigh hundreds of times as much as the first. A unit therefore grows with the step, as at a steady speed.
 
     Args:
-        scale: (A,) size of one network unit, SI.
+        scale: (A,) size of one network unit in the middle of a chunk, SI.
         knee: (A,) where the logarithm begins and the size of one unit below it, SI; 0 = linear; () = all linear.
+        chunk: steps of a chunk.
     """
 
-    def __init__(self, scale: Sequence[float], knee: Sequence[float] = ()) -> None:
+    def __init__(self, scale: Sequence[float], knee: Sequence[float] = (), chunk: int = 1) -> None:
         super().__init__()
         knees = torch.tensor(list(knee) or [0.0] * len(scale))
-        unit = torch.where(knees > 0, knees, torch.tensor(list(scale)))
+        growth = (torch.arange(chunk)[:, None] + 1) / max(chunk / 2, 1)  # (chunk, 1)
+        unit = torch.where(knees > 0, knees, torch.tensor(list(scale))) * growth
         self.register_buffer("bent", knees > 0, persistent=False)
         self.register_buffer("unit", unit, persistent=False)
 
     def to_network(self, moves: Tensor) -> Tensor:
-        """Turn (…, A) moves in SI units into network units."""
+        """Turn (…, chunk, A) moves in SI units into network units."""
         units = moves / self.unit
         return torch.where(self.bent, units.asinh(), units)
 

@@ -67,7 +67,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         action.check_axes(state_size(config), self._action_size, config.action)
         self.issued = action.IssuedTarget(config.action.previous_steps)
         self.register_buffer("delta_scale", torch.tensor(units[0]), persistent=False)
-        self.network_units = action.NetworkUnits(*units)
+        self.network_units = action.NetworkUnits(*units, chunk=config.chunk_size)
         bounds = config.action.target_range or [[-math.inf], [math.inf]]
         self.register_buffer("target_range", torch.tensor(bounds), persistent=False)
         if not empty:
