@@ -16,7 +16,6 @@ from tqdm import tqdm
 
 from benchmarks.probes.zero_shot import score
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
-from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_cli.boundary import Level, command, one_thread
@@ -49,7 +48,7 @@ class DescriptorHeadsConfig:
     Example: python -m benchmarks.descriptor_heads scenes=60 out=outputs/descriptor_heads_wiping
     """
 
-    level: Level = "paper"  # locked level
+    level: Level = "touch"  # locked level
     scenes: Scenes = 60  # expert episodes to learn from, half of them on each rig
     test_scenes: Count = 32  # episodes to score on
     first_seed: Seed = 70_000  # not used elsewhere; test scenes count up from 71,000
@@ -82,11 +81,11 @@ def described_episodes(level: str, seeds: range) -> Iterator[EpisodeForces]:
 def _described_episode(env: WipeEnv, seed: int) -> EpisodeForces:
     rng = np.random.default_rng([seed, 9])
     wanted = TouchSettings(float(rng.uniform(*PRESS_RANGE_N)), float(rng.uniform(*GRIP_RANGE_N)))
-    expert, nudge = WipeExpert(settings=wanted), Nudge(seed)
+    expert = WipeExpert(settings=wanted)
     described: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
     forces: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
     heights = []
-    for _ in walk(env, expert, seed, nudge):
+    for _ in walk(env, expert, seed):
         pixels, wrench = env.observe()["pixels"], env.true_wrench()
         for finger in FINGERS:
             reference, current = pixels[tactile_name(finger, reference=True)], pixels[tactile_name(finger)]

@@ -7,7 +7,7 @@ trees read the press well from touch.
 
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,9 +20,8 @@ from torch import nn
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
-from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.expert import TouchSettings
+from lerobot_env_uniforce_wiping.expert import AGAINST_PULL
 from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.keys import CAMERAS, tactile_name
@@ -36,7 +35,7 @@ HISTORY_STEP = 3  # control steps between them: 0.1 s
 EVERY = 5  # looks between two samples
 # wanted press, drawn per scene: an expert that always presses alike leaks nothing
 PRESS_RANGE_N = (3.0, 12.0)
-TOUCHING_N = 0.5  # a nudged hand is pushed off the board now and then
+TOUCHING_N = 0.5  # a hand is pulled off the board now and then
 
 
 Scenes = Annotated[int, Range(3, 10_000)]  # two thirds train, the rest test
@@ -46,10 +45,10 @@ Scenes = Annotated[int, Range(3, 10_000)]  # two thirds train, the rest test
 class LeakConfig:
     """Regress the press on the board from what a policy without touch observes; write leak_check.json.
 
-    Example: python -m benchmarks.leak_check level=paper scenes=60
+    Example: python -m benchmarks.leak_check level=touch scenes=60
     """
 
-    level: Level = "paper"  # locked level
+    level: Level = "touch"  # locked level
     scenes: Scenes = 60  # expert episodes, each with a press of its own; two thirds train, the rest test
     first_seed: Seed = 60_000  # not used elsewhere
     image_side: Pixels = 56  # px, the tiny policy's cameras
@@ -87,9 +86,9 @@ def collect(config: LeakConfig) -> Samples:
 
 def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any, ...]]:
     wanted_N = float(np.random.default_rng([seed, 5]).uniform(*PRESS_RANGE_N))
-    expert, nudge = WipeExpert(settings=TouchSettings(press_N=wanted_N)), Nudge(seed)
+    expert = WipeExpert(settings=replace(AGAINST_PULL, press_N=wanted_N))
     past: list[tuple[np.ndarray, np.ndarray, np.ndarray | None]] = []
-    for step, target in enumerate(walk(env, expert, seed, nudge), start=1):
+    for step, target in enumerate(walk(env, expert, seed), start=1):
         # Only while the eraser sweeps and presses: a hand off the board presses nothing, and any camera shows that.
         looks = expert.phase == "wipe" and env.sim.press_N > TOUCHING_N and step % HISTORY_STEP == 0
         pixels = env.observe()["pixels"] if looks else {}

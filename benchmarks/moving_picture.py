@@ -31,7 +31,7 @@ class MovingPictureConfig:
 
     policy: str = "shipped"  # checkpoint folder
     seed: int = 30_001  # the scene
-    level: str = "paper"  # locked level
+    level: str = "touch"  # locked level
     left_sensor: str = "gelsight"  # worn on the left finger
     right_sensor: str = "tactip"  # worn on the right finger
     swap: str = ""  # e.g. touch0:left

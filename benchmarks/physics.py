@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 from benchmarks import physics_rig as rig
 from benchmarks.physics_page import draw_page
+from lerobot_env_uniforce_wiping.levels import PadSettings
 from lerobot_env_uniforce_wiping.mjcf import SolverSettings
-from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
 from uniforce_cli.boundary import command
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.options import Count, OutFolder
@@ -58,7 +58,7 @@ def indentation() -> dict[str, Any]:
     """Return force and depth of both pads over grips, and the largest error against force over stiffness."""
     grips = [rig.squeeze(width) for width in WIDTHS_m]
     force, depth = np.array([g.force_N for g in grips]), np.array([g.depth_mm for g in grips])
-    error = np.abs(depth * np.array([FLAT_N_mm, DOME_N_mm]) / force - 1)
+    error = np.abs(depth * np.array([PadSettings().flat_N_mm, PadSettings().dome_N_mm]) / force - 1)
     return {"force_N": force.tolist(), "depth_mm": depth.tolist(), "worst_relative_error": float(error.max())}
 
 

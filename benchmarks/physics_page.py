@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from lerobot_env_uniforce_wiping.levels import PadSettings
 from lerobot_env_uniforce_wiping.mjcf import SolverSettings
-from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
 from uniforce_vtla.figure_file import save_figure
 
 GREY, BLUE, ORANGE, RED, GREEN = "0.45", "#1f6fb2", "#d9822b", "#c23b3b", "#3f8f4f"
@@ -33,7 +33,9 @@ def draw_page(panels: dict[str, Any], path: Path) -> Path:
 def _indentation(axis: Axes, panel: dict[str, Any]) -> None:
     force, depth = np.array(panel["force_N"]), np.array(panel["depth_mm"])
     line = np.array([0.0, force.max() * 1.05])
-    for i, (name, K, colour) in enumerate((("GelSight, flat", FLAT_N_mm, BLUE), ("TacTip, dome", DOME_N_mm, ORANGE))):
+    pads = PadSettings()
+    shown = ("GelSight, flat", pads.flat_N_mm, BLUE), ("TacTip, dome", pads.dome_N_mm, ORANGE)
+    for i, (name, K, colour) in enumerate(shown):
         axis.plot(line, line / K, color=colour, lw=1, label=f"{name}: force / {K:g} N/mm")
         axis.plot(force[:, i], depth[:, i], "o", color=colour)
     axis.set(xlabel="grip, N", ylabel="indentation, mm", title="a pad gives way as its stiffness says")

@@ -65,9 +65,9 @@ def lerobot_evaluated(monkeypatch: pytest.MonkeyPatch, out: Path, policy: Path, 
 
 def test_lerobot_eval_agrees_with_our_score(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The shipped policy wipes the board of the first scene in both commands."""
-    config = ScoreConfig(level="paper", rollouts=1, workers=1, videos=0, out=str(tmp_path / "score"))
+    config = ScoreConfig(level="touch", rollouts=1, workers=1, videos=0, out=str(tmp_path / "score"))
     (row,) = score(config).rows
-    assert lerobot_evaluated(monkeypatch, tmp_path / "eval", shipped_checkpoint(), "paper", row.seed)
+    assert lerobot_evaluated(monkeypatch, tmp_path / "eval", shipped_checkpoint(), "touch", row.seed)
     assert row.outcome == "success"
 
 

@@ -202,8 +202,6 @@ Datasets = Annotated[str, Existing("recorded datasets' folders", "meta/info.json
 View = Annotated[str, Existing("a training view's folder", VIEW_MARKER)]
 TokenizerFolder = Annotated[str, Existing("a tokenizer's folder", "config.json", words=("small", "nano"))]
 PolicyFolder = Annotated[str, Existing("a checkpoint's folder", "config.json", words=("shipped",))]
-Policies = Annotated[
-    str, Existing("checkpoints' folders", "config.json", words=("shipped", "expert", "blind"), many=True)
-]
+Policies = Annotated[str, Existing("checkpoints' folders", "config.json", words=("shipped", "expert"), many=True)]
 OutFolder = Annotated[str, Writable()]
 OutFile = Annotated[str, Writable(folder=False)]

@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,12 +11,12 @@ from typing import Any
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from benchmarks.blind_styles import MeasuredPress, MeasuredRelative
-from benchmarks.gates.fitting import Fitted, fit
+from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress
+from benchmarks.gates.fitting import PRESSES_N, STYLES, Fitted, fit
 from benchmarks.gates.observer import Observed
 from benchmarks.gates.readings import EverySixth, Frozen, PlaneKnown, ReadingExpert, scaled, shifted
 from benchmarks.gates.scripts import HarderEachLook, KeepingExpert, LagIdentifying
-from lerobot_env_uniforce_wiping.blind import BEST, BlindScript, BlindSettings, OpenLoopRegulator
+from benchmarks.scene_blocks import BLOCKS
 from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.expert import WipeExpert
@@ -26,7 +26,7 @@ from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
-RELATIVE = BlindSettings(press_N=6.0, grip_N=7.5)  # forces as they are wanted: these scripts know what they read
+WANTED = BlindSettings(press_N=6.0, grip_N=8.5)  # forces as they are wanted: this script knows the stiffness
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,15 @@ def _lag_identifying(fitted: Fitted, folder: Path) -> Script:
         regulator.laws = (fitted.arm, fitted.gripper)
         return regulator
 
-    return BlindScript(RELATIVE, style)
+    return BlindScript(WANTED, style)
+
+
+def _blind(style: str, fitted: Fitted, folder: Path) -> Script:
+    return BlindScript(fitted.set_points[style], STYLES[style][0])
+
+
+def _harder(fitted: Fitted, folder: Path) -> Script:
+    return HarderEachLook(replace(fitted.set_points["measured press"], press_N=PRESSES_N[0]), MeasuredPress)
 
 
 def _reads(change: Callable[[Fitted, Path], Callable[[], Any]], **bars: float) -> Gate:
@@ -68,10 +76,11 @@ GATES: dict[str, Gate] = {
     "reads × 1.4": _reads(lambda f, p: partial(scaled, 1.4), at_most=0.15),
     "reads 2 N less": _reads(lambda f, p: partial(shifted, -2.0), at_most=0.15),
     "reads 2 N more": _reads(lambda f, p: partial(shifted, 2.0), at_most=0.15),
-    "open loop": _always(lambda: BlindScript(BEST, OpenLoopRegulator), at_most=0.15),
-    "measured relative": _always(lambda: BlindScript(RELATIVE, MeasuredRelative), at_most=0.15),
+    "open loop": Gate(partial(_blind, "open loop"), at_most=0.15),
+    "measured press": Gate(partial(_blind, "measured press"), at_most=0.15),
+    "measured relative": Gate(partial(_blind, "measured relative"), at_most=0.15),
     "lag identifying": Gate(_lag_identifying, at_most=0.15),
-    "harder each look": _always(lambda: HarderEachLook(RELATIVE, MeasuredPress), at_most=0.15),
+    "harder each look": Gate(_harder, at_most=0.15),
     "plane known": _reads(lambda f, p: partial(PlaneKnown, f.plane_stiffness_N_m, f.plane_rest_m), at_most=0.15),
     "observer of pose and commands": _reads(lambda f, p: partial(Observed, p / "observer.pt", False), at_most=0.15),
     "observer that sees the ink": _reads(lambda f, p: partial(Observed, p / "observer_ink.pt", True), at_most=0.20),
@@ -90,9 +99,10 @@ class GatesCommand:
 
     level: Level = "touch"
     episodes: Count = 100  # scenes, the same for every script
-    first_seed: Seed = 1_000_000  # of them
+    first_seed: Seed = BLOCKS["gates"].start  # of them
     learn_from: Count = 250  # scenes that lag laws and observers are fitted on
-    learn_seed: Seed = 30_000  # where these start
+    sweep_on: Count = 15  # of them that set points of scripts without touch are chosen on
+    learn_seed: Seed = BLOCKS["what scripts of the gates learn from"].start  # where these start
     workers: Workers = 2
     work: OutFolder = "outputs/gates"  # what was learnt, and episodes so far: run it again to go on
     out: OutFile = "outputs/gates.json"
@@ -145,7 +155,7 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def main(config: GatesCommand) -> None:
     """Entry of ``python -m benchmarks.gates``."""
     one_thread()
-    fitted = fit(config.level, config.learn_from, config.learn_seed, config.workers, Path(config.work))
+    fitted = fit(config.level, config.learn_from, config.sweep_on, config.learn_seed, config.workers, Path(config.work))
     scripts = summarise(run_all(config, fitted))
     for name, line in scripts.items():
         bar = f"≥ {line['at_least']}" if line["at_least"] is not None else f"≤ {line['at_most']}"

@@ -1,6 +1,8 @@
 """What the cleverest scripts may learn beforehand: stiffness from lag, press from height, an observer; other scenes."""
 
+import itertools
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -8,21 +10,33 @@ import numpy as np
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
+from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress, MeasuredRelative, OpenLoopRegulator
 from benchmarks.gates.observer import save_observer, seen, train_observer
 from benchmarks.gates.readings import sunk_m
 from benchmarks.gates.scripts import LagIdentifying, LagLaw
-from lerobot_env_uniforce_wiping.blind import BEST, BlindScript
 from lerobot_env_uniforce_wiping.env import WipeEnv
-from lerobot_env_uniforce_wiping.episodes import walk
+from lerobot_env_uniforce_wiping.episodes import run_script, walk
 from lerobot_env_uniforce_wiping.expert import AGAINST_PULL, TouchSettings, WipeExpert
+from lerobot_env_uniforce_wiping.levels import Layout
+from lerobot_env_uniforce_wiping.sequence import Regulator
 
 PRESS_N = (4.0, 8.5)  # wanted presses of the episodes that are learnt from, so that press differs from one to the next
+
+
+# what scripts without touch may choose from, at nominal stiffness: a nominal width yields, so it needs more grip
+PRESSES_N = (4.0, 5.0, 6.0, 7.0)
+STYLES: dict[str, tuple[Callable[[Layout, BlindSettings], Regulator], tuple[float, float]]] = {
+    "open loop": (OpenLoopRegulator, (11.0, 13.0)),
+    "measured press": (MeasuredPress, (11.0, 13.0)),
+    "measured relative": (MeasuredRelative, (6.5, 8.5)),
+}
 
 
 @dataclass(frozen=True)
 class Fitted:
     """What was learnt; all of it from scenes that are scored nowhere."""
 
+    set_points: dict[str, BlindSettings]  # of each style, the best of the sweep
     arm: LagLaw
     gripper: LagLaw
     plane_stiffness_N_m: float
@@ -31,15 +45,20 @@ class Fitted:
     observer_ink_r2: float
 
 
-def fit(level: str, episodes: int, first_seed: int, workers: int, folder: Path) -> Fitted:
-    """Return what the scripts learn; kept in ``folder``, where a second run finds it."""
+def fit(level: str, episodes: int, swept: int, first_seed: int, workers: int, folder: Path) -> Fitted:
+    """Return what the scripts learn on ``episodes`` scenes, set points on ``swept`` of them.
+
+    It is kept in ``folder``, where a second run finds it.
+    """
     path = folder / "fitted.json"
     if path.is_file():
         stored = json.loads(path.read_text())
-        return Fitted(LagLaw(**stored.pop("arm")), LagLaw(**stored.pop("gripper")), **stored)
+        points = {style: BlindSettings(**point) for style, point in stored.pop("set_points").items()}
+        return Fitted(points, LagLaw(**stored.pop("arm")), LagLaw(**stored.pop("gripper")), **stored)
     folder.mkdir(parents=True, exist_ok=True)
     jobs = [delayed(_observe)(level, seed) for seed in range(first_seed, first_seed + episodes)]
     found = list(tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="scenes to learn from"))
+    set_points = _sweep(level, range(first_seed, first_seed + swept), workers)
     stiffness, rest = _line(found)
     r2 = {}
     for name, ink in (("observer", False), ("observer_ink", True)):
@@ -49,9 +68,28 @@ def fit(level: str, episodes: int, first_seed: int, workers: int, folder: Path) 
         model, r2[name] = train_observer(data)
         save_observer(model, folder / f"{name}.pt")
     arm, gripper = (_law([(f.lag_s[k], f.scale[k]) for f in found if f.lag_s[k]]) for k in range(2))
-    fitted = Fitted(arm, gripper, stiffness, rest, r2["observer"], r2["observer_ink"])
+    fitted = Fitted(set_points, arm, gripper, stiffness, rest, r2["observer"], r2["observer_ink"])
     path.write_text(json.dumps(asdict(fitted)))
     return fitted
+
+
+def _sweep(level: str, seeds: range, workers: int) -> dict[str, BlindSettings]:
+    """Return each style's set points that wiped most of the scenes clean, by the mean in-band share where they tie."""
+    tried = [
+        (style, BlindSettings(press, grip))
+        for style, (_, grips) in STYLES.items()
+        for press, grip in itertools.product(PRESSES_N, grips)
+    ]
+    jobs = [delayed(_try)(level, style, settings, seed) for style, settings in tried for seed in seeds]
+    found = list(tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="set points"))
+    scores = np.array(found).reshape(len(tried), len(seeds), 2).mean(axis=1)
+    ranked = sorted(zip(scores.tolist(), tried, strict=True), key=lambda pair: pair[0])
+    return {style: settings for _, (style, settings) in ranked}  # the best comes last and stays
+
+
+def _try(level: str, style: str, settings: BlindSettings, seed: int) -> tuple[float, float]:
+    result = run_script(WipeEnv(level=level), BlindScript(settings, STYLES[style][0]), seed)
+    return float(result.clean), result.metrics["in_band_share"]
 
 
 @dataclass(frozen=True)
@@ -82,7 +120,7 @@ def _observe(level: str, seed: int) -> Observation:
         regulators.append(LagIdentifying(layout, settings))
         return regulators[-1]
 
-    script = BlindScript(BEST, style)
+    script = BlindScript(BlindSettings(press_N=7.0, grip_N=13.0), style)
     for _ in walk(env, script, seed):
         if script.phase == "wipe":
             break

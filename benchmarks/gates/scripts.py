@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.blind_styles import MeasuredPress, MeasuredRelative
-from lerobot_env_uniforce_wiping.blind import BlindScript, BlindSettings
+from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress, MeasuredRelative
 from lerobot_env_uniforce_wiping.expert import Contact, TouchRegulator, TouchSettings, WipeExpert
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m

@@ -5,7 +5,6 @@ from typing import Protocol
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.disturbance import Nudge
 from lerobot_env_uniforce_wiping.env import WipeEnv
 from uniforce_vtla.evaluation.episode import EpisodeResult
 
@@ -13,7 +12,7 @@ IDLE_STEPS = 15  # steps in phase "done" after which nothing more can happen
 
 
 class Script(Protocol):
-    """The expert or a blind script."""
+    """The expert, or a control of the gates."""
 
     @property
     def phase(self) -> str:
@@ -26,15 +25,13 @@ class Script(Protocol):
         """Return the next absolute target (5,)."""
 
 
-def walk(env: WipeEnv, script: Script, seed: int, nudge: Nudge | None = None) -> Iterator[np.ndarray]:
+def walk(env: WipeEnv, script: Script, seed: int) -> Iterator[np.ndarray]:
     """Do the scene of ``seed``: yield each executed (5,) target, the scene standing right after it, until it ends."""
     env.start(seed)
     script.reset(env)
     done = False
     while not done:
         target = script.act(env)
-        if nudge is not None:
-            target = nudge.apply(target, script.phase)
         done = env.advance(target)
         yield target
 

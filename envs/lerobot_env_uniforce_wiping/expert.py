@@ -1,7 +1,4 @@
-"""The scripted expert: reads the pads' true wrench with noise, sees ink that is left, knows only the nominal layout.
-
-With ``fingers="none"`` it runs the same sequence on nominal numbers.
-"""
+"""The scripted expert: reads the pads' true wrench with noise, sees ink that is left, knows only the nominal layout."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from lerobot_env_uniforce_wiping.blind import BlindSettings, CLOSING_m_s, OpenLoopRegulator, lowering_speed
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout, Level
 from lerobot_env_uniforce_wiping.sequence import Pace, Regulator, WipeSequence, look_back
 from uniforce_vtla.contracts import FINGERS, Finger
@@ -20,9 +16,19 @@ from uniforce_vtla.errors import ContractError, expected
 if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
-FingersUsed = Literal["both", "left", "right", "none"]
-FINGERS_USED: dict[str, tuple[Finger, ...]] = {"both": FINGERS, "left": ("left",), "right": ("right",), "none": ()}
+FingersUsed = Literal["both", "left", "right"]
+FINGERS_USED: dict[str, tuple[Finger, ...]] = {"both": FINGERS, "left": ("left",), "right": ("right",)}
 GRAVITY_m_s2 = 9.81
+CLEARANCE_m = 0.008  # above the nominal contact height, where lowering slows down
+FAST_m_s, SLOW_m_s = 0.050, 0.018  # lowering
+LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
+CLOSING_m_s = 0.040  # gripper in free air
+
+
+def lowering_speed(target_m: float, layout: Layout) -> float:
+    """Return the speed, m/s: fast in free air, slow where the board may be, changing smoothly."""
+    height = target_m - (layout.board_height_m + layout.grasp_height_m + CLEARANCE_m)
+    return float(np.clip(LOWERING_GAIN * height, SLOW_m_s, FAST_m_s))
 
 
 @dataclass(frozen=True)
@@ -168,8 +174,6 @@ class WipeExpert:
         return replace(level, layout=own)
 
     def _regulator(self, layout: Layout, press_N: float, grip_N: float) -> Regulator:
-        if not self.fingers:
-            return OpenLoopRegulator(layout, BlindSettings(press_N, grip_N))
         wanted = replace(self.settings, press_N=press_N, grip_N=grip_N)
         return TouchRegulator(layout, lambda: self._contact, wanted)
 
@@ -180,8 +184,7 @@ class WipeExpert:
 
     def act(self, env: WipeEnv) -> np.ndarray:
         """Return the next absolute target (5,) float32."""
-        if self.fingers:
-            self._contact = self._estimate(env.true_wrench())
+        self._contact = self._estimate(env.true_wrench())
         self._clock += 1
         action = self._sequence.next(env.state.astype(np.float64))
         action[:2] += self.noise.wander_m * np.sin(self._clock * 0.05 + self._phase_rad)

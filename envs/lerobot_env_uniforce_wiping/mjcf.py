@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lerobot_env_uniforce_wiping.hidden import BOARD_HALF_m
-from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, PadSettings
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
 from uniforce_vtla.sensors import get_sensor
 
@@ -52,10 +52,6 @@ ROTATION_Nm_rad = 60.0  # stiffness about each axis
 DAMPING_RATIO = 0.8  # of the Cartesian impedance at nominal stiffness
 EFFECTIVE_MASS_kg = 3.0  # of the tool at its tip, for the damping only
 EFFECTIVE_INERTIA_kgm2 = 0.05  # likewise
-# Both pads alike, so that a load from outside is shared equally, F_L ≈ F_R: a TacTip (4 N/mm by finite elements) on a
-# finger that gives way by 12 N/mm. With stiffer springs an eraser that leans loads one pad (docs/experiments/scene.md)
-SHEAR_N_m = 3000.0
-SHEAR_DAMPING = 12.0  # N s/m, half critical
 SHEAR_MASS_kg = 0.05  # armature that keeps the pad's shear mode stable at this time step
 GRIPPER_N_m = 1200.0  # nominal stiffness of the gripper's servo, force per finger over width error
 GRIPPER_FORCE_N = 70.0  # servo limit
@@ -105,7 +101,7 @@ def _text(values: object) -> str:
     return " ".join(f"{v:.9g}" for v in np.asarray(values, dtype=float).ravel())
 
 
-def _finger(name: str, side: int, sensor: str, friction: float) -> str:
+def _finger(name: str, side: int, sensor: str, friction: float, pads: PadSettings) -> str:
     radius = get_sensor(sensor).dome_radius_mm
     contact = f'friction="{friction} 0.005 0.0001" condim="4" priority="2" solimp="0.5 0.5 0.001"'
     if radius is None:
@@ -120,17 +116,17 @@ def _finger(name: str, side: int, sensor: str, friction: float) -> str:
         # Pads look alike whatever they wear: the same block is drawn for every sensor.
         f'<geom name="skin_{name}" type="box" size="0.004 0.0125 0.0125" pos="{side * 0.004} 0 0" mass="0.01"'
         ' class="visual" rgba=".15 .55 .60 1"/>'
-        f'<body name="pad_{name}" gravcomp="1">{_shear_springs(name)}'
+        f'<body name="pad_{name}" gravcomp="1">{_shear_springs(name, pads)}'
         f'<geom name="pad_{name}" {shape} {contact} mass="0.01" contype="1" conaffinity="0" group="4"/>'
         "</body></body>"
     )
 
 
-def _shear_springs(name: str) -> str:
+def _shear_springs(name: str, pads: PadSettings) -> str:
     """Two stiff slides across the pad: without them rigid friction leaves the sharing to the solver."""
     return "".join(
-        f'<joint name="shear_{name}_{axis}" type="slide" axis="{direction}" stiffness="{SHEAR_N_m}"'
-        f' damping="{SHEAR_DAMPING}" armature="{SHEAR_MASS_kg}"/>'
+        f'<joint name="shear_{name}_{axis}" type="slide" axis="{direction}" stiffness="{pads.shear_N_mm * 1000}"'
+        f' damping="{pads.shear_damping_Ns_m}" armature="{SHEAR_MASS_kg}"/>'
         for axis, direction in (("y", "0 1 0"), ("z", "0 0 1"))
     )
 
@@ -141,8 +137,8 @@ def _tool(scene: SceneParams, sensors: tuple[str, str]) -> str:
         '<geom name="hand" type="box" size="0.095 0.030 0.030" pos="0 0 0.033" mass="0.6" class="visual"'
         ' rgba=".85 .85 .88 1"/>'
         f'<site name="tcp" pos="0 0 {TCP_m}"/>'
-        + _finger("left", -1, sensors[0], scene.pad_friction[0])
-        + _finger("right", 1, sensors[1], scene.pad_friction[1])
+        + _finger("left", -1, sensors[0], scene.pad_friction[0], scene.level.pads)
+        + _finger("right", 1, sensors[1], scene.pad_friction[1], scene.level.pads)
         + "</body>"
     )
 

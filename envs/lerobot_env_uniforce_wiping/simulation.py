@@ -18,9 +18,6 @@ LEASH_rad = 0.20
 SPEED_LIMITS = np.array([0.15, 0.15, 0.10, 1.0, 0.15])  # m/s, m/s, m/s, rad/s, m/s of the inner target
 WIDTH_RANGE_m = (0.0, 0.08)
 YAW_RANGE_rad = (-0.5, 0.5)
-# pad stiffness under a flat face that covers it. Finite elements give flat gels 80 to 170 N/mm, of which the time step
-# carries 24 (40 chatters); a TacTip's dome has 4.2, real ones 3.3 to 4.7
-FLAT_N_mm, DOME_N_mm = 24.0, 4.2
 GEL_D, GEL_ZETA = 0.5, 0.7  # solimp d and damping ratio: converged in the time step, no chatter
 IK_DAMPING = 0.05**2 * 1e-2  # of the arm's pose at reset
 IK_STEP_rad = 0.3  # largest joint change per iteration
@@ -73,11 +70,11 @@ class WipeSimulation:
 
     def _set_gel_stiffness(self) -> None:
         """Pad stiffness K by formula: MuJoCo's solref then gives K whatever the eraser weighs."""
-        weight = self.model.body_invweight0
+        weight, pads = self.model.body_invweight0, self.scene.level.pads
         for geom, finger in self._pad_geom.items():
             flat = get_sensor(self.sensors[finger]).dome_radius_mm is None
             scale = self.scene.gel_scale[FINGERS.index(finger)]
-            K = (FLAT_N_mm if flat else DOME_N_mm) * 1000 * scale
+            K = (pads.flat_N_mm if flat else pads.dome_N_mm) * 1000 * scale
             mobility = weight[self.model.geom_bodyid[geom], 0] + weight[self._eraser, 0]
             stiffness = K / (4 if flat else 1) * (1 - GEL_D) * mobility
             damping = 2 * GEL_ZETA * np.sqrt(stiffness * GEL_D)

@@ -14,7 +14,7 @@ from torch.nn.functional import affine_grid, grid_sample
 
 @dataclass(frozen=True)
 class VariationRange:
-    """Each drawn evenly per picture; about what level ``paper`` draws per scene, so doubled with it."""
+    """Each drawn evenly per picture; about what level ``touch`` draws per scene, so doubled with it."""
 
     gain: float = 0.25  # ± log brightness
     tint: float = 0.08  # ± log gain of each colour

@@ -77,7 +77,7 @@ class ActionSettings:
 class AugmentSettings:
     """What is drawn anew for every training sample; nothing of it runs at rollout."""
 
-    # lights and camera poses (augment.py); 0 = none, 1 = about as much as scenes of level paper differ; base 0
+    # lights and camera poses (augment.py); 0 = none, 1 = about as much as scenes of level touch differ; base 0
     camera_variation: float = _BY_SIZE
     # Gaussian noise on latents in units of each channel's spread; tiny .2, base 0
     touch_noise: float = _BY_SIZE

@@ -26,7 +26,7 @@ LONGEST_LINE = 600
 
 Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes and samples, not at all
 # the environment's, which takes seconds to import; a test compares
-Level = Literal["easy", "paper", "touch", "hard"]
+Level = Literal["easy", "touch"]
 Sensor = Annotated[str, Names(list_sensors())]
 Sensors = Annotated[str, Names(list_sensors(), many=True)]
 
@@ -52,7 +52,7 @@ class Command:
         others: tuple[str, ...] = (),
     ) -> None:
         self._main, self.config_class, self._presets, self.others = main, config_class, presets, others
-        module = main.__module__  # a person typed uniforce record, or benchmarks.blind
+        module = main.__module__  # a person typed uniforce record, or benchmarks.gates
         verb = module.removeprefix("uniforce_cli.")
         self._name = module if verb == module else f"uniforce {verb}"
 

@@ -31,7 +31,7 @@ class DemoConfig:
     episodes: Count = 3  # demos recorded live; enough to see every stage, too few to learn from
     train_steps: Count = 20  # optimiser steps on those demos; shows that training runs, not what it can reach
     rollouts: Count = 4  # per arm, with the shipped policy; a smoke test, no claim
-    level: Level = "paper"  # the level the shipped policy was trained at
+    level: Level = "touch"  # the level the shipped policy was trained at
     out: OutFolder = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 

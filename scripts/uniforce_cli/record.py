@@ -37,14 +37,13 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
 EpisodeSeconds = Annotated[float, Range(0, 3600, above=True)]
-Nudge = Annotated[float, Range(0, 10)]
 
 
 @dataclass
 class RecordConfig:
     """Record demos until the dataset holds ``episodes`` of them; run it again to go on after any stop.
 
-    Simulation, scripted: uniforce record episodes=50 level=paper left_sensor=gelsight root=outputs/demos
+    Simulation, scripted: uniforce record episodes=50 level=touch left_sensor=gelsight root=outputs/demos
     Simulation, by hand:  uniforce record teleop=keyboard root=outputs/by_hand
     Robot, for example:   uniforce record robot=franka rig=rig.yaml teleop=spacemouse root=outputs/real
     ``robot.KEY=…`` and ``teleop.KEY=…`` are LeRobot's own settings of both; ``rig`` is a file with them. The keys to
@@ -55,14 +54,13 @@ class RecordConfig:
     teleop: FileName = "expert"  # expert (simulation) | keyboard | spacemouse | gello | hand_guide
     rig: FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
     episodes: Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
-    level: Level = "paper"  # simulation: locked in the environment package
+    level: Level = "touch"  # simulation: locked in the environment package
     left_sensor: Sensor = "gelsight"  # simulation; a robot's own config says it there
     right_sensor: Sensor = "tactip"  # simulation
     root: OutFolder = "outputs/demos"  # the dataset's folder
     resume: Dataset = ""  # the same as root, but refuses a folder without a dataset
     repo_id: HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
     seed: Seed = 0  # scene of the first episode; the next ones count up
-    nudge: Nudge = 1.3  # expert: hidden push on the executed target, so that demos hold recoveries; 0 = none
     keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
     prompts: Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
     episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
@@ -116,7 +114,7 @@ def _record_expert(config: RecordConfig) -> SessionEnd:
     from uniforce_robots.recorder.expert_demos import record_expert
     from uniforce_robots.recorder.session import SessionEnd
 
-    drawn = config.episodes, config.seed, config.nudge, config.keep_failures
+    drawn = config.episodes, config.seed, config.keep_failures
     with closing(WipeEnv(config.level, config.left_sensor, config.right_sensor)) as env:
         record_expert(env, Path(config.root), config.repo_id, *drawn)
     return SessionEnd(0, f"{config.episodes} episodes")
@@ -162,7 +160,7 @@ def _check(config: RecordConfig) -> None:
 ROBOT = ("rig", "keep_raw", "window")
 SCENE = ("level", "left_sensor", "right_sensor")
 BY_HAND = ("prompts", "episode_s", "operator", "verdict", "quick_notes", "drive_between", "keep_aborted")
-EXPERT = ("nudge", "keep_failures")
+EXPERT = ("keep_failures",)
 IGNORED = {  # by how it records: settings that would change nothing
     "robot=franka": (*SCENE, *EXPERT, "real_time"),
     "robot=sim teleop=expert": (*ROBOT, *BY_HAND, "late_share", "reserve_MB", "unwell_s", "real_time"),

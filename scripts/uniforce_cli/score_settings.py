@@ -23,7 +23,7 @@ from uniforce_vtla.options import (
     split,
 )
 
-SCRIPTS = ("expert", "blind")  # the scene's own: one regulates by both pads' true wrench, one uses no touch
+SCRIPTS = ("expert",)  # the scene's own, who regulates by both pads' true wrench
 ArmName = Annotated[str, Pattern("a name", r"[^/\\]{1,100}", "V+T")]
 
 
@@ -59,7 +59,7 @@ class ScoreConfig:
 
     policy: Policies = "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
     arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
-    level: Level = "paper"  # the shipped policy learnt at paper
+    level: Level = "touch"
     left_sensor: Sensor = ""  # "" = gelsight, and it must be what the policy knows
     right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
     left_calibration: FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears

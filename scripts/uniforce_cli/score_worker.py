@@ -17,7 +17,6 @@ from lerobot.utils.io_utils import write_video
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.blind import BlindScript
 from lerobot_env_uniforce_wiping.episodes import Script, walk
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_cli.boundary import one_thread
@@ -30,7 +29,7 @@ from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
 from uniforce_vtla.keys import TACTILE_NAMES
 from uniforce_vtla.results_file import write_json
 
-SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert, "blind": BlindScript}
+SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert}
 
 DONOR_SEED = 50_000  # scenes that are neither trained on nor scored
 DONORS = 6  # expert episodes that lend their touch

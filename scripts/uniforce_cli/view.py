@@ -29,8 +29,7 @@ class ViewConfig:
     latent_grid: LatentGrid = 4  # latents pooled to 4×4; the policy's latent_grid must match
     slots: Slots = "touch0:right,touch1:left"  # default slot → finger; both fingers are stored anyway
     tokenizer: TokenizerFolder = ""  # folder of a tokenizer; empty = the shipped one
-    # take demos that wiped the board with an event too: a nudged expert's way back from it; false halves the demos
-    keep_events: bool = True
+    keep_events: bool = True  # take demos that wiped the board with an event, or outside the band, too
     keep_failures: bool = False  # take failed demos too
     workers: Workers = 2  # processes; each needs about 1 GB
     verify: Verify = "quick"  # how the datasets are checked first

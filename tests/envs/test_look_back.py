@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from properties import examples
 
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, draw_scene
-from lerobot_env_uniforce_wiping.disturbance import Rewrite, RewriteSettings
 from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
+from lerobot_env_uniforce_wiping.rewrite import Rewrite, RewriteSettings
 from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Sweep, look_back
 
 SEED = 9001
@@ -21,7 +21,7 @@ EVERYWHERE = RewriteSettings(share=1.0, **SPANS)
 
 @pytest.fixture
 def env() -> WipeEnv:
-    env = WipeEnv("paper")
+    env = WipeEnv("touch")
     env.start(SEED)
     return env
 
@@ -68,7 +68,7 @@ def test_ink_that_never_goes_is_given_up() -> None:
 
 
 def test_ink_comes_back_where_it_was_and_not_darker() -> None:
-    ink = InkField(draw_scene(SEED, "paper"))
+    ink = InkField(draw_scene(SEED, "touch"))
     first = ink.ink.copy()
     ink.rewrite(np.zeros(2), np.array([0.2, 0.3]), 0.5)
     assert np.array_equal(ink.ink, first)  # nothing was gone
@@ -85,7 +85,7 @@ def test_ink_comes_back_where_it_was_and_not_darker() -> None:
 
 def test_ink_comes_back_once_while_wiping_and_the_same_each_time() -> None:
     def boards(seed: int) -> list[bytes]:
-        ink = InkField(draw_scene(SEED, "paper"))
+        ink = InkField(draw_scene(SEED, "touch"))
         ink.ink[:] = 0
         rewrite = Rewrite(seed, RewriteSettings(share=1.0))
         seen = []
@@ -100,7 +100,7 @@ def test_ink_comes_back_once_while_wiping_and_the_same_each_time() -> None:
 
 
 def test_the_share_of_episodes_is_the_one_asked_for() -> None:
-    ink = InkField(draw_scene(SEED, "paper"))
+    ink = InkField(draw_scene(SEED, "touch"))
     written = 0
     for seed in range(300):
         ink.ink[:], rewrite = 0, Rewrite(seed)
@@ -111,12 +111,12 @@ def test_the_share_of_episodes_is_the_one_asked_for() -> None:
 
 
 FELT_m = np.array([0.2, 0.3])  # covers the whole board
-FROM_N = LEVELS["paper"].wear_from_N
+FROM_N = LEVELS["touch"].wear_from_N
 
 
 def left_after(press_N: float, slide_m: float = 0.06, off_center_m: float = 0.0) -> np.ndarray:
     """Return the ink of a board under one felt as large as itself, scaled to an eraser's pressure."""
-    ink = InkField(draw_scene(3, "paper"))
+    ink = InkField(draw_scene(3, "touch"))
     eraser_m2 = 0.030 * 0.060
     ink.wear *= float(np.prod(FELT_m)) / eraser_m2
     ink.wipe(np.zeros(2), 0.0, FELT_m, np.array([press_N, off_center_m, 0.0]), slide_m)
@@ -126,20 +126,20 @@ def left_after(press_N: float, slide_m: float = 0.06, off_center_m: float = 0.0)
 @examples(20)
 @given(st.floats(0, FROM_N), st.floats(-0.05, 0.05))
 def test_felt_that_presses_too_lightly_glides_over_the_ink(press_N: float, off_center_m: float) -> None:
-    first = InkField(draw_scene(3, "paper")).ink
+    first = InkField(draw_scene(3, "touch")).ink
     assert np.array_equal(left_after(press_N, off_center_m=off_center_m), first)
 
 
 @examples(20)
 @given(st.floats(FROM_N + 0.1, 12), st.floats(1.05, 2))
 def test_who_presses_harder_or_slides_farther_leaves_less(press_N: float, more: float) -> None:
-    inked = InkField(draw_scene(3, "paper")).ink > 0
+    inked = InkField(draw_scene(3, "touch")).ink > 0
     once = left_after(press_N)[inked]
     assert (left_after(press_N * more)[inked] < once).all()
     assert (left_after(press_N, slide_m=0.06 * more)[inked] < once).all()
 
 
 def test_two_sweeps_wear_as_much_as_one_with_twice_the_force_above_the_threshold() -> None:
-    inked = InkField(draw_scene(3, "paper")).ink > 0
+    inked = InkField(draw_scene(3, "touch")).ink > 0
     twice = left_after(5.0, slide_m=0.12)[inked]
     assert np.allclose(twice, left_after(FROM_N + 2 * (5.0 - FROM_N))[inked], rtol=1e-4)

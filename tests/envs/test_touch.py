@@ -12,7 +12,7 @@ from uniforce_vtla.keys import tactile_name
 @pytest.mark.parametrize("finger", FINGERS)
 def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger: Finger) -> None:
     """The wrench is the step's mean, the geometry its end: the last newtons of a slide meet an empty pad."""
-    env = WipeEnv("paper", "gelsight", "tactip")
+    env = WipeEnv("touch", "gelsight", "tactip")
     env.reset(seed=3)  # the eraser stands in its tray, the pads face nothing
     free = env.observe()["pixels"][tactile_name(finger)]
     env.sim.pads[finger].wrench[:] = (0.4, -0.8, 1.5, 3.0)
@@ -22,7 +22,7 @@ def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger: Finger)
 
 def test_rigs_differ_in_the_left_fingers_marker_image_alone() -> None:
     """The benchmark rolls such arms out on one rig only."""
-    rigs = [WipeEnv("paper", left, "tactip") for left in ("gelsight", "uskin")]
+    rigs = [WipeEnv("touch", left, "tactip") for left in ("gelsight", "uskin")]
     for env in rigs:
         env.reset(seed=5)
     expert = WipeExpert()

@@ -19,10 +19,11 @@ from benchmarks.physics_rig import (
     stroke,
     warnings,
 )
+from lerobot_env_uniforce_wiping.levels import PadSettings
 from lerobot_env_uniforce_wiping.mjcf import SolverSettings
-from lerobot_env_uniforce_wiping.simulation import DOME_N_mm, FLAT_N_mm
 from uniforce_vtla.contracts import FINGERS
 
+PADS = PadSettings()
 few = settings(max_examples=8, deadline=None)  # each is a grasp of a tenth of a second and more
 
 
@@ -34,7 +35,7 @@ few = settings(max_examples=8, deadline=None)  # each is a grasp of a tenth of a
 )
 def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(width_m, mass_kg, gel) -> None:
     found = squeeze(width_m, eraser_mass_kg=mass_kg, gel_scale=gel)
-    rows = zip(found.force_N, found.depth_mm, (FLAT_N_mm, DOME_N_mm), gel, strict=True)
+    rows = zip(found.force_N, found.depth_mm, (PADS.flat_N_mm, PADS.dome_N_mm), gel, strict=True)
     for force_N, depth_mm, nominal, scale in rows:
         assert force_N > 1
         assert depth_mm == pytest.approx(force_N / (nominal * scale), rel=0.01)

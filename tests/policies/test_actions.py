@@ -61,14 +61,15 @@ def test_chunks_continue_from_the_last_command_of_each_row(make_policy, make_bat
     first = make_batch(policy)
     policy.reset()
     a = [policy.select_action(first) for _ in range(2)]
-    assert torch.allclose(a[1], first[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6)
+    move = rows * policy.network_units.unit[1]  # of the second step
+    assert torch.allclose(a[1], first[MEASURED_STATE] + move, atol=1e-6)
     elsewhere = make_batch(policy)  # the measured state moved: it must not matter any more
     b = policy.select_action(elsewhere)
-    assert torch.allclose(b, a[1] + rows * UNITS.unit, atol=1e-6)
+    assert torch.allclose(b, a[1] + move / 2, atol=1e-6)
     policy.select_action(elsewhere)
     policy.reset()
     again = policy.select_action(elsewhere)
-    assert torch.allclose(again, elsewhere[MEASURED_STATE] + rows * UNITS.unit, atol=1e-6)
+    assert torch.allclose(again, elsewhere[MEASURED_STATE] + move / 2, atol=1e-6)
 
 
 def test_targets_stay_within_what_demos_commanded(make_config, make_batch, stats, monkeypatch, tmp_path):
@@ -143,11 +144,20 @@ def test_a_batch_without_the_measured_state_is_refused(make_policy, make_batch):
 
 
 def test_beyond_the_knee_a_move_is_its_logarithm():
-    small, large = torch.full((5,), 1e-5), torch.full((5,), 0.04)
-    assert torch.allclose(BENT.to_network(small)[4], torch.tensor(1e-5 / 3e-4), rtol=1e-3)
-    logarithm = (2 * large[[2, 4]] / BENT.unit[[2, 4]]).log()
-    assert torch.allclose(BENT.to_network(large)[[2, 4]], logarithm, atol=0.01)
-    assert torch.equal(BENT.to_network(large)[[0, 1, 3]], UNITS.to_network(large)[[0, 1, 3]])
+    small, large = torch.full((1, 5), 1e-5), torch.full((1, 5), 0.04)
+    assert torch.allclose(BENT.to_network(small)[0, 4], torch.tensor(1e-5 / 3e-4), rtol=1e-3)
+    logarithm = (2 * large[:, [2, 4]] / BENT.unit[:, [2, 4]]).log()
+    assert torch.allclose(BENT.to_network(large)[:, [2, 4]], logarithm, atol=0.01)
+    assert torch.equal(BENT.to_network(large)[:, [0, 1, 3]], UNITS.to_network(large)[:, [0, 1, 3]])
+
+
+def test_a_steady_motion_is_the_same_number_at_every_step_of_a_chunk():
+    """In units of one size the last of 16 steps weighed 256 times as much as the first in a squared error."""
+    units = NetworkUnits([0.004] * 5, chunk=16)
+    steady = 0.001 * torch.arange(1, 17)[:, None].expand(16, 5)
+    assert torch.allclose(units.to_network(steady), torch.full((16, 5), 2.0))
+    assert torch.allclose(units.to_si(units.to_network(steady)), steady)
+    assert torch.allclose(units.unit[7], torch.tensor(0.004))  # half a chunk: as the setting says
 
 
 @pytest.mark.parametrize("units", [{"knee": [0.001]}, {"knee": [0, 0, -0.001, 0, 0]}, {"scale": [0.1, 0.1]}])
@@ -212,7 +222,7 @@ def test_regression_trains_the_very_actions_it_samples(make_policy, make_batch):
     assert policy.config.num_inference_steps == 1
     batch = make_batch(policy, actions=True)
     chunk = policy.predict_action_chunk(batch)  # absolute targets, from the measured state on
-    said = (chunk - batch[MEASURED_STATE][:, None]) / UNITS.unit
+    said = (chunk - batch[MEASURED_STATE][:, None]) / policy.network_units.unit
     wanted = policy.prepare_action(batch)[..., :5]
     loss, _ = policy.forward(batch)
     assert float(loss) == pytest.approx(float((said - wanted).square().mean()), rel=1e-4)
@@ -282,7 +292,7 @@ def test_training_reads_the_move_in_front_of_the_chunk_and_blurs_it(make_policy,
     actions = torch.rand(2, 2 + size, 5)
     is_pad = torch.zeros(2, 2 + size, dtype=torch.bool)
     padded = policy.prepare_action({**batch, "action": actions, "action_is_pad": is_pad})[..., :5]
-    assert torch.allclose(padded, to_deltas(actions[:, 1:], None, batch[MEASURED_STATE], UNITS))
+    assert torch.allclose(padded, to_deltas(actions[:, 1:], None, batch[MEASURED_STATE], policy.network_units))
     seen: list[torch.Tensor] = []
     policy.model.state_token.proj.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
     policy.train()
@@ -354,7 +364,8 @@ def test_unless_asked_a_poor_policy_is_scored_not_stopped(make_config, stats) ->
 def test_the_first_target_may_leap_and_a_later_one_issues_nothing(make_policy, make_batch, monkeypatch) -> None:
     policy = make_policy(touch__input="none", n_action_steps=3)
     deltas = torch.zeros(1, policy.config.chunk_size, 5)
-    deltas[0, :3, 0] = torch.tensor([99.0, 108.0, 119.0])  # of delta_scale, from the chunk's base
+    growth = policy.network_units.unit[:3, 0] / policy.delta_scale[0]
+    deltas[0, :3, 0] = torch.tensor([99.0, 108.0, 119.0]) / growth  # of delta_scale, from the chunk's base
     fixed_deltas(policy, monkeypatch, deltas)
     batch = make_batch(policy)
     _, second = (policy.select_action(batch) for _ in range(2))

@@ -17,7 +17,7 @@ class SeenEnoughError(Exception):
 
 
 def test_it_learns_from_every_demo_that_wiped_the_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nudged experts have an event in half of the demos: of three, all may have one, and the demo ended there."""
+    """Of three demos all may have an event, and the demo ended there."""
     asked = []
 
     def stop(config: view.ViewConfig) -> Path:

@@ -1,7 +1,6 @@
 """Arms of a score take turns, resume, and are controlled; scripts are scored as policies are."""
 
 import dataclasses
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
-from lerobot_env_uniforce_wiping.blind import BEST
 from uniforce_cli import score_worker
 from uniforce_cli.score import SCRIPTS, ScoreConfig, score, score_arms
 from uniforce_cli.score_worker import Job, ShuffledTouch, controlled, donated_touch, score_job
@@ -39,12 +37,9 @@ def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
     return stand_in
 
 
-RESULTS = Path(__file__).parents[2] / "docs" / "results"
-
-
 def test_a_script_is_not_taken_for_a_policy() -> None:
-    arms = [ScoreConfig(policy=policy).arm for policy in ("shipped", "expert", "blind")]
-    assert arms == ["V+T", "expert", "blind"] and ScoreConfig(policy="expert", arm="me").arm == "me"
+    arms = [ScoreConfig(policy=policy).arm for policy in ("shipped", "expert")]
+    assert arms == ["V+T", "expert"] and ScoreConfig(policy="expert", arm="me").arm == "me"
 
 
 def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_out: RolledOut) -> None:
@@ -91,7 +86,7 @@ def test_a_slot_the_policy_lacks_is_refused_before_processes_start(tmp_path: Pat
 def test_two_dask_workers_score_as_one_process_does(tmp_path: Path) -> None:
     """An extra: joblib's Dask back-end carries rollouts over a cluster."""
     distributed = pytest.importorskip("distributed", reason="dask.distributed is optional")
-    plain = ScoreConfig(policy="blind", level="easy", rollouts=2, videos=0, out=str(tmp_path / "one"))
+    plain = ScoreConfig(policy="expert", level="easy", rollouts=2, videos=0, out=str(tmp_path / "one"))
     one = score_arms([plain], workers=1)
     with (
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
@@ -102,10 +97,8 @@ def test_two_dask_workers_score_as_one_process_does(tmp_path: Path) -> None:
     assert [report.as_dict() for report in one] == [report.as_dict() for report in two]
 
 
-def test_every_script_can_be_scored_and_the_blind_one_is_the_sweeps_best() -> None:
+def test_every_script_can_be_scored() -> None:
     assert set(score_worker.SCRIPTS) == set(SCRIPTS)
-    swept = json.loads(RESULTS.joinpath("blind_scripts.json").read_text())
-    assert f"open_loop_press{BEST.press_N:g}_grip{BEST.grip_N:g}" == swept["best_blind"]
 
 
 class Watching:

@@ -8,7 +8,7 @@ import numpy as np
 from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.disturbance import Nudge, Rewrite
+from lerobot_env_uniforce_wiping.rewrite import Rewrite
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_robots.recorder.assemble import next_seed
 from uniforce_vtla.contracts import FINGERS
@@ -19,9 +19,7 @@ from uniforce_vtla.keys import ACTION, STATE, age_key, time_key, truth_wrench_ke
 GIVE_UP_FACTOR = 4  # attempts per wanted episode before a run without failures kept stops
 
 
-def record_expert(
-    env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: int, nudge: float, keep_failures: bool
-) -> None:
+def record_expert(env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: int, keep_failures: bool) -> None:
     """Record what is missing; ``uniforce record --help`` says what each setting is.
 
     Raises ContractError: an expert that fails too often; DatasetError: see ``EpisodeRecorder``.
@@ -33,7 +31,7 @@ def record_expert(
         seeds = iter(range(first, first + GIVE_UP_FACTOR * max(episodes - have, 0)))
         with tqdm(total=episodes, initial=have, desc="record", unit="episode") as bar:
             while recorder.num_episodes < episodes and (seed := next(seeds, -1)) >= 0:
-                result = record_episode(env, recorder, seed, nudge)
+                result = record_episode(env, recorder, seed)
                 if result.clean or keep_failures:
                     recorder.save(success=result.clean, outcome=result.outcome, seed=seed)
                 else:
@@ -45,20 +43,16 @@ def record_expert(
             raise ContractError(expected("expert", wanted, recorder.num_episodes, do))
 
 
-def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int, nudge: float) -> EpisodeResult:
-    """Let the expert do one episode; its frames wait in the recorder.
-
-    Row t: observation and command at t, the command without the nudge that was added to it.
-    """
-    expert, push, rewrite = WipeExpert(), Nudge(seed, nudge), Rewrite(seed)
+def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int) -> EpisodeResult:
+    """Let the expert do one episode, ink coming back in most; its frames wait in the recorder."""
+    expert, rewrite = WipeExpert(), Rewrite(seed)
     observation, _ = env.reset(seed=seed)
     expert.reset(env)
     for step in itertools.count():
         action = np.asarray(expert.act(env), dtype=np.float32)
         recorder.add(_frame(env, observation, action, step), env.task)
-        if nudge:
-            rewrite.apply(env.sim.ink, expert.phase == "wipe")
-        observation, _, terminated, truncated, _ = env.step(push.apply(action, expert.phase))
+        rewrite.apply(env.sim.ink, expert.phase == "wipe")
+        observation, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             break
     return env.result()

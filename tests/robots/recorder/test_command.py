@@ -44,7 +44,7 @@ def test_a_scene_by_hand_and_its_resume(tmp_path: Path, capsys: pytest.CaptureFi
         (["robot.foo=1"], "got --robot.foo=1"),
         (["teleop=recording_test", "robot.foo=1"], "got --robot.foo=1"),
         (["episode_s=9", "prompts=[tidy]"], "prompts, episode_s"),
-        (["teleop=recording_test", "nudge=2"], "nudge"),
+        (["teleop=recording_test", "keep_failures=false"], "keep_failures"),
         (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "level=easy"], "level"),
         (["robot=franka", "teleop=recording_test", "prompts=[tidy]", "left_sensor=gelsight"], "left_sensor"),
         (["teleop=recording_test", "verdict=success"], "got verdict"),

@@ -1,4 +1,4 @@
-"""The same sequence without touch: grip and press from nominal positions. If it wiped well, touch would be needless."""
+"""Scripts without touch: the expert's own sequence with grip and press from positions, nominal or measured."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lerobot_env_uniforce_wiping.expert import CLEARANCE_m, CLOSING_m_s, SLOW_m_s, lowering_speed
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
 from lerobot_env_uniforce_wiping.sequence import Regulator, WipeSequence, look_back
@@ -15,17 +16,10 @@ from lerobot_env_uniforce_wiping.sequence import Regulator, WipeSequence, look_b
 if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
-CLEARANCE_m = 0.008  # above the nominal contact height, where lowering slows down
-FAST_m_s, SLOW_m_s = 0.050, 0.018  # lowering
-LOWERING_GAIN = 3.5  # 1/s: speed per distance left above the clearance
-CLOSING_m_s = 0.040  # gripper in free air
 SETTLE_steps = 12  # waited at a position before the next phase
-
-
-def lowering_speed(target_m: float, layout: Layout) -> float:
-    """Fast in free air, slow where the board may be, changing smoothly."""
-    height = target_m - (layout.board_height_m + layout.grasp_height_m + CLEARANCE_m)
-    return float(np.clip(LOWERING_GAIN * height, SLOW_m_s, FAST_m_s))
+STALLED = 0.9  # share of the grip's distance by which the width lags when the eraser stops it
+LAG_m = 0.0035  # of the height on contact, beyond the free-air lag of slow lowering
+STEP_m = 0.001  # fastest change of the z target while wiping, per step
 
 
 @dataclass(frozen=True)
@@ -44,9 +38,6 @@ class BlindSettings:
     def grip_depth_m(self) -> float:
         """How far inside the eraser the width target goes."""
         return self.grip_N / GRIPPER_N_m
-
-
-BEST = BlindSettings(press_N=7.0, grip_N=13.0)  # of the sweep in docs/results/blind_scripts.json
 
 
 class Settled:
@@ -93,6 +84,48 @@ class OpenLoopRegulator:
         return False
 
 
+class MeasuredPress(OpenLoopRegulator):
+    """Targets a fixed distance below the *measured* height: a force command, if the arm's stiffness were known.
+
+    Contact shows as lag: the measured height stops following the target.
+    """
+
+    def __init__(self, layout: Layout, settings: BlindSettings) -> None:
+        super().__init__(layout, settings)
+        self._depth_m = settings.press_depth_m
+
+    def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
+        """Go down until the tool lags behind, then press by a fixed distance."""
+        near = target_m < self._layout.board_height_m + self._layout.grasp_height_m + CLEARANCE_m
+        touches = near and measured[2] - target_m > LAG_m
+        pressed = self._lowered(touches)
+        if not touches:
+            return target_m - lowering_speed(target_m, self._layout) / CONTROL_HZ, False
+        return float(max(measured[2] - self._depth_m, target_m - SLOW_m_s / CONTROL_HZ)), pressed
+
+    def press(self, target_m: float, measured: np.ndarray) -> float:
+        """Stay a fixed distance below the measured height."""
+        wanted_m = measured[2] - self._depth_m
+        return float(target_m + np.clip(wanted_m - target_m, -STEP_m, STEP_m))
+
+
+class MeasuredRelative(MeasuredPress):
+    """Besides, targets a fixed distance inside the *measured* width: a force, if the gripper's stiffness were known."""
+
+    def __init__(self, layout: Layout, settings: BlindSettings) -> None:
+        super().__init__(layout, settings)
+        self._inside_m = settings.grip_depth_m
+
+    def close(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
+        """Close until the width stops following, then hold a fixed distance inside it."""
+        nxt = max(measured[4] - self._inside_m, target_m - CLOSING_m_s / CONTROL_HZ)
+        return float(nxt), self._closed(measured[4] - target_m > STALLED * self._inside_m)
+
+    def hold(self, target_m: float, measured: np.ndarray) -> float:
+        """Stay a fixed distance inside the measured width."""
+        return float(measured[4] - self._inside_m)
+
+
 class BlindScript:
     """A script with the expert's own sequence and layout, without touch.
 
@@ -102,7 +135,7 @@ class BlindScript:
     """
 
     def __init__(
-        self, settings: BlindSettings = BEST, style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator
+        self, settings: BlindSettings, style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator
     ) -> None:
         self._settings, self._style = settings, style
 

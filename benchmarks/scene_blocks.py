@@ -1,0 +1,18 @@
+"""Which scenes of the wiping level are for what, so that none is scored that something was chosen on.
+
+A block is ``range(first, first + 10_000)`` or wider. Blocks below 40,000 are for development, 50,000 to 89,999 were
+used before this table existed. A block of final scenes is scored once; every later run takes a new one.
+"""
+
+BLOCKS: dict[str, range] = {
+    "demonstrations": range(0, 10_000),
+    "README path": range(10_000, 20_000),  # scored again with every release: no claim rests on it
+    "development": range(20_000, 30_000),
+    "what scripts of the gates learn from": range(30_000, 40_000),
+    "spent": range(50_000, 90_000),  # donors, leak check, descriptor heads, trials
+    "gates": range(1_000_000, 1_010_000),
+    "swap ladder": range(1_010_000, 1_020_000),
+    "arms": range(1_020_000, 1_030_000),
+    "controls": range(1_030_000, 1_040_000),
+    "stress": range(1_040_000, 1_060_000),
+}
