@@ -33,7 +33,7 @@ def quiet_scene(seed: int = 3, level: str = "easy", **changes: Any) -> ScenePara
     calm: dict[str, Any] = dict.fromkeys(("stiffness_scale", "gripper_gain", "letter_scale"), 1.0)
     calm |= dict.fromkeys(("stiction_Nm", "gripper_dead_band_m", "board_turn_rad", "eraser_turn_rad"), 0.0)
     calm |= dict.fromkeys(("board_tilt_rad", "eraser_offset_m", "board_shift_m"), (0.0, 0.0))
-    calm |= {"gel_scale": (1.0, 1.0), "pad_friction": (0.8, 0.8), "start_offset_m": (0.0, 0.0, 0.0)}
+    calm |= {"pad_friction": (0.8, 0.8), "start_offset_m": (0.0, 0.0, 0.0)}
     return replace(draw_scene(seed, level), **(calm | changes))
 
 
@@ -44,9 +44,14 @@ def hold(sim: WipeSimulation, target: list[float] | np.ndarray, steps: int) -> N
         sim.step()
 
 
-def grasped(width_m: float = 0.022, solver: SolverSettings | None = None, **changes: Any) -> WipeSimulation:
+def grasped(
+    width_m: float = 0.022,
+    solver: SolverSettings | None = None,
+    stiffness: tuple[float, float] = (1.0, 1.0),
+    **changes: Any,
+) -> WipeSimulation:
     """Return a simulation that holds the eraser in the air, the gripper commanded to ``width_m``."""
-    sim = WipeSimulation(quiet_scene(**changes), "gelsight", "tactip", solver)
+    sim = WipeSimulation(quiet_scene(**changes), "gelsight", "tactip", solver, stiffness)
     x, y = sim.scene.level.layout.tray_m
     hold(sim, [x, y, GRASP_m, 0.0, OPEN_m], 25)
     hold(sim, [x, y, GRASP_m, 0.0, width_m], 35)

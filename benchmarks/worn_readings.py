@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.worn import WornSensor
+from lerobot_env_uniforce_wiping.worn import drawing
 from uniforce_cli.boundary import Level, command
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor
 from uniforce_vtla.contact.virtual import any_virtual
@@ -49,7 +49,7 @@ class WornReadingsCommand:
 
 def readings(config: WornReadingsCommand, tokenizer: Tokenizer, name: str) -> tuple[Latent, np.ndarray]:
     """Return pooled latents (n, P, L) of the left finger over all scenes, and the true force (n, 3), canonical."""
-    env, latents, truth = WipeEnv(config.level, WornSensor(any_virtual(name))), [], []
+    env, latents, truth = WipeEnv(config.level, drawing(any_virtual(name))), [], []
     for seed in tqdm(range(config.first_seed, config.first_seed + config.scenes), desc=name, leave=False):
         for step, _ in enumerate(walk(env, WipeExpert(), seed)):
             force = env.true_wrench()["left"][:3]

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.probes.disturbances import Creep, Light, lagging_force
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.sequences import press_shear_release
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
@@ -20,6 +19,7 @@ from uniforce_vtla.contact.sampling import ForceRange, sample_objects
 from uniforce_vtla.contact.simulator import TactileSimulator, draw_simulator
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual
+from uniforce_vtla.contact.wear import Creep, Light, lagging_force
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.nominal_scale import to_nominal_scale

@@ -13,7 +13,7 @@ from lerobot_env_uniforce_wiping.recording import CLEAR_m, TraceRecorder
 from lerobot_env_uniforce_wiping.scene_params import SceneParams, draw_scene
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from lerobot_env_uniforce_wiping.touch import PadImages
-from lerobot_env_uniforce_wiping.worn import WornSensor, worn
+from lerobot_env_uniforce_wiping.worn import Wear, WornSensor, wear
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, Finger
 from uniforce_vtla.errors import ContractError, RolloutError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, ScoreLimits, score_episode
@@ -29,8 +29,9 @@ class WipeEnv(gymnasium.Env):
 
     Args:
         level: name of a locked level.
-        left_sensor: sensor worn by the left finger, by name as drawn or as one unit of any sensor.
+        left_sensor: what the left finger wears, in words (``worn``) or as one unit of any sensor.
         right_sensor: likewise, of the right finger.
+        drawn: fingers whose pads are shown; a policy that reads one spares the other's time.
         expose_wrench: add the true pad wrenches to the observation; for ceiling controls only.
         max_steps: cut episodes earlier or later than the level does.
         render_mode: gymnasium's; pictures are always arrays.
@@ -43,13 +44,15 @@ class WipeEnv(gymnasium.Env):
         level: str = "easy",
         left_sensor: str | WornSensor = "gelsight",
         right_sensor: str | WornSensor = "tactip",
+        drawn: tuple[Finger, ...] = FINGERS,
         expose_wrench: bool = False,
         max_steps: int | None = None,
         render_mode: str | None = "rgb_array",
     ) -> None:
         self.level = get_level(level)
-        self.worn: dict[Finger, WornSensor] = {"left": worn(left_sensor), "right": worn(right_sensor)}
-        self.sensors: dict[str, str] = {finger: sensor.kind for finger, sensor in self.worn.items()}
+        self._wear: dict[Finger, Wear] = {"left": wear(left_sensor), "right": wear(right_sensor)}
+        self.sensors: dict[str, str] = {finger: worn(0).kind for finger, worn in self._wear.items()}
+        self.drawn = drawn
         self.limits = replace(ScoreLimits(), in_band_share=self.level.in_band_share or 0.0)
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
         self._painter = Painter()
@@ -64,7 +67,7 @@ class WipeEnv(gymnasium.Env):
             return spaces.Box(0, 255, (*shape, 3), np.uint8)
 
         pixels = {name: picture((CAMERA_PX, CAMERA_PX)) for name in CAMERAS}
-        pixels |= {tactile_name(f, r): picture(MARKER_IMAGE_SHAPE) for f in FINGERS for r in (False, True)}
+        pixels |= {tactile_name(f, r): picture(MARKER_IMAGE_SHAPE) for f in self.drawn for r in (False, True)}
         state = spaces.Box(-10.0, 10.0, (len(AXES),), np.float32)
         content: dict[str, spaces.Space] = {"pixels": spaces.Dict(pixels), "agent_pos": state}
         if self.expose_wrench:
@@ -119,11 +122,14 @@ class WipeEnv(gymnasium.Env):
     def start(self, seed: int) -> None:
         """Build the scene of ``seed`` without observing it: the fast path's reset."""
         scene = draw_scene(seed, self.level.name)
-        self._sim = WipeSimulation(scene, self.sensors["left"], self.sensors["right"])
+        self.worn = {finger: worn(seed) for finger, worn in self._wear.items()}
+        stiffness = self.worn["left"].stiffness, self.worn["right"].stiffness
+        self._sim = WipeSimulation(scene, self.sensors["left"], self.sensors["right"], stiffness=stiffness)
         self._recorder = TraceRecorder(self._sim)
         self._steps = 0
         self.task = self.task_description = scene.task
-        self._touch = {f: PadImages(self.worn[f], f, seed) for f in FINGERS}
+        self._touch = {finger: PadImages(self.worn[finger], finger, seed) for finger in self.drawn}
+        self._follow()
         self._painter.reset(self._sim)
 
     def advance(self, action: np.ndarray) -> bool:
@@ -137,7 +143,12 @@ class WipeEnv(gymnasium.Env):
         self.sim.step()
         self._steps += 1
         self._recorder.record()
+        self._follow()
         return self._wiped_and_lifted() or self._steps >= self._max_episode_steps
+
+    def _follow(self) -> None:
+        for pad in self._touch.values():
+            pad.follow(self.sim)
 
     def _checked(self, action: np.ndarray) -> np.ndarray:
         try:
@@ -165,11 +176,15 @@ class WipeEnv(gymnasium.Env):
         return self.observe(), reward, terminated, truncated, info
 
     def observe(self) -> dict[str, Any]:
-        """Render cameras and pads now."""
+        """Render cameras and pads now.
+
+        Raises:
+            SensorError: a canonicalizer refuses its frame, as it would on a robot.
+        """
         pixels = dict(zip(CAMERAS, self._painter.render(), strict=True))
-        for finger in FINGERS:
-            pixels[tactile_name(finger)] = self._touch[finger].image(self.sim)
-            pixels[tactile_name(finger, reference=True)] = self._touch[finger].reference
+        for finger, pad in self._touch.items():
+            pixels[tactile_name(finger)] = pad.image(self.sim)
+            pixels[tactile_name(finger, reference=True)] = pad.reference
         observation: dict[str, Any] = {"pixels": pixels, "agent_pos": self.state}
         if self.expose_wrench:
             observation |= {f"wrench_{f}": w for f, w in self.true_wrench().items()}

@@ -37,6 +37,7 @@ class PadSettings:
     # carries 24 (40 chatters); a TacTip's dome has 4.2, real ones 3.3 to 4.7
     flat_N_mm: float = 24.0
     dome_N_mm: float = 4.2
+    stiffest_N_mm: float = 30.0  # of any unit: what the time step carries
     # Shear, both pads alike, so that a load from outside is shared equally, F_L ≈ F_R: a TacTip (4 N/mm by finite
     # elements) on a finger that gives way by 12 N/mm. Stiffer springs let one pad carry an eraser that leans
     shear_N_mm: float = 3.0
@@ -87,7 +88,6 @@ class Level:
     eraser_mass_kg: Range = (0.040, 0.070)
     pad_friction: Range = (0.50, 0.85)
     board_friction: Range = (0.25, 0.40)
-    gel_scale: Range = (0.94, 1.06)  # pad stiffness
     layout: Layout = Layout()
     pads: PadSettings = PadSettings()
     pull: PullSettings | None = None  # hidden force on the hand

@@ -32,7 +32,6 @@ class SceneParams:
     eraser_mass_kg: float
     pad_friction: tuple[float, float]  # left, right
     board_friction: float
-    gel_scale: tuple[float, float]  # left, right
     eraser_offset_m: tuple[float, float]  # x, y from the tray's centre
     start_offset_m: tuple[float, float, float]
     word: str
@@ -82,7 +81,6 @@ def _drawn(level: Level, rng: np.random.Generator) -> dict[str, Any]:
         "eraser_width_m": layout.eraser_width_m + uniform(level.eraser_width_offset_m),
         "eraser_mass_kg": uniform(level.eraser_mass_kg),
         "board_friction": uniform(level.board_friction),
-        "gel_scale": (factor(level.gel_scale), factor(level.gel_scale)),
         "start_offset_m": spread(2 * level.placement_m, 3),
         "word": str(rng.choice(level.words)),
         "word_offset_m": spread(level.word_offset_m, 2),

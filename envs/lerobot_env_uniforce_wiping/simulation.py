@@ -38,10 +38,23 @@ class PadTruth:
 
 
 class WipeSimulation:
-    """One compiled scene. Frames: everything is in the robot base frame unless named otherwise."""
+    """One compiled scene. Frames: everything is in the robot base frame unless named otherwise.
+
+    Args:
+        scene: its numbers.
+        left_sensor: kind that the left finger wears.
+        right_sensor: likewise.
+        solver: of the physics.
+        stiffness: of the left and the right unit over its kind's.
+    """
 
     def __init__(
-        self, scene: SceneParams, left_sensor: str, right_sensor: str, solver: SolverSettings | None = None
+        self,
+        scene: SceneParams,
+        left_sensor: str,
+        right_sensor: str,
+        solver: SolverSettings | None = None,
+        stiffness: tuple[float, float] = (1.0, 1.0),
     ) -> None:
         self.scene, self.solver = scene, solver or SolverSettings()
         self.sensors = {"left": left_sensor, "right": right_sensor}
@@ -49,7 +62,7 @@ class WipeSimulation:
         self.data = mujoco.MjData(self.model)
         self.ink = InkField(scene)
         self._find_ids()
-        self._set_gel_stiffness()
+        self._set_pad_stiffness(dict(zip(FINGERS, stiffness, strict=True)))
         self._draw_hidden()
         self._place_arm()
         self.pads = {f: PadTruth(np.zeros(4, np.float32), 0.0) for f in FINGERS}
@@ -68,13 +81,13 @@ class WipeSimulation:
         self._reference = m.site("base_tool").pos.copy()
         self._fingers_q = [m.jnt_qposadr[m.joint(f"finger_{f}").id] for f in FINGERS]
 
-    def _set_gel_stiffness(self) -> None:
+    def _set_pad_stiffness(self, over_nominal: dict[Finger, float]) -> None:
         """Pad stiffness K by formula: MuJoCo's solref then gives K whatever the eraser weighs."""
         weight, pads = self.model.body_invweight0, self.scene.level.pads
         for geom, finger in self._pad_geom.items():
             flat = get_sensor(self.sensors[finger]).dome_radius_mm is None
-            scale = self.scene.gel_scale[FINGERS.index(finger)]
-            K = (pads.flat_N_mm if flat else pads.dome_N_mm) * 1000 * scale
+            nominal = pads.flat_N_mm if flat else pads.dome_N_mm
+            K = min(nominal * over_nominal[finger], pads.stiffest_N_mm) * 1000
             mobility = weight[self.model.geom_bodyid[geom], 0] + weight[self._eraser, 0]
             stiffness = K / (4 if flat else 1) * (1 - GEL_D) * mobility
             damping = 2 * GEL_ZETA * np.sqrt(stiffness * GEL_D)

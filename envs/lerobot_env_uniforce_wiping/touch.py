@@ -1,56 +1,103 @@
-"""Contact truth of a pad → its marker image, through the one contact model."""
+"""Contact truth of a pad → its marker image: contact model, raw frame, canonicalizer, as the worn unit has them."""
+
+from collections import deque
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.mjcf import FELT_m
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from lerobot_env_uniforce_wiping.worn import WornSensor
-from uniforce_vtla.contact import TactileSimulator, free_air
+from uniforce_vtla.contact import ContactOptions, TactileSimulator, free_air
 from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contracts import ContactState, Finger
+from uniforce_vtla.markers.canonicalizer import Canonicalizer
 
 TOUCHING_N = 0.02  # below this the pad counts as in free air
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a pad bears at one step: canonical wrench (4,) and where the block lies before it, in the tool frame."""
+
+    wrench: np.ndarray
+    center_m: np.ndarray
+    axes: np.ndarray
 
 
 class PadImages:
     """What one finger's sensor shows in the scene, in its own frame, never flipped.
 
+    ``follow`` looks at every control step, since rubber and cameras are late; ``image`` draws when it is asked.
+
     Args:
         sensor: what the finger wears.
         finger: which finger it is.
         seed: draws the sensor's noise; the same episode shows the same images.
+
+    Raises:
+        SensorError: the canonicalizer refuses the reference.
     """
 
     def __init__(self, sensor: WornSensor, finger: Finger, seed: int) -> None:
-        self.finger = finger
-        self._sensor = TactileSimulator(sensor.sensor, sensor.unit, seed=2 * seed + (finger == "right"))
-        self._free = self._sensor.reference()
-        self.reference = cv2.cvtColor(self._free, cv2.COLOR_GRAY2RGB)
+        self.finger, self._worn = finger, sensor
+        options = ContactOptions(marker_loss=sensor.marker_loss > 0, loss_probability=sensor.marker_loss)
+        noise_seed = 2 * seed + (finger == "right")
+        self._simulator = TactileSimulator(sensor.sensor, sensor.unit, options, seed=noise_seed)
+        self._past: deque[Load] = deque(maxlen=sensor.lag_steps + 1)
+        self._late = np.zeros(4)
+        self._canonicalizer = Canonicalizer(sensor.kind)
+        if sensor.direct:
+            reference = self._simulator.reference()
+        else:
+            raw = self._lit(self._simulator.raw_reference()[None])[0]
+            self._canonicalizer.set_reference(raw)
+            reference = self._canonicalizer.marker_image(raw)
+        self.reference = cv2.cvtColor(reference, cv2.COLOR_GRAY2RGB)
+
+    def follow(self, sim: WipeSimulation) -> None:
+        """Look at the pad after a control step."""
+        wrench = sim.pads[self.finger].wrench.astype(np.float64)
+        if creep := self._worn.creep:
+            self._late += (1 - np.exp(-1 / (creep.relaxation_s * CONTROL_HZ))) * (wrench - self._late)
+            wrench = (1 - creep.share) * wrench + creep.share * self._late
+        self._past.append(Load(wrench, *sim.block_from_pad(self.finger)))
 
     def image(self, sim: WipeSimulation) -> np.ndarray:
-        """Return (480, 640, 3) uint8: the marker image, repeated on three channels."""
-        contact = own_contact(sim, self.finger)
-        if not self._sensor.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
+        """Return (480, 640, 3) uint8: the marker image, repeated on three channels.
+
+        Raises:
+            SensorError: the canonicalizer refuses the frame.
+        """
+        contact = pad_contact(self._past[0], sim, self.finger)
+        if not self._simulator.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
             contact = free_air(1)
-        return cv2.cvtColor(self._sensor.marker_images(contact)[0], cv2.COLOR_GRAY2RGB)
+        if self._worn.direct:
+            image = self._simulator.marker_images(contact)[0]
+        else:
+            image = self._canonicalizer.marker_image(self._lit(self._simulator.raw_frames(contact))[0])
+        return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+
+    def _lit(self, raw: np.ndarray) -> np.ndarray:
+        return raw if self._worn.light is None else self._worn.light.on(raw)
 
 
-def own_contact(sim: WipeSimulation, finger: Finger) -> ContactState:
+def pad_contact(load: Load, sim: WipeSimulation, finger: Finger) -> ContactState:
     """Return the contact of a pad in that finger's own image frame, batch of one."""
     mirror = 1.0 if finger == "left" else -1.0  # the right finger's image x is world −y
-    fx, fy, fz, torsion = sim.pads[finger].wrench
+    fx, fy, fz, torsion = load.wrench
     if fz < TOUCHING_N:
         return free_air(1)
     force = np.array([[mirror * fx, fy, fz]], dtype=np.float32)
-    return ContactState(eraser_gap(sim, finger), force, np.array([mirror * torsion], dtype=np.float32))
+    return ContactState(eraser_gap(load, sim, finger), force, np.array([mirror * torsion], dtype=np.float32))
 
 
-def eraser_gap(sim: WipeSimulation, finger: Finger) -> np.ndarray:
+def eraser_gap(load: Load, sim: WipeSimulation, finger: Finger) -> np.ndarray:
     """Return (1, G, G) gap of the eraser's side face as this pad sees it."""
     mirror = 1.0 if finger == "left" else -1.0
-    layout = sim.scene.level.layout
-    center, axes = sim.block_from_pad(finger)  # tool frame: x closes, y = world −y, z down
+    layout, center, axes = sim.scene.level.layout, load.center_m, load.axes
     size = np.array([[sim.scene.eraser_length_m, layout.eraser_height_m - FELT_m]]) * 1000
     along, across = axes[:, 1], axes[:, 0]  # the eraser's long axis; the normal of its side faces
     angle = np.arctan2(-mirror * along[2], along[1])

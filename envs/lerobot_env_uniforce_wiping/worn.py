@@ -1,30 +1,87 @@
-"""What a finger wears in the scene: a sensor of the registry as drawn, or any sensor as the unit it is."""
+"""What a finger wears in the scene: one unit of a sensor as a lab would find it, or the bare drawing.
+
+In words, as commands take it: ``tactip`` is unit 1 of that sensor, ``tactip:7`` another one, ``tactip:any`` another one
+in every scene, and ``tactip:drawing`` the fast path: the marker image as the contact model draws it, without a frame.
+"""
 
 from __future__ import annotations
 
+import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from uniforce_vtla.contact.units import UnitVariation
-from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
+import numpy as np
+
+from uniforce_vtla.contact.materials import get_material
+from uniforce_vtla.contact.units import Look, UnitVariation
+from uniforce_vtla.contact.virtual import VirtualSensor, any_virtual
+from uniforce_vtla.contact.wear import Creep, Light
+from uniforce_vtla.errors import SensorError, expected
+
+USUAL_UNIT, ANY, DRAWING = "1", "any", "drawing"
+CREEP_SHARE = (0.05, 0.20)  # part of a motion that comes late; rubbers .1–.3
+MARKER_LOSS = 0.02  # chance per marker and frame that the camera misses it; ViTac 2024 draws .01
+LAG_STEPS = 1  # 33 ms from exposure to image
 
 
 @dataclass(frozen=True)
 class WornSensor:
-    """One unit of a sensor on a finger."""
+    """One unit of a sensor on a finger.
+
+    Cameras show raw frames, which the canonicalizer turns into marker images as on a robot; it may refuse one. The
+    drawn stiffness decides the picture and the pad in MuJoCo.
+    """
 
     sensor: VirtualSensor  # its drawing and material
     unit: UnitVariation = field(default_factory=UnitVariation)  # how this one differs from the drawing
+    light: Light | None = None  # on its camera
+    creep: Creep | None = None  # of its rubber
+    marker_loss: float = 0.0  # chance per marker and frame
+    lag_steps: int = 0  # control steps by which its picture is late
+    direct: bool = False  # True: the fast path, no raw frame
 
     @property
     def kind(self) -> str:
         """Registry name of the sensor whose body it has: decides the pad in the simulator and what a policy knows."""
         return self.sensor.like
 
+    @property
+    def stiffness(self) -> float:
+        """Stiffness over the nominal one of its kind."""
+        return self.unit.stiffness * self.sensor.material.stiffness / get_material(self.kind).stiffness
 
-def worn(sensor: str | WornSensor) -> WornSensor:
-    """Return the sensor to wear; a name gives the drawing itself.
+
+def drawing(sensor: VirtualSensor) -> WornSensor:
+    """Return the sensor as it is drawn, by the fast path."""
+    return WornSensor(sensor, direct=True)
+
+
+def unit_of(sensor: VirtualSensor, number: int) -> WornSensor:
+    """Return a unit by its number: moulding, camera pose, light and rubber are drawn from it."""
+    rng = np.random.default_rng([number, zlib.crc32(sensor.name.encode())])
+    unit, creep = UnitVariation.draw(rng, sensor), Creep.draw(rng, CREEP_SHARE)
+    if sensor.spec.signal == "taxel":
+        return WornSensor(sensor, unit, None, creep, lag_steps=LAG_STEPS)
+    return WornSensor(sensor, unit.seen_through(rng, Look()), Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS)
+
+
+Wear = Callable[[int], WornSensor]  # a scene's seed → what is worn there
+
+
+def wear(sensor: str | WornSensor) -> Wear:
+    """Return what a finger wears in each scene.
 
     Raises:
-        SensorError: an unknown name.
+        SensorError: an unknown name, or neither a number nor ``any`` nor ``drawing`` behind it.
     """
-    return sensor if isinstance(sensor, WornSensor) else WornSensor(as_virtual(sensor))
+    if isinstance(sensor, WornSensor):
+        return lambda seed: sensor
+    name, _, which = sensor.partition(":")
+    drawn, which = any_virtual(name), which or USUAL_UNIT
+    if which == ANY:
+        return lambda seed: unit_of(drawn, 1_000_000 + seed)  # no unit that a number below a million names
+    if which != DRAWING and not (which.isdecimal() and int(which) < 1_000_000):
+        wanted, do = f"a number below 1,000,000, {ANY} or {DRAWING}", "Or leave it out: unit 1."
+        raise SensorError(expected(f"unit of {name}", wanted, repr(which), do))
+    one = drawing(drawn) if which == DRAWING else unit_of(drawn, int(which))
+    return lambda seed: one

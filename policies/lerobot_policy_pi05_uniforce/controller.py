@@ -136,6 +136,12 @@ class PolicyController:
         """Whether this is the ceiling control, which is fed the simulator's wrench."""
         return self.config.touch.input == "wrench"
 
+    @property
+    def reads(self) -> tuple[Finger, ...]:
+        """Fingers whose marker images the policy looks at."""
+        images = self.config.touch.input not in ("wrench", "none")
+        return tuple(dict.fromkeys(self.config.finger_by_slot().values())) if images else ()
+
     def reset(self, env: Any) -> None:
         """Forget the previous episode: action queue, issued target, cached references, latencies."""
         self.policy.reset()
@@ -171,7 +177,5 @@ class PolicyController:
         if self.needs_true_wrench:
             for slot, finger in self.config.finger_by_slot().items():
                 wanted[wrench_key(slot).removeprefix("observation.")] = observation[f"wrench_{finger}"]
-        images = self.config.touch.input not in ("wrench", "none")
-        fingers = self.config.finger_by_slot().values() if images else ()
-        unread = [name for name in TACTILE_NAMES if name.split("_")[1] not in fingers]  # tactile_FINGER[_ref]
+        unread = [name for name in TACTILE_NAMES if name.split("_")[1] not in self.reads]  # tactile_FINGER[_ref]
         return wanted | {"pixels": {k: v for k, v in observation["pixels"].items() if k not in unread}}

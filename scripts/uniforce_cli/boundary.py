@@ -17,7 +17,7 @@ from draccus.utils import DraccusException
 
 from uniforce_vtla.arguments import parse, split_words
 from uniforce_vtla.errors import ContractError, UniForceError, without_credentials
-from uniforce_vtla.options import Names
+from uniforce_vtla.options import Names, Pattern
 from uniforce_vtla.sensors import list_sensors
 
 REFUSED, FAULT, STOPPED = 2, 70, 130
@@ -28,6 +28,8 @@ Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes 
 # the environment's, which takes seconds to import; a test compares
 Level = Literal["easy", "touch"]
 Sensor = Annotated[str, Names(list_sensors())]
+# the environment's words for what a finger wears (worn.py)
+Worn = Annotated[str, Pattern("a sensor and which unit of it", r"\w+(:(any|drawing|\d{1,6}))?", "tactip:any")]
 Sensors = Annotated[str, Names(list_sensors(), many=True)]
 
 

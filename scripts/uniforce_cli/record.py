@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_cli.boundary import Level, Sensor, command
+from uniforce_cli.boundary import Level, Worn, command
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import (
@@ -55,8 +55,9 @@ class RecordConfig:
     rig: FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
     episodes: Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
     level: Level = "touch"  # simulation: locked in the environment package
-    left_sensor: Sensor = "gelsight"  # simulation; a robot's own config says it there
-    right_sensor: Sensor = "tactip"  # simulation
+    # simulation, a robot's own config says it there: unit 1 of it, or uskin:7 | uskin:any | uskin:drawing
+    left_sensor: Worn = "gelsight"
+    right_sensor: Worn = "tactip"  # likewise
     root: OutFolder = "outputs/demos"  # the dataset's folder
     resume: Dataset = ""  # the same as root, but refuses a folder without a dataset
     repo_id: HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
-from uniforce_cli.boundary import Level, Sensor
+from uniforce_cli.boundary import Level, Worn
+from uniforce_vtla.contact.virtual import any_virtual
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import (
     Count,
@@ -40,8 +41,13 @@ class Rig:
 
     @property
     def mounted(self) -> dict[Finger, str]:
-        """Finger → sensor of the scene; the usual rig where none is named."""
+        """Finger → what it wears, in words; the usual rig where none is named."""
         return {"left": self.left_sensor or "gelsight", "right": self.right_sensor or "tactip"}
+
+    @property
+    def kinds(self) -> dict[Finger, str]:
+        """Finger → kind of sensor, which a policy knows or doesn't."""
+        return {finger: any_virtual(words.partition(":")[0]).like for finger, words in self.mounted.items()}
 
     @property
     def calibrations(self) -> dict[Finger, str]:
@@ -60,8 +66,10 @@ class ScoreConfig:
     policy: Policies = "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
     arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
     level: Level = "touch"
-    left_sensor: Sensor = ""  # "" = gelsight, and it must be what the policy knows
-    right_sensor: Sensor = ""  # likewise; "" = tactip. Naming a sensor allows it to differ from training
+    # "" = gelsight, and it must be what the policy knows. Naming a sensor allows it to differ from training: unit 1 of
+    # it, or uskin:7 | uskin:any (another in every scene) | uskin:drawing (as drawn, no camera: fast)
+    left_sensor: Worn = ""
+    right_sensor: Worn = ""  # likewise; "" = tactip
     left_calibration: FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
     right_calibration: FolderPath = ""  # likewise
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
@@ -106,7 +114,8 @@ class ScoreConfig:
         swap += "".join(f"_{finger}-calibrated" for finger in self.rig.calibrations)
         arm = re.sub(r"\W+", "-", self.arm.replace("+", "")).strip("-")
         control = f"_{self.control}" if self.control else ""
-        return Path(self.out) / f"{arm}_{'+'.join(self.rig.mounted.values())}_{self.level}{swap}{control}"
+        rig = "+".join(self.rig.mounted.values()).replace(":", "-")
+        return Path(self.out) / f"{arm}_{rig}_{self.level}{swap}{control}"
 
     def video(self, seed: int) -> Path:
         """Return where an episode's video lies, once it is filmed."""

@@ -21,12 +21,12 @@ from lerobot_env_uniforce_wiping.episodes import Script, walk
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from uniforce_cli.boundary import one_thread
 from uniforce_cli.score_settings import Rig, ScoreConfig
-from uniforce_vtla.contracts import Finger
+from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
 from uniforce_vtla.evaluation.pictures import write_trace_sheet
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
-from uniforce_vtla.keys import TACTILE_NAMES
+from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.results_file import write_json
 
 SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert}
@@ -104,22 +104,25 @@ def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Cont
     Raises ContractError: an unknown control.
     """
     if control == "shuffled":
-        return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors))
+        return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors, env.drawn))
     if control not in ("", "masked"):
         raise ContractError(expected("control", "masked | shuffled", repr(control), "Name one."))
     controller.policy.touch.masked |= control == "masked"
     return controller
 
 
-def donated_touch(level: str, sensors: dict[str, str], donors: int = DONORS) -> dict[int, list[Donated]]:
+def donated_touch(
+    level: str, sensors: dict[str, str], fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS
+) -> dict[int, list[Donated]]:
     """Return marker images of expert episodes on other scenes, by phase of the task."""
-    env, expert = WipeEnv(level, sensors["left"], sensors["right"]), WipeExpert()
+    env, expert = WipeEnv(level, sensors["left"], sensors["right"], fingers), WipeExpert()
+    names = [tactile_name(finger, reference) for finger in fingers for reference in (False, True)]
     bank: dict[int, list[Donated]] = {}
     for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch", disable=None):
         for step, _ in enumerate(walk(env, expert, seed), start=1):
             if step % EVERY == 0 or env.phase not in bank:
                 pixels = env.observe()["pixels"]
-                packed = {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in TACTILE_NAMES}
+                packed = {name: np.packbits(pixels[name][..., 0] > 0, axis=-1) for name in names}
                 bank.setdefault(env.phase, []).append(packed)
     return bank
 
@@ -153,10 +156,11 @@ class ShuffledTouch:
 def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
     """Return a scene and the checkpoint that acts in it; "shipped" is the package's own."""
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
-    asked: dict[Finger, str] = {"left": rig.left_sensor, "right": rig.right_sensor}
-    controller = PolicyController(path, rig.mounted, rig.swap, asked, rig.calibrations)
-    wrench = controller.needs_true_wrench
-    return WipeEnv(rig.level, rig.mounted["left"], rig.mounted["right"], expose_wrench=wrench), controller
+    named: dict[Finger, str] = {"left": rig.left_sensor, "right": rig.right_sensor}
+    asked = {finger: rig.kinds[finger] for finger, words in named.items() if words}
+    controller = PolicyController(path, rig.kinds, rig.swap, asked, rig.calibrations)
+    worn, reads = (rig.mounted["left"], rig.mounted["right"]), controller.reads
+    return WipeEnv(rig.level, *worn, drawn=reads, expose_wrench=controller.needs_true_wrench), controller
 
 
 def _keep(rollout: Rollout, config: ScoreConfig) -> None:

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.probes.disturbances import Creep, Light, lagging_force
 from benchmarks.probes.sequences import force_sequences, press_shear_release
 from benchmarks.speed.contact import bench_contact
 from uniforce_vtla.contact import (
@@ -22,6 +21,7 @@ from uniforce_vtla.contact import (
 )
 from uniforce_vtla.contact.pads import cell_positions_mm
 from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, sample_loads, sample_objects
+from uniforce_vtla.contact.wear import Creep, Light, lagging_force
 from uniforce_vtla.sensors import list_sensors
 
 DRAWING = PairSettings(unit_strength=0.0, options=ContactOptions().quiet())

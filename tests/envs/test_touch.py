@@ -1,28 +1,40 @@
 """Pad images of the scene where contact truth and geometry disagree for a moment."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.expert import WipeExpert
+from lerobot_env_uniforce_wiping.worn import WornSensor, drawing, wear
+from uniforce_vtla.contact.units import UnitVariation
+from uniforce_vtla.contact.virtual import any_virtual, as_virtual
+from uniforce_vtla.contact.wear import Creep
 from uniforce_vtla.contracts import FINGERS, Finger
+from uniforce_vtla.errors import SensorError
 from uniforce_vtla.keys import tactile_name
+from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
 
 
 @pytest.mark.parametrize("finger", FINGERS)
 def test_an_eraser_lost_within_a_step_leaves_the_pad_in_free_air(finger: Finger) -> None:
     """The wrench is the step's mean, the geometry its end: the last newtons of a slide meet an empty pad."""
-    env = WipeEnv("touch", "gelsight", "tactip")
+    env = WipeEnv("touch", "gelsight:drawing", "tactip:drawing")
     env.reset(seed=3)  # the eraser stands in its tray, the pads face nothing
     free = env.observe()["pixels"][tactile_name(finger)]
     env.sim.pads[finger].wrench[:] = (0.4, -0.8, 1.5, 3.0)
+    for _ in range(3):
+        env._touch[finger].follow(env.sim)
     touched = env.observe()["pixels"][tactile_name(finger)]
     assert np.mean(free != touched) < 0.01  # noise, no contact
 
 
 def test_rigs_differ_in_the_left_fingers_marker_image_alone() -> None:
     """The benchmark rolls such arms out on one rig only."""
-    rigs = [WipeEnv("touch", left, "tactip") for left in ("gelsight", "uskin")]
+    rigs = [WipeEnv("touch", f"{left}:drawing", "tactip:drawing") for left in ("gelsight", "uskin")]
     for env in rigs:
         env.reset(seed=5)
     expert = WipeExpert()
@@ -36,3 +48,72 @@ def test_rigs_differ_in_the_left_fingers_marker_image_alone() -> None:
         np.testing.assert_array_equal(seen[0]["pixels"][key], seen[1]["pixels"][key])
     np.testing.assert_array_equal(seen[0]["agent_pos"], seen[1]["agent_pos"])
     assert (seen[0]["pixels"]["tactile_left"] != seen[1]["pixels"]["tactile_left"]).any()
+
+
+def held(left: str | WornSensor, seed: int = 5, **options: Any) -> WipeEnv:
+    """Return a scene whose expert has held the eraser for half a second."""
+    env, expert, steps = WipeEnv("touch", left, "tactip:drawing", **options), WipeExpert(), 0
+    env.start(seed)
+    expert.reset(env)
+    while steps < 15:
+        env.advance(expert.act(env))
+        steps += env.true_wrench()["left"][2] > 6
+    return env
+
+
+def read(env: WipeEnv, looks: int = 8) -> np.ndarray:
+    """Return what the left finger's own head reads, (3,) N, mean over several noisy looks at one moment."""
+    seen = [env.observe()["pixels"] for _ in range(looks)]
+    pair = [np.stack([p[tactile_name("left", reference)][..., 0] for p in seen]) for reference in (True, False)]
+    latent = Tokenizer.from_pretrained().encode(*pair, "left")
+    return ForceHead.from_pretrained(env.sensors["left"])(latent).numpy().mean(axis=0)
+
+
+@pytest.mark.parametrize(("kind", "grip_N"), [("gelsight", 1.0), ("tactip", 0.5), ("uskin", 0.3)])
+def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(kind: str, grip_N: float) -> None:
+    """The fast path stands for the worn one. A flat gel under a face that covers it moves by a fifth of a pixel."""
+    plain = drawing(as_virtual(kind))
+    fast, raw = read(held(plain)), read(held(replace(plain, direct=False)))
+    assert abs(fast[2] - raw[2]) < grip_N and np.abs(fast[:2] - raw[:2]).max() < 0.3
+
+
+def test_words_say_which_unit_is_worn() -> None:
+    assert wear("tactip")(3) == wear("tactip:1")(8) != wear("tactip:2")(3)
+    assert wear("uskin:any")(3) == wear("uskin:any")(3) != wear("uskin:any")(4)
+    bare = wear("gelsight:drawing")(0)
+    assert bare.direct and bare.light is None and bare.lag_steps == 0
+    for wrong in ("gelsight:left", "gelsight:-1", "gelsight:1000000", "nose"):
+        with pytest.raises(SensorError):
+            wear(wrong)
+
+
+def test_a_stiff_unit_has_a_stiff_pad_and_a_picture_that_moves_less() -> None:
+    plain = drawing(as_virtual("tactip"))
+    stiff = replace(plain, unit=UnitVariation(stiffness=1.5))
+    nominal, other = (WipeEnv("touch", worn, "tactip:drawing") for worn in (plain, stiff))
+    K = []
+    for env in (nominal, other):
+        env.start(5)
+        K.append(env.sim.model.geom_solref[env.sim.model.geom("pad_left").id, 0])
+    assert K[1] == pytest.approx(1.5 * K[0])
+    assert stiff.stiffness == 1.5 and drawing(any_virtual("gelsight_stiff")).stiffness == pytest.approx(1.6)
+
+
+def test_a_picture_is_late_by_a_step_and_rubber_lags_behind() -> None:
+    worn = replace(drawing(as_virtual("tactip")), lag_steps=1, creep=Creep(share=0.2, relaxation_s=0.5))
+    env = WipeEnv("touch", "gelsight:drawing", worn)
+    env.start(5)
+    pad = env._touch["right"]
+    shown = []
+    for _ in range(60):
+        env.sim.pads["right"].wrench[:] = (0.0, 0.0, 5.0, 0.0)
+        pad.follow(env.sim)
+        shown.append(pad._past[0].wrench[2])
+    assert shown[0] == 0 and shown[1] == pytest.approx(4.0, abs=0.1)  # a step late, then 80 % at once
+    assert np.all(np.diff(shown[1:]) > 0) and shown[-1] == pytest.approx(5.0, abs=0.05)
+
+
+def test_a_pad_that_nobody_reads_is_not_drawn() -> None:
+    env = held("gelsight:drawing", drawn=("right",))
+    assert set(env.observe()["pixels"]) == {"front", "wrist", "tactile_right", "tactile_right_ref"}
+    assert "tactile_left" not in env.observation_space["pixels"].spaces  # type: ignore[index]

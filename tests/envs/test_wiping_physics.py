@@ -34,7 +34,7 @@ few = settings(max_examples=8, deadline=None)  # each is a grasp of a tenth of a
     gel=st.tuples(st.floats(0.9, 1.1), st.floats(0.9, 1.1)),
 )
 def test_indentation_is_force_over_stiffness_and_both_pads_carry_the_same(width_m, mass_kg, gel) -> None:
-    found = squeeze(width_m, eraser_mass_kg=mass_kg, gel_scale=gel)
+    found = squeeze(width_m, eraser_mass_kg=mass_kg, stiffness=gel)
     rows = zip(found.force_N, found.depth_mm, (PADS.flat_N_mm, PADS.dome_N_mm), gel, strict=True)
     for force_N, depth_mm, nominal, scale in rows:
         assert force_N > 1

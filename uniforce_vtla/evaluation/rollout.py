@@ -4,12 +4,12 @@ Evaluation never meets a policy class; it is handed a controller, ``action chunk
 """
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 
-from uniforce_vtla.errors import RolloutError, expected
+from uniforce_vtla.errors import RolloutError, SensorError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace
 
 
@@ -60,7 +60,7 @@ class Rollout:
 
 
 def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: bool = False) -> Rollout:
-    """Run one episode to its end.
+    """Run one episode to its end. Where a sensor is lost on the way the robot stops, and the episode is aborted.
 
     Raises:
         RolloutError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
@@ -70,6 +70,10 @@ def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: b
     think_ms: list[float] = []
     frames: list[np.ndarray] = []
     done = False
+
+    def finished(result: EpisodeResult) -> Rollout:
+        return Rollout(seed, result, env.trace, np.asarray(think_ms), frames, controller.facts())
+
     while not done:
         if keep_frames:
             frames.append(observation["pixels"]["front"])
@@ -81,5 +85,8 @@ def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: b
         think_ms.append(1e3 * (time.perf_counter() - start))
         done = any(env.advance(action) for action in chunk)  # what comes after the end is not executed
         if not done:
-            observation = env.observe()
-    return Rollout(seed, env.result(), env.trace, np.asarray(think_ms), frames, controller.facts())
+            try:
+                observation = env.observe()
+            except SensorError as error:  # touch is lost: the robot stops
+                return finished(replace(env.result(), outcome="aborted", reasons=(str(error),)))
+    return finished(env.result())
