@@ -73,7 +73,7 @@ class EpisodeForces:
 
 def described_episodes(level: str, seeds: range) -> Iterator[EpisodeForces]:
     """Yield wipes by experts whose grip and press are drawn per scene, the rigs in turns."""
-    envs = [WipeEnv(level, left) for left in LEFT_SENSORS]
+    envs = [WipeEnv(level, f"{left}:any", "tactip:any") for left in LEFT_SENSORS]
     for number, seed in enumerate(tqdm(seeds, desc=f"wiping from {seeds.start}", unit="scene")):
         yield _described_episode(envs[number % len(envs)], seed)
 

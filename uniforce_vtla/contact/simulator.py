@@ -106,24 +106,27 @@ class TactileSimulator:
         """Return what the driver would deliver: (B, 480, 640, 3) uint8 RGB, or (B, 16, 3) int32 counts."""
         if isinstance(self._respond, TaxelResponse):
             return (self._baseline + self._counts(self.traction(contact), self.options.noise)).astype(np.int32)
-        images = self.marker_images(contact)
+        press_N = self._pressure(contact).press_N  # solved once for picture and shade
+        images = self.images_under(self._traction(press_N, contact))
         if self.spec.dome_radius_mm is not None:
             return tactip_frames(images, self._rng)
-        return gelsight_frames(images, self._indentation_mm(contact), CELL_MM, self.spec.px_per_mm[0], self._rng)
+        return gelsight_frames(images, self._indentation_mm(press_N), CELL_MM, self.spec.px_per_mm[0], self._rng)
 
     def _pressure(self, contact: ContactState) -> Pressure:
         return solve_pressure(self.pad, contact.gap_mm, contact.force_N[:, 2], self._stiffness)
 
-    def _indentation_mm(self, contact: ContactState) -> np.ndarray:
+    def _indentation_mm(self, press_N: np.ndarray) -> np.ndarray:
         """Return (B, G, G) inward displacement of the skin by pressure."""
-        depth = np.zeros((len(contact.gap_mm), GRID_CELLS**2), dtype=np.float32)
-        moved = self._pressure(contact).press_N @ self.pad.normal / self._stiffness
+        depth = np.zeros((len(press_N), GRID_CELLS**2), dtype=np.float32)
+        moved = press_N @ self.pad.normal / self._stiffness
         depth[:, self.pad.block] = moved[..., None]
         return depth.reshape(-1, GRID_CELLS, GRID_CELLS)
 
     def traction(self, contact: ContactState) -> Traction:
         """Return the forces on the pad's cells."""
-        press = self._pressure(contact).press_N
+        return self._traction(self._pressure(contact).press_N, contact)
+
+    def _traction(self, press: np.ndarray, contact: ContactState) -> Traction:
         cells = np.flatnonzero(press.any(axis=0))  # most contacts press few
         press, skin = press[:, cells], self.pad.influence.skin[:, cells][..., cells]
         load = (contact.force_N[:, :2], contact.torsion_Nmm)
