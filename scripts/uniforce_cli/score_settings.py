@@ -73,7 +73,8 @@ class ScoreConfig:
     left_calibration: FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
     right_calibration: FolderPath = ""  # likewise
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
-    control: Literal["", "masked", "shuffled"] = ""  # touch taken away | another scene's touch of the same phase
+    # touch taken away | another scene's touch of the same phase | frozen half a second into the wipe
+    control: Literal["", "masked", "shuffled", "frozen"] = ""
     rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
     first_seed: Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
     workers: Workers = 2  # processes, one torch thread each

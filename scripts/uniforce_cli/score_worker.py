@@ -24,9 +24,10 @@ from uniforce_cli.score_settings import Rig, ScoreConfig
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.evaluation.arms import EpisodeRow, row_of
+from uniforce_vtla.evaluation.episode import WIPING_PHASE
 from uniforce_vtla.evaluation.pictures import write_trace_sheet
 from uniforce_vtla.evaluation.rollout import Controller, Rollout, roll_out
-from uniforce_vtla.keys import tactile_name
+from uniforce_vtla.keys import TACTILE_NAMES, tactile_name
 from uniforce_vtla.results_file import write_json
 
 SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert}
@@ -34,6 +35,7 @@ SCRIPTS: dict[str, Callable[[], Script]] = {"expert": WipeExpert}
 DONOR_SEED = 50_000  # scenes that are neither trained on nor scored
 DONORS = 6  # expert episodes that lend their touch
 EVERY = 5  # steps between two frames kept of a donor
+FEELS_s = 0.5  # of wiping, before touch freezes
 
 Donated = dict[str, np.ndarray]  # stream → (H, W) bool, packed along the last axis
 
@@ -99,14 +101,16 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
 
 
 def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Controller:
-    """Return the controller under a control, ``masked`` or ``shuffled``; "" leaves it as it is.
+    """Return the controller under a control, ``masked``, ``shuffled`` or ``frozen``; "" leaves it as it is.
 
     Raises ContractError: an unknown control.
     """
     if control == "shuffled":
         return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors, env.drawn))
+    if control == "frozen":
+        return FrozenTouch(controller)
     if control not in ("", "masked"):
-        raise ContractError(expected("control", "masked | shuffled", repr(control), "Name one."))
+        raise ContractError(expected("control", "masked | shuffled | frozen", repr(control), "Name one."))
     controller.policy.touch.masked |= control == "masked"
     return controller
 
@@ -151,6 +155,34 @@ class ShuffledTouch:
         grey = {name: np.unpackbits(image, axis=-1) * np.uint8(255) for name, image in donated.items()}
         exchanged = {name: np.repeat(image[..., None], 3, axis=-1) for name, image in grey.items()}
         return self._inner.chunk(observation | {"pixels": observation["pixels"] | exchanged}, task)
+
+
+class FrozenTouch:
+    """A controller whose touch stays, from half a second of wiping on, as it was then."""
+
+    def __init__(self, inner: Controller) -> None:
+        self._inner = inner
+        self._env: Any = None
+
+    def reset(self, env: Any) -> None:
+        """Start an episode with touch that works."""
+        self._env, self._wiping_from_s = env, np.inf
+        self._kept: dict[str, np.ndarray] = {}
+        self._inner.reset(env)
+
+    def facts(self) -> dict[str, float]:
+        """Return the inner controller's facts."""
+        return self._inner.facts()
+
+    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
+        """Return the inner controller's chunk for this observation, or for one whose touch stands still."""
+        pixels = observation["pixels"]
+        time_s = float(self._env.trace.time_s[-1]) if len(self._env.trace.time_s) else 0.0
+        if self._env.phase == WIPING_PHASE:
+            self._wiping_from_s = min(self._wiping_from_s, time_s)
+        if time_s - self._wiping_from_s < FEELS_s:
+            self._kept = {name: pixels[name] for name in TACTILE_NAMES if name in pixels}
+        return self._inner.chunk(observation | {"pixels": pixels | self._kept}, task)
 
 
 def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:

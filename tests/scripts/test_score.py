@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import joblib
@@ -12,7 +13,7 @@ import pytest
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_cli import score_worker
 from uniforce_cli.score import SCRIPTS, ScoreConfig, score, score_arms
-from uniforce_cli.score_worker import Job, ShuffledTouch, controlled, donated_touch, score_job
+from uniforce_cli.score_worker import FrozenTouch, Job, ShuffledTouch, controlled, donated_touch, score_job
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import EpisodeRow
 from uniforce_vtla.keys import TACTILE_NAMES
@@ -136,6 +137,20 @@ def test_shuffled_touch_is_another_scenes_in_the_same_phase(phase: int, monkeypa
         assert np.array_equal(seen["agent_pos"], observation["agent_pos"])
     if phase == 2:  # pressed on the board there, in free air here
         assert not np.array_equal(images["tactile_left"], observation["pixels"]["tactile_left"])
+
+
+def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe() -> None:
+    watching = Watching()
+    frozen = FrozenTouch(watching)  # type: ignore[arg-type]
+    for phase, time_s, shown in ((1, 1.0, 1), (2, 1.1, 1), (2, 1.4, 1), (2, 1.6, 0), (3, 2.0, 0)):
+        env = SimpleNamespace(phase=phase, trace=SimpleNamespace(time_s=np.array([time_s])))
+        if phase == 1:
+            frozen.reset(env)
+        frozen._env = env
+        pixels = {"front": np.full(1, time_s), "tactile_right": np.full(1, time_s)}
+        frozen.chunk({"pixels": pixels}, "wipe")
+        seen = watching.seen[-1]["pixels"]
+        assert seen["front"] == time_s and seen["tactile_right"] == (time_s if shown else 1.4)
 
 
 def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:

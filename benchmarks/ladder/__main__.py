@@ -1,0 +1,117 @@
+"""Score a part of the plan: rows in turns on paired scenes, claims, one table, one figure."""
+
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, SLACK, Entry
+from benchmarks.scene_blocks import BLOCKS
+from lerobot_env_uniforce_wiping import LEVELS, level_hash
+from uniforce_cli.boundary import Level, command
+from uniforce_cli.score import check_policies, score_arms
+from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
+from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.evaluation.arms import ArmReport, table
+from uniforce_vtla.evaluation.comparison import as_good, better
+from uniforce_vtla.evaluation.pictures import draw_arms
+from uniforce_vtla.evaluation.statistics import wilson
+from uniforce_vtla.options import CountOrZero, FolderPath, OutFile, OutFolder, Seed, Workers
+from uniforce_vtla.results_file import provenance, write_json
+
+
+@dataclass
+class LadderCommand:
+    """Roll out what the plan names and the checkpoints' folder holds; test the plan's claims.
+
+    Example: python -m benchmarks.ladder part=ladder checkpoints=outputs/arms
+    """
+
+    part: Literal["ladder", "controls", "arms"] = "ladder"
+    checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
+    calibrations: str = ""  # folder of `uniforce calibrate` results, one per sensor's name; "" = those rows wait
+    level: Level = "touch"
+    rollouts: CountOrZero = 0  # per row; 0 = as planned
+    first_seed: Seed = 0  # 0 = the plan's own block: score it once
+    workers: Workers = 2
+    work: OutFolder = "outputs/ladder"  # episodes so far: run it again to go on
+    out: OutFile = "outputs/ladder.json"
+
+
+def configured(config: LadderCommand, entry: Entry) -> ScoreConfig | None:
+    """Return how a row is scored; None where its checkpoints or its calibration aren't there."""
+    policy = entry.checkpoints
+    if policy not in SCRIPTS:
+        seeds = sorted(Path(config.checkpoints, policy).glob("seed*"))
+        policy = ",".join(str(seed) for seed in seeds)
+    calibration = Path(config.calibrations, entry.worn) if entry.calibrated else None
+    if not policy or (calibration and not (config.calibrations and calibration.is_dir())):
+        return None
+    return ScoreConfig(
+        policy=policy, arm=entry.name, level=config.level, left_sensor=entry.left, right_sensor=entry.right,
+        swap=entry.swap, control=entry.control,  # type: ignore[arg-type]
+        left_calibration=str(calibration) if calibration and entry.swap else "",
+        rollouts=config.rollouts or entry.rollouts, first_seed=config.first_seed or BLOCKS[entry.block].start,
+        videos=0, out=config.work,
+    )  # fmt: skip
+
+
+def by_training_seed(config: ScoreConfig, report: ArmReport) -> list[str]:
+    """Return clean k/n of each training seed: they take turns from scene to scene."""
+    clean: dict[str, list[bool]] = {policy: [] for policy in config.policies}
+    for row in report.rows:
+        clean[config.policy_of(row.seed)].append(row.clean)
+    return [f"{sum(rows)}/{len(rows)}" for rows in clean.values()]
+
+
+def claims(reports: dict[str, ArmReport]) -> list[dict[str, Any]]:
+    """Return the plan's claims with their verdict: estimate within the margin, bound within the margin and slack."""
+    found = as_good(reports, CLAIMS)
+    for claim in found:
+        within = claim["difference"] >= -claim["margin"] and claim["lower"] >= -claim["margin"] - SLACK
+        claim["holds"] = bool(within)
+    return found
+
+
+@command(LadderCommand)
+def main(config: LadderCommand) -> None:
+    """Entry of ``python -m benchmarks.ladder``."""
+    planned = [(entry, configured(config, entry)) for entry in PARTS[config.part]]
+    configs = [found for _, found in planned if found]
+    for entry, found in planned:
+        if not found:
+            print(f"not scored: {entry.name} (no {entry.checkpoints} or no calibration of {entry.worn} there)")
+    if not configs:
+        do = "Train arms into it: uniforce train … output_dir=…, then link ARM/seed0 to pretrained_model."
+        raise CheckpointError(expected(config.checkpoints, "checkpoints of the plan", "none", do))
+    for one in configs:
+        check_policies(one)
+    reports = {report.arm: report for report in score_arms(configs, config.workers)}
+    rows = {
+        one.arm: reports[one.arm].as_dict() | {"clean_by_training_seed": by_training_seed(one, reports[one.arm])}
+        for one in configs
+    }
+    within = claims(reports)
+    content = {
+        "part": config.part,
+        "level": config.level,
+        "level_hash": level_hash(LEVELS[config.level]),
+        "plan": [asdict(entry) for entry, _ in planned],
+        "rows": rows,
+        "within": within,
+        "better": better(reports, BETTER),
+    }
+    print(table(list(reports.values())))
+    for name, row in rows.items():
+        seeds = " ".join(row["clean_by_training_seed"])
+        print(f"{name:28} {wilson(row['clean'], row['n'])}  share {row['in_band_share']:.2f}  training seeds {seeds}")
+    for claim in within:
+        said = f"{100 * claim['difference']:+.0f} points, bound {100 * claim['lower']:+.0f}"
+        print(f"{' against '.join(claim['arms'])}: {said}, {'within' if claim['holds'] else 'NOT within'}")
+    path = write_json(Path(config.out), content | provenance())
+    draw_arms(list(reports.values()), path.with_suffix(".png"), title=f"{config.part}, level {config.level}, simulated")
+    print(f"written to {path}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

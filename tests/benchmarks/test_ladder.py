@@ -1,0 +1,61 @@
+"""The plan of the swap ladder: names and blocks fit together, rows wait for what is missing, claims get verdicts."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from benchmarks.ladder.__main__ import LadderCommand, claims, configured, main
+from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, Entry
+from benchmarks.scene_blocks import BLOCKS
+from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
+
+
+def test_the_plan_names_blocks_and_rows_that_exist() -> None:
+    rows = [entry for part in PARTS.values() for entry in part]
+    names = {entry.name for entry in rows}
+    assert len(names) == len(rows), "two rows of one name"
+    assert all(entry.rollouts <= len(BLOCKS[entry.block]) for entry in rows)
+    assert {claim.first for claim in CLAIMS} | {claim.second for claim in CLAIMS} <= names
+    assert {name for pair in BETTER for name in pair} <= names
+    assert all(BLOCKS[entry.block].start >= 1_000_000 for entry in rows), "final scenes only"
+
+
+def test_rows_wait_for_checkpoints_and_calibrations(tmp_path: Path) -> None:
+    config = LadderCommand(checkpoints=str(tmp_path))
+    calibrated = Entry("S2", "vt", left="uskin:any", swap="touch0:left", calibrated=True)
+    assert configured(config, calibrated) is None and configured(config, Entry("S0", "vt")) is None
+    for folder in ("vt/seed0", "vt/seed1", "maps/uskin"):
+        (tmp_path / folder).mkdir(parents=True)
+    assert configured(config, calibrated) is None
+    config.calibrations = str(tmp_path / "maps")
+    found = configured(config, calibrated)
+    assert found is not None and found.left_calibration == str(tmp_path / "maps" / "uskin")
+    assert [Path(policy).name for policy in found.policies] == ["seed0", "seed1"]
+    assert found.first_seed == BLOCKS["swap ladder"].start
+
+
+def reports(**clean: list[bool]) -> dict[str, ArmReport]:
+    return {
+        name: ArmReport(
+            name, [EpisodeRow(k, "success", ok, False, False, 0, 0, 0, 0, 0, 0) for k, ok in enumerate(row)]
+        )
+        for name, row in clean.items()
+    }
+
+
+def test_a_claim_holds_within_its_margin_and_bound() -> None:
+    good, poor = [True] * 190 + [False] * 10, [True] * 150 + [False] * 50
+    (held,) = claims(reports(S0=good, S1=good))
+    assert held["holds"] and held["difference"] == 0
+    (broken,) = claims(reports(S0=good, S1=poor))
+    assert not broken["holds"]
+
+
+@pytest.mark.slow
+def test_the_expert_alone_is_scored_and_the_rest_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    given = ["part=arms", f"checkpoints={tmp_path}", "level=easy", "rollouts=1", "first_seed=20000", "workers=1"]
+    assert main([*given, f"work={tmp_path / 'work'}", f"out={tmp_path / 'arms.json'}"]) == 0
+    assert "not scored: V+T" in capsys.readouterr().out
+    assert json.loads((tmp_path / "arms.json").read_text())["rows"]["expert"]["clean"] == 1
+    assert main(["part=ladder", f"checkpoints={tmp_path}", f"work={tmp_path / 'work'}"]) == 2
