@@ -54,7 +54,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
             do = "Only who loads a checkpoint chooses this. Copy it again."
             raise CheckpointError(expected(f"{name} in {where}", repr(only), repr(saved[name])[:80], do))
     touch, tiny = ({} if not isinstance(saved.get(name), dict) else saved[name] for name in ("touch", "tiny"))
-    encodes = touch.get("input") == "latent" and touch.get("slots")
+    encodes = touch.get("input") in ("latent", "newtons") and touch.get("slots")
     if not touch or (encodes and not isinstance(touch.get("tokenizer"), dict)):
         do = "A checkpoint names its tokenizer; a path to another one is never followed. Copy it again."
         raise CheckpointError(expected(f"touch.tokenizer in {where}", "sizes and hash", "none", do))

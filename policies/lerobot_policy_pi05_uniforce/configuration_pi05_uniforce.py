@@ -17,10 +17,11 @@ from uniforce_vtla.keys import SLOTS, TACTILE_KEYS
 # take the size's value (sizes.py); never left after __post_init__
 _BY_SIZE: Any = None
 
+ENCODED = ("latent", "newtons")  # inputs that come from the frozen tokenizer
 CHOICES = {
     "size": ("tiny", "base"),
     "verify": ("full", "quick", "off"),
-    "touch.input": ("latent", "wrench", "descriptor", "marker_pair", "none"),
+    "touch.input": ("latent", "newtons", "wrench", "descriptor", "marker_pair", "none"),
     "touch.site": ("prefix", "suffix"),
     "touch.on_sensor_loss": ("error", "mask"),
     "action.form": ("target_delta", "absolute"),
@@ -34,8 +35,10 @@ class TouchSettings:
     """Which fingers give force tokens, of what, and where they enter the network."""
 
     slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})  # slot → finger; {} = none
-    # "latent" | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair" (CNN)
+    # "latent" | "newtons" (what a frozen force head reads in the latents, three numbers) | "none" (plain π0.5);
+    # controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair" (CNN)
     input: str = "latent"
+    head: str = "tactip"  # input=newtons: kind whose shipped force head reads
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     site: str = "prefix"
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
@@ -180,8 +183,9 @@ class PI05UniforceConfig(PI05Config):
         square = self.image_resolution[0] == self.image_resolution[1]
         _require(square, "image_resolution", "a square", self.image_resolution)
         latents = touch.input == "latent" and bool(touch.slots)
+        encodes = touch.input in ENCODED and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
-        fit = latents or not (self.left_calibration or self.right_calibration)
+        fit = encodes or not (self.left_calibration or self.right_calibration)
         _require(fit, "left_calibration, right_calibration", "latents to map", came)
         fit = latents or not touch.next_force_weight
         _require(fit, "touch.next_force_weight", "latents to predict", came)

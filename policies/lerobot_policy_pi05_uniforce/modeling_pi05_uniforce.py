@@ -17,11 +17,11 @@ from torch.nn import functional as F  # noqa: N812
 
 from lerobot_policy_pi05_uniforce import action, checkpoint, training, weights
 from lerobot_policy_pi05_uniforce.augment import vary
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
-from lerobot_policy_pi05_uniforce.touch.controls import ControlInput
+from lerobot_policy_pi05_uniforce.touch.controls import ControlInput, NewtonInput
 from lerobot_policy_pi05_uniforce.touch.encode import ENCODER, TouchInput, check_hash, is_packaged, load_calibrations
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
@@ -75,11 +75,12 @@ class PI05UniforcePolicy(stock.PI05Policy):
         self.reset()
 
     def _make_touch_input(self) -> TouchInput:
-        config = self.config
-        if config.touch.input not in ("latent", "none"):
+        config, encoder = self.config, self.model.tactile_encoder
+        if config.touch.input not in (*ENCODED, "none"):
             return ControlInput(config)
-        rows = (config.tokens_per_slot, config.latent_size) if self.model.tactile_encoder else (0, 0)
-        return TouchInput(config, self.model.tactile_encoder, rows, load_calibrations(config))
+        rows = (config.tokens_per_slot, config.latent_size) if encoder else (0, 0)
+        latents = TouchInput(config, encoder, rows, load_calibrations(config))
+        return NewtonInput(latents) if config.touch.input == "newtons" else latents
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:
         config, tokens = self.config, self.model.force_tokens

@@ -8,7 +8,7 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.backbone import make_backbone
-from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
+from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import ENCODED, PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
 from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
 from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
@@ -64,8 +64,8 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         with no_weights() if empty else nullcontext():
             self._build_stock(config)
         self._touch: SuffixTouch | None = None  # of the call in progress, at touch.site=suffix
-        latents = bool(config.slots) and config.touch.input == "latent"
-        self.tactile_encoder = build_encoder(config, empty) if latents else None
+        encodes = bool(config.slots) and config.touch.input in ENCODED
+        self.tactile_encoder = build_encoder(config, empty) if encodes else None
         vlm_width = self.paligemma_with_expert.paligemma.config.text_config.hidden_size
         width = vlm_width if config.touch.site == "prefix" else self.action_in_proj.out_features
         self.force_tokens: Any = self._make_force_tokens(config, width)

@@ -114,7 +114,7 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     kinds = {slot: "+".join(worn.get(config.touch.slots[slot], [])) for slot in config.slots}
     config.touch.trained_sensors = {**kinds, **config.touch.trained_sensors}
     made_by = view.get("tokenizer_hash", "")
-    if config.touch.input == "latent" and made_by and made_by != config.tokenizer_hash:
+    if config.touch.input in ("latent", "newtons") and made_by and made_by != config.tokenizer_hash:
         do = "Build the view again with this policy's tokenizer."
         raise DatasetError(expected(f"tokenizer of {marker}", config.tokenizer_hash, made_by, do))
 

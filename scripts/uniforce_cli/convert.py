@@ -99,7 +99,7 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
     kinds = {"action": groups.ActionSettings, "tiny": groups.TinySettings, "sampler": groups.SamplerSettings}
     taken |= {name: kind(**taken[name]) for name, kind in kinds.items() if name in taken}
     taken.setdefault("size", "base")
-    touch = groups.TouchSettings(slots, config.touch_input, config.token_site, config.start_at_base)
+    touch = groups.TouchSettings(slots, config.touch_input, site=config.token_site, start_at_base=config.start_at_base)
     dtype = "float32" if taken["size"] == "tiny" else config.dtype
     return PI05UniforceConfig(**taken, device="cpu", dtype=dtype, touch=touch)
 

@@ -13,6 +13,7 @@ from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
+from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
@@ -214,9 +215,28 @@ def test_controls_are_the_same_cached_or_live(make_policy, make_batch, kind):
     assert [t.shape[1] for t in tokens] == [1, 16, 16]
 
 
-@pytest.mark.parametrize("kind", ["latent", "descriptor", "marker_pair"])
+def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, make_batch):
+    shipped = {"touch__tokenizer_path": None}
+    with pytest.raises(CheckpointError, match="packaged"):
+        make_policy(touch__input="newtons")  # the tests' own tokenizer has no head
+    policy, latents = make_policy(touch__input="newtons", **shipped), make_policy(**shipped)
+    batch = with_dots(make_batch(policy))
+    newtons, _ = policy.touch.gather(batch, torch.device("cpu"), training=False)
+    read, _ = latents.touch.gather(batch, torch.device("cpu"), training=False)
+    head = ForceHead.from_pretrained("tactip").model
+    for force, z in zip(newtons, read, strict=True):
+        torch.testing.assert_close(force[:, 0], head.step(z, None)[0])
+    cached = {key: value for key, value in batch.items() if "tactile" not in key}
+    cached |= {latent_key(slot): z.flatten(1) for slot, z in zip(policy.config.slots, read, strict=True)}
+    stored, _ = policy.touch.gather(cached, torch.device("cpu"), training=False)
+    torch.testing.assert_close(stored, newtons)
+    assert policy.model.force_tokens.input_scale.tolist() == [5.0, 5.0, 10.0]
+
+
+@pytest.mark.parametrize("kind", ["latent", "newtons", "descriptor", "marker_pair"])
 def test_touch_acts_and_a_swap_mirrors_as_the_right_finger_did(make_policy, make_batch, kind):
-    policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, sampler__noise_scale=0.0)
+    shipped = {"touch__tokenizer_path": None} if kind == "newtons" else {}
+    policy = make_policy(touch__input=kind, touch__slots={"touch0": "right"}, sampler__noise_scale=0.0, **shipped)
     batch = with_dots(make_batch(policy))
     first = policy.predict_action_chunk(batch)
     other = {**batch, tactile_key("right"): batch[tactile_key("left")]}

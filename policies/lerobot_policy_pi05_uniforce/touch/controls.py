@@ -1,4 +1,4 @@
-"""The benchmark's controls in place of latents: the true wrench, a hand-made descriptor, or the images by a CNN."""
+"""In place of latents: newtons read in them, or a control: true wrench, hand-made descriptor, the images by a CNN."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, taken
+from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, packaged_hashes, taken
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
+from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
+from uniforce_vtla.tokenizer.force_head import ForceHead
 from uniforce_vtla.tokenizer.plain_touch import DESCRIPTOR_SIZE, PAIR_SIDE, descriptors, marker_pairs
 
 if TYPE_CHECKING:
@@ -21,7 +23,8 @@ if TYPE_CHECKING:
 
 WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
 SHAPES = {
-    "wrench": (1, len(WRENCH_SCALE)),  # fx, fy, fz in N, torsion in Nmm
+    "newtons": (1, 3),  # fx, fy, fz in N
+    "wrench": (1, len(WRENCH_SCALE)),  # and torsion in Nmm
     "descriptor": (1, DESCRIPTOR_SIZE),
     "marker_pair": (2, PAIR_SIDE**2),  # flat: what has four axes counts as a camera
 }
@@ -49,6 +52,29 @@ class ControlInput(TouchInput):
         pair = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in self.pair(batch, finger))
         rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
         return torch.from_numpy(np.concatenate(rows))
+
+
+class NewtonInput(TouchInput):
+    """Reads force in newtons: a shipped force head on the slot's latents, mapped by its calibration where it wears one.
+
+    Raises:
+        CheckpointError: the policy's tokenizer is not a packaged one, so that no head reads it.
+    """
+
+    def __init__(self, latents: TouchInput) -> None:
+        config = latents.config
+        super().__init__(config, latents.encoder, SHAPES["newtons"])
+        self._latents = latents
+        size = packaged_hashes().get(config.tokenizer_hash)
+        if size is None:
+            do = "Use touch.input=latent, or a packaged tokenizer."
+            raise CheckpointError(expected("tokenizer", " | ".join(packaged_hashes().values()), "another", do))
+        self._head = ForceHead.from_pretrained(config.touch.head, size).model
+
+    def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
+        """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
+        with torch.no_grad():
+            return self._head.to(device).step(self._latents.read(batch, slot, device), None)[0][:, None]
 
 
 class MarkerPairTokens(nn.Module):
@@ -83,6 +109,6 @@ def control_tokens(config: PI05UniforceConfig, width: int) -> ForceTokens | Mark
     if config.touch.input == "marker_pair":
         return MarkerPairTokens(config, width)
     tokens = ForceTokens(config, SHAPES[config.touch.input], width)
-    if config.touch.input == "wrench":
-        tokens.input_scale.copy_(torch.tensor(WRENCH_SCALE))
+    if config.touch.input in ("wrench", "newtons"):
+        tokens.input_scale.copy_(torch.tensor(WRENCH_SCALE[: tokens.input_scale.numel()]))
     return tokens
