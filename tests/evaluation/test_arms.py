@@ -19,7 +19,7 @@ from uniforce_vtla.evaluation.arms import (
 )
 from uniforce_vtla.evaluation.comparison import AtMostWorse, as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms
-from uniforce_vtla.evaluation.statistics import anytime, holm, mcnemar, non_inferior, wilson
+from uniforce_vtla.evaluation.statistics import holm, mcnemar, non_inferior, wilson
 from uniforce_vtla.keys import OUTCOME_NAMES
 
 
@@ -82,7 +82,6 @@ def test_a_clear_difference_survives_holm_and_an_arm_not_scored_is_not_asked_abo
     assert set(tests) == {("V+T", "V"), ("V+G", "V")}
     clear, none = tests["V+T", "V"], tests["V+G", "V"]
     assert clear["points"] == pytest.approx(75) and clear["p_holm"] < 0.001 < 0.5 < none["p_holm"]
-    assert clear["anytime_decided_after"] < 15 and none["anytime_decided_after"] is None
     assert clear["p_holm"] == pytest.approx(2 * clear["p_value"])
 
 
@@ -135,28 +134,6 @@ def arms(only_first: int, only_second: int, both: int) -> tuple[list[bool], list
     first = [True] * only_first + [False] * only_second + [True] * both
     second = [False] * only_first + [True] * only_second + [True] * both
     return first, second
-
-
-def test_wealth_of_one_won_bet_is_the_mixtures_mean() -> None:
-    # 2 ∫ over (½, 1) of θ/½ = 3/2; a loss pays 2 ∫ (1 − θ)/½ = 1/2
-    assert anytime([True], [False]).evidence == pytest.approx(1.5)
-    assert anytime([False], [True]).evidence == pytest.approx(0.5)
-    assert anytime([True, False], [True, False]).evidence == pytest.approx(1.0)
-
-
-def test_anytime_decides_early_on_a_clear_difference_and_remembers_it() -> None:
-    first, second = arms(12, 0, 0)
-    test = anytime(first, second)
-    assert test.decided_after is not None and test.decided_after <= 8
-    later = anytime(first + [False] * 12, second + [True] * 12)
-    assert later.p_value == pytest.approx(test.p_value) and later.evidence < test.evidence
-
-
-def test_looking_after_every_seed_raises_no_false_alarm_beyond_alpha() -> None:
-    rng = np.random.default_rng(0)
-    trials = 400
-    alarms = [anytime(list(rng.random(300) < 0.5), list(rng.random(300) < 0.5)).p_value <= 0.05 for _ in range(trials)]
-    assert sum(alarms) <= 0.05 * trials + 3 * np.sqrt(0.05 * 0.95 * trials)
 
 
 def test_score_bound_at_zero_is_mcnemars_z() -> None:

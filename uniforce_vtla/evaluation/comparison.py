@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from uniforce_vtla.evaluation.arms import ArmReport
-from uniforce_vtla.evaluation.statistics import anytime, holm, mcnemar, non_inferior
+from uniforce_vtla.evaluation.statistics import holm, mcnemar, non_inferior
 
 Pairs = Sequence[tuple[str, str]]
 Clean = list[bool]  # clean success, seed by seed
@@ -38,13 +38,11 @@ def _scored(reports: Mapping[str, ArmReport], pairs: Pairs) -> Iterator[tuple[di
 
 
 def better(reports: Mapping[str, ArmReport], pairs: Pairs) -> list[dict[str, Any]]:
-    """Return, per pair scored on shared seeds, exact McNemar (Holm over the family) and the anytime test."""
+    """Return, per pair scored on shared seeds, exact McNemar, Holm over the family."""
     tests = []
     for pair, one, two in _scored(reports, pairs):
-        watched = anytime(one, two)
         points = {"points": 100 * (sum(one) - sum(two)) / len(one)}
-        early = {"anytime_p": watched.p_value, "anytime_decided_after": watched.decided_after}
-        tests.append(pair | asdict(mcnemar(one, two)) | points | early)
+        tests.append(pair | asdict(mcnemar(one, two)) | points)
     for test, adjusted in zip(tests, holm([test["p_value"] for test in tests]), strict=True):
         test["p_holm"] = adjusted
     return tests

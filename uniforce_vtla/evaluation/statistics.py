@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, special, stats
+from scipy import optimize, stats
 
 from uniforce_vtla.errors import ContractError, expected
 
@@ -78,46 +78,6 @@ def holm(p_values: Sequence[float]) -> list[float]:
     result = np.empty(len(p_values))
     result[order] = adjusted
     return [float(p) for p in result]
-
-
-@dataclass(frozen=True)
-class AnytimeTest:
-    """A test that may be looked at after every seed."""
-
-    evidence: float  # e-value now: a fair bettor's wealth against "the first arm is no better", from 1
-    p_value: float  # 1 / (the largest wealth so far), at most 1: valid whenever one stops looking
-    decided_after: int | None  # seeds after which p first fell to α; None if it never did
-
-
-def anytime(first: Sequence[bool], second: Sequence[bool], alpha: float = 0.05) -> AnytimeTest:
-    """Test "the first arm succeeds more often" on paired seeds, in their order, at any time.
-
-    Under the null a seed on which the arms differ favours the first with probability θ ≤ ½. The bet is the
-    likelihood ratio of a uniform mixture over θ in (½, 1) to θ = ½: a nonnegative supermartingale for every
-    θ ≤ ½, so by Ville's inequality its maximum exceeds 1/α with probability at most α (Ville 1939; betting as in
-    Waudby-Smith & Ramdas 2024). Seeds on which both agree bet nothing.
-
-    Raises:
-        ContractError: the two arms do not have the same number of seeds.
-    """
-    discordant(first, second)  # refuses unequal lengths
-    wins = losses = 0
-    log_wealth = highest = 0.0
-    decided_after = None
-    for seed, (a, b) in enumerate(zip(first, second, strict=True), start=1):
-        wins, losses = wins + (a and not b), losses + (b and not a)
-        log_wealth = _log_wealth(wins, losses)
-        highest = max(highest, log_wealth)
-        if decided_after is None and highest >= -math.log(alpha):
-            decided_after = seed
-    return AnytimeTest(math.exp(log_wealth), math.exp(-highest), decided_after)
-
-
-def _log_wealth(wins: int, losses: int) -> float:
-    """Log of 2 ∫_{½}^{1} θ^wins (1 − θ)^losses dθ · 2^(wins + losses)."""
-    a, b = wins + 1.0, losses + 1.0
-    upper = max(special.betainc(b, a, 0.5), 1e-300)  # mass of Beta(a, b) above ½
-    return float(special.betaln(a, b) + math.log(upper) + (wins + losses + 1) * math.log(2))
 
 
 @dataclass(frozen=True)
