@@ -66,7 +66,7 @@ class EpisodeForces:
     described: dict[Finger, np.ndarray]
     force_N: dict[Finger, np.ndarray]
     sensors: dict[str, str]
-    tool_z_m: np.ndarray
+    tool_m: np.ndarray  # (n, 3)
     pad_friction: tuple[float, float]
     trace: EpisodeTrace
 
@@ -84,19 +84,19 @@ def _described_episode(env: WipeEnv, seed: int) -> EpisodeForces:
     expert = WipeExpert(settings=wanted)
     described: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
     forces: dict[Finger, list[np.ndarray]] = {finger: [] for finger in FINGERS}
-    heights = []
+    places = []
     for _ in walk(env, expert, seed):
         pixels, wrench = env.observe()["pixels"], env.true_wrench()
         for finger in FINGERS:
             reference, current = pixels[tactile_name(finger, reference=True)], pixels[tactile_name(finger)]
             described[finger].append(descriptors(reference[..., 0], current[None, ..., 0], finger)[0])
             forces[finger].append(wrench[finger][:3])
-        heights.append(float(env.state[2]))
+        places.append(env.state[:3])
     return EpisodeForces(
         {finger: np.stack(described[finger]) for finger in FINGERS},
         {finger: np.stack(forces[finger]) for finger in FINGERS},
         env.sensors,
-        np.asarray(heights),
+        np.asarray(places, np.float64),
         env.scene.pad_friction,
         env.trace,
     )
@@ -124,7 +124,7 @@ def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str,
     read = [heads[episode.sensors[finger]].read(episode.described[finger]) for finger in FINGERS]
     trace, truth = episode.trace, score_episode(episode.trace)
     forces = np.stack(read, axis=1)  # (n, 2, 3)
-    found = estimate_events(trace.time_s, forces, episode.tool_z_m, episode.pad_friction)
+    found = estimate_events(trace.time_s, forces, episode.tool_m, episode.pad_friction)
     wiping = trace.phase == WIPING_PHASE
     return {
         "slippage": [truth.slippage, bool(found.slippage or found.lost)],

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class ScoreRecordingConfig:
-    """Estimate what happened in recorded rollouts from the fingers, and the ink left from a camera.
+    """Estimate what happened in recorded rollouts from the fingers and the pose, and the ink left from a camera.
 
     Example: uniforce estimate root=outputs/robot pad_friction=0.6,0.7 board_corners=62,40,250,38,262,180,55,184
     """
@@ -83,6 +83,7 @@ def _row(episode: Episode, found: FingerEstimate) -> dict[str, Any]:
         "excess_force": list(found.excess_force),
         "lost": list(found.lost),
         "press_max_N": float(found.press_N.max()),
+        "in_band_share": found.in_band_share,
         "grip_mean_N": float(found.grip_N[found.press_N > 0].mean()) if (found.press_N > 0).any() else 0.0,
         "friction_used_max": float(found.friction_used.min(axis=1).max()),
     }
@@ -109,7 +110,8 @@ def _line(row: dict[str, Any]) -> str:
     if "residual" in row:
         left = row["residual"].get("residual")
         ink = ", ink not judged" if left is None else f", ink left {left:.0%}"
-    return f"episode {row['episode']}: {'; '.join(events)} (press to {row['press_max_N']:.1f} N{ink})"
+    press = f"press to {row['press_max_N']:.1f} N, {row['in_band_share']:.0%} of the way within the band"
+    return f"episode {row['episode']}: {'; '.join(events)} ({press}{ink})"
 
 
 @command(ScoreRecordingConfig)

@@ -26,7 +26,7 @@ from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.plain_touch import descriptors
 from uniforce_vtla.tokenizer.streaming import StreamingEncoder
 
-HEIGHT = AXES.index("z.pos")
+PLACE = [AXES.index(axis) for axis in ("x.pos", "y.pos", "z.pos")]
 FILM = 12  # pictures in a film strip: square ones fill a line of it
 UNKNOWN_FRICTION = (np.inf, np.inf)  # no pad ever reaches its limit: slippage isn't judged
 
@@ -36,7 +36,7 @@ class EpisodeForces:
     """Both fingers over an episode of n frames, and what the robot knew of itself."""
 
     time_s: np.ndarray  # (n,) since its first frame
-    tool_z_m: np.ndarray  # (n,) measured height
+    tool_m: np.ndarray  # (n, 3) measured x, y, z
     force_N: np.ndarray  # (n, 2, 3) left, right, canonical frame: estimates
     true_force_N: np.ndarray | None  # the same from the simulator; None for a robot's recording
 
@@ -48,7 +48,7 @@ class EpisodeForces:
         """
 
         def judged(force_N: np.ndarray) -> FingerEstimate:
-            return estimate_events(self.time_s, force_N, self.tool_z_m, pad_friction)
+            return estimate_events(self.time_s, force_N, self.tool_m, pad_friction)
 
         return judged(self.force_N), None if self.true_force_N is None else judged(self.true_force_N)
 
@@ -77,7 +77,7 @@ class RecordingForces:
         truth = tuple(truth_wrench_key(finger) for finger in FINGERS)  # a robot's recording has none
         truth = truth if set(truth) <= self.source.features.keys() else ()
         columns = self.source.columns((STATE, *truth))
-        self._heights_m = columns[STATE][:, HEIGHT].astype(np.float64)  # (N,)
+        self._places_m = columns[STATE][:, PLACE].astype(np.float64)  # (N, 3)
         forces_N = [columns[key][:, :3].astype(np.float64) for key in truth]
         self._true_N = np.stack(forces_N, axis=1) if truth else None  # (N, 2, 3)
 
@@ -86,7 +86,7 @@ class RecordingForces:
         rows = slice(episode.start, episode.start + episode.length)
         return EpisodeForces(
             np.arange(episode.length) / self.source.fps,
-            self._heights_m[rows],
+            self._places_m[rows],
             np.stack([self._forces(self.source, episode, finger) for finger in FINGERS], axis=1),
             None if self._true_N is None else self._true_N[rows],
         )
@@ -194,7 +194,7 @@ def summarise_episode(
         found, truth = forces.judge(friction or UNKNOWN_FRICTION)
     except DatasetError as error:  # it can still be looked at; the sheet says why it isn't judged
         note = str(error)
-    named = find_key_frames(forces.force_N, forces.tool_z_m)
+    named = find_key_frames(forces.force_N, forces.tool_m[:, 2])
     film = ((np.arange(FILM) + 0.5) / FILM * episode.length).astype(int).tolist()  # middle of each picture
     shown = set(named.values())
     seen = {n: _chosen(frames(source, episode, key), {*shown, *film}) for n, key in cameras(source).items()}

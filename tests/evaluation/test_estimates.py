@@ -28,7 +28,8 @@ def wipe(press_N: float, grip_N: float = 9.0, bias_N: float = 0.0) -> tuple[np.n
     up = (WEIGHT_N - press) / 2 * (time_s > 1)
     grip = np.where(time_s > 0.5, grip_N, 0.0)
     finger = np.stack([np.zeros_like(up), up + bias_N, grip], axis=1)
-    return time_s, np.stack([finger, finger], axis=1), height
+    along = np.interp(time_s, [3, 6], [0.0, 0.3])  # 100 mm/s
+    return time_s, np.stack([finger, finger], axis=1), np.stack([0 * along, along, height], axis=1)
 
 
 @given(st.floats(0.5, 14.0), st.floats(-1.0, 1.0))
@@ -39,6 +40,7 @@ def test_the_board_bears_what_the_pads_no_longer_do(press_N: float, bias_N: floa
     assert found.press_N[time_s < 1] == pytest.approx(0.0)
     assert bool(found.excess_force) == (press_N > ScoreLimits().mean_press_N)
     assert not found.slippage and not found.lost
+    assert found.in_band_share == pytest.approx(float(4 <= press_N <= 8), abs=0.02)
 
 
 def test_both_pads_at_their_limit_slide_one_alone_does_not() -> None:
@@ -80,17 +82,18 @@ def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, s
     env, expert = WipeEnv("touch"), WipeExpert(settings=TouchSettings(press_N, grip_N))
     env.start(seed)
     expert.reset(env)
-    force, height, done = [], [], False
+    force, place, done = [], [], False
     while not done:
         done = env.advance(expert.act(env))
         force.append([env.true_wrench()[f][:3] for f in FINGERS])
-        height.append(float(env.state[2]))
+        place.append(env.state[:3])
     trace, truth = env.trace, score_episode(env.trace)
     force_N, friction = np.array(force, np.float64), env.scene.pad_friction
-    found = estimate_events(trace.time_s, force_N, np.array(height), friction)
+    found = estimate_events(trace.time_s, force_N, np.array(place, np.float64), friction)
     assert bool(found.slippage) == truth.slippage
     assert bool(found.excess_force) == bool(press_events(trace.press_N, trace.time_s, ScoreLimits()))
     wiping = (trace.phase == WIPING_PHASE) & (trace.slip_mm < 5)
+    assert abs(found.in_band_share - truth.metrics["in_band_share"]) < 0.1
     assert np.abs(found.press_N - trace.press_N)[wiping].mean() < 0.2  # the hand is pulled meanwhile
 
 

@@ -138,13 +138,14 @@ def wiped() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     grip = np.where(time_s >= 1, 8.0, 0.0)
     press = np.where((time_s >= 4) & (time_s < 5), 12.0, 0.0)
     finger = np.stack([0 * grip, (0.8 * (time_s >= 2) - press) / 2, grip], axis=1)
-    return time_s, np.stack([finger, finger], axis=1), np.where(time_s >= 2, 0.2, 0.1)
+    place = np.stack([0 * time_s, 0 * time_s, np.where(time_s >= 2, 0.2, 0.1)], axis=1)
+    return time_s, np.stack([finger, finger], axis=1), place
 
 
 def summary_of(title: str = "made up") -> EpisodeSummary:
-    time_s, force, height = wiped()
+    time_s, force, place = wiped()
     grey = np.full((24, 24, 3), 90, np.uint8)
-    named = find_key_frames(force, height)
+    named = find_key_frames(force, place[:, 2])
     pads = {"left": grey, "right": grey}
     key_frames = tuple(KeyFrame(name, frame, {"front": grey}, pads) for name, frame in named.items())
     change = np.random.default_rng(0).normal(size=(len(time_s), 4, 4, 6)).astype(np.float32)
@@ -156,7 +157,7 @@ def summary_of(title: str = "made up") -> EpisodeSummary:
         true_force_N=None,
         change={"left": change, "right": change},
         key_frames=key_frames,
-        found=estimate_events(time_s, force, height, (0.6, 0.6)),
+        found=estimate_events(time_s, force, place, (0.6, 0.6)),
         truth=None,
         judges_slip=True,
     )
@@ -184,7 +185,8 @@ def test_an_episode_too_short_to_judge_is_shown_all_the_same(recorded, tmp_path,
     episode, tokenizer = recording.source.episodes[0], Tokenizer.from_pretrained()
     grip = np.tile([0.0, 0.0, 9.0], (FRAMES, 2, 1))
     height = np.where(np.arange(FRAMES) > 5, 0.2, 0.1)  # lifted for two frames: too short to weigh anything
-    forces = EpisodeForces(np.arange(FRAMES) / RATE, height, grip, None)
+    place = np.stack([0 * height, 0 * height, height], axis=1)
+    forces = EpisodeForces(np.arange(FRAMES) / RATE, place, grip, None)
     monkeypatch.setattr(recording, "read", lambda _: forces)
     summary = summarise_episode(recording, tokenizer, episode, None, "short")
     assert summary.found is None and "time after the lift" in summary.verdict[0]

@@ -181,11 +181,11 @@ def runs(flags: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]]))).reshape(-1, 2)
 
 
-def in_band_share(trace: EpisodeTrace, limits: ScoreLimits) -> float:
-    """Return the share of the sliding distance that is pressed within the band; 0 where nothing slid."""
-    slid_mm = np.where(trace.press_N > limits.wiping_press_N, trace.slide_mm, 0.0)
+def band_share(press_N: np.ndarray, slide_mm: np.ndarray, limits: ScoreLimits) -> float:
+    """Return the share of the sliding distance (n,) that is pressed within the band; 0 where nothing slid."""
+    slid_mm = np.where(press_N > limits.wiping_press_N, slide_mm, 0.0)
     low, high = limits.band_N
-    inside = (trace.press_N >= low) & (trace.press_N <= high)
+    inside = (press_N >= low) & (press_N <= high)
     return float(slid_mm[inside].sum() / max(slid_mm.sum(), 1e-9))
 
 
@@ -198,7 +198,7 @@ def _metrics(trace: EpisodeTrace, limits: ScoreLimits) -> dict[str, float]:
         "residual": float(trace.residual[-1]),
         "press_mean_N": float(press.mean()),
         "press_p95_N": float(np.percentile(press, 95)),
-        "in_band_share": in_band_share(trace, limits),
+        "in_band_share": band_share(trace.press_N, trace.slide_mm, limits),
         "press_max_N": float(trace.press_N.max()),
         "grip_mean_N": float(grip[wiping].mean()) if wiping.any() else float(grip.mean()),
         "grip_max_N": float(grip.max()),

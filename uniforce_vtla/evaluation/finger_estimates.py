@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.evaluation.episode import ScoreLimits, longest_run_s, press_events
+from uniforce_vtla.evaluation.episode import ScoreLimits, band_share, longest_run_s, press_events
 
 FY, FZ = 1, 2  # canonical frame: y up along the finger's pad, z into the pad
 
@@ -34,6 +34,7 @@ class FingerEstimate:
     slippage: tuple[str, ...]  # reasons for a slippage event, empty if none
     excess_force: tuple[str, ...]  # reasons for an excess-force event, empty if none. Pad depth isn't judged.
     lost: tuple[str, ...]  # reasons to believe the object was dropped or never lifted
+    in_band_share: float = 0.0  # of the way that the hand moved while pressing, within the limits' band
 
     @property
     def events(self) -> list[str]:
@@ -42,14 +43,14 @@ class FingerEstimate:
 
 
 def estimate_events(
-    time_s: np.ndarray, force_N: np.ndarray, tool_z_m: np.ndarray, pad_friction: tuple[float, float]
+    time_s: np.ndarray, force_N: np.ndarray, tool_m: np.ndarray, pad_friction: tuple[float, float]
 ) -> FingerEstimate:
-    """Judge one episode from the fingers' forces and the robot's own height.
+    """Judge one episode from the fingers' forces and the robot's own pose.
 
     Args:
         time_s: (n,) seconds, rising.
         force_N: (n, 2, 3) left and right, fx, fy, fz in the canonical frame.
-        tool_z_m: (n,) measured height of the tool.
+        tool_m: (n, 3) measured x, y, z of the tool, robot base frame.
         pad_friction: left, right; from a slow pull until the object slides.
 
     Raises:
@@ -57,9 +58,9 @@ def estimate_events(
         DatasetError: nothing was lifted for long enough to weigh it.
     """
     limits = ScoreLimits()
-    _check(time_s, force_N, tool_z_m, pad_friction)
+    _check(time_s, force_N, tool_m, pad_friction)
     grip = force_N[:, :, FZ]
-    start = lift_frame(grip, tool_z_m)
+    start = lift_frame(grip, tool_m[:, 2])
     if start is None:
         nothing = np.zeros(len(time_s))
         return FingerEstimate(nothing, grip, np.zeros_like(grip), (), (), ("never lifted",))
@@ -73,6 +74,7 @@ def estimate_events(
     slid = (f"both pads at their friction limit for {sliding_s:.1f} s",)
     loose = lifted & (grip < limits.lost_grip_N + SMALLEST_GRIP_N).all(axis=1)
     dropped = longest_run_s(loose, time_s) > limits.lost_grip_s
+    moved_mm = 1000 * np.linalg.norm(np.diff(tool_m[:, :2], axis=0, prepend=tool_m[:1, :2]), axis=1)
     return FingerEstimate(
         press,
         grip,
@@ -80,6 +82,7 @@ def estimate_events(
         slid if sliding_s > SLIDE_s else (),
         tuple(press_events(press, time_s, limits)),
         (f"no grip for {limits.lost_grip_s:g} s",) if dropped else (),
+        band_share(press, moved_mm, limits),
     )
 
 
@@ -102,15 +105,15 @@ def _carry(time_s: np.ndarray, start: int) -> slice:
     return slice(start, int(np.searchsorted(time_s, end_s)))
 
 
-def _check(time_s: np.ndarray, force_N: np.ndarray, tool_z_m: np.ndarray, pad_friction: tuple[float, float]) -> None:
+def _check(time_s: np.ndarray, force_N: np.ndarray, tool_m: np.ndarray, pad_friction: tuple[float, float]) -> None:
     n = len(time_s)
-    if n < 2 or force_N.shape != (n, 2, 3) or tool_z_m.shape != (n,):
-        came = f"{time_s.shape}, {force_N.shape}, {tool_z_m.shape}"
+    if n < 2 or force_N.shape != (n, 2, 3) or tool_m.shape != (n, 3):
+        came = f"{time_s.shape}, {force_N.shape}, {tool_m.shape}"
         do = "Align them."
-        raise ContractError(expected("time, forces, height", "(n,), (n, 2, 3), (n,), n ≥ 2", came, do))
-    if not all(np.isfinite(values).all() for values in (time_s, force_N, tool_z_m)):
+        raise ContractError(expected("time, forces, place", "(n,), (n, 2, 3), (n, 3), n ≥ 2", came, do))
+    if not all(np.isfinite(values).all() for values in (time_s, force_N, tool_m)):
         do = "Check the sensors of this episode."
-        raise ContractError(expected("time, forces, height", "finite numbers", "NaN or inf", do))
+        raise ContractError(expected("time, forces, place", "finite numbers", "NaN or inf", do))
     if (np.diff(time_s) <= 0).any():
         raise ContractError(expected("time_s", "rising", "frames out of order", "Sort them."))
     if not all(mu > 0 for mu in pad_friction):
