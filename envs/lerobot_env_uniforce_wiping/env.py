@@ -10,7 +10,7 @@ from gymnasium import spaces
 from lerobot_env_uniforce_wiping.levels import CAMERA_PX, CONTROL_HZ, get_level
 from lerobot_env_uniforce_wiping.painter import Painter
 from lerobot_env_uniforce_wiping.recording import CLEAR_m, TraceRecorder
-from lerobot_env_uniforce_wiping.scene_params import SceneParams, draw_scene
+from lerobot_env_uniforce_wiping.scene_params import TASK_TEXTS, SceneParams, draw_scene
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from lerobot_env_uniforce_wiping.touch import PadImages
 from lerobot_env_uniforce_wiping.worn import Wear, WornSensor, wear
@@ -57,7 +57,7 @@ class WipeEnv(gymnasium.Env):
         self.expose_wrench, self.render_mode = expose_wrench, render_mode
         self._painter = Painter()
         self._max_episode_steps = max_steps or round(self.level.time_limit_s * CONTROL_HZ)
-        self.task = self.task_description = "wipe the whiteboard"
+        self.task = self.task_description = TASK_TEXTS[0]
         self._sim: WipeSimulation | None = None
         self.action_space = spaces.Box(-2.0, 2.0, (len(AXES),), np.float32)
         self.observation_space = self._observation_space()

@@ -7,11 +7,11 @@ import numpy as np
 
 from lerobot_env_uniforce_wiping.levels import Level, Range, get_level
 
-TASK_TEXTS = (
-    "wipe the whiteboard",
-    "erase the word on the board",
-    "clean the whiteboard with the eraser",
-    "take the eraser and wipe off the writing",
+TASK_TEXTS = (  # the force is part of the task: it is scored
+    "wipe the whiteboard with 6 N",
+    "erase the word on the board, press with 6 N",
+    "clean the whiteboard with the eraser at 6 N",
+    "take the eraser and wipe off the writing with 6 N",
 )
 
 

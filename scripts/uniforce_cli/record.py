@@ -151,7 +151,7 @@ def _check(config: RecordConfig) -> None:
         do = "The expert reads the scene's truth: steer a robot by keyboard, spacemouse, gello, …"
         raise ContractError(expected("teleop", "one that works on a robot", "expert", do))
     if config.robot == "franka" and not config.prompts:
-        do = 'Say what is done, e.g. prompts=["wipe the whiteboard"].'
+        do = 'Say what is done, e.g. prompts=["wipe the whiteboard with 6 N"].'
         raise ContractError(expected("prompts", "an instruction or more", "none", do))
     if config.resume:  # a damaged dataset is named before anything is logged
         read_object(Path(config.resume) / "meta" / "info.json", DatasetError)
