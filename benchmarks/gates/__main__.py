@@ -109,7 +109,7 @@ class GatesCommand:
 
 
 def _episode(level: str, name: str, seed: int, fitted: Fitted, folder: Path) -> dict[str, Any]:
-    result = run_script(WipeEnv(level=level), GATES[name].make(fitted, folder), seed)
+    result = run_script(WipeEnv(level=level, drawn=()), GATES[name].make(fitted, folder), seed)
     return {"script": name, "seed": seed, "clean": result.clean, "outcome": result.outcome} | {
         key: round(float(value), 4) for key, value in result.metrics.items()
     }

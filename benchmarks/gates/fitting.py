@@ -88,7 +88,7 @@ def _sweep(level: str, seeds: range, workers: int) -> dict[str, BlindSettings]:
 
 
 def _try(level: str, style: str, settings: BlindSettings, seed: int) -> tuple[float, float]:
-    result = run_script(WipeEnv(level=level), BlindScript(settings, STYLES[style][0]), seed)
+    result = run_script(WipeEnv(level=level, drawn=()), BlindScript(settings, STYLES[style][0]), seed)
     return float(result.clean), result.metrics["in_band_share"]
 
 
@@ -104,7 +104,7 @@ class Observation:
 
 
 def _observe(level: str, seed: int) -> Observation:
-    env, rng = WipeEnv(level=level), np.random.default_rng([seed, 77])
+    env, rng = WipeEnv(level=level, drawn=()), np.random.default_rng([seed, 77])
     settings = AGAINST_PULL if env.level.pull else TouchSettings()
     expert = WipeExpert(settings=replace(settings, press_N=float(rng.uniform(*PRESS_N))))
     looked, press, sunk, grasp_m = [], [], [], np.nan

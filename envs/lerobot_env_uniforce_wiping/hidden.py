@@ -26,7 +26,7 @@ class PullSettings:
 class UnevenSettings:
     """Height of the board under the eraser, over the plane."""
 
-    sd_m: float = 0.0007
+    sd_m: float = 0.00085
     length_m: float = 0.030  # the heights' correlation is exp(-d² / 2 length²)
 
 

@@ -37,7 +37,7 @@ class Pace:
 
     horizontal_m_s: float = 0.115
     vertical_m_s: float = 0.055
-    stroke_m_s: float = 0.095
+    stroke_m_s: float = 0.080
     shift_m_s: float = 0.045  # between rows: drag along the closing axis loads one pad more
     ramp_m_s2: float = 0.5  # change of speed along the sweep
 

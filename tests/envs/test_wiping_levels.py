@@ -11,7 +11,7 @@ from lerobot_env_uniforce_wiping.hidden import BOARD_HALF_m, PullSettings, Uneve
 from lerobot_env_uniforce_wiping.ink import InkField
 from lerobot_env_uniforce_wiping.sequence import Sweep
 
-LOCKED = {"easy": "290ac5c5e884", "touch": "ac3f554ab949"}
+LOCKED = {"easy": "a6e6bd6055b0", "touch": "21ea3966703a"}
 
 
 def test_levels_are_locked() -> None:
@@ -97,6 +97,6 @@ def test_the_board_has_its_spread_and_its_length() -> None:
     boards = [UnevenBoard(seed, UnevenSettings()) for seed in range(60)]
     here = np.array([b.height_m(np.zeros(2)) for b in boards])
     beside = np.array([b.height_m(np.array([0.0, 0.03])) for b in boards])
-    assert here.std() == pytest.approx(0.0007 * 0.88, rel=0.25)
+    assert here.std() == pytest.approx(0.00085 * 0.88, rel=0.25)
     assert np.corrcoef(here, beside)[0, 1] == pytest.approx(0.61, abs=0.25)  # exp(-1/2)
     assert boards[0].height_m(np.array([1.0, 0.0])) == boards[0].height_m(np.array([BOARD_HALF_m[0], 0.0]))
