@@ -128,13 +128,13 @@ def check_axes(state_size: int, action_size: int, settings: ActionSettings) -> N
     if bounds and not (fit and all(low <= high for low, high in zip(*bounds, strict=True))):
         do = "Two lists, [[lowest per axis], [highest per axis]], or [] for none."
         raise ContractError(expected("target_range", "lowest and highest targets", bounds, do))
-    if knee and (len(knee) != len(scale) or min(knee) < 0):
-        do = "Give one per axis, 0 where moves stay linear, or [] for none."
-        raise ContractError(expected("delta_knee", f"{len(scale)} numbers from 0 on", knee, do))
     if settings.form == "target_delta" and not state_size == action_size == len(scale):
         came = f"{state_size}, {action_size} and {len(scale)}"
         do = "Or use action.form=absolute."
         raise ContractError(expected("state, action and delta_scale", "equal lengths", came, do))
+    if knee and (len(knee) != len(scale) or min(knee) < 0):
+        do = "Give one per axis, 0 where moves stay linear, or [] for none."
+        raise ContractError(expected("delta_knee", f"{len(scale)} numbers from 0 on", knee, do))
 
 
 def check_leap(target: Tensor, last: Tensor | None, scale: Tensor) -> None:

@@ -64,7 +64,7 @@ class ActionSettings:
     # m, m, m, rad, m: about the RMS change of the commanded target over half a chunk of the wiping expert
     delta_scale: list[float] = field(default_factory=lambda: [0.004, 0.02, 0.01, 0.05, 0.003])
     # the same units: beyond it a move is predicted by its logarithm, so that corrections of force weigh beside whole
-    # moves; 0 = linear, [] = all axes
+    # moves (tiny: z and width); 0 = linear, [] = all axes
     delta_knee: list[float] = _BY_SIZE
     # target_delta: the demos' lowest and highest target per axis; targets stay within. Found in the data; [] = unknown
     target_range: list[list[float]] = field(default_factory=list)
@@ -82,8 +82,7 @@ class AugmentSettings:
 
     # lights and camera poses (augment.py); 0 = none, 1 = about as much as scenes of level touch differ; base 0
     camera_variation: float = _BY_SIZE
-    # Gaussian noise on latents in units of each channel's spread; tiny .2, base 0
-    touch_noise: float = _BY_SIZE
+    touch_noise: float = _BY_SIZE  # Gaussian noise on latents in units of each channel's spread
     touch_dropout: float = _BY_SIZE  # chance to hide a slot; .3 with two slots, 0 with one
     state_noise: list[float] = _BY_SIZE  # Gaussian noise on the normalised state, per axis; [] = none
 
@@ -137,7 +136,7 @@ class PI05UniforceConfig(PI05Config):
 
     # π0.5's own, with defaults by size
     chunk_size: int = _BY_SIZE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
-    n_action_steps: int = _BY_SIZE  # [steps] tiny 6 (0.2 s at 30 Hz); base 50
+    n_action_steps: int = _BY_SIZE  # [steps] tiny 3 (0.1 s at 30 Hz); base 50
     image_resolution: tuple[int, int] = _BY_SIZE  # [px] tiny 56² = 16 patches of 14² per camera; base 224²
     max_action_dim: int = _BY_SIZE  # tiny 8 (5 axes, padded); base 32, as the published weights
     max_state_dim: int = _BY_SIZE  # tiny 8; base 32

@@ -13,7 +13,7 @@ SIZES = ("tiny", "base")
 # setting → default of (tiny, base). base: LeRobot's own π0.5 values, published weights fit them; augmentation not tried
 BY_SIZE: dict[str, tuple[Any, Any]] = {
     "chunk_size": (16, 50),
-    "n_action_steps": (6, 50),
+    "n_action_steps": (3, 50),
     "image_resolution": ((56, 56), (224, 224)),  # tiny: 16 patches of 14² per camera
     "max_action_dim": (8, 32),
     "max_state_dim": (8, 32),
@@ -25,13 +25,14 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "touch.start_at_base": (False, True),  # from scratch there is no base
     "action.form": ("target_delta", "absolute"),
     "action.objective": ("regression", "flow"),
+    # tiny: a newton of press or grip is a fraction of a millimetre; without, such moves are not learnt
+    "action.delta_knee": ([0.0, 0.0, 0.001, 0.0, 0.0003], []),
     # tiny: else lights are learnt by heart, docs/experiments/tiny_policy.md
     "augment.camera_variation": (1.0, 0.0),
-    "augment.touch_noise": (0.2, 0.0),
     "sampler.noise_scale": (0.0, 1.0),
 }
 OFF: dict[str, Any] = {  # what no size uses by default
-    "action.delta_knee": [],
+    "augment.touch_noise": 0.0,
     "action.previous_steps": 0,
     "action.previous_axes": [],
     "augment.state_noise": [],

@@ -29,7 +29,7 @@ def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
     config = parsed(*given, "--swap=touch1:right")
     assert config.slots == ("touch1",) and config.finger_by_slot() == {"touch1": "right"}
     assert config.action.form == "absolute" and config.action.objective == "regression"
-    assert (config.tiny.width, config.tiny.depth, config.augment.touch_noise) == (64, 4, 0.2)
+    assert (config.tiny.width, config.tiny.depth, config.augment.touch_noise) == (64, 4, 0.0)
 
 
 def test_lerobots_help_names_our_settings(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
