@@ -35,11 +35,11 @@ class DemoConfig:
     out: OutFolder = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 
-# arm → (left, right sensor, swap): the shipped policy learnt touch0 = right TacTip, never retrained
+# arm → (left, right sensor, swap): the shipped policy learnt touch0 = right TacTip as drawn, never retrained
 ARMS = {
-    "V+T": ("gelsight", "tactip", ""),
-    "V+G": ("gelsight", "tactip", "touch0:left"),
-    "V+U": ("uskin", "tactip", "touch0:left"),
+    "V+T": ("gelsight:drawing", "tactip:drawing", ""),
+    "V+G": ("gelsight:drawing", "tactip:drawing", "touch0:left"),
+    "V+U": ("uskin:drawing", "tactip:drawing", "touch0:left"),
 }
 
 
@@ -120,7 +120,11 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
     from uniforce_cli import demo_page, lerobot_training, record, score, view
     from uniforce_vtla.evaluation.arms import table
 
-    record.record(record.RecordConfig(episodes=config.episodes, level=config.level, root=str(out / "demos")))
+    recording = record.RecordConfig(
+        episodes=config.episodes, level=config.level, root=str(out / "demos"),
+        left_sensor="gelsight:drawing", right_sensor="tactip:drawing",
+    )  # fmt: skip
+    record.record(recording)
     say("\n[2/5] training view: cameras resized once, touch encoded once by the frozen tokenizer")
     view.make_view(view.ViewConfig(roots=str(out / "demos"), out=str(out / "view")))
     say(f"\n[3/5] training a tiny policy for {config.train_steps} steps with LeRobot's own trainer")
