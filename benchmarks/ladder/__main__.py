@@ -29,7 +29,7 @@ class LadderCommand:
 
     part: Literal["ladder", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
-    calibrations: str = ""  # folder of `uniforce calibrate` results, one per sensor's name; "" = those rows wait
+    calibrations: FolderPath = ""  # folder of `uniforce calibrate` results, one per sensor's name; "" = those rows wait
     level: Level = "touch"
     rollouts: CountOrZero = 0  # per row; 0 = as planned
     first_seed: Seed = 0  # 0 = the plan's own block: score it once

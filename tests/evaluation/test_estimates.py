@@ -75,7 +75,7 @@ def test_what_cannot_be_judged_is_refused() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("press_N", "grip_N", "seed"), [(6.8, 5.0, 30_009), (9.5, 9.0, 30_001), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)]
+    ("press_N", "grip_N", "seed"), [(6.8, 4.0, 30_006), (9.5, 9.0, 30_001), (11.5, 9.0, 30_001), (7.5, 9.0, 30_005)]
 )
 def test_true_forces_tell_the_simulators_events(press_N: float, grip_N: float, seed: int) -> None:
     """A hand too loose, too slippery a handle, too firm a press, and a clean wipe."""

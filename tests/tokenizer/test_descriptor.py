@@ -108,8 +108,8 @@ def made_up(seed: int) -> EpisodeForces:
     noise = {f: 0.01 * rng.standard_normal(true.shape) * NATURAL_UNITS for f in FINGERS}
     noisy = {f: (true + off).astype(np.float32) for f, off in noise.items()}
     sensors = {"left": "gelsight", "right": "tactip"}
-    height = np.interp(t, [0.8, 1.5], [0.1, 0.2])
-    return EpisodeForces(noisy, dict.fromkeys(FINGERS, force), sensors, height, (0.9, 0.9), trace)
+    place = np.stack([flat, flat, np.interp(t, [0.8, 1.5], [0.1, 0.2])], axis=1)
+    return EpisodeForces(noisy, dict.fromkeys(FINGERS, force), sensors, place, (0.9, 0.9), trace)
 
 
 def heads() -> dict[str, DescriptorHead]:
