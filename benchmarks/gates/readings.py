@@ -92,7 +92,7 @@ class PlaneKnown:
         self._grasp_m = np.nan
 
     def __call__(self, read: Contact, env: WipeEnv, phase: str) -> Contact:
-        """Return the grip that is read and the press that the height tells."""
+        """Return the grip that is read and the press that follows from the height."""
         if phase in ("descend", "close"):  # the eraser stands on the table: how high on it the hand holds it
             self._grasp_m = env.state[2]
             return read

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from benchmarks.gates.blind import BlindScript, BlindSettings, MeasuredPress, MeasuredRelative
+from benchmarks.gates.readings import FEELS_s
 from lerobot_env_uniforce_wiping.expert import Contact, TouchRegulator, TouchSettings, WipeExpert
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ, Layout
 from lerobot_env_uniforce_wiping.mjcf import GRIPPER_N_m, STIFFNESS_N_m
@@ -17,7 +18,6 @@ from lerobot_env_uniforce_wiping.sequence import LOOKS_BACK, Regulator, WipeSequ
 if TYPE_CHECKING:
     from lerobot_env_uniforce_wiping.env import WipeEnv
 
-KEEPS_AFTER_s = 0.5  # of wiping by touch
 HEIGHT_GAIN = 4.0  # 1/s: how fast a kept height is regulated
 STEADY_STEPS = 12  # of a speed, after which the lag is that speed's
 HARDER_N = 1.5  # more press after each look at ink that is left
@@ -31,7 +31,7 @@ class LagLaw:
     b: float
 
     def stiffness(self, nominal_N_m: float, lag_s: float) -> float:
-        """Return the stiffness that such a lag, in seconds of the target's motion, tells."""
+        """Return the stiffness that belongs to such a lag, in seconds of the target's motion."""
         return float(nominal_N_m * np.exp(self.a + self.b * np.log(np.clip(lag_s, 1e-3, 1.0))))
 
 
@@ -116,7 +116,7 @@ class Keeping(TouchRegulator):
 
     @property
     def _feels(self) -> bool:
-        return self._felt < KEEPS_AFTER_s * CONTROL_HZ
+        return self._felt < FEELS_s * CONTROL_HZ
 
     def press(self, target_m: float, measured: np.ndarray) -> float:
         """Regulate by touch at first; then without."""

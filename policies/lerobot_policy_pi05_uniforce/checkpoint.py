@@ -29,6 +29,7 @@ PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
 COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")
 LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}
+ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
 MAX_SIDE = 4096  # of an image or a feature's axis
 # What LeRobot, draccus and torch raise over settings that fit nothing
 MISFITS = (
@@ -54,7 +55,7 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
             do = "Only who loads a checkpoint chooses this. Copy it again."
             raise CheckpointError(expected(f"{name} in {where}", repr(only), repr(saved[name])[:80], do))
     touch, tiny = ({} if not isinstance(saved.get(name), dict) else saved[name] for name in ("touch", "tiny"))
-    encodes = touch.get("input") in ("latent", "newtons") and touch.get("slots")
+    encodes = touch.get("input") in ENCODED and touch.get("slots")
     if not touch or (encodes and not isinstance(touch.get("tokenizer"), dict)):
         do = "A checkpoint names its tokenizer; a path to another one is never followed. Copy it again."
         raise CheckpointError(expected(f"touch.tokenizer in {where}", "sizes and hash", "none", do))

@@ -15,6 +15,7 @@ import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
+from lerobot_policy_pi05_uniforce.checkpoint import ENCODED
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key, next_latent_key
@@ -114,7 +115,7 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     kinds = {slot: "+".join(worn.get(config.touch.slots[slot], [])) for slot in config.slots}
     config.touch.trained_sensors = {**kinds, **config.touch.trained_sensors}
     made_by = view.get("tokenizer_hash", "")
-    if config.touch.input in ("latent", "newtons") and made_by and made_by != config.tokenizer_hash:
+    if config.touch.input in ENCODED and made_by and made_by != config.tokenizer_hash:
         do = "Build the view again with this policy's tokenizer."
         raise DatasetError(expected(f"tokenizer of {marker}", config.tokenizer_hash, made_by, do))
 

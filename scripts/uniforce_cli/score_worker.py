@@ -91,7 +91,7 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
         if control:
             do = "Controls are for policies."
             raise ContractError(expected(f"control of the {policy}", "none", control, do))
-        env = WipeEnv(rig.level, rig.mounted["left"], rig.mounted["right"])
+        env = WipeEnv(rig.level, rig.mounted["left"], rig.mounted["right"], drawn=())  # it reads the true wrench
         controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, rig)
