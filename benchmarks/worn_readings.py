@@ -15,10 +15,10 @@ from tqdm import tqdm
 
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
-from lerobot_env_uniforce_wiping.worn import drawing
 from uniforce_cli.boundary import Level, command
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor
 from uniforce_vtla.contact.virtual import any_virtual
+from uniforce_vtla.contact.worn import drawing
 from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.options import Count, OutFile, Seed, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
@@ -82,7 +82,9 @@ def measure(config: WornReadingsCommand) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in (*WORN, "gelsight", "uskin", "tactip"):
         latent, truth = readings(config, tokenizer, name)
-        settings = CalibrateCommand(name, ANCHOR, grasps=config.grasps, tokenizer=config.tokenizer)
+        settings = CalibrateCommand(
+            f"{name}:drawing", f"{ANCHOR}:drawing", grasps=config.grasps, tokenizer=config.tokenizer
+        )
         calibration = calibrate_sensor(settings, tokenizer)
         found[name] = {
             "before": compare(head(latent).numpy(), truth),

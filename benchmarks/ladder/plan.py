@@ -21,7 +21,7 @@ class Entry:
 
     name: str
     checkpoints: str  # arm that was trained, or "expert"
-    left: str = "gelsight"  # what the left finger wears (lerobot_env_uniforce_wiping.worn)
+    left: str = "gelsight"  # what the left finger wears (uniforce_vtla.contact.worn)
     right: str = "tactip"
     swap: str = ""
     calibrated: bool = False  # the swapped finger wears a calibration against a TacTip

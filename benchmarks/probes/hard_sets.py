@@ -14,14 +14,12 @@ import numpy as np
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.sequences import press_shear_release
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
-from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.sampling import ForceRange, sample_objects
-from uniforce_vtla.contact.simulator import TactileSimulator, draw_simulator
-from uniforce_vtla.contact.units import Look
+from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual
 from uniforce_vtla.contact.wear import Creep, Light, lagging_force
+from uniforce_vtla.contact.worn import WornSensor, WornView
 from uniforce_vtla.contracts import ContactState
-from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.markers.nominal_scale import to_nominal_scale
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
@@ -73,10 +71,10 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     rows = []
     for index, (gap, force) in enumerate(zip(objects.gap_mm, loads, strict=True)):
         if index % settings.sequences_per_unit == 0:
-            unit = _Unit(settings, sensor, rng)
-        lagging = lagging_force(force, unit.creep, settings.rate_hz)
+            view, creep = _draw_unit(settings, sensor, rng)
+        lagging = lagging_force(force, creep, settings.rate_hz)
         contact = ContactState(np.repeat(gap[None], len(lagging), axis=0), lagging, np.zeros(len(lagging), np.float32))
-        before, after = unit.images(contact)
+        before, after = view.reference, view.images(contact)
         digest.update(np.packbits(before > 0).tobytes() + np.packbits(after > 0).tobytes())
         before, after = (to_nominal_scale(images, sensor.spec) for images in (before, after))
         rows.append((shrink(before[None], side)[0], shrink(after, side), describe(before, after)))
@@ -86,27 +84,13 @@ def draw_hard(settings: HardSettings, sensor: VirtualSensor, side: int) -> Label
     return LabelledSet(reference, frames, descriptor, force_N, digest.hexdigest())
 
 
-class _Unit:
-    """One unit with its camera, light and creep, from contact to canonical image."""
-
-    def __init__(self, settings: HardSettings, sensor: VirtualSensor, rng: np.random.Generator) -> None:
-        loss = settings.marker_loss > 0 and sensor.spec.signal == "camera"
-        options = ContactOptions(marker_loss=loss, loss_probability=settings.marker_loss)
-        self.simulator: TactileSimulator = draw_simulator(rng, sensor, settings.unit_strength, options, settings.look)
-        self.creep = Creep.draw(rng, settings.creep_share)
-        self.light = Light.draw(rng)
-        self._canonicalize = settings.canonicalize and sensor.spec.signal == "camera"
-        self._canonicalizer = Canonicalizer(sensor.like)
-        if self._canonicalize:
-            raw = self.light.on(self.simulator.raw_reference()[None])[0]
-            self._canonicalizer.set_reference(raw)
-            self.reference = self._canonicalizer.marker_image(raw)
-        else:
-            self.reference = self.simulator.reference()
-
-    def images(self, contact: ContactState) -> tuple[np.ndarray, np.ndarray]:
-        """Return the reference (480, 640) and the marker images (T, 480, 640) of a sequence."""
-        if not self._canonicalize:
-            return self.reference, self.simulator.marker_images(contact)
-        frames = self.light.on(self.simulator.raw_frames(contact))
-        return self.reference, np.stack([self._canonicalizer.marker_image(frame) for frame in frames])
+def _draw_unit(settings: HardSettings, sensor: VirtualSensor, rng: np.random.Generator) -> tuple[WornView, Creep]:
+    """Return a random unit with its camera and light, and its creep; taxels are drawn directly."""
+    camera = sensor.spec.signal == "camera"
+    unit = UnitVariation.draw(rng, sensor, settings.unit_strength)
+    if camera:
+        unit = unit.seen_through(rng, settings.look)
+    seed, creep, light = int(rng.integers(2**31)), Creep.draw(rng, settings.creep_share), Light.draw(rng)
+    loss = settings.marker_loss if camera else 0.0
+    direct = not (settings.canonicalize and camera)
+    return WornView(WornSensor(sensor, unit, light, marker_loss=loss, direct=direct), seed), creep

@@ -9,11 +9,10 @@ import numpy as np
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.mjcf import FELT_m
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
-from lerobot_env_uniforce_wiping.worn import WornSensor
-from uniforce_vtla.contact import ContactOptions, TactileSimulator, free_air
+from uniforce_vtla.contact import free_air
 from uniforce_vtla.contact.indenters import flat_face_gap
+from uniforce_vtla.contact.worn import WornSensor, WornView
 from uniforce_vtla.contracts import ContactState, Finger
-from uniforce_vtla.markers.canonicalizer import Canonicalizer
 
 TOUCHING_N = 0.02  # below this the pad counts as in free air
 
@@ -43,19 +42,10 @@ class PadImages:
 
     def __init__(self, sensor: WornSensor, finger: Finger, seed: int) -> None:
         self.finger, self._worn = finger, sensor
-        options = ContactOptions(marker_loss=sensor.marker_loss > 0, loss_probability=sensor.marker_loss)
-        noise_seed = 2 * seed + (finger == "right")
-        self._simulator = TactileSimulator(sensor.sensor, sensor.unit, options, seed=noise_seed)
+        self._view = WornView(sensor, seed=2 * seed + (finger == "right"))
         self._past: deque[Load] = deque(maxlen=sensor.lag_steps + 1)
         self._late = np.zeros(4)
-        self._canonicalizer = Canonicalizer(sensor.kind)
-        if sensor.direct:
-            reference = self._simulator.reference()
-        else:
-            raw = self._lit(self._simulator.raw_reference()[None])[0]
-            self._canonicalizer.set_reference(raw)
-            reference = self._canonicalizer.marker_image(raw)
-        self.reference = cv2.cvtColor(reference, cv2.COLOR_GRAY2RGB)
+        self.reference = cv2.cvtColor(self._view.reference, cv2.COLOR_GRAY2RGB)
 
     def follow(self, sim: WipeSimulation) -> None:
         """Look at the pad after a control step."""
@@ -72,16 +62,9 @@ class PadImages:
             SensorError: the canonicalizer refuses the frame.
         """
         contact = pad_contact(self._past[0], sim, self.finger)
-        if not self._simulator.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
+        if not self._view.simulator.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
             contact = free_air(1)
-        if self._worn.direct:
-            image = self._simulator.marker_images(contact)[0]
-        else:
-            image = self._canonicalizer.marker_image(self._lit(self._simulator.raw_frames(contact))[0])
-        return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
-
-    def _lit(self, raw: np.ndarray) -> np.ndarray:
-        return raw if self._worn.light is None else self._worn.light.on(raw)
+        return cv2.cvtColor(self._view.images(contact)[0], cv2.COLOR_GRAY2RGB)
 
 
 def pad_contact(load: Load, sim: WipeSimulation, finger: Finger) -> ContactState:

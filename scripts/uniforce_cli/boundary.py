@@ -28,7 +28,7 @@ Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes 
 # the environment's, which takes seconds to import; a test compares
 Level = Literal["easy", "touch"]
 Sensor = Annotated[str, Names(list_sensors())]
-# the environment's words for what a finger wears (worn.py)
+# words for what a simulated finger wears (uniforce_vtla/contact/worn.py)
 Worn = Annotated[str, Pattern("a sensor and which unit of it", r"\w+(:(any|drawing|\d{1,6}))?", "tactip:any")]
 Sensors = Annotated[str, Names(list_sensors(), many=True)]
 

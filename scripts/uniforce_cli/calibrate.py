@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.options import Count, FolderPath, Names, OutFolder, Seed, Text, TokenizerFolder, split
-from uniforce_vtla.sensors import list_sensors
+from uniforce_vtla.options import Count, FolderPath, OutFolder, Pattern, Seed, Text, TokenizerFolder, split
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
 
 if TYPE_CHECKING:
-    from uniforce_vtla.contact.virtual import VirtualSensor
+    from uniforce_vtla.contact.worn import WornSensor
+    from uniforce_vtla.contracts import ContactState, Finger
     from uniforce_vtla.tokenizer.api import Tokenizer
     from uniforce_vtla.tokenizer.calibration import Calibration
     from uniforce_vtla.tokenizer.latent import Latent
 
-# of contact.virtual, slow to import; tested
-VIRTUAL = ("gelsight_stiff", "tactip_soft", "uskin_keen", "gelsight_d")
-VirtualSensorName = Annotated[str, Names((*VIRTUAL, *list_sensors()))]
+Unit = Annotated[str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?", "uskin:7")]
+TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
+BATCH = 32
 TURN_DEG = 10.0  # pairs tell the angle between two fingers to a few degrees
 logger = logging.getLogger(__name__)
 
@@ -32,12 +32,12 @@ class CalibrateCommand:
     Two minutes: hold a small object from outside, let both fingers grasp it, squeeze, push and twist; after a minute
     take a tool's flat handle. Record that with: uniforce pairs robot=franka indenters=small,tool
     Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs out=outputs/calibration
-    In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip
+    In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip, or a unit of them: new=tactip:7 anchor=tactip:1
     Use it: uniforce score … left_calibration=outputs/calibration
     """
 
-    new: VirtualSensorName = "gelsight_stiff"  # the sensor to fit
-    anchor: VirtualSensorName = "tactip"  # the sensor that is known
+    new: Unit = "gelsight_stiff"  # the sensor to fit; in simulation unit 1 of it, or uskin:7 | uskin:drawing
+    anchor: Unit = "tactip"  # the sensor that is known; likewise
     pairs: FolderPath = ""  # recorded pairs, as `uniforce pairs` writes them; empty = grasps are simulated
     tools: Text = "tool,flat"  # recorded objects that count as tools; all others are small
     task: Literal["both", "small", "tool"] = "both"  # which objects must agree, or the calibration is refused
@@ -59,36 +59,45 @@ class Grasps:
 
 def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     """Gather grasps and fit; raises as ``calibrate``, SensorError for an unknown sensor, DatasetError for bad pairs."""
-    from uniforce_vtla.contact.virtual import any_virtual
+    from uniforce_vtla.contact.worn import wear
     from uniforce_vtla.tokenizer.calibration import calibrate
     from uniforce_vtla.tokenizer.force_head import ForceHead
 
-    new, anchor = any_virtual(config.new), any_virtual(config.anchor)
+    new, anchor = wear(config.new)(config.seed), wear(config.anchor)(config.seed)
     grasps = recorded_grasps(config, tokenizer) if config.pairs else simulated_grasps(config, tokenizer, new, anchor)
-    head = ForceHead.from_pretrained(anchor.like, config.tokenizer or None)
+    head = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None)
     return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
 
 
-def simulated_grasps(
-    config: CalibrateCommand, tokenizer: Tokenizer, new: VirtualSensor, anchor: VirtualSensor
-) -> Grasps:
-    """Grasp in simulation, the new sensor left and the anchor right, both as drawn: half small objects, half tools."""
+def simulated_grasps(config: CalibrateCommand, tokenizer: Tokenizer, new: WornSensor, anchor: WornSensor) -> Grasps:
+    """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools, at rest."""
     import numpy as np
 
     from uniforce_vtla.contact.indenters import PRETRAIN
-    from uniforce_vtla.contact.pairs import PairSettings, equilibrium_pairs
-    from uniforce_vtla.contact.sampling import FLAT, ForceRange
-    from uniforce_vtla.tokenizer.pair_cache import shrink
+    from uniforce_vtla.contact.sampling import FLAT, ForceRange, sample_loads, sample_objects
+    from uniforce_vtla.contracts import ContactState
+    from uniforce_vtla.markers.mirror import mirrored
 
-    side, n = tokenizer.config.side, config.grasps
-    arm = ForceRange(flat_torsion_arm_mm=9.0)  # a held tool twists flat pads so far
-    settings = PairSettings(unit_strength=0.0, pairs_per_unit=n, flat_share=0.5, force_range=arm)
-    rng = np.random.default_rng([config.seed, 55])
-    pairs = equilibrium_pairs(rng, n, new, anchor, PRETRAIN, settings, lambda images: shrink(images, side))
-    left = tokenizer.encode(pairs.left_reference, pairs.left_current, "left")
-    right = tokenizer.encode(pairs.right_reference, pairs.right_current, "right")
-    classes = tuple("tool" if name == FLAT else "small" for name in pairs.indenters)
-    return Grasps(_pooled(left), _pooled(right), classes)
+    n, rng = config.grasps, np.random.default_rng([config.seed, 55])
+    objects = sample_objects(rng, n, PRETRAIN, flat_share=0.5)
+    force, torsion = sample_loads(rng, n, ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm), objects.names)
+    contact = ContactState(objects.gap_mm, force, torsion)
+    left = seen_latents(tokenizer, new, contact, "left", config.seed)
+    right = seen_latents(tokenizer, anchor, mirrored(contact), "right", config.seed + 1)
+    return Grasps(left, right, tuple("tool" if name == FLAT else "small" for name in objects.names))
+
+
+def seen_latents(tokenizer: Tokenizer, worn: WornSensor, contact: ContactState, finger: Finger, seed: int) -> Latent:
+    """Return the pooled latents (n, P, L) of contacts as a worn unit shows them."""
+    import torch
+
+    from uniforce_vtla.contact.simulator import rows_of, slices
+    from uniforce_vtla.contact.worn import WornView
+
+    view, found = WornView(worn, seed), []
+    for part in slices(len(contact.gap_mm), BATCH):
+        found.append(_pooled(tokenizer.encode(view.reference[None], view.images(rows_of(contact, part)), finger)))
+    return torch.cat(found)  # type: ignore[return-value]  # cat keeps the origin
 
 
 def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
@@ -101,7 +110,8 @@ def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
 
     from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
 
-    found: dict[str, list[Latent]] = {config.new: [], config.anchor: []}
+    new_name, anchor_name = (words.partition(":")[0] for words in (config.new, config.anchor))
+    found: dict[str, list[Latent]] = {new_name: [], anchor_name: []}
     classes: list[str] = []
     for recording in read_uniforce_pairs(config.pairs):
         if set(recording.sensors) != set(found):
@@ -113,7 +123,7 @@ def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
             found[name].append(_pooled(latent))
         kind = "tool" if recording.indenter in split(config.tools) else "small"
         classes += [kind] * len(recording.left_frames)
-    new, anchor = (torch.cat(found[name]) for name in (config.new, config.anchor))
+    new, anchor = (torch.cat(found[name]) for name in (new_name, anchor_name))
     return Grasps(new, anchor, tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
 
 

@@ -8,12 +8,11 @@ import pytest
 
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.expert import WipeExpert
-from lerobot_env_uniforce_wiping.worn import WornSensor, drawing, wear
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import any_virtual, as_virtual
 from uniforce_vtla.contact.wear import Creep
+from uniforce_vtla.contact.worn import WornSensor, drawing
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import SensorError
 from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
@@ -75,16 +74,6 @@ def test_raw_frames_and_canonicalizer_read_as_the_direct_drawing_does(kind: str,
     plain = drawing(as_virtual(kind))
     fast, raw = read(held(plain)), read(held(replace(plain, direct=False)))
     assert abs(fast[2] - raw[2]) < grip_N and np.abs(fast[:2] - raw[:2]).max() < 0.3
-
-
-def test_words_say_which_unit_is_worn() -> None:
-    assert wear("tactip")(3) == wear("tactip:1")(8) != wear("tactip:2")(3)
-    assert wear("uskin:any")(3) == wear("uskin:any")(3) != wear("uskin:any")(4)
-    bare = wear("gelsight:drawing")(0)
-    assert bare.direct and bare.light is None and bare.lag_steps == 0
-    for wrong in ("gelsight:left", "gelsight:-1", "gelsight:1000000", "nose"):
-        with pytest.raises(SensorError):
-            wear(wrong)
 
 
 def test_a_stiff_unit_has_a_stiff_pad_and_a_picture_that_moves_less() -> None:

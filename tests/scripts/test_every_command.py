@@ -14,9 +14,7 @@ from benchmarks.trust.bad_words import Room
 from benchmarks.trust.command_line import COMMANDS, MODULES, PUBLISHED, ROOT, _entry, hashes, judge, prepare, trials
 from benchmarks.trust.command_worker import Ended, _code
 from uniforce_cli import main as command
-from uniforce_cli.calibrate import VIRTUAL
 from uniforce_vtla.arguments import Option, options_of
-from uniforce_vtla.contact.virtual import GELSIGHT_D, hidden_sensors
 from uniforce_vtla.options import Existing, Names, Pattern, Plain, Range, Writable
 
 NAMES = sorted(COMMANDS)
@@ -88,10 +86,6 @@ def test_help_is_quick(verb: tuple[str, ...], most_s: float) -> None:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert not done.stderr
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < most_s
-
-
-def test_the_virtual_sensors_offered_are_those_there_are() -> None:
-    assert {*VIRTUAL} == {*hidden_sensors(), GELSIGHT_D.name}
 
 
 def test_scripts_hold_no_logic_and_shadow_no_library() -> None:

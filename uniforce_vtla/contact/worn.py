@@ -1,4 +1,4 @@
-"""What a finger wears in the scene: one unit of a sensor as a lab would find it, or the bare drawing.
+"""What a simulated finger wears: one unit of a sensor as a lab would find it, or the bare drawing.
 
 In words, as commands take it: ``tactip`` is unit 1 of that sensor, ``tactip:7`` another one, ``tactip:any`` another one
 in every scene, and ``tactip:drawing`` the fast path: the marker image as the contact model draws it, without a frame.
@@ -13,10 +13,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uniforce_vtla.contact.materials import get_material
+from uniforce_vtla.contact.responses import ContactOptions
+from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor, any_virtual
 from uniforce_vtla.contact.wear import Creep, Light
+from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError, expected
+from uniforce_vtla.markers.canonicalizer import Canonicalizer
 
 USUAL_UNIT, ANY, DRAWING = "1", "any", "drawing"
 CREEP_SHARE = (0.05, 0.20)  # part of a motion that comes late; rubbers .1–.3
@@ -49,6 +53,45 @@ class WornSensor:
     def stiffness(self) -> float:
         """Stiffness over the nominal one of its kind."""
         return self.unit.stiffness * self.sensor.material.stiffness / get_material(self.kind).stiffness
+
+
+class WornView:
+    """What a worn unit shows of contacts: contact model, raw frame under its light, canonicalizer.
+
+    Creep and lag depend on time; whoever follows the contact applies them.
+
+    Args:
+        worn: the unit; ``direct`` leaves raw frame and canonicalizer out.
+        seed: draws the noise.
+
+    Raises:
+        SensorError: the canonicalizer refuses the reference.
+    """
+
+    def __init__(self, worn: WornSensor, seed: int = 0) -> None:
+        options = ContactOptions(marker_loss=worn.marker_loss > 0, loss_probability=worn.marker_loss)
+        self.worn, self.simulator = worn, TactileSimulator(worn.sensor, worn.unit, options, seed)
+        self._canonicalizer = Canonicalizer(worn.kind)
+        if worn.direct:
+            self.reference = self.simulator.reference()  # (480, 640) uint8
+        else:
+            raw = self._lit(self.simulator.raw_reference()[None])[0]
+            self._canonicalizer.set_reference(raw)
+            self.reference = self._canonicalizer.marker_image(raw)
+
+    def images(self, contact: ContactState) -> np.ndarray:
+        """Return (B, 480, 640) uint8 marker images in the sensor's own frame.
+
+        Raises:
+            SensorError: the canonicalizer refuses a frame.
+        """
+        if self.worn.direct:
+            return self.simulator.marker_images(contact)
+        frames = self._lit(self.simulator.raw_frames(contact))
+        return np.stack([self._canonicalizer.marker_image(frame) for frame in frames])
+
+    def _lit(self, raw: np.ndarray) -> np.ndarray:
+        return raw if self.worn.light is None else self.worn.light.on(raw)
 
 
 def drawing(sensor: VirtualSensor) -> WornSensor:
