@@ -11,7 +11,7 @@ from lerobot_policy_pi05_uniforce.backbone import make_backbone
 from lerobot_policy_pi05_uniforce.checkpoint import ENCODED
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 from lerobot_policy_pi05_uniforce.sampler.fast import FastSampler
-from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs
+from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
 from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
 from lerobot_policy_pi05_uniforce.touch.encode import build_encoder
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens, GatedColumns, SuffixTouch, TouchGate
@@ -129,10 +129,15 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             noise = self.sample_noise(shape, tokens.device)
         return self.fast.sample(inputs, noise, num_steps or self.config.num_inference_steps)
 
-    def forward(self, *args: Any, **kwargs: Any) -> Tensor:
-        """Return LeRobot's flow-matching losses, (B, chunk, max_action_dim)."""
+    def forward(self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any) -> Tensor:
+        """Return LeRobot's flow-matching losses, (B, chunk, max_action_dim).
+
+        Text is cut to the batch's longest prompt: padding changes nothing, and is half of what ``tiny`` computes.
+        """
+        if not self.config.compile_model:  # compiled code wants one length
+            tokens, masks = drop_padding(tokens, masks)
         try:
-            return super().forward(*args, **kwargs)
+            return super().forward(images, img_masks, tokens, masks, *args)
         finally:
             self._touch = None
 

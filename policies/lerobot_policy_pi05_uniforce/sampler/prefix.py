@@ -150,8 +150,13 @@ def drop_dead(inputs: Inputs) -> Inputs:
     """
     images, img_masks, tokens, masks = inputs
     kept = [(i, m) for i, m in zip(images, img_masks, strict=True) if i.ndim != 4 or bool(m.any())]
+    return Inputs([i for i, _ in kept], [m for _, m in kept], *drop_padding(tokens, masks))
+
+
+def drop_padding(tokens: Tensor, masks: Tensor) -> tuple[Tensor, Tensor]:
+    """Return text (B, L) and its mask without the columns that no prompt of the batch uses."""
     used = int(masks.any(dim=0).nonzero().max()) + 1 if bool(masks.any()) else 0
-    return Inputs([i for i, _ in kept], [m for _, m in kept], tokens[:, :used], masks[:, :used])
+    return tokens[:, :used], masks[:, :used]
 
 
 def _positions(real: Tensor, gated: GatedColumns | None) -> Tensor:
