@@ -1,6 +1,7 @@
 """Score a part of the plan: rows in turns on paired scenes, claims, one table, one figure."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,7 +13,7 @@ from uniforce_cli.boundary import Level, command
 from uniforce_cli.score import check_policies, score_arms
 from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
 from uniforce_vtla.errors import CheckpointError, expected
-from uniforce_vtla.evaluation.arms import ArmReport, table
+from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, table
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import wilson
@@ -29,39 +30,54 @@ class LadderCommand:
 
     part: Literal["ladder", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
-    calibrations: FolderPath = ""  # folder of `uniforce calibrate` results, one per sensor's name; "" = those rows wait
+    calibrations: FolderPath = ""  # of `uniforce calibrate`: uskin-2, tactip-3, …; "" = those rows wait
     level: Level = "touch"
-    rollouts: CountOrZero = 0  # per row; 0 = as planned
+    rollouts: CountOrZero = 0  # per sensor worn; 0 = as planned
     first_seed: Seed = 0  # 0 = the plan's own block: score it once
     workers: Workers = 2
     work: OutFolder = "outputs/ladder"  # episodes so far: run it again to go on
     out: OutFile = "outputs/ladder.json"
 
 
-def configured(config: LadderCommand, entry: Entry) -> ScoreConfig | None:
-    """Return how a row is scored; None where its checkpoints or its calibration aren't there."""
+def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
+    """Return how a row is scored, one part per sensor it wears; none where checkpoints or calibrations aren't there."""
     policy = entry.checkpoints
     if policy not in SCRIPTS:
         seeds = sorted(Path(config.checkpoints, policy).glob("seed*"))
         policy = ",".join(str(seed) for seed in seeds)
-    calibration = Path(config.calibrations, entry.worn) if entry.calibrated else None
-    if not policy or (calibration and not (config.calibrations and calibration.is_dir())):
-        return None
-    return ScoreConfig(
-        policy=policy, arm=entry.name, level=config.level, left_sensor=entry.left, right_sensor=entry.right,
-        swap=entry.swap, control=entry.control,  # type: ignore[arg-type]
-        left_calibration=str(calibration) if calibration and entry.swap else "",
-        rollouts=config.rollouts or entry.rollouts, first_seed=config.first_seed or BLOCKS[entry.block].start,
-        videos=0, out=config.work,
-    )  # fmt: skip
+    maps = [Path(config.calibrations, worn.replace(":", "-")) for worn in entry.worn if entry.calibrated]
+    if not policy or not all(config.calibrations and folder.is_dir() for folder in maps):
+        return []
+    first, share = config.first_seed or BLOCKS[entry.block].start, entry.rollouts // len(entry.worn)
+    share = min(share, config.rollouts) if config.rollouts else share
+    parts = []
+    for number, worn in enumerate(entry.worn):
+        fingers = {"left_sensor": worn, "right_sensor": "tactip"}
+        if not entry.swap:
+            fingers = {"left_sensor": "gelsight", "right_sensor": worn}
+        if maps:
+            fingers["left_calibration" if entry.swap else "right_calibration"] = str(maps[number])
+        parts.append(
+            ScoreConfig(
+                policy=policy, arm=entry.name, level=config.level, swap=entry.swap, videos=0, out=config.work,
+                control=entry.control, rollouts=share, first_seed=first + number * share, **fingers,  # type: ignore[arg-type]
+            )
+        )  # fmt: skip
+    return parts
 
 
-def by_training_seed(config: ScoreConfig, report: ArmReport) -> list[str]:
-    """Return clean k/n of each training seed: they take turns from scene to scene."""
-    clean: dict[str, list[bool]] = {policy: [] for policy in config.policies}
-    for row in report.rows:
-        clean[config.policy_of(row.seed)].append(row.clean)
-    return [f"{sum(rows)}/{len(rows)}" for rows in clean.values()]
+def joined(configs: Sequence[ScoreConfig], parts: Sequence[ArmReport]) -> dict[str, tuple[ArmReport, list[str]]]:
+    """Return each row's report over its parts, and clean k/n of each training seed: they take turns."""
+    found: dict[str, tuple[list[EpisodeRow], dict[str, list[bool]]]] = {}
+    for config, part in zip(configs, parts, strict=True):
+        rows, by_policy = found.setdefault(config.arm, ([], {policy: [] for policy in config.policies}))
+        rows += part.rows
+        for row in part.rows:
+            by_policy[config.policy_of(row.seed)].append(row.clean)
+    return {
+        name: (ArmReport(name, rows), [f"{sum(clean)}/{len(clean)}" for clean in by_policy.values()])
+        for name, (rows, by_policy) in found.items()
+    }
 
 
 def claims(reports: dict[str, ArmReport]) -> list[dict[str, Any]]:
@@ -77,20 +93,18 @@ def claims(reports: dict[str, ArmReport]) -> list[dict[str, Any]]:
 def main(config: LadderCommand) -> None:
     """Entry of ``python -m benchmarks.ladder``."""
     planned = [(entry, configured(config, entry)) for entry in PARTS[config.part]]
-    configs = [found for _, found in planned if found]
-    for entry, found in planned:
-        if not found:
+    configs = [part for _, parts in planned for part in parts]
+    for entry, parts in planned:
+        if not parts:
             print(f"not scored: {entry.name} (no {entry.checkpoints} or no calibration of {entry.worn} there)")
     if not configs:
         do = "Train arms into it: uniforce train … output_dir=…, then link ARM/seed0 to pretrained_model."
         raise CheckpointError(expected(config.checkpoints, "checkpoints of the plan", "none", do))
     for one in configs:
         check_policies(one)
-    reports = {report.arm: report for report in score_arms(configs, config.workers)}
-    rows = {
-        one.arm: reports[one.arm].as_dict() | {"clean_by_training_seed": by_training_seed(one, reports[one.arm])}
-        for one in configs
-    }
+    found = joined(configs, score_arms(configs, config.workers))
+    reports = {name: report for name, (report, _) in found.items()}
+    rows = {name: report.as_dict() | {"clean_by_training_seed": seeds} for name, (report, seeds) in found.items()}
     within = claims(reports)
     content = {
         "part": config.part,

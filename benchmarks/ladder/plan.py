@@ -17,49 +17,61 @@ SWAP = "touch0:left"
 
 @dataclass(frozen=True)
 class Entry:
-    """One row of the table: which checkpoints act, on which rig."""
+    """One row of the table: which checkpoints act, on which rig.
+
+    Of several sensors in the slot each is worn in an equal part of the scenes, one part after the other.
+    """
 
     name: str
     checkpoints: str  # arm that was trained, or "expert"
-    left: str = "gelsight"  # what the left finger wears (uniforce_vtla.contact.worn)
-    right: str = "tactip"
-    swap: str = ""
-    calibrated: bool = False  # the swapped finger wears a calibration against a TacTip
+    worn: tuple[str, ...] = ("tactip",)  # in the slot, in words (uniforce_vtla.contact.worn)
+    swap: str = ""  # else the slot is the right finger's, and the left one wears what the demonstrations had
+    calibrated: bool = False  # each wears its calibration against the demonstrations' TacTip
     control: str = ""
     block: str = "swap ladder"  # of scenes (benchmarks.scene_blocks)
-    rollouts: int = 200
-
-    @property
-    def worn(self) -> str:
-        """Name of the sensor that fills the slot."""
-        return (self.left if self.swap else self.right).partition(":")[0]
+    rollouts: int = 204  # parts of 51: the same training seed acts in a scene in every row
 
 
+UNITS = (2, 3, 4, 5)  # those that are calibrated: the first ones that no demonstration wore
+
+
+def _units(kind: str) -> tuple[str, ...]:
+    return tuple(f"{kind}:{unit}" for unit in UNITS)
+
+
+def _halves(weak: str, strong: str) -> tuple[str, ...]:
+    """Two units each of a sensor that answers by about × .6 and of one that answers by × 1.4 to 1.5."""
+    return *_units(weak)[:2], *_units(strong)[2:]
+
+
+ODD_GELSIGHT, ODD_USKIN = _halves("gelsight_stiff", "gelsight_soft"), _halves("uskin_dull", "uskin_keen")
 LADDER = (
     Entry("S0", "vt"),
-    Entry("S1", "vt", right="tactip:any"),
-    Entry("S2 gelsight", "vt", swap=SWAP),
-    Entry("S2 uskin", "vt", left="uskin", swap=SWAP),
-    Entry("S2 gelsight calibrated", "vt", swap=SWAP, calibrated=True),
-    Entry("S2 uskin calibrated", "vt", left="uskin", swap=SWAP, calibrated=True),
-    Entry("S4 uskin", "vt", left="uskin_keen", swap=SWAP),
-    Entry("S4 uskin calibrated", "vt", left="uskin_keen", swap=SWAP, calibrated=True),
-    Entry("S4 gelsight", "vt", left="gelsight_stiff", swap=SWAP),
-    Entry("S4 gelsight calibrated", "vt", left="gelsight_stiff", swap=SWAP, calibrated=True),
+    Entry("S1", "vt", ("tactip:any",)),
+    Entry("S1 calibrated", "vt", _units("tactip"), calibrated=True),
+    Entry("S2 gelsight", "vt", ("gelsight:any",), SWAP),
+    Entry("S2 uskin", "vt", ("uskin:any",), SWAP),
+    Entry("S2 gelsight calibrated", "vt", _units("gelsight"), SWAP, calibrated=True),
+    Entry("S2 uskin calibrated", "vt", _units("uskin"), SWAP, calibrated=True),
+    Entry("S4 gelsight", "vt", ODD_GELSIGHT, SWAP),
+    Entry("S4 uskin", "vt", ODD_USKIN, SWAP),
+    Entry("S4 gelsight calibrated", "vt", ODD_GELSIGHT, SWAP, calibrated=True),
+    Entry("S4 uskin calibrated", "vt", ODD_USKIN, SWAP, calibrated=True),
 )
 # the same swap for other things to feel with, each with the same alignment
 CONTROLS = tuple(
-    Entry(f"{what} {rung}", arm, left=left, swap=swap, calibrated=calibrated, block="controls", rollouts=100)
+    Entry(f"{what} {rung}", arm, worn, swap, calibrated, block="controls", rollouts=102)
     for what, arm in (
+        ("latents", "vt"),
         ("three newtons", "newtons"),
         ("descriptor", "descriptor"),
         ("raw images", "marker_pair"),
         ("random encoder", "random"),
     )
-    for rung, left, swap, calibrated in (
-        ("S0", "gelsight", "", False),
-        ("S2 gelsight", "gelsight", SWAP, True),
-        ("S2 uskin", "uskin", SWAP, True),
+    for rung, worn, swap, calibrated in (
+        ("S0", ("tactip",), "", False),
+        ("S2 gelsight", _units("gelsight")[:2], SWAP, True),
+        ("S2 uskin", _units("uskin")[:2], SWAP, True),
     )
 )
 ARMS = (
@@ -68,9 +80,9 @@ ARMS = (
     Entry("V+T", "vt", block="arms"),
     Entry("V", "v", block="arms"),
     Entry("V with previous action", "v_history", block="arms"),
-    Entry("V+T masked", "vt", control="masked", block="arms", rollouts=100),
-    Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=100),
-    Entry("V+T frozen mid-wipe", "vt", control="frozen", block="arms", rollouts=100),
+    Entry("V+T masked", "vt", control="masked", block="arms", rollouts=102),
+    Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=102),
+    Entry("V+T frozen mid-wipe", "vt", control="frozen", block="arms", rollouts=102),
 )
 PARTS = {"ladder": LADDER, "controls": CONTROLS, "arms": ARMS}
 

@@ -85,10 +85,12 @@ def command(
 
 
 def one_thread() -> None:
-    """Let torch and OpenCV compute on one thread: small work gains nothing from more."""
+    """Let torch, OpenCV and numpy's BLAS compute on one thread: small work gains nothing from more."""
     import cv2
     import torch
+    from threadpoolctl import threadpool_limits
 
+    threadpool_limits(1, user_api="blas")
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from uniforce_cli.boundary import Level, Worn, command
+from uniforce_cli.boundary import Level, Worn, command, one_thread
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.options import (
@@ -190,6 +190,8 @@ def _refuse_ignored(config: RecordConfig, device_flags: Sequence[str], given: Co
 @command(RecordConfig, others=("robot.", "teleop."))
 def main(config: RecordConfig, flags: Sequence[str], given: Sequence[str]) -> int:
     os.environ.setdefault("HF_HUB_OFFLINE", "1")
+    if config.robot == "sim":
+        one_thread()
     try:
         end = record(config, flags, given)
     except KeyboardInterrupt:

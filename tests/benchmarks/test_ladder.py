@@ -1,13 +1,15 @@
 """The plan of the swap ladder: names and blocks fit together, rows wait for what is missing, claims get verdicts."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from benchmarks.ladder.__main__ import LadderCommand, claims, configured, main
+from benchmarks.ladder.__main__ import LadderCommand, claims, configured, joined, main
 from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, Entry
 from benchmarks.scene_blocks import BLOCKS
+from uniforce_cli.score_settings import ScoreConfig
 from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
 
 
@@ -23,16 +25,32 @@ def test_the_plan_names_blocks_and_rows_that_exist() -> None:
 
 def test_rows_wait_for_checkpoints_and_calibrations(tmp_path: Path) -> None:
     config = LadderCommand(checkpoints=str(tmp_path))
-    calibrated = Entry("S2", "vt", left="uskin:any", swap="touch0:left", calibrated=True)
-    assert configured(config, calibrated) is None and configured(config, Entry("S0", "vt")) is None
-    for folder in ("vt/seed0", "vt/seed1", "maps/uskin"):
+    calibrated = Entry("S2", "vt", ("uskin:2", "uskin:3"), "touch0:left", calibrated=True)
+    assert not configured(config, calibrated) and not configured(config, Entry("S0", "vt"))
+    for folder in ("vt/seed0", "vt/seed1", "maps/uskin-2"):
         (tmp_path / folder).mkdir(parents=True)
-    assert configured(config, calibrated) is None
     config.calibrations = str(tmp_path / "maps")
-    found = configured(config, calibrated)
-    assert found is not None and found.left_calibration == str(tmp_path / "maps" / "uskin")
-    assert [Path(policy).name for policy in found.policies] == ["seed0", "seed1"]
-    assert found.first_seed == BLOCKS["swap ladder"].start
+    assert not configured(config, calibrated)
+    (tmp_path / "maps/uskin-3").mkdir()
+    first, second = configured(config, calibrated)
+    assert first.left_calibration == str(tmp_path / "maps" / "uskin-2") and second.left_sensor == "uskin:3"
+    assert [Path(policy).name for policy in first.policies] == ["seed0", "seed1"]
+    assert [*first.seeds, *second.seeds] == [*range(BLOCKS["swap ladder"].start, BLOCKS["swap ladder"].start + 204)]
+
+
+def test_a_rows_parts_are_joined_and_counted_by_training_seed(tmp_path: Path) -> None:
+    parts = [
+        ScoreConfig(policy="a,b", arm="S2", first_seed=first, rollouts=4, out=str(tmp_path / "out"))
+        for first in (10, 14)
+    ]
+    scored = [reports(S2=[True, False, True, False])["S2"] for _ in parts]
+    shifted = [
+        ArmReport("S2", [replace(row, seed=row.seed + part.first_seed) for row in report.rows])
+        for part, report in zip(parts, scored, strict=True)
+    ]
+    report, seeds = joined(parts, shifted)["S2"]
+    assert report.n == 8 and [row.seed for row in report.rows] == [*range(10, 18)]
+    assert seeds == ["4/4", "0/4"]
 
 
 def reports(**clean: list[bool]) -> dict[str, ArmReport]:

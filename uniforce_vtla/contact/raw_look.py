@@ -5,6 +5,7 @@ ring and lamp reflections (described in facts D; no frame was copied).
 """
 
 from functools import cache
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -12,16 +13,24 @@ import numpy as np
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.markers.raster import CENTRE_PX
 
+PixelNoise = Literal["drawn", "sheet"]
+
 _EDGE_BLUR_PX = 1.2  # a camera's edge spread
 _PIXEL_NOISE = 2.0  # grey levels, standard deviation
 _GEL_MARKER_DARKNESS = 0.72  # share of light a printed marker swallows
 _GEL_SHADE = 60.0  # grey levels per unit slope of the indented surface
 _PIN_RGB = np.array([205, 215, 235], np.float32)  # pins are whitest in blue
+_SHEET_ROOM_PX = 64  # by which the noise sheet is larger than a frame, each way
 _RIM_PX = (247.0, 262.0)  # bright ring just outside the 240 px (20 mm) of the dome
 
 
 def gelsight_frames(
-    marker_images: np.ndarray, indentation_mm: np.ndarray, cell_mm: float, px_per_mm: float, rng: np.random.Generator
+    marker_images: np.ndarray,
+    indentation_mm: np.ndarray,
+    cell_mm: float,
+    px_per_mm: float,
+    rng: np.random.Generator,
+    noise: PixelNoise,
 ) -> np.ndarray:
     """Return (B, 480, 640, 3) uint8 RGB: dark markers on a gel under three coloured lights.
 
@@ -30,44 +39,69 @@ def gelsight_frames(
         indentation_mm: (B, G, G) inward displacement of square cells, the grid's middle at the image's.
         cell_mm: their side.
         px_per_mm: image scale.
-        rng: pixel noise.
+        rng: draws the noise.
+        noise: where it comes from, see ``tactip_frames``.
     """
     frames = []
     for image, depth in zip(marker_images, indentation_mm, strict=True):
         ink = cv2.GaussianBlur(image.astype(np.float32) / 255, (0, 0), _EDGE_BLUR_PX)
         lit = _gel_light() + _slope_shade(depth, cell_mm, px_per_mm)
-        frames.append(_exposed(lit * (1 - _GEL_MARKER_DARKNESS * ink)[..., None], rng))
+        frames.append(_exposed(lit * (1 - _GEL_MARKER_DARKNESS * ink)[..., None], rng, noise))
     return np.stack(frames)
 
 
-def tactip_frames(marker_images: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return (B, 480, 640, 3) uint8 RGB: bright pins on a black dome inside a bright rim."""
+def tactip_frames(marker_images: np.ndarray, rng: np.random.Generator, noise: PixelNoise) -> np.ndarray:
+    """Return (B, 480, 640, 3) uint8 RGB: bright pins on a black dome inside a bright rim.
+
+    Args:
+        marker_images: (B, 480, 640) uint8.
+        rng: draws the noise.
+        noise: "drawn" anew for every pixel, or from a "sheet" drawn once and laid at a random place: 11 ms less.
+    """
     frames = []
     for image in marker_images:
         pin = cv2.GaussianBlur(image.astype(np.float32) / 255, (0, 0), _EDGE_BLUR_PX)[..., None]
-        frames.append(_exposed(_dome_light() * (1 - pin) + _PIN_RGB * _lamp_falloff() * pin, rng))
+        frame = _dome_light() * (1 - pin)
+        frame += _pin_light() * pin
+        frames.append(_exposed(frame, rng, noise))
     return np.stack(frames)
 
 
-def _exposed(frame: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    noise = rng.standard_normal(frame.shape, dtype=np.float32) * np.float32(_PIXEL_NOISE)
-    return np.clip(frame + noise, 0, 255).astype(np.uint8)
+def _exposed(frame: np.ndarray, rng: np.random.Generator, noise: PixelNoise) -> np.ndarray:
+    """Return the frame (H, W, 3) as uint8 with noise; works in place."""
+    if noise == "drawn":
+        frame += rng.standard_normal(frame.shape, dtype=np.float32) * np.float32(_PIXEL_NOISE)
+    else:
+        y, x = rng.integers(_SHEET_ROOM_PX, size=2)
+        frame += _noise_sheet()[y : y + frame.shape[0], x : x + frame.shape[1]]
+    return np.clip(frame, 0, 255, out=frame).astype(np.uint8)
 
 
 def _slope_shade(depth_mm: np.ndarray, cell_mm: float, px_per_mm: float) -> np.ndarray:
     """Return (H, W, 3) colour that the indentation's slopes catch from lights at 90°, 210° and 330°."""
-    H, W = MARKER_IMAGE_SHAPE
     smooth = cv2.GaussianBlur(depth_mm.astype(np.float32), (0, 0), 1.0 / cell_mm)
     dy, dx = np.gradient(smooth, cell_mm)
-    centre, px_per_cell = (len(depth_mm) - 1) / 2, px_per_mm * cell_mm
-    x, y = (
-        (np.arange(W) - CENTRE_PX[0]) / px_per_cell + centre,
-        (np.arange(H) - CENTRE_PX[1]) / px_per_cell + centre,
-    )
-    map_x, map_y = (a.astype(np.float32) for a in np.meshgrid(x, y))
-    slope = [cv2.remap(d, map_x, map_y, cv2.INTER_LINEAR) for d in (dx, dy)]
+    places = _cells_of_pixels(len(depth_mm), px_per_mm * cell_mm)
+    slope = [cv2.remap(d, *places, cv2.INTER_LINEAR) for d in (dx, dy)]
     angles = np.deg2rad([90, 210, 330])
     return np.stack([_GEL_SHADE * (slope[0] * np.cos(a) + slope[1] * np.sin(a)) for a in angles], axis=-1)
+
+
+@cache
+def _cells_of_pixels(cells: int, px_per_cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return (H, W) column and row of the grid, whose middle is the image's, under each pixel."""
+    H, W = MARKER_IMAGE_SHAPE
+    middle = (cells - 1) / 2
+    x, y = ((np.arange(n) - c) / px_per_cell + middle for n, c in zip((W, H), CENTRE_PX, strict=True))
+    column, row = (a.astype(np.float32) for a in np.meshgrid(x, y))
+    return column, row
+
+
+@cache
+def _noise_sheet() -> np.ndarray:
+    rows, columns = MARKER_IMAGE_SHAPE
+    shape = rows + _SHEET_ROOM_PX, columns + _SHEET_ROOM_PX, 3
+    return np.random.default_rng(0).standard_normal(shape, dtype=np.float32) * np.float32(_PIXEL_NOISE)
 
 
 @cache
@@ -91,6 +125,12 @@ def _gel_light() -> np.ndarray:
 def _lamp_falloff() -> np.ndarray:
     """Return (H, W, 1): pins near the rim get less light."""
     return (1 - 0.35 * (_radius_px() / 240) ** 2).clip(0.4, 1)[..., None].astype(np.float32)
+
+
+@cache
+def _pin_light() -> np.ndarray:
+    """Return (H, W, 3) colour of a pin at each place."""
+    return _PIN_RGB * _lamp_falloff()
 
 
 @cache

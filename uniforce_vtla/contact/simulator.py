@@ -109,8 +109,9 @@ class TactileSimulator:
         press_N = self._pressure(contact).press_N  # solved once for picture and shade
         images = self.images_under(self._traction(press_N, contact))
         if self.spec.dome_radius_mm is not None:
-            return tactip_frames(images, self._rng)
-        return gelsight_frames(images, self._indentation_mm(press_N), CELL_MM, self.spec.px_per_mm[0], self._rng)
+            return tactip_frames(images, self._rng, self.options.pixel_noise)
+        scale, noise = self.spec.px_per_mm[0], self.options.pixel_noise
+        return gelsight_frames(images, self._indentation_mm(press_N), CELL_MM, scale, self._rng, noise)
 
     def _pressure(self, contact: ContactState) -> Pressure:
         return solve_pressure(self.pad, contact.gap_mm, contact.force_N[:, 2], self._stiffness)

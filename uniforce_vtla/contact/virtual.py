@@ -55,15 +55,17 @@ def as_virtual(sensor: str | VirtualSensor) -> VirtualSensor:
 
 
 def hidden_sensors() -> dict[str, VirtualSensor]:
-    """Return three sensors that look usual and answer unlike the family: for label-free calibration."""
+    """Return sensors that look usual and answer by × .6 to × 1.5 of what the family does: for calibration."""
     gel, dome, taxels = (get_material(name) for name in ("gelsight", "tactip", "uskin"))
     assert isinstance(taxels, TaxelMaterial)
-    keen = replace(taxels, rest_counts=1.5 * taxels.rest_counts)
-    return {
-        "gelsight_stiff": _renamed("gelsight", "gelsight_stiff", replace(gel, stiffness=1.6)),
-        "tactip_soft": _renamed("tactip", "tactip_soft", replace(dome, stiffness=0.65)),
-        "uskin_keen": _renamed("uskin", "uskin_keen", keen),
+    materials: dict[str, PadMaterial | TaxelMaterial] = {
+        "gelsight_stiff": replace(gel, stiffness=1.6),
+        "gelsight_soft": replace(gel, stiffness=0.7),
+        "tactip_soft": replace(dome, stiffness=0.65),
+        "uskin_keen": replace(taxels, rest_counts=1.5 * taxels.rest_counts),
+        "uskin_dull": replace(taxels, rest_counts=0.6 * taxels.rest_counts),
     }
+    return {name: _renamed(name.partition("_")[0], name, material) for name, material in materials.items()}
 
 
 def any_virtual(name: str) -> VirtualSensor:

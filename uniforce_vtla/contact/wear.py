@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -56,8 +57,13 @@ class Light:
 
     def on(self, frames: np.ndarray) -> np.ndarray:
         """Return (B, 480, 640, 3) uint8 frames under this light."""
-        rows, columns = MARKER_IMAGE_SHAPE
-        x = np.linspace(-1, 1, columns, dtype=np.float32)[None] * self.gradient[0]
-        y = np.linspace(-1, 1, rows, dtype=np.float32)[:, None] * self.gradient[1]
-        field = (1 + x + y)[..., None] * np.asarray(self.gain, np.float32)  # (H, W, 3)
-        return np.clip(frames * field, 0, 255).astype(np.uint8)
+        return np.clip(frames * _field(self), 0, 255).astype(np.uint8)
+
+
+@lru_cache(maxsize=4)
+def _field(light: Light) -> np.ndarray:
+    """Return (H, W, 3) factor on each pixel."""
+    rows, columns = MARKER_IMAGE_SHAPE
+    x = np.linspace(-1, 1, columns, dtype=np.float32)[None] * light.gradient[0]
+    y = np.linspace(-1, 1, rows, dtype=np.float32)[:, None] * light.gradient[1]
+    return (1 + x + y)[..., None] * np.asarray(light.gain, np.float32)

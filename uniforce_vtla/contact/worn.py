@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from uniforce_vtla.contact.materials import get_material
+from uniforce_vtla.contact.raw_look import PixelNoise
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.units import Look, UnitVariation
@@ -63,13 +64,16 @@ class WornView:
     Args:
         worn: the unit; ``direct`` leaves raw frame and canonicalizer out.
         seed: draws the noise.
+        pixel_noise: of raw frames, see ``ContactOptions``.
 
     Raises:
         SensorError: the canonicalizer refuses the reference.
     """
 
-    def __init__(self, worn: WornSensor, seed: int = 0) -> None:
-        options = ContactOptions(marker_loss=worn.marker_loss > 0, loss_probability=worn.marker_loss)
+    def __init__(self, worn: WornSensor, seed: int = 0, pixel_noise: PixelNoise = "sheet") -> None:
+        options = ContactOptions(
+            marker_loss=worn.marker_loss > 0, loss_probability=worn.marker_loss, pixel_noise=pixel_noise
+        )
         self.worn, self.simulator = worn, TactileSimulator(worn.sensor, worn.unit, options, seed)
         self._canonicalizer = Canonicalizer(worn.kind)
         if worn.direct:
