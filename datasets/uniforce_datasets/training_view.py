@@ -285,8 +285,7 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], ve
     if getattr(policy, "observation_delta_indices", None) is not None:
         raise DatasetError(expected("policy", "single observations", "a history", "Train on the dataset itself."))
     slots = {slot: policy.finger_by_slot()[slot] for slot in getattr(policy, "slots", ())}
-    touch = policy.touch.input if slots else "none"
-    touch = "latent" if touch == "newtons" else touch  # the policy's own head reads them
+    touch = policy.touch_in_view if slots else "none"
     marker = read_marker(Path(root))
     if touch == "latent" and policy.latent_grid != marker["latent_grid"]:
         do = f"Build the view with latent_grid={policy.latent_grid}."

@@ -213,6 +213,11 @@ class PI05UniforceConfig(PI05Config):
         """Touch slots that give tokens, in a fixed order; empty when touch is off."""
         return tuple(s for s in SLOTS if s in self.touch.slots) if self.touch.input != "none" else ()
 
+    @property
+    def touch_in_view(self) -> str:
+        """What a training view gives this policy to feel with: "newtons" are read in latents by its own head."""
+        return "latent" if self.touch.input in ENCODED else self.touch.input
+
     def finger_by_slot(self) -> dict[str, Finger]:
         """Which finger fills each slot now, after ``swap``."""
         fingers: dict[str, Any] = dict(self.touch.slots)

@@ -95,18 +95,20 @@ def _build(policy: str, rig: Rig, control: str, out: Path) -> tuple[WipeEnv, Con
         controller = ScriptController(SCRIPTS[policy]())
     else:
         env, plain = policy_on_rig(policy, rig)
-        controller = controlled(plain, control, env)
+        controller = controlled(plain, control, env, rig.mounted)
     write_json(out / "sensors.json", {"notes": getattr(controller, "notes", []), **env.sensors})
     return env, controller
 
 
-def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Controller:
+def controlled(controller: PolicyController, control: str, env: WipeEnv, mounted: dict[Finger, str]) -> Controller:
     """Return the controller under a control, ``masked``, ``shuffled`` or ``frozen``; "" leaves it as it is.
+
+    ``mounted`` says in words what the fingers wear, in the scenes that lend their touch too.
 
     Raises ContractError: an unknown control.
     """
     if control == "shuffled":
-        return ShuffledTouch(controller, donated_touch(env.level.name, env.sensors, env.drawn))
+        return ShuffledTouch(controller, donated_touch(env.level.name, mounted, env.drawn))
     if control == "frozen":
         return FrozenTouch(controller)
     if control not in ("", "masked"):
@@ -116,10 +118,10 @@ def controlled(controller: PolicyController, control: str, env: WipeEnv) -> Cont
 
 
 def donated_touch(
-    level: str, sensors: dict[str, str], fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS
+    level: str, mounted: dict[Finger, str], fingers: tuple[Finger, ...] = FINGERS, donors: int = DONORS
 ) -> dict[int, list[Donated]]:
     """Return marker images of expert episodes on other scenes, by phase of the task."""
-    env, expert = WipeEnv(level, sensors["left"], sensors["right"], fingers), WipeExpert()
+    env, expert = WipeEnv(level, mounted["left"], mounted["right"], fingers), WipeExpert()
     names = [tactile_name(finger, reference) for finger in fingers for reference in (False, True)]
     bank: dict[int, list[Donated]] = {}
     for seed in tqdm(range(DONOR_SEED, DONOR_SEED + donors), desc="donated touch", disable=None):

@@ -189,7 +189,7 @@ def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
 def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
     latents = SimpleNamespace(input="latent", next_force_weight=0.0)
     fingers = {"slots": ("touch0",), "finger_by_slot": lambda: {"touch0": "left"}}
-    touch = {"touch": latents, "latent_grid": 4, **fingers}
+    touch = {"touch": latents, "touch_in_view": "latent", "latent_grid": 4, **fingers}
     made = make_training_dataset(trainer_config(view, **touch), pytest.fail)
     assert made[0][ACTION].shape == (5, 5) and latent_key("touch0") in made.features
     blind = make_training_dataset(trainer_config(view), pytest.fail)

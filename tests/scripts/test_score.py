@@ -155,7 +155,7 @@ def test_frozen_touch_stays_as_it_was_half_a_second_into_the_wipe() -> None:
 
 def test_unknown_controls_and_controls_of_scripts_are_refused(tmp_path: Any) -> None:
     with pytest.raises(ContractError, match="masked"):
-        controlled(None, "asleep", WipeEnv("easy"))  # type: ignore[arg-type]
+        controlled(None, "asleep", WipeEnv("easy"), {})  # type: ignore[arg-type]
     job = Job(0, ScoreConfig(policy="expert", control="masked", out=str(tmp_path)), 1)
     with pytest.raises(ContractError, match="Controls are for policies"):
         score_job(job)
