@@ -25,7 +25,7 @@ from uniforce_vtla.tokenizer.losses import (
     reconstruction,
 )
 from uniforce_vtla.tokenizer.model import Posterior, build_model
-from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, build_cache, draw_finger
+from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, build_cache, draw_finger, rigs
 from uniforce_vtla.tokenizer.pretrain import Pretraining, learning_rate, open_source, pair_loss
 from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings, TokenizerConfig
 
@@ -233,6 +233,30 @@ def test_the_family_replaces_cameras_only_and_only_its_share() -> None:
     assert 60 < sum(isinstance(s, VirtualSensor) for s in drawn) < 140
     assert all(draw_finger(rng, "uskin", PairCacheConfig(family_share=1.0)) == "uskin" for _ in range(5))
     assert draw_finger(rng, "tactip", PairCacheConfig()) == "tactip"
+
+
+@pytest.mark.parametrize(
+    ("left_out", "seen"),
+    [
+        ("", {"gelsight", "flat", "uskin", "tactip", "dome"}),
+        ("gelsight", {"uskin", "tactip", "dome"}),
+        ("uskin", {"gelsight", "flat", "tactip", "dome"}),
+    ],
+)
+def test_what_each_tokenizer_saw(left_out: str, seen: set[str]) -> None:
+    """A kind that is left out is left out with the family around it; the TacTip, which demos wear, never is."""
+    config = PairCacheConfig(family_share=0.5, left_out=left_out)  # type: ignore[arg-type]
+    rng, drawn = np.random.default_rng(3), set()
+    for _ in range(40):
+        for finger in (finger for rig in rigs(config) for finger in rig):
+            sensor = draw_finger(rng, finger, config)
+            drawn.add(sensor if isinstance(sensor, str) else sensor.name.partition("_")[0])
+    assert drawn == seen
+
+
+def test_leaving_a_kind_out_draws_as_many_pairs(tmp_path: Path) -> None:
+    config = replace(SMALL_DATA, left_out="uskin")
+    assert len(PairCache(tmp_path, config).arrays["left_reference"]) == 2 * SMALL_DATA.units
 
 
 def test_each_stage_of_small_starts_from_what_the_one_before_left() -> None:

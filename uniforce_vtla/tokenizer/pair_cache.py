@@ -69,7 +69,8 @@ class LivePairs:
     def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
         """Return ``units`` fresh units with ``pairs`` contacts each, the rigs taking turns at random."""
         config = replace(self.config, pairs_per_unit=pairs)
-        batches = [_draw_unit(rng, config, RIGS[int(rng.integers(len(RIGS)))]) for _ in range(units)]
+        chosen = rigs(config)
+        batches = [_draw_unit(rng, config, chosen[int(rng.integers(len(chosen)))]) for _ in range(units)]
         return _canonical(*_stacked(batches).values())
 
 
@@ -80,13 +81,19 @@ def build_cache(folder: Path, config: PairCacheConfig) -> None:
     """Draw the shards that are not there yet; raises DatasetError: the folder holds a cache of another config."""
     folder.mkdir(parents=True, exist_ok=True)
     _check_or_write_config(folder / "config.json", config)
+    chosen = rigs(config)
     for number, path in enumerate(tqdm(_shard_paths(folder, config), desc="drawing pairs")):
         if not path.exists():
-            rng, rig = np.random.default_rng([config.seed, number]), RIGS[number % len(RIGS)]
+            rng, rig = np.random.default_rng([config.seed, number]), chosen[number % len(chosen)]
             batches = [_draw_unit(rng, config, rig) for _ in range(config.units_per_shard)]
             scratch = path.with_suffix(".tmp.npz")
             np.savez(scratch, **_stacked(batches))  # type: ignore[arg-type]
             scratch.replace(path)
+
+
+def rigs(config: PairCacheConfig) -> tuple[tuple[str, str], ...]:
+    """Return the rigs that pairs are drawn of, left and right finger: those without the kind that is left out."""
+    return tuple(rig for rig in RIGS if config.left_out not in rig)
 
 
 def shrink(images: np.ndarray, side: int) -> np.ndarray:

@@ -110,6 +110,8 @@ class PairCacheConfig:
     misaligned_cells: CountOrZero = 0  # fingers up to so many mm off each other; 0 = perfect equilibrium
     imbalance: Share = 0.0  # the right finger's force is off by up to this share; 0 = perfect equilibrium
     flat_share: Share = 0.15  # flat faces, the side of a held tool, among the indenters
+    # a kind that nothing is drawn of, nor of the family around it: what a tokenizer does with a kind it never saw
+    left_out: Literal["", "gelsight", "uskin"] = ""
     # [mm] torsion over friction × normal force of flat faces; a held tool that wipes turns flat pads by up to 9
     flat_torsion_arm_mm: NotNegative = 2.5
 
