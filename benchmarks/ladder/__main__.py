@@ -28,9 +28,9 @@ class LadderCommand:
     Example: python -m benchmarks.ladder part=ladder checkpoints=outputs/arms
     """
 
-    part: Literal["ladder", "controls", "arms"] = "ladder"
+    part: Literal["ladder", "left_out", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
-    calibrations: FolderPath = ""  # of `uniforce calibrate`: uskin-2, tactip-3, …; "" = those rows wait
+    calibrations: FolderPath = ""  # of `uniforce calibrate`: shipped/uskin-2, …; "" = those rows wait
     level: Level = "touch"
     rollouts: CountOrZero = 0  # per sensor worn; 0 = as planned
     first_seed: Seed = 0  # 0 = the plan's own block: score it once
@@ -45,8 +45,9 @@ def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
     if policy not in SCRIPTS:
         seeds = sorted(Path(config.checkpoints, policy).glob("seed*"))
         policy = ",".join(str(seed) for seed in seeds)
-    maps = [Path(config.calibrations, worn.replace(":", "-")) for worn in entry.worn if entry.calibrated]
-    if not policy or not all(config.calibrations and folder.is_dir() for folder in maps):
+    folder = Path(config.calibrations, entry.tokenizer)
+    maps = [folder / worn.replace(":", "-") for worn in entry.worn if entry.calibrated]
+    if not policy or not all(config.calibrations and found.is_dir() for found in maps):
         return []
     first, share = config.first_seed or BLOCKS[entry.block].start, entry.rollouts // len(entry.worn)
     share = min(share, config.rollouts) if config.rollouts else share

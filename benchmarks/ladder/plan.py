@@ -27,6 +27,7 @@ class Entry:
     worn: tuple[str, ...] = ("tactip",)  # in the slot, in words (uniforce_vtla.contact.worn)
     swap: str = ""  # else the slot is the right finger's, and the left one wears what the demonstrations had
     calibrated: bool = False  # each wears its calibration against the demonstrations' TacTip
+    tokenizer: str = "shipped"  # whose latents the checkpoints read: folder of the calibrations
     control: str = ""
     block: str = "swap ladder"  # of scenes (benchmarks.scene_blocks)
     rollouts: int = 204  # parts of 51: the same training seed acts in a scene in every row
@@ -58,7 +59,18 @@ LADDER = (
     Entry("S4 gelsight calibrated", "vt", ODD_GELSIGHT, SWAP, calibrated=True),
     Entry("S4 uskin calibrated", "vt", ODD_USKIN, SWAP, calibrated=True),
 )
+# tokenizers of one reduced budget: all kinds, no uSkin, no flat gel at all; policies learn anew from latents of each
+LEFT_OUT = (
+    Entry("S0 reduced", "vt_all", tokenizer="all", block="kinds left out"),
+    *(
+        Entry(f"S3 {kind}{' calibrated' * calibrated}", f"vt_no_{kind}", _units(kind), SWAP, calibrated,
+              f"no_{kind}", block="kinds left out")
+        for kind in ("gelsight", "uskin")
+        for calibrated in (False, True)
+    ),
+)  # fmt: skip
 # the same swap for other things to feel with, each with the same alignment
+RUNGS = ("S0", "S2 gelsight calibrated", "S2 uskin calibrated")
 CONTROLS = tuple(
     Entry(f"{what} {rung}", arm, worn, swap, calibrated, block="controls", rollouts=102)
     for what, arm in (
@@ -69,9 +81,9 @@ CONTROLS = tuple(
         ("random encoder", "random"),
     )
     for rung, worn, swap, calibrated in (
-        ("S0", ("tactip",), "", False),
-        ("S2 gelsight", _units("gelsight")[:2], SWAP, True),
-        ("S2 uskin", _units("uskin")[:2], SWAP, True),
+        (RUNGS[0], ("tactip",), "", False),
+        (RUNGS[1], _units("gelsight")[:2], SWAP, True),
+        (RUNGS[2], _units("uskin")[:2], SWAP, True),
     )
 )
 ARMS = (
@@ -84,7 +96,7 @@ ARMS = (
     Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=102),
     Entry("V+T frozen mid-wipe", "vt", control="frozen", block="arms", rollouts=102),
 )
-PARTS = {"ladder": LADDER, "controls": CONTROLS, "arms": ARMS}
+PARTS = {"ladder": LADDER, "left_out": LEFT_OUT, "controls": CONTROLS, "arms": ARMS}
 
 CLAIMS = (
     AtMostWorse("another unit", "S1", "S0", 0.07),
@@ -92,7 +104,19 @@ CLAIMS = (
     AtMostWorse("another kind", "S2 uskin", "S0", 0.12),
     AtMostWorse("stiffer or keener, calibrated", "S4 uskin calibrated", "S0", 0.15),
     AtMostWorse("stiffer or keener, calibrated", "S4 gelsight calibrated", "S0", 0.15),
+    AtMostWorse("a kind left out of everything, calibrated", "S3 gelsight calibrated", "S0 reduced", 0.15),
+    AtMostWorse("a kind left out of everything, calibrated", "S3 uskin calibrated", "S0 reduced", 0.15),
     AtMostWorse("next to the true wrench", "V+T", "true wrench", 0.08),
 )
 SLACK = 0.05  # of the bound beyond a claim's margin
-BETTER = (("V+T", "V"), ("V+T", "V with previous action"), ("V+T", "V+T frozen mid-wipe"), ("V+T", "V+T masked"))
+BETTER = (
+    ("V+T", "V"),
+    ("V+T", "V with previous action"),
+    ("V+T", "V+T frozen mid-wipe"),
+    ("V+T", "V+T masked"),
+    *(
+        (f"latents {rung}", f"{what} {rung}")
+        for rung in RUNGS
+        for what in ("three newtons", "descriptor", "raw images")
+    ),
+)

@@ -27,13 +27,13 @@ def test_rows_wait_for_checkpoints_and_calibrations(tmp_path: Path) -> None:
     config = LadderCommand(checkpoints=str(tmp_path))
     calibrated = Entry("S2", "vt", ("uskin:2", "uskin:3"), "touch0:left", calibrated=True)
     assert not configured(config, calibrated) and not configured(config, Entry("S0", "vt"))
-    for folder in ("vt/seed0", "vt/seed1", "maps/uskin-2"):
+    for folder in ("vt/seed0", "vt/seed1", "maps/shipped/uskin-2"):
         (tmp_path / folder).mkdir(parents=True)
     config.calibrations = str(tmp_path / "maps")
     assert not configured(config, calibrated)
-    (tmp_path / "maps/uskin-3").mkdir()
+    (tmp_path / "maps/shipped/uskin-3").mkdir()
     first, second = configured(config, calibrated)
-    assert first.left_calibration == str(tmp_path / "maps" / "uskin-2") and second.left_sensor == "uskin:3"
+    assert first.left_calibration == str(tmp_path / "maps" / "shipped" / "uskin-2") and second.left_sensor == "uskin:3"
     assert [Path(policy).name for policy in first.policies] == ["seed0", "seed1"]
     assert [*first.seeds, *second.seeds] == [*range(BLOCKS["swap ladder"].start, BLOCKS["swap ladder"].start + 204)]
 
