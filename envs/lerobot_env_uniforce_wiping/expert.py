@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
@@ -123,16 +124,23 @@ class WipeExpert:
         fingers: which pads it reads.
         noise: drawn from the scene's seed, so that an episode repeats exactly.
         settings: set points and rates of its regulation; None: what the level needs.
+        late_steps: control steps by which it feels late. Demonstrations that answer to what a late picture does not show
+            yet teach half of the answer (docs/experiments/tiny_policy.md).
     """
 
     def __init__(
-        self, fingers: FingersUsed = "both", noise: ExpertNoise | None = None, settings: TouchSettings | None = None
+        self,
+        fingers: FingersUsed = "both",
+        noise: ExpertNoise | None = None,
+        settings: TouchSettings | None = None,
+        late_steps: int = 0,
     ) -> None:
         if fingers not in FINGERS_USED:
             raise ContractError(expected("fingers", " | ".join(FINGERS_USED), repr(fingers), "Name one."))
         self.fingers = FINGERS_USED[fingers]
         self.noise = noise or ExpertNoise()
         self._given = settings
+        self._felt: deque[Contact] = deque(maxlen=late_steps + 1)
 
     def reset(self, env: WipeEnv) -> None:
         """Start a new episode: draw this run's pace, set points and sensor gains."""
@@ -152,6 +160,7 @@ class WipeExpert:
         )
         self._phase_rad, self._clock = rng.uniform(0, 2 * np.pi, 2), 0
         self._contact = Contact(0.0, 0.0)
+        self._felt.clear()
         level = self._own_heights(level)
         self._weight_N = level.layout.eraser_mass_kg * GRAVITY_m_s2
         regulator = self._regulator(level.layout, press, grip)
@@ -184,7 +193,8 @@ class WipeExpert:
 
     def act(self, env: WipeEnv) -> np.ndarray:
         """Return the next absolute target (5,) float32."""
-        self._contact = self._estimate(env.true_wrench())
+        self._felt.append(self._estimate(env.true_wrench()))
+        self._contact = self._felt[0]
         self._clock += 1
         action = self._sequence.next(env.state.astype(np.float64))
         action[:2] += self.noise.wander_m * np.sin(self._clock * 0.05 + self._phase_rad)

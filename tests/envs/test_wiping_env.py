@@ -212,3 +212,18 @@ def test_features_follow_the_keys() -> None:
 
     exposed = env_to_policy_features(UniforceWipingConfig(expose_wrench=True))
     assert exposed["observation.wrench_left"].shape == (4,)
+
+
+def test_a_late_expert_answers_to_what_it_felt_before() -> None:
+    """Recorded experts feel as late as pictures are: what they answer to can then be seen."""
+    exact = ExpertNoise(force_sd_N=0.0, force_gain_sd=0.0)
+    env, expert = WipeEnv("easy"), WipeExpert(noise=exact, late_steps=2)
+    env.start(SEED)
+    expert.reset(env)
+    grips, answered = [], []
+    while len(grips) < 100:
+        grips.append(np.mean([env.true_wrench()[finger][2] for finger in FINGERS]))
+        env.advance(expert.act(env))
+        answered.append(expert._contact.grip_N)
+    assert max(grips) > 3
+    np.testing.assert_allclose(answered[2:], grips[:-2], atol=1e-5)

@@ -44,9 +44,12 @@ def record_expert(env: WipeEnv, root: Path, repo_id: str, episodes: int, seed: i
 
 
 def record_episode(env: WipeEnv, recorder: EpisodeRecorder, seed: int) -> EpisodeResult:
-    """Let the expert do one episode, ink coming back in most; its frames wait in the recorder."""
-    expert, rewrite = WipeExpert(), Rewrite(seed)
+    """Let the expert do one episode, feeling as late as the pads' pictures are; its frames wait in the recorder.
+
+    Ink comes back in most episodes.
+    """
     observation, _ = env.reset(seed=seed)
+    expert, rewrite = WipeExpert(late_steps=max(worn.lag_steps for worn in env.worn.values())), Rewrite(seed)
     expert.reset(env)
     for step in itertools.count():
         action = np.asarray(expert.act(env), dtype=np.float32)
