@@ -124,8 +124,8 @@ class WipeExpert:
         fingers: which pads it reads.
         noise: drawn from the scene's seed, so that an episode repeats exactly.
         settings: set points and rates of its regulation; None: what the level needs.
-        late_steps: control steps by which it feels late. Demonstrations that answer to what a late picture does not show
-            yet teach half of the answer (docs/experiments/tiny_policy.md).
+        late_steps: control steps by which it feels late. Demonstrations that answer to what a late picture doesn't show
+            yet teach two thirds of the answer (docs/experiments/tiny_policy.md).
     """
 
     def __init__(
