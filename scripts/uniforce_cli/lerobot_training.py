@@ -34,6 +34,7 @@ VERIFY = "verify="
 CHOICES = ("policy", "env")  # LeRobot wants --policy.type=NAME
 OURS = "pi05_uniforce"
 DEFAULTS = {"policy.push_to_hub": "false", "wandb.enable": "false"}
+ON_CPU = {"num_workers": "0"}  # loading takes 3 % of a step; workers would take the cores that train
 RANGES = {  # of LeRobot's own settings, which it does not check
     "steps": Range(1, 10_000_000),
     "batch_size": Range(1, 65_536),
@@ -54,7 +55,8 @@ def to_lerobot(argv: Sequence[str]) -> list[str]:
     given = {flag[2:].partition("=")[0] for flag in flags if flag.startswith("--")}
     if "resume" in given:  # a resumed run brings its own settings
         return flags
-    return flags + [f"--{key}={value}" for key, value in DEFAULTS.items() if key not in given]
+    defaults = DEFAULTS | (ON_CPU if "--policy.device=cpu" in flags else {})
+    return flags + [f"--{key}={value}" for key, value in defaults.items() if key not in given]
 
 
 def _flag(argument: str) -> str:
