@@ -101,7 +101,7 @@ def seen_latents(tokenizer: Tokenizer, worn: WornSensor, contact: ContactState, 
 
 
 def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
-    """Read recorded pairs of the two sensors; either finger may wear the new one.
+    """Read recorded pairs of the two sensors; either finger may wear the new one, of one kind it is the left.
 
     Raises:
         DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
@@ -111,20 +111,19 @@ def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
     from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
 
     new_name, anchor_name = (words.partition(":")[0] for words in (config.new, config.anchor))
-    found: dict[str, list[Latent]] = {new_name: [], anchor_name: []}
-    classes: list[str] = []
+    new, anchor, classes = [], [], []
     for recording in read_uniforce_pairs(config.pairs):
-        if set(recording.sensors) != set(found):
+        if set(recording.sensors) != {new_name, anchor_name}:
             do = "Name them new= and anchor=."
-            raise DatasetError(expected(f"sensors of {recording}", sorted(found), recording.sensors, do))
-        left = tokenizer.encode(recording.left_reference[None], recording.left_frames, "left")
-        right = tokenizer.encode(recording.right_reference[None], recording.right_frames, "right")
-        for name, latent in zip(recording.sensors, (left, right), strict=True):
-            found[name].append(_pooled(latent))
+            raise DatasetError(expected(f"sensors of {recording}", [new_name, anchor_name], recording.sensors, do))
+        left = _pooled(tokenizer.encode(recording.left_reference[None], recording.left_frames, "left"))
+        right = _pooled(tokenizer.encode(recording.right_reference[None], recording.right_frames, "right"))
+        is_left = recording.sensors[0] == new_name
+        new.append(left if is_left else right)
+        anchor.append(right if is_left else left)
         kind = "tool" if recording.indenter in split(config.tools) else "small"
         classes += [kind] * len(recording.left_frames)
-    new, anchor = (torch.cat(found[name]) for name in (new_name, anchor_name))
-    return Grasps(new, anchor, tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
+    return Grasps(torch.cat(new), torch.cat(anchor), tuple(classes))  # type: ignore[arg-type]  # cat keeps the origin
 
 
 def _pooled(z: Latent) -> Latent:

@@ -21,8 +21,8 @@ Train a policy with LeRobot's trainer; everything after the verb is a setting of
   verify=full|quick|off  check the dataset before (default: full if its repo_id isn't local/…, else quick)
   more: lerobot-train --help (run with --policy.type=pi05_uniforce to see this policy's settings)
 
-Added unless given: policy.push_to_hub=false, wandb.enable=false; num_workers=0 on a CPU.  A dataset root that holds a training view
-(uniforce_view.json: cached latents, small images) is read through it, many times faster than video.
+Added unless given: policy.push_to_hub=false, wandb.enable=false; num_workers=0 on a CPU.  A dataset root that holds a
+training view (uniforce_view.json: cached latents, small images) is read through it, many times faster than video.
 """
 
 

@@ -1,12 +1,17 @@
 """Calibration as a person starts it: which sensors it takes, what it says, what it refuses."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+import torch
 
-from uniforce_cli.calibrate import main
+from uniforce_cli.calibrate import CalibrateCommand, main, recorded_grasps
+from uniforce_datasets.readers import uniforce_pairs
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration
+from uniforce_vtla.tokenizer.latent import Latent
 
 
 @pytest.mark.slow
@@ -25,3 +30,25 @@ def test_a_unit_learns_to_read_as_another_one_does(tmp_path: Path, capsys: pytes
 def test_only_a_sensor_that_stays_the_same_is_calibrated(words: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([f"new={words}"]) == 2
     assert words.partition(":")[0] in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("sensors", "new_is"),
+    [(("tactip", "gelsight"), "left"), (("gelsight", "tactip"), "right"), (("tactip", "tactip"), "left")],
+)
+def test_recorded_pairs_of_two_units_of_a_kind_are_kept_apart(
+    sensors: tuple[str, str], new_is: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images = np.zeros((3, 8, 8), np.uint8)
+    one = SimpleNamespace(
+        sensors=sensors, indenter="tool", left_reference=images[0], right_reference=images[0],
+        left_frames=images, right_frames=images,
+    )  # fmt: skip
+    monkeypatch.setattr(uniforce_pairs, "read_uniforce_pairs", lambda folder: [one])
+    value = {"left": 1.0, "right": 2.0}
+    tokenizer = SimpleNamespace(encode=lambda ref, now, finger: Latent.of(torch.full((3, 64, 6), value[finger]), "abc"))
+    anchor = next((kind for kind in sensors if kind != "tactip"), "tactip:1")
+    config = CalibrateCommand(new="tactip:7", anchor=anchor, pairs="recorded")
+    grasps = recorded_grasps(config, tokenizer)  # type: ignore[arg-type]
+    assert grasps.classes == ("tool",) * 3 and len(grasps.new) == 3
+    assert float(grasps.new.mean()) == value[new_is] and float(grasps.anchor.mean()) != value[new_is]
