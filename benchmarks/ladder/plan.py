@@ -71,14 +71,15 @@ LEFT_OUT = (
 )  # fmt: skip
 # the same swap for other things to feel with, each with the same alignment
 RUNGS = ("S0", "S2 gelsight calibrated", "S2 uskin calibrated")
+# raw images get none: a linear map of two pictures is none of a sensor's
 CONTROLS = tuple(
-    Entry(f"{what} {rung}", arm, worn, swap, calibrated, block="controls", rollouts=102)
-    for what, arm in (
-        ("latents", "vt"),
-        ("three newtons", "newtons"),
-        ("descriptor", "descriptor"),
-        ("raw images", "marker_pair"),
-        ("random encoder", "random"),
+    Entry(f"{what} {rung}", arm, worn, swap, calibrated and maps != "", maps, block="controls", rollouts=102)
+    for what, arm, maps in (
+        ("latents", "vt", "shipped"),
+        ("three newtons", "newtons", "shipped"),
+        ("descriptor", "descriptor", "descriptor"),
+        ("raw images", "marker_pair", ""),
+        ("random encoder", "random", "random"),
     )
     for rung, worn, swap, calibrated in (
         (RUNGS[0], ("tactip",), "", False),

@@ -181,9 +181,9 @@ class PI05UniforceConfig(PI05Config):
         square = self.image_resolution[0] == self.image_resolution[1]
         _require(square, "image_resolution", "a square", self.image_resolution)
         latents = touch.input == "latent" and bool(touch.slots)
-        encodes = touch.input in ENCODED and bool(touch.slots)
+        mapped = touch.input in (*ENCODED, "descriptor") and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
-        fit = encodes or not (self.left_calibration or self.right_calibration)
+        fit = mapped or not (self.left_calibration or self.right_calibration)
         _require(fit, "left_calibration, right_calibration", "latents to map", came)
         fit = latents or not touch.next_force_weight
         _require(fit, "touch.next_force_weight", "latents to predict", came)

@@ -79,7 +79,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if config.touch.input not in (*checkpoint.ENCODED, "none"):
             return ControlInput(config)
         rows = (config.tokens_per_slot, config.latent_size) if encoder else (0, 0)
-        latents = TouchInput(config, encoder, rows, load_calibrations(config))
+        latents = TouchInput(config, encoder, rows, load_calibrations(config, rows))
         return NewtonInput(latents) if config.touch.input == "newtons" else latents
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:

@@ -12,11 +12,18 @@ from uniforce_vtla.options import Count, FolderPath, OutFolder, Pattern, Seed, T
 from uniforce_vtla.tokenizer.settings import OBJECT_CLASSES, CalibrationConfig
 
 if TYPE_CHECKING:
-    from uniforce_vtla.contact.worn import WornSensor
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from uniforce_vtla.contact.worn import WornView
     from uniforce_vtla.contracts import ContactState, Finger
     from uniforce_vtla.tokenizer.api import Tokenizer
     from uniforce_vtla.tokenizer.calibration import Calibration
     from uniforce_vtla.tokenizer.latent import Latent
+
+    # reference (480, 640), marker images (B, 480, 640), finger → (B, P, L)
+    Encode = Callable[[np.ndarray, np.ndarray, Finger], Latent]
 
 Unit = Annotated[str, Pattern("a sensor and which unit of it", r"\w+(:(drawing|\d{1,6}))?", "uskin:7")]
 TOOL_TORSION_ARM_mm = 9.0  # a held tool twists flat pads so far
@@ -63,41 +70,42 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     from uniforce_vtla.tokenizer.calibration import calibrate
     from uniforce_vtla.tokenizer.force_head import ForceHead
 
-    new, anchor = wear(config.new)(config.seed), wear(config.anchor)(config.seed)
-    grasps = recorded_grasps(config, tokenizer) if config.pairs else simulated_grasps(config, tokenizer, new, anchor)
-    head = ForceHead.from_pretrained(anchor.kind, config.tokenizer or None)
+    def encode(reference: np.ndarray, current: np.ndarray, finger: Finger) -> Latent:
+        return _pooled(tokenizer.encode(reference[None], current, finger))
+
+    grasps = recorded_grasps(config, tokenizer) if config.pairs else simulated_grasps(config, encode)
+    head = ForceHead.from_pretrained(wear(config.anchor)(config.seed).kind, config.tokenizer or None)
     return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
 
 
-def simulated_grasps(config: CalibrateCommand, tokenizer: Tokenizer, new: WornSensor, anchor: WornSensor) -> Grasps:
+def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
     """Grasp in simulation, the new sensor left and the anchor right: half small objects, half tools, at rest."""
     import numpy as np
 
     from uniforce_vtla.contact.indenters import PRETRAIN
     from uniforce_vtla.contact.sampling import FLAT, ForceRange, sample_loads, sample_objects
+    from uniforce_vtla.contact.worn import WornView, wear
     from uniforce_vtla.contracts import ContactState
     from uniforce_vtla.markers.mirror import mirrored
 
+    new, anchor = (wear(words)(config.seed) for words in (config.new, config.anchor))
     n, rng = config.grasps, np.random.default_rng([config.seed, 55])
     objects = sample_objects(rng, n, PRETRAIN, flat_share=0.5)
     force, torsion = sample_loads(rng, n, ForceRange(flat_torsion_arm_mm=TOOL_TORSION_ARM_mm), objects.names)
     contact = ContactState(objects.gap_mm, force, torsion)
-    left = seen_latents(tokenizer, new, contact, "left", config.seed)
-    right = seen_latents(tokenizer, anchor, mirrored(contact), "right", config.seed + 1)
+    left = seen(WornView(new, config.seed), contact, "left", encode)
+    right = seen(WornView(anchor, config.seed + 1), mirrored(contact), "right", encode)
     return Grasps(left, right, tuple("tool" if name == FLAT else "small" for name in objects.names))
 
 
-def seen_latents(tokenizer: Tokenizer, worn: WornSensor, contact: ContactState, finger: Finger, seed: int) -> Latent:
-    """Return the pooled latents (n, P, L) of contacts as a worn unit shows them."""
+def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) -> Latent:
+    """Return what ``encode`` makes of contacts as a worn unit shows them, (n, P, L)."""
     import torch
 
     from uniforce_vtla.contact.simulator import rows_of, slices
-    from uniforce_vtla.contact.worn import WornView
 
-    view, found = WornView(worn, seed), []
-    for part in slices(len(contact.gap_mm), BATCH):
-        found.append(_pooled(tokenizer.encode(view.reference[None], view.images(rows_of(contact, part)), finger)))
-    return torch.cat(found)  # type: ignore[return-value]  # cat keeps the origin
+    parts = (rows_of(contact, part) for part in slices(len(contact.gap_mm), BATCH))
+    return torch.cat([encode(view.reference, view.images(part), finger) for part in parts])  # type: ignore[return-value]
 
 
 def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:

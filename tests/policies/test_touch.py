@@ -9,6 +9,7 @@ from policy_samples import OPEN, SITES, alive, inputs, ours, start_noise
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
 from lerobot_policy_pi05_uniforce.checkpoint import check_settings
+from lerobot_policy_pi05_uniforce.touch import controls
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
@@ -358,3 +359,21 @@ def test_a_finger_wears_its_calibration_at_rollout_and_no_checkpoint_names_one(m
     Calibration(found, "another", "", "new", "tactip", 1.0, 0.0, judged).save(tmp_path / "map")
     with pytest.raises(CheckpointError, match="Calibrate again"):
         PI05UniforcePolicy.from_pretrained(tmp_path / "policy", config=config)
+
+
+def test_a_descriptor_is_aligned_as_latents_are(make_policy, make_batch, tmp_path, monkeypatch):
+    """The control of the swap ladder must have what latents have."""
+    seen = descriptor_key, lambda reference, current, finger: np.ones((len(current), 6), np.float32)
+    monkeypatch.setitem(controls.FROM_IMAGES, "descriptor", seen)
+    plain = make_policy(touch__input="descriptor")
+    finger = plain.config.finger_by_slot()["touch0"]
+    found = LatentMap(*plain.touch.shape)
+    found.shift.fill_(0.5)
+    Calibration(found, "descriptor", "", "new", "tactip", 1.0, 0.0, {}).save(tmp_path)
+    worn = make_policy(**{"touch__input": "descriptor", f"{finger}_calibration": str(tmp_path)})
+    before, after = (
+        policy.touch.gather(make_batch(policy), torch.device("cpu"), training=False)[0][0] for policy in (plain, worn)
+    )
+    assert torch.allclose(after, before + 0.5, atol=1e-6)
+    with pytest.raises(ContractError, match="latents to map"):
+        make_policy(**{"touch__input": "wrench", f"{finger}_calibration": str(tmp_path)})

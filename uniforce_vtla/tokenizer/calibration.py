@@ -159,17 +159,23 @@ def calibrate(
     names = np.asarray(classes)
     _check(own_new, own_anchor, names, config)
     judge, fit = _split(names, config)
-    x, y = (z.flatten(1).double() for z in (own_new, own_anchor))
-    ridge = _best_ridge(x[fit], y[fit])
-    found = LatentMap(*own_new.shape[1:])
-    for name, value in zip(("weight", "centre", "shift"), _ridge_map(x[fit], y[fit], ridge), strict=True):
-        getattr(found, name).copy_(value)
+    found, ridge = fit_map(own_new[fit], own_anchor[fit])
     truth, before, after = (head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new)))
     kinds = names[judge]
     judged = {c: _judged(truth[kinds == c], before[kinds == c], after[kinds == c]) for c in OBJECT_CLASSES}
     head_hash = content_hash(head.model, {"source": head.source})
     turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
-    return Calibration(found.eval(), origin, head_hash, new, anchor, ridge, turn_deg, judged)
+    return Calibration(found, origin, head_hash, new, anchor, ridge, turn_deg, judged)
+
+
+def fit_map(z_new: torch.Tensor, z_anchor: torch.Tensor) -> tuple[LatentMap, float]:
+    """Return the map from (n, P, latent) to (n, P, latent) of the same grasps in random order, and its ridge."""
+    x, y = (z.flatten(1).double() for z in (z_new, z_anchor))
+    ridge = _best_ridge(x, y)
+    found = LatentMap(*z_new.shape[1:])
+    for name, value in zip(("weight", "centre", "shift"), _ridge_map(x, y, ridge), strict=True):
+        getattr(found, name).copy_(value)
+    return found.eval(), ridge
 
 
 def _split(classes: np.ndarray, config: CalibrationConfig) -> tuple[np.ndarray, np.ndarray]:

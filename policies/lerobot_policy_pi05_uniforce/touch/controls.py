@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, packaged_hashes, taken
+from lerobot_policy_pi05_uniforce.touch.encode import TouchInput, load_calibrations, packaged_hashes, taken
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens
 from uniforce_vtla.errors import CheckpointError, expected
 from uniforce_vtla.keys import descriptor_key, marker_pair_key, wrench_key
@@ -32,10 +32,15 @@ FROM_IMAGES = {"descriptor": (descriptor_key, descriptors), "marker_pair": (mark
 
 
 class ControlInput(TouchInput):
-    """Reads a control's input: cached, from the simulator, or computed from the marker images."""
+    """Reads a control's input: cached, from the simulator, or computed from the marker images.
+
+    A descriptor computed now is mapped by its finger's alignment, as latents are by a calibration.
+    """
 
     def __init__(self, config: PI05UniforceConfig) -> None:
-        super().__init__(config, None, SHAPES[config.touch.input])
+        kind = config.touch.input
+        aligned = load_calibrations(config, SHAPES[kind], kind) if kind == "descriptor" else None
+        super().__init__(config, None, SHAPES[kind], aligned)
 
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, rows, numbers) of a slot; RolloutError where its sensor is lost."""
@@ -51,7 +56,10 @@ class ControlInput(TouchInput):
         finger = self.config.finger_by_slot()[slot]
         pair = ((i.detach().cpu() * 255).round().to(torch.uint8).numpy() for i in self.pair(batch, finger))
         rows = [compute(b, c[None], finger) for b, c in zip(*pair, strict=True)]
-        return torch.from_numpy(np.concatenate(rows))
+        found = torch.from_numpy(np.concatenate(rows))
+        if finger not in self.calibrations:
+            return found
+        return self.calibrations[finger](found.reshape(-1, *self.shape).to(self.config.device))
 
 
 class NewtonInput(TouchInput):

@@ -113,20 +113,24 @@ def check_hash(encoder: TactileEncoder, config: PI05UniforceConfig) -> None:
         raise CheckpointError(expected("tokenizer hash", config.tokenizer_hash, found, do))
 
 
-def load_calibrations(config: PI05UniforceConfig) -> dict[Finger, LatentMap]:
-    """Return finger → map onto the latents the policy knows, for the fingers whose sensor wears one.
+def load_calibrations(
+    config: PI05UniforceConfig, shape: tuple[int, int], made_for: str = ""
+) -> dict[Finger, LatentMap]:
+    """Return finger → map onto the input (rows, numbers) the policy knows, for the fingers whose sensor wears one.
+
+    ``made_for`` is a tokenizer's hash, "" the policy's own; or "descriptor".
 
     Raises:
-        CheckpointError: made for another tokenizer, or of other sizes than this policy's latents.
+        CheckpointError: made for another tokenizer, or of other sizes than this policy's input.
     """
     found: dict[Finger, LatentMap] = {}
     for finger in FINGERS:
         if folder := getattr(config, f"{finger}_calibration"):
-            worn = Calibration.load(folder, config.tokenizer_hash)
-            wanted, came = (config.tokens_per_slot, config.latent_size), (worn.map.patches, worn.map.latent)
-            if came != wanted:
+            worn = Calibration.load(folder, made_for or config.tokenizer_hash)
+            came = worn.map.patches, worn.map.latent
+            if came != shape:
                 do = "Calibrate with this version."
-                raise CheckpointError(expected(f"latents of {folder}", wanted, came, do))
+                raise CheckpointError(expected(f"latents of {folder}", shape, came, do))
             logger.info("%s finger wears the calibration of %s against %s", finger, worn.new, worn.anchor)
             found[finger] = worn.map.to(config.device)
     return found
