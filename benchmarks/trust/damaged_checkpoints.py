@@ -185,7 +185,7 @@ CHECKPOINT_DAMAGES: tuple[CheckpointDamage, ...] = (
     _policy("a tensor more, saved so", with_tensors(lambda tensors: tensors.update(more=torch.zeros(2)))),
     _policy("a tensor less, saved so", with_tensors(lambda tensors: tensors.popitem())),
     _policy("another tactile tokenizer named, saved so", another_tokenizer),
-    _policy("config of another training", edited(CONFIG, '"n_action_steps": 3', '"n_action_steps": 5')),
+    _policy("config of another training", edited(CONFIG, '"n_action_steps": 2', '"n_action_steps": 5')),
     _policy("config cut", cut(CONFIG)),
     _policy("no config", removed(CONFIG)),
     _policy("a config that asks not to be verified", set_in_config(verify="off")),

@@ -135,7 +135,7 @@ class PI05UniforceConfig(PI05Config):
 
     # π0.5's own, with defaults by size
     chunk_size: int = _BY_SIZE  # [steps] tiny 16: a 1.7 s chunk can't react to touch; base 50
-    n_action_steps: int = _BY_SIZE  # [steps] tiny 3 (0.1 s at 30 Hz); base 50
+    n_action_steps: int = _BY_SIZE  # [steps] tiny 2 (67 ms at 30 Hz); base 50
     image_resolution: tuple[int, int] = _BY_SIZE  # [px] tiny 56² = 16 patches of 14² per camera; base 224²
     max_action_dim: int = _BY_SIZE  # tiny 8 (5 axes, padded); base 32, as the published weights
     max_state_dim: int = _BY_SIZE  # tiny 8; base 32

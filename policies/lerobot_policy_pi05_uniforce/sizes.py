@@ -13,7 +13,7 @@ SIZES = ("tiny", "base")
 # setting → default of (tiny, base). base: LeRobot's own π0.5 values, published weights fit them; augmentation not tried
 BY_SIZE: dict[str, tuple[Any, Any]] = {
     "chunk_size": (16, 50),
-    "n_action_steps": (3, 50),
+    "n_action_steps": (2, 50),
     "image_resolution": ((56, 56), (224, 224)),  # tiny: 16 patches of 14² per camera
     "max_action_dim": (8, 32),
     "max_state_dim": (8, 32),

@@ -35,11 +35,11 @@ class DemoConfig:
     out: OutFolder = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 
-# arm → (left, right sensor, swap): the shipped policy learnt touch0 = right TacTip as drawn, never retrained
+# arm → (left, right sensor, swap): the shipped policy learnt touch0 = right TacTip, never retrained
 ARMS = {
-    "V+T": ("gelsight:drawing", "tactip:drawing", ""),
-    "V+G": ("gelsight:drawing", "tactip:drawing", "touch0:left"),
-    "V+U": ("uskin:drawing", "tactip:drawing", "touch0:left"),
+    "V+T": ("gelsight", "tactip", ""),
+    "V+G": ("gelsight", "tactip", "touch0:left"),
+    "V+U": ("uskin", "tactip", "touch0:left"),
 }
 
 
@@ -122,7 +122,7 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
 
     recording = record.RecordConfig(
         episodes=config.episodes, level=config.level, root=str(out / "demos"),
-        left_sensor="gelsight:drawing", right_sensor="tactip:drawing",
+        left_sensor="gelsight", right_sensor="tactip",
     )  # fmt: skip
     record.record(recording)
     say("\n[2/5] training view: cameras resized once, touch encoded once by the frozen tokenizer")
