@@ -122,7 +122,7 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
 
     recording = record.RecordConfig(
         episodes=config.episodes, level=config.level, root=str(out / "demos"),
-        left_sensor="gelsight", right_sensor="tactip",
+        left_sensor="gelsight:drawing", right_sensor="tactip:drawing",  # raw frames take twice as long
     )  # fmt: skip
     record.record(recording)
     say("\n[2/5] training view: cameras resized once, touch encoded once by the frozen tokenizer")
