@@ -8,12 +8,12 @@ import numpy as np
 import torch
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_cli.calibrate import CalibrateCommand, Unit, simulated_grasps
+from uniforce_cli.calibrate import CalibrateCommand, Unit, pooled_latents, simulated_grasps
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import Count, OutFolder, Seed, TokenizerFolder
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration, fit_map
-from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
+from uniforce_vtla.tokenizer.latent import Latent
 from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 
@@ -33,22 +33,20 @@ class AlignCommand:
     seed: Seed = 0  # of the grasps
 
 
+def described(reference: np.ndarray, current: np.ndarray, finger: Finger) -> Latent:
+    """Return hand descriptors (B, 1, 6), in the place of pooled latents."""
+    return torch.from_numpy(descriptors(reference, current, finger))[:, None]  # type: ignore[return-value]
+
+
 @command(AlignCommand)
 def main(config: AlignCommand) -> None:
     """Entry of ``python -m benchmarks.ladder.align``."""
     one_thread()
-    tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
-
-    def describe(reference: np.ndarray, current: np.ndarray, finger: Finger) -> Latent:
-        return torch.from_numpy(descriptors(reference, current, finger))[:, None]  # type: ignore[return-value]
-
-    def encode(reference: np.ndarray, current: np.ndarray, finger: Finger) -> Latent:
-        return pool_latent(tokenizer.encode(reference[None], current, finger), POOL)  # type: ignore[return-value]
-
-    plain = config.feature == "descriptor"
-    made_for = config.feature if plain else tokenizer.hash
+    tokenizer = Tokenizer.from_pretrained(config.tokenizer or None) if config.feature == "latent" else None
+    encode = pooled_latents(tokenizer) if tokenizer else described
+    made_for = tokenizer.hash if tokenizer else config.feature
     grasped = CalibrateCommand(config.new, config.anchor, grasps=config.grasps, seed=config.seed)
-    grasps = simulated_grasps(grasped, describe if plain else encode)
+    grasps = simulated_grasps(grasped, encode)
     new, anchor = (z.as_subclass(torch.Tensor) for z in (grasps.new, grasps.anchor))
     order = torch.randperm(len(new), generator=torch.Generator().manual_seed(config.seed))
     fitted, ridge = fit_map(new[order], anchor[order])

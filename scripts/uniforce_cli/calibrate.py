@@ -70,12 +70,16 @@ def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibrat
     from uniforce_vtla.tokenizer.calibration import calibrate
     from uniforce_vtla.tokenizer.force_head import ForceHead
 
-    def encode(reference: np.ndarray, current: np.ndarray, finger: Finger) -> Latent:
-        return _pooled(tokenizer.encode(reference[None], current, finger))
-
-    grasps = recorded_grasps(config, tokenizer) if config.pairs else simulated_grasps(config, encode)
-    head = ForceHead.from_pretrained(wear(config.anchor)(config.seed).kind, config.tokenizer or None)
+    _, anchor_kind = (wear(words)(config.seed).kind for words in (config.new, config.anchor))
+    pairs = bool(config.pairs)
+    grasps = recorded_grasps(config, tokenizer) if pairs else simulated_grasps(config, pooled_latents(tokenizer))
+    head = ForceHead.from_pretrained(anchor_kind, config.tokenizer or None)
     return calibrate(grasps.new, grasps.anchor, grasps.classes, head, config.new, config.anchor, config.fit)
+
+
+def pooled_latents(tokenizer: Tokenizer) -> Encode:
+    """Return what encodes a finger's marker images as heads and policies read them."""
+    return lambda reference, current, finger: _pooled(tokenizer.encode(reference[None], current, finger))
 
 
 def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
@@ -119,13 +123,13 @@ def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
     from uniforce_datasets.readers.uniforce_pairs import read_uniforce_pairs
 
     new_name, anchor_name = (words.partition(":")[0] for words in (config.new, config.anchor))
-    new, anchor, classes = [], [], []
+    encode, new, anchor, classes = pooled_latents(tokenizer), [], [], []
     for recording in read_uniforce_pairs(config.pairs):
         if set(recording.sensors) != {new_name, anchor_name}:
             do = "Name them new= and anchor=."
             raise DatasetError(expected(f"sensors of {recording}", [new_name, anchor_name], recording.sensors, do))
-        left = _pooled(tokenizer.encode(recording.left_reference[None], recording.left_frames, "left"))
-        right = _pooled(tokenizer.encode(recording.right_reference[None], recording.right_frames, "right"))
+        left = encode(recording.left_reference, recording.left_frames, "left")
+        right = encode(recording.right_reference, recording.right_frames, "right")
         is_left = recording.sensors[0] == new_name
         new.append(left if is_left else right)
         anchor.append(right if is_left else left)

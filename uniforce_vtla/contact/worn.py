@@ -59,7 +59,7 @@ class WornSensor:
 class WornView:
     """What a worn unit shows of contacts: contact model, raw frame under its light, canonicalizer.
 
-    Creep and lag depend on time; whoever follows the contact applies them.
+    Creep and lag depend on time: the caller, which follows the contact, applies them.
 
     Args:
         worn: the unit; ``direct`` leaves raw frame and canonicalizer out.
