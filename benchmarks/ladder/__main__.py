@@ -20,6 +20,8 @@ from uniforce_vtla.evaluation.statistics import wilson
 from uniforce_vtla.options import CountOrZero, FolderPath, OutFile, OutFolder, Seed, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
+DEMONSTRATED = {"left_sensor": "gelsight", "right_sensor": "tactip"}
+
 
 @dataclass
 class LadderCommand:
@@ -53,11 +55,9 @@ def configured(config: LadderCommand, entry: Entry) -> list[ScoreConfig]:
     share = min(share, config.rollouts) if config.rollouts else share
     parts = []
     for number, worn in enumerate(entry.worn):
-        fingers = {"left_sensor": worn, "right_sensor": "tactip"}
-        if not entry.swap:
-            fingers = {"left_sensor": "gelsight", "right_sensor": worn}
+        fingers = DEMONSTRATED | {f"{entry.finger}_sensor": worn}
         if maps:
-            fingers["left_calibration" if entry.swap else "right_calibration"] = str(maps[number])
+            fingers[f"{entry.finger}_calibration"] = str(maps[number])
         parts.append(
             ScoreConfig(
                 policy=policy, arm=entry.name, level=config.level, swap=entry.swap, videos=0, out=config.work,

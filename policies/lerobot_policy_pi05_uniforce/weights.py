@@ -120,10 +120,15 @@ def _check(own: dict[str, Tensor], stored: dict[str, Tensor], fresh: tuple[str, 
     misshapen = [name for name in own.keys() & stored.keys() if own[name].shape != stored[name].shape]
     missing = [name for name in own.keys() - stored.keys() if not name.startswith(fresh)]
     kinds = {"missing": missing, "unexpected": stored.keys() - own.keys(), "misshapen": misshapen}
-    found = {kind: ", ".join(sorted(names)) for kind, names in kinds.items() if names}
+    found = ", ".join(f"{len(names)} {kind} ({_some(names)})" for kind, names in kinds.items() if names)
     if found:
         do = "Load it with the settings it was trained with (its own config.json)."
         raise CheckpointError(expected("checkpoint tensors", f"the {len(own)} of this policy", found, do))
+
+
+def _some(names: Iterable[str]) -> str:
+    first, *others = sorted(names)
+    return f"{first} …" if others else first
 
 
 def own_names(stored: Iterable[str]) -> dict[str, str]:

@@ -25,7 +25,7 @@ def test_the_plan_names_blocks_and_rows_that_exist() -> None:
 
 def test_rows_wait_for_checkpoints_and_calibrations(tmp_path: Path) -> None:
     config = LadderCommand(checkpoints=str(tmp_path))
-    calibrated = Entry("S2", "vt", ("uskin:2", "uskin:3"), "touch0:left", calibrated=True)
+    calibrated = Entry("S2", "vt", ("uskin:2", "uskin:3"), "left", "touch0:left", calibrated=True)
     assert not configured(config, calibrated) and not configured(config, Entry("S0", "vt"))
     for folder in ("vt/seed0", "vt/seed1", "maps/shipped/uskin-2"):
         (tmp_path / folder).mkdir(parents=True)
