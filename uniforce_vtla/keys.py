@@ -39,11 +39,6 @@ def latent_key(slot: str) -> str:
     return f"observation.latent.{slot}"
 
 
-def next_latent_key(slot: str) -> str:
-    """Key of a slot's pooled latents when the next chunk begins (auxiliary loss), NaN behind the episode's end."""
-    return f"observation.next_latent.{slot}"
-
-
 def wrench_key(slot: str) -> str:
     """Key of a slot's true pad wrench (ceiling control only), (4,) float32: fx, fy, fz N, torsion Nmm."""
     return f"observation.wrench.{slot}"

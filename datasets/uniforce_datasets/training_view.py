@@ -31,7 +31,6 @@ from uniforce_vtla.keys import (
     descriptor_key,
     latent_key,
     marker_pair_key,
-    next_latent_key,
     truth_wrench_key,
     wrench_key,
 )
@@ -83,7 +82,6 @@ class TrainingView(Dataset):
         touch: "latent" | "none", or a control: "wrench" (the true one) | "descriptor" | "marker_pair".
         episodes: numbers of the episodes to sample from; None is all.
         image_transforms: applied to each camera image.
-        ahead: frames after the sample whose latents come with it, for an auxiliary loss; 0 is none.
         verify: "full" and "quick" compare the SHA-256 of every array; "off" doesn't.
 
     Raises:
@@ -98,7 +96,6 @@ class TrainingView(Dataset):
         touch: str = "latent",
         episodes: Sequence[int] | None = None,
         image_transforms: Callable[[torch.Tensor], torch.Tensor] | None = None,
-        ahead: int = 0,
         verify: str = "quick",
     ) -> None:
         self.root = Path(root)
@@ -110,7 +107,6 @@ class TrainingView(Dataset):
         self.episodes = None if episodes is None else list(episodes)
         self.absolute_to_relative_idx = None  # samples are addressed by their index in the whole view
         self._transform = image_transforms
-        self._ahead = ahead
         self._tasks = [episode["task"] for episode in self.marker["episodes"]]
         self._starts = np.concatenate([[0], np.cumsum([e["length"] for e in self.marker["episodes"]])])
         self._task_names = sorted(set(self._tasks))
@@ -149,17 +145,7 @@ class TrainingView(Dataset):
         sample[f"{ACTION}_is_pad"] = torch.from_numpy((wanted < start) | (wanted >= end))  # (T,)
         for key, name in self._touch.items():
             sample[key] = torch.from_numpy(self._arrays[name][index].copy())
-        sample |= self._next(index + self._ahead, int(end)) if self._ahead else {}
         return sample | self._place(index, episode, int(index - start))
-
-    def _next(self, index: int, end: int) -> dict[str, torch.Tensor]:
-        """Return the touch inputs at ``index``, NaN where the episode has ended before."""
-        found = {}
-        for key, name in self._touch.items():
-            rows = self._arrays[name]
-            value = rows[index].copy() if index < end else np.full_like(rows[0], np.nan)
-            found[next_latent_key(key.rsplit(".", 1)[-1])] = torch.from_numpy(value)
-        return found
 
     def _image(self, camera: str, index: int) -> torch.Tensor:
         image = torch.from_numpy(self._arrays[camera][index].transpose(2, 0, 1).copy())  # (3, S, S)
@@ -291,9 +277,8 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], ve
         do = f"Build the view with latent_grid={policy.latent_grid}."
         raise DatasetError(expected("latent_grid of the view", policy.latent_grid, marker["latent_grid"], do))
     deltas = policy.action_delta_indices
-    ahead = policy.n_action_steps if slots and policy.touch.next_force_weight else 0
     deltas, transforms = (0,) if deltas is None else deltas, _transforms(cfg)
-    return TrainingView(root, deltas, slots, touch, cfg.dataset.episodes, transforms, ahead, verify or "quick")
+    return TrainingView(root, deltas, slots, touch, cfg.dataset.episodes, transforms, verify or "quick")
 
 
 def _stock_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str) -> Any:

@@ -29,9 +29,6 @@ class GatedBackbone(stock.PaliGemmaWithExpertModel):
     """
 
     gated: GatedColumns | None = None
-    # True: for an auxiliary loss the expert's outputs of the latest call stay in ``suffix``
-    keep_suffix = False
-    suffix: Tensor | None = None
 
     def forward(
         self,
@@ -47,9 +44,7 @@ class GatedBackbone(stock.PaliGemmaWithExpertModel):
             position_ids = self.gated.placed(position_ids, attention_mask.shape[-1])
             attention_mask = self.gated.masked(attention_mask)
         cond = adarms_cond or [None, None]
-        out, past = self.run_layers(attention_mask, position_ids, past_key_values, inputs_embeds, cond)
-        self.suffix = out[1] if self.keep_suffix and self.training else None
-        return out, past
+        return self.run_layers(attention_mask, position_ids, past_key_values, inputs_embeds, cond)
 
     def run_layers(self, mask: Tensor, positions: Tensor, past: Any, streams: list, cond: list) -> Any:
         """Run LeRobot's own layers; a prefix alone fills the cache."""

@@ -44,8 +44,6 @@ class TouchSettings:
     start_at_base: bool = _BY_SIZE
     # "error": hold and stop; "mask": go on without that slot, logged; simulation only
     on_sensor_loss: str = "error"
-    # weight of an auxiliary loss: the latents when the next chunk begins (training.NextForce); views only
-    next_force_weight: float = 0.0
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
@@ -81,9 +79,7 @@ class AugmentSettings:
 
     # lights and camera poses (augment.py); 0 = none, 1 = about as much as scenes of level touch differ; base 0
     camera_variation: float = _BY_SIZE
-    touch_noise: float = _BY_SIZE  # Gaussian noise on latents in units of each channel's spread
     touch_dropout: float = _BY_SIZE  # chance to hide a slot; .3 with two slots, 0 with one
-    state_noise: list[float] = _BY_SIZE  # Gaussian noise on the normalised state, per axis; [] = none
 
 
 @dataclass
@@ -180,13 +176,10 @@ class PI05UniforceConfig(PI05Config):
         _require(self.size != "tiny" or not stock, "size=tiny", "plain float32", self.dtype)
         square = self.image_resolution[0] == self.image_resolution[1]
         _require(square, "image_resolution", "a square", self.image_resolution)
-        latents = touch.input == "latent" and bool(touch.slots)
         mapped = touch.input in (*ENCODED, "descriptor") and bool(touch.slots)
         came = f"touch.input={touch.input} in {sorted(touch.slots)}"
         fit = mapped or not (self.left_calibration or self.right_calibration)
         _require(fit, "left_calibration, right_calibration", "latents to map", came)
-        fit = latents or not touch.next_force_weight
-        _require(fit, "touch.next_force_weight", "latents to predict", came)
         deltas = self.state_token and action.form == "target_delta"
         _require(augment.camera_variation >= 0, "augment.camera_variation", "≥ 0", augment.camera_variation)
         steps, axes = action.previous_steps, action.previous_axes

@@ -234,11 +234,6 @@ class PI05UniforcePolicy(stock.PI05Policy):
         axes = None if reduction == "mean" else (1, 2)
         loss = (losses * keep).sum(axes) / (keep.sum(axes) * self._action_size).clamp_min(1)
         facts = {"loss": float(loss.detach().mean()), "target_rms": float(actions.square().mean().sqrt())}
-        next_force = self.model.next_force_loss(batch)
-        if next_force is not None:
-            weighted = next_force if reduction == "none" else next_force.mean()
-            loss = loss + self.config.touch.next_force_weight * weighted
-            facts["next_force_loss"] = float(next_force.detach().mean())
         return loss, facts
 
     def _flow_start(self, actions: Tensor) -> tuple[Tensor, Tensor]:

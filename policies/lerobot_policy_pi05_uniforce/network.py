@@ -15,9 +15,8 @@ from lerobot_policy_pi05_uniforce.sampler.prefix import Inputs, drop_padding
 from lerobot_policy_pi05_uniforce.touch.controls import control_tokens
 from lerobot_policy_pi05_uniforce.touch.encode import build_encoder
 from lerobot_policy_pi05_uniforce.touch.tokens import ForceTokens, GatedColumns, SuffixTouch, TouchGate
-from lerobot_policy_pi05_uniforce.training import NextForce, freeze_unread
+from lerobot_policy_pi05_uniforce.training import freeze_unread
 from lerobot_policy_pi05_uniforce.weights import no_weights
-from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.keys import STATE
 
 PREVIOUS_NOISE = 0.1  # on the previous action, training only, in units of ``delta_scale``
@@ -26,20 +25,13 @@ PREVIOUS_NOISE = 0.1  # on the previous action, training only, in units of ``del
 class StateToken(nn.Module):
     """The continuous normalised state as one prefix token: text bins are too coarse to learn from few demos.
 
-    Behind the state stand the chosen axes of the previous action. While training, noise keeps a policy from reading off
-    the pose what only touch may say: where the board begins.
-
-    Raises:
-        ContractError: noise for another number of axes.
+    Behind the state stand the chosen axes of the previous action, with a little noise while training.
     """
 
     def __init__(self, config: PI05UniforceConfig, width: int) -> None:
         super().__init__()
-        size, moves, noise = state_size(config), len(config.previous_axes), config.augment.state_noise
-        if noise and len(noise) != size:
-            do = "Give a number per axis of the state, or none."
-            raise ContractError(expected("state_noise", f"{size} numbers", list(noise), do))
-        self.noise = (*(noise or [0.0] * size), *[PREVIOUS_NOISE] * moves)
+        size, moves = state_size(config), len(config.previous_axes)
+        self.noise = (*[0.0] * size, *[PREVIOUS_NOISE] * moves)
         self.proj = nn.Sequential(nn.Linear(size + moves, width), nn.GELU(), nn.Linear(width, width))
 
     def forward(self, state: Tensor) -> Tensor:
@@ -73,11 +65,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
         gated = config.touch.start_at_base and bool(config.slots)
         self.touch_gate = TouchGate(len(config.slots)) if gated else None
         self.state_token: Any = StateToken(config, vlm_width) if config.state_token else None
-        self.next_force: NextForce | None = None
-        if config.touch.next_force_weight:
-            self.paligemma_with_expert.keep_suffix = True
-            size = config.tokens_per_slot * config.latent_size
-            self.next_force = NextForce(self.action_in_proj.out_features, config.slots, size)
         freeze_unread(self)
         self.adapted = False  # PEFT's adapters are in: sampled by LeRobot's loop, which runs them
         self.fast = None if config.sampler.kind == "stock" else FastSampler(self)
@@ -140,14 +127,6 @@ class PI05UniforcePytorch(stock.PI05Pytorch):
             return super().forward(images, img_masks, tokens, masks, *args)
         finally:
             self._touch = None
-
-    def next_force_loss(self, batch: dict[str, Tensor]) -> Tensor | None:
-        """Return the (B,) auxiliary loss of the latest training call; None where it isn't asked for."""
-        suffix = self.paligemma_with_expert.suffix
-        if self.next_force is None or self.force_tokens is None or suffix is None:
-            return None
-        hidden = suffix[:, -self.config.chunk_size :]  # (B, chunk, D_expert)
-        return self.next_force(hidden, batch, self.force_tokens.input_mean, self.force_tokens.input_scale)
 
     def embed_prefix(
         self, images: list, img_masks: list, tokens: Tensor, masks: Tensor, *args: Any, **kwargs: Any

@@ -32,10 +32,8 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "sampler.noise_scale": (0.0, 1.0),
 }
 OFF: dict[str, Any] = {  # what no size uses by default
-    "augment.touch_noise": 0.0,
     "action.previous_steps": 0,
     "action.previous_axes": [],
-    "augment.state_noise": [],
 }
 
 

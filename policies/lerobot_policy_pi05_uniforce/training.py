@@ -16,16 +16,16 @@ from lerobot.policies.pi05 import modeling_pi05 as stock
 from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.checkpoint import ENCODED
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key, next_latent_key
+from uniforce_vtla.keys import ACTION, VIEW_MARKER, descriptor_key, latent_key
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
 
 Named = tuple[str, nn.Parameter]
 # random even on a pretrained backbone
-NEW_MODULES = ("force_tokens", "state_token", "touch_gate", "next_force")
+NEW_MODULES = ("force_tokens", "state_token", "touch_gate")
 NEW_MODULE_RATE = {"tiny": 1.0, "base": 4.0}  # of optimizer_lr: tiny's backbone is as new
 GATE_LR = 1e-3  # of the gate alone: it goes from 1e-6 to the order of 1
 EXPERT = r".*\.gemma_expert\.model\.layers\.\d+\.(self_attn\.(q|k|v|o)_proj|mlp\.(gate|up|down)_proj)"
@@ -118,40 +118,3 @@ def read_view(dataset_meta: Any, config: PI05UniforceConfig) -> None:
     if config.touch.input in ENCODED and made_by and made_by != config.tokenizer_hash:
         do = "Build the view again with this policy's tokenizer."
         raise DatasetError(expected(f"tokenizer of {marker}", config.tokenizer_hash, made_by, do))
-
-
-class NextForce(nn.Module):
-    """Auxiliary head: predict every slot's ``size`` numbers, its pooled latents when the next chunk begins.
-
-    It reads the chunk's hidden states, in training alone; ``uniforce share`` leaves it out.
-    """
-
-    def __init__(self, width: int, slots: tuple[str, ...], size: int) -> None:
-        super().__init__()
-        self._slots, self._size = slots, size
-        self.head = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, len(slots) * size))
-
-    def forward(self, hidden: Tensor, batch: dict[str, Tensor], mean: Tensor, scale: Tensor) -> Tensor:
-        """Return the (B,) mean squared error in units of the latents' spread; 0 where the episode ends before.
-
-        Args:
-            hidden: (B, chunk, width) outputs of the action tokens.
-            batch: holds ``next_latent_key(slot)``, (B, K · latent), NaN where the episode ends before.
-            mean: (K, latent) of a slot's latents.
-            scale: (latent,) their spread.
-
-        Raises:
-            ContractError: the batch doesn't hold what comes next.
-        """
-        predicted = self.head(hidden.float().mean(dim=1)).unflatten(-1, (len(self._slots), self._size))
-        wanted = torch.stack([self._next(batch, slot) for slot in self._slots], dim=1).to(predicted)
-        wanted = (wanted - mean.flatten()) / scale.repeat(self._size // len(scale))
-        known = wanted.isfinite()
-        return ((predicted - wanted.nan_to_num()).square() * known).mean(dim=(1, 2))
-
-    def _next(self, batch: dict[str, Tensor], slot: str) -> Tensor:
-        key = next_latent_key(slot)
-        if key not in batch:
-            do = "Train on a view (uniforce view), or set policy.touch.next_force_weight=0."
-            raise ContractError(expected(key, "latents one chunk ahead", "none", do))
-        return batch[key].reshape(len(batch[key]), self._size)

@@ -19,7 +19,7 @@ ALIGNED_BELOW = 2**20  # bytes: all of tiny's matrices, hardly anything of base
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
 # start fresh whatever the source had
-TOUCH = tuple(f"model.{name}." for name in ("force_tokens", "touch_gate", "next_force", "tactile_encoder"))
+TOUCH = tuple(f"model.{name}." for name in ("force_tokens", "touch_gate", "tactile_encoder"))
 FRESH = (*TOUCH, "model.state_token.")  # no other checkpoint has them
 BACKBONE = "model.paligemma_with_expert."
 EMBEDDING = f"{BACKBONE}paligemma.model.language_model.embed_tokens.weight"

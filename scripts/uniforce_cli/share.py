@@ -75,7 +75,7 @@ def share(config: ShareConfig) -> Path:
 
 
 def _load(source: Path) -> PI05UniforcePolicy:
-    """Return the policy, LoRA merged into its weights, without what only training needs."""
+    """Return the policy, LoRA merged into its weights."""
     from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 
     read_object(source / "config.json", CheckpointError)  # a damaged one is named before anything is logged
@@ -84,7 +84,6 @@ def _load(source: Path) -> PI05UniforcePolicy:
         policy = PI05UniforcePolicy.from_pretrained(source)
     else:
         policy = _merged(source, adapter["base_model_name_or_path"])
-    policy.model.next_force, policy.config.touch.next_force_weight = None, 0.0
     return policy
 
 

@@ -16,7 +16,6 @@ Train a policy with LeRobot's trainer; everything after the verb is a setting of
   policy.touch.input=none                              trains without touch
   resume=true config_path=outputs/train/checkpoints/last/pretrained_model/train_config.json
   policy.train_expert_only=true | policy.freeze_vision_encoder=true | --peft.method_type=LORA   train less
-  policy.touch.next_force_weight=0.1   also predict the latents when the next chunk begins (training views only)
   accelerate launch --num_processes=4 scripts/train.py …   several devices; no search for unused parameters
   verify=full|quick|off  check the dataset before (default: full if its repo_id isn't local/…, else quick)
   more: lerobot-train --help (run with --policy.type=pi05_uniforce to see this policy's settings)

@@ -23,7 +23,6 @@ from uniforce_vtla.keys import (
     descriptor_key,
     latent_key,
     marker_pair_key,
-    next_latent_key,
     truth_wrench_key,
     wrench_key,
 )
@@ -59,15 +58,6 @@ def test_latents_are_those_of_each_slots_finger(view: Path) -> None:
     for sample in (straight[FRAMES + 7], only_left[FRAMES + 7]):
         np.testing.assert_array_equal(sample[latent_key("touch0")], wanted)
     assert latent_key("touch1") not in only_left[0] and latent_key("touch1") not in only_left.features
-
-
-def test_the_next_latents_come_with_the_sample_until_the_episode_ends(view: Path) -> None:
-    slots = {"touch0": "right", "touch1": "left"}
-    now, later = TrainingView(view, slots=slots), TrainingView(view, slots=slots, ahead=3)
-    for slot in slots:
-        assert torch.equal(later[4][next_latent_key(slot)], now[7][latent_key(slot)])
-        assert later[FRAMES - 2][next_latent_key(slot)].isnan().all()  # the next episode is another one
-    assert next_latent_key("touch0") not in now[4]
 
 
 def test_fingers_are_not_confused(demos: Path, tmp_path: Path) -> None:
@@ -187,9 +177,8 @@ def trainer_config(root: Path | None, **policy: object) -> SimpleNamespace:
 
 
 def test_trainer_gets_what_its_policy_asks_for(demos: Path, view: Path) -> None:
-    latents = SimpleNamespace(input="latent", next_force_weight=0.0)
     fingers = {"slots": ("touch0",), "finger_by_slot": lambda: {"touch0": "left"}}
-    touch = {"touch": latents, "touch_in_view": "latent", "latent_grid": 4, **fingers}
+    touch = {"touch_in_view": "latent", "latent_grid": 4, **fingers}
     made = make_training_dataset(trainer_config(view, **touch), pytest.fail)
     assert made[0][ACTION].shape == (5, 5) and latent_key("touch0") in made.features
     blind = make_training_dataset(trainer_config(view), pytest.fail)

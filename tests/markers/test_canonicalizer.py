@@ -156,8 +156,9 @@ def test_the_canonicalizer_brings_a_new_cameras_images_to_scale(monkeypatch: pyt
     zoomed.spec = replace(zoomed.spec, px_per_mm=(20.0, 20.0))  # as a registry entry with another lens would
     image, again = plain.marker_image(raw), zoomed.marker_image(raw)
     assert np.array_equal(again, to_nominal_scale(image, zoomed.spec)) and not np.array_equal(image, again)
-    pair = zoomed.pair(raw, raw, "left")
-    assert np.array_equal(pair.reference, again) and np.array_equal(pair.current, again)
+    pairs = [canonicalizer.pair(raw, raw, "left") for canonicalizer in (plain, zoomed)]
+    overlap = (pairs[0].current > 0) & (pairs[1].current > 0)
+    assert overlap.sum() > 0.95 * (pairs[0].current > 0).sum()  # with a reference the pattern itself tells the scale
     spread = [np.ptp(c.markers(raw), axis=0) for c in (plain, zoomed)]
     assert np.allclose(spread[1] / spread[0], 1.2, atol=0.02)
 

@@ -29,7 +29,7 @@ def test_groups_are_set_one_by_one_and_the_rest_keeps_its_default() -> None:
     config = parsed(*given, "--swap=touch1:right")
     assert config.slots == ("touch1",) and config.finger_by_slot() == {"touch1": "right"}
     assert config.action.form == "absolute" and config.action.objective == "regression"
-    assert (config.tiny.width, config.tiny.depth, config.augment.touch_noise) == (64, 4, 0.0)
+    assert (config.tiny.width, config.tiny.depth, config.augment.touch_dropout) == (64, 4, 0.0)
 
 
 def test_lerobots_help_names_our_settings(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,8 +55,8 @@ def test_a_config_survives_a_round_trip(previous_steps, make_config, tmp_path) -
 def test_what_no_size_uses_is_off_and_what_is_given_stays() -> None:
     plain = parsed()
     assert {path: value(plain, path) for path in OFF} == OFF
-    given = parsed("--action.previous_steps=4", "--n_action_steps=3", "--augment.state_noise=[0,0,.2,0,.1]")
-    assert (given.action.previous_steps, given.n_action_steps) == (4, 3) and given.augment.state_noise[2] == 0.2
+    given = parsed("--action.previous_steps=4", "--n_action_steps=3")
+    assert (given.action.previous_steps, given.n_action_steps) == (4, 3)
 
 
 def test_there_are_at_most_25_settings_of_our_own_at_the_top_and_35_in_groups() -> None:
@@ -80,7 +80,6 @@ def test_auto_size_is_tiny_on_a_cpu() -> None:
         ({"touch__input": "video"}, r"touch\.input"),
         ({"action__form": "velocity"}, r"action\.form"),
         ({"action__objective": "diffusion"}, r"flow \| regression"),
-        ({"touch__input": "wrench", "touch__next_force_weight": 0.1}, "next_force_weight"),
         *(({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes") for a in ([5], [1, 1])),
         ({"action__previous_steps": 4, "action__form": "absolute"}, "previous_steps"),
         ({"action__previous_steps": 4, "size": "base"}, "previous_steps"),

@@ -156,30 +156,6 @@ def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, mak
         assert all(m.all() for m in masks)
 
 
-def test_touch_noise_is_for_training_alone(make_policy):
-    torch.manual_seed(0)
-    tokens = make_policy(augment__touch_noise=0.5).model.force_tokens
-    touched = torch.randn(3, 16, 6) * tokens.input_scale
-    quiet = tokens.eval()(touched, 0)
-    assert torch.equal(quiet, tokens(touched, 0))
-    assert not torch.equal(quiet, tokens.train()(touched, 0))
-    tokens.noise = 0.0
-    assert torch.equal(quiet, tokens(touched, 0))
-
-
-def test_state_noise_is_for_training_alone_and_for_the_axes_it_names(make_policy):
-    token = make_policy(augment__state_noise=[0.0, 0.0, 0.2, 0.0, 0.0]).model.state_token
-    pose = torch.rand(4000, 1, 5)
-    seen: list[torch.Tensor] = []
-    token.proj.register_forward_pre_hook(lambda _, given: seen.append(given[0] - pose))
-    token(pose)
-    token.train()(pose)
-    assert not seen[0].any() and not seen[1][..., [0, 1, 3, 4]].any()
-    assert 0.18 < float(seen[1][..., 2].std()) < 0.22
-    with pytest.raises(ContractError, match="state_noise"):
-        make_policy(augment__state_noise=[0.1])
-
-
 def with_dots(batch):
     """Marker images that show markers: a grid per finger, moved by a pixel or two in the current frame."""
     shown = dict(batch)

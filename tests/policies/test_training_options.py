@@ -12,29 +12,21 @@ from policy_samples import SITES, alive
 
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce.augment import VariationRange, vary
-from uniforce_vtla.errors import ContractError
-from uniforce_vtla.keys import next_latent_key
 
 HAS_PEFT = importlib.util.find_spec("peft") is not None
 OPTIONS = {
     "full": {},
     "expert_only": {"train_expert_only": True},
     "frozen_vision": {"freeze_vision_encoder": True},
-    "previous_action": {"action__previous_steps": 4, "augment__state_noise": [0.0, 0.0, 0.2, 0.0, 0.1]},
-    "next_force": {"touch__next_force_weight": 0.5},
+    "previous_action": {"action__previous_steps": 4},
     "no_touch": {"touch__input": "none", "touch__slots": {}},
 }
 # a key's bias moves all scores of a row alike: its gradient is 0 but for rounding
 BY_SYMMETRY = "k_proj.bias"
 
 
-def what_comes(policy, size=2):
-    shape = (size, 96)
-    return {next_latent_key(slot): torch.randn(shape) for slot in policy.config.slots}
-
-
 def step(policy, make_batch):
-    batch = make_batch(policy, actions=True) | what_comes(policy)
+    batch = make_batch(policy, actions=True)
     loss, facts = policy(batch)
     loss.backward()
     return facts
@@ -61,24 +53,6 @@ def test_every_trained_weight_gets_a_gradient(option, gated, site, make_policy, 
     assert any("vision_tower" in n for n in frozen) == (option in ("expert_only", "frozen_vision"))
     assert any("language_model.layers.0" in n for n in frozen) == (option == "expert_only")
     assert any("language_model.layers.1.mlp" in n for n in frozen)  # the last layer's is not read
-
-
-def test_next_force_is_learnt_and_leaves_nothing_behind(make_policy, make_batch, tmp_path):
-    policy = alive(make_policy(touch__next_force_weight=0.5, touch__site="suffix"), std=0.1).train()
-    facts = step(policy, make_batch)
-    assert 0.1 < facts["next_force_loss"] < 10
-    batch = make_batch(policy, actions=True)
-    with pytest.raises(ContractError, match="next_latent"):
-        policy(batch)
-    ended = {key: value * torch.nan for key, value in what_comes(policy).items()}
-    _, facts = policy(batch | ended)
-    assert facts["next_force_loss"] == 0.0  # the episode ends before: nothing to tell
-    per_sample, _ = policy(batch | what_comes(policy), reduction="none")
-    assert per_sample.shape == (2,)
-    policy.eval()
-    _, facts = policy(batch)  # scored on actions alone
-    assert "next_force_loss" not in facts
-    assert policy.predict_action_chunk(batch).isfinite().all()
 
 
 @pytest.mark.skipif(not HAS_PEFT, reason="peft isn't installed (an extra of LeRobot's)")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from uniforce_vtla.contact.elastic import Gel, Layer
 from uniforce_vtla.errors import SensorError, expected
-from uniforce_vtla.sensors import SensorSpec
+from uniforce_vtla.sensors import SensorSpec, get_sensor
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ MATERIALS: dict[str, PadMaterial | TaxelMaterial] = {
         cell_mm=2.5,
         camera_mm=45.0,
         pin_mm=2.0,
-        fisheye=0.07,
+        fisheye=get_sensor("tactip").fisheye,
     ),
     "uskin": TaxelMaterial(layers=(Layer(5.0, 0.5, 0.42),), readout_mm=2.0, hall_mm=8.0, magnet_mm=4.0),
 }

@@ -151,7 +151,9 @@ class TactileSimulator:
         if any(self.unit.tilt):
             squeeze = squeeze * (1 + (point_mm @ np.asarray(self.unit.tilt))[..., None] / rim_mm)
         scale = np.asarray(self.spec.px_per_mm) * self.unit.view_scale
-        return CENTRE_PX + point_mm * squeeze * scale
+        cos, sin = np.cos(self.unit.view_turn_rad), np.sin(self.unit.view_turn_rad)
+        seen_mm = point_mm * squeeze @ np.array([[cos, sin], [-sin, cos]]) + self.unit.view_shift_mm
+        return CENTRE_PX + seen_mm * scale
 
     def _disturbed(self, centre_px: np.ndarray, noise: bool) -> np.ndarray:
         """Add per-marker noise; lost markers become NaN."""
@@ -179,7 +181,7 @@ class TactileSimulator:
         if isinstance(self._respond, TaxelResponse):
             return np.stack([draw_discs(discs) for discs in self._discs(traction, noise)])
         centre_px, size_px = self._markers(traction, noise)
-        turn = self.unit.rotation_rad
+        turn = self.unit.rotation_rad + self.unit.view_turn_rad
         if self.spec.marker_shape == "disc":
             return fill_discs(centre_px, size_px)
         return fill_squares(centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0))

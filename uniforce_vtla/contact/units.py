@@ -28,6 +28,9 @@ class UnitVariation:
     marker_size: float = 1.0
     # relative magnification gained at the pad's right and lower rim, by a camera that isn't square on
     tilt: tuple[float, float] = (0.0, 0.0)
+    # where the camera looks: moves and turns pattern and contact alike, x right, y down, x towards y
+    view_shift_mm: tuple[float, float] = (0.0, 0.0)
+    view_turn_rad: float = 0.0
 
     @classmethod
     def draw(cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0) -> UnitVariation:
@@ -44,6 +47,23 @@ class UnitVariation:
             stiffness=float(1 + rng.uniform(-0.1, 0.1) * strength),
             gain=float(1 + rng.uniform(-0.1, 0.1) * strength),
             seed=int(rng.integers(2**31)),
+        )
+
+    def mounted(self, rng: np.random.Generator, look: Look) -> UnitVariation:
+        """Return this unit behind a camera mounted at random, as ``seen_through`` draws it.
+
+        There the pattern moves on the gel, as frozen sets have it; here the camera moves, and with it where contact is
+        seen and which way shear points.
+        """
+        seen = self.seen_through(rng, look)
+        shift_mm = (seen.offset_mm[0] - self.offset_mm[0], seen.offset_mm[1] - self.offset_mm[1])
+        turn_rad = seen.rotation_rad - self.rotation_rad
+        return replace(
+            seen,
+            offset_mm=self.offset_mm,
+            rotation_rad=self.rotation_rad,
+            view_shift_mm=shift_mm,
+            view_turn_rad=turn_rad,
         )
 
     def seen_through(self, rng: np.random.Generator, look: Look) -> UnitVariation:

@@ -109,7 +109,7 @@ def unit_of(sensor: VirtualSensor, number: int) -> WornSensor:
     unit, creep = UnitVariation.draw(rng, sensor), Creep.draw(rng, CREEP_SHARE)
     if sensor.spec.signal == "taxel":
         return WornSensor(sensor, unit, None, creep, lag_steps=LAG_STEPS)
-    return WornSensor(sensor, unit.seen_through(rng, Look()), Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS)
+    return WornSensor(sensor, unit.mounted(rng, Look()), Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS)
 
 
 Wear = Callable[[int], WornSensor]  # a scene's seed → what is worn there

@@ -8,6 +8,7 @@ from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, se
 from uniforce_vtla.markers.marker_reference import MarkerMatch, MarkerReference
 from uniforce_vtla.markers.nominal_scale import points_to_nominal_scale, to_nominal_scale
 from uniforce_vtla.markers.reference import ReferenceMemory, refuse_pressed_reference
+from uniforce_vtla.markers.registration import find_view, seen_from
 from uniforce_vtla.markers.taxel_render import (
     Saturation,
     TaxelDiscs,
@@ -26,8 +27,9 @@ class Canonicalizer:
     """Turns one sensor's raw signal into marker images, as the sensor sees them (never flipped).
 
     Cameras: the way to see the markers (channel, polarity, scale) is found in the reference, and its markers are
-    looked for (``MarkerReference``); before there is one, the way is found in every frame. The image is brought to
-    nominal scale by the spec's px/mm. Taxels: counts are drawn relative to the reference.
+    looked for (``MarkerReference``); before there is one, the way is found in every frame. The image is moved so that
+    the reference's pattern lies as in the spec's drawing; another pattern is brought to nominal scale by the spec's
+    px/mm. Taxels: counts are drawn relative to the reference.
 
     Attributes:
         match: how the latest camera frame read against a reference matches it; None before.
@@ -43,7 +45,8 @@ class Canonicalizer:
         self._taxel_scales = taxel_scales or TaxelScales()
         self._reference_counts: np.ndarray | None = None
         self._reference: MarkerReference | None = None
-        self._references: ReferenceMemory[MarkerReference] = ReferenceMemory(1)
+        self._view: np.ndarray | None = None  # (3, 3) onto the drawing, of the reference
+        self._references: ReferenceMemory[tuple[MarkerReference, np.ndarray | None]] = ReferenceMemory(1)
 
     def set_reference(self, raw: np.ndarray) -> None:
         """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.
@@ -56,7 +59,7 @@ class Canonicalizer:
         if self._is_taxel:
             self._reference_counts = _free_air(raw)
         else:
-            self._reference, self.match = self._remember(raw), None
+            (self._reference, self._view), self.match = self._remember(raw), None
 
     def pair(
         self, reference_raw: np.ndarray, current_raw: np.ndarray, finger: Finger, reference_from: str = "own"
@@ -86,7 +89,7 @@ class Canonicalizer:
             SensorError: no markers, too few of the reference's, dark or dead.
         """
         if not self._is_taxel:
-            return self._camera_image(raw, self._reference)
+            return self._camera_image(raw, self._reference, self._view)
         discs = self._discs(raw, self._reference_counts)
         self.saturation.add(discs)
         return draw_discs(discs)
@@ -108,27 +111,33 @@ class Canonicalizer:
     def _is_taxel(self) -> bool:
         return self.spec.signal == "taxel"
 
-    def _remember(self, raw: np.ndarray) -> MarkerReference:
+    def _remember(self, raw: np.ndarray) -> tuple[MarkerReference, np.ndarray | None]:
         count = len(self.spec.layout_mm)
-        return MarkerReference(raw, self._is_dome, (count // LIKELY_COUNT, count * LIKELY_COUNT))
+        found = MarkerReference(raw, self._is_dome, (count // LIKELY_COUNT, count * LIKELY_COUNT))
+        return found, find_view(found.centres_px, self.spec)
 
-    def _camera_image(self, raw: np.ndarray, reference: MarkerReference | None) -> np.ndarray:
+    def _camera_image(
+        self, raw: np.ndarray, reference: MarkerReference | None, view: np.ndarray | None = None
+    ) -> np.ndarray:
         if reference is None:
             return to_nominal_scale(self._segment(raw).image(), self.spec)
         image, self.match = reference.read(raw)
-        return to_nominal_scale(image, self.spec)
+        return self._placed(image, view)
+
+    def _placed(self, image: np.ndarray, view: np.ndarray | None) -> np.ndarray:
+        return to_nominal_scale(image, self.spec) if view is None else seen_from(image, view)
 
     def _segment(self, raw: np.ndarray) -> Segmentation:
         plan = None if self._reference is None else self._reference.plan
         return segment(fit_canonical(raw), self._is_dome, plan)
 
     def _camera_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        reference = self._references.get("", free, lambda: self._remember(free))
+        reference, view = self._references.get("", free, lambda: self._remember(free))
         shapes = np.shape(free), np.shape(current)
         if shapes[0] != shapes[1]:
             do = "Use one camera setting for both."
             raise ContractError(expected("current frame", shapes[0], shapes[1], do))
-        return to_nominal_scale(reference.image, self.spec), self._camera_image(current, reference)
+        return self._placed(reference.image, view), self._camera_image(current, reference, view)
 
     def _taxel_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         reference = _free_air(free)

@@ -61,6 +61,7 @@ class MarkerReference:
         self._dome, self._warned = dome, False
         self._tree, self._spacing = cKDTree(points), spacing(points)
         self.plan = self._found.plan
+        self.centres_px = self._found.centres_px  # (M, 2), of ``image``
         self.image = self._found.image()  # (480, 640) uint8 in {0, 255}
 
     def read(self, frame: np.ndarray) -> tuple[np.ndarray, MarkerMatch]:

@@ -21,6 +21,7 @@ class SensorSpec:
     marker_shape: Literal["square", "disc", "diamond"]
     marker_size_mm: float  # side of a square or diamond, diameter of a disc
     pad_size_mm: tuple[float, float]  # (x, y) extent of the sensing surface
+    fisheye: float = 0.0  # of the lens: relative shortening of image radius at the pad's rim
     dome_radius_mm: float | None = None  # radius of curvature of the skin; None for a flat pad
     rated_depth_mm: float  # deepest indentation the maker allows; deeper counts as excess force
     rate_hz: float = 30.0  # usual rate of the raw signal

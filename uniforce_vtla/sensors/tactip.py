@@ -10,6 +10,7 @@ TACTIP = SensorSpec(
     marker_shape="disc",
     marker_size_mm=1.2,
     pad_size_mm=(40.0, 40.0),
+    fisheye=0.07,
     dome_radius_mm=41.5,
     rated_depth_mm=5.0,
     source="UniForce paper, section IV-A (127 markers, R 41.5 mm, diameter 40 mm, 5 mm)",

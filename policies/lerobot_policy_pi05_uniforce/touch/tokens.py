@@ -36,7 +36,6 @@ class ForceTokens(nn.Module):
 
     def __init__(self, config: PI05UniforceConfig, input_shape: tuple[int, int], width: int) -> None:
         super().__init__()
-        self.noise = config.augment.touch_noise if config.touch.input == "latent" else 0.0
         self.register_buffer("input_mean", torch.zeros(input_shape))
         self.register_buffer("input_scale", torch.ones(input_shape[1]))
         self.proj = _two_layers(input_shape[1], width)
@@ -48,9 +47,6 @@ class ForceTokens(nn.Module):
     def forward(self, touch: Tensor, slot: int) -> Tensor:
         """Map (B, K or 1, input_size) to (B, K, D); one row (a wrench) is spread over all K cells."""
         features = (touch - self.input_mean) / self.input_scale
-        if self.training and self.noise:
-            # what survives it is what many cells agree on, and that is what another sensor's latents share
-            features = features + self.noise * torch.randn_like(features)
         hidden = self.proj(features)  # (B, K or 1, D)
         if self.whole is not None:
             hidden = hidden + self.whole(features.flatten(1))[:, None]

@@ -1,0 +1,94 @@
+"""Where a camera looks: its marker images are moved so that the free-air pattern lies as in the sensor's drawing.
+
+Units of one kind differ by how the pattern was moulded and how the camera was mounted: shifted by 1 mm, turned by 5°,
+6 % nearer, 3° off square. A tokenizer reads the same contact through them with 14 % of scatter in force, with the
+pattern in its place with 6 % (docs/experiments/tokenizer.md). The place is found in the reference, by matching its
+markers to the drawing's. A pattern that isn't the drawing's is left where it is.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
+from uniforce_vtla.markers.marker_blobs import spacing
+from uniforce_vtla.markers.nominal_scale import nominal_zoom
+from uniforce_vtla.sensors import SensorSpec
+
+logger = logging.getLogger(__name__)
+
+CENTRE_PX = (np.array(MARKER_IMAGE_SHAPE[::-1]) - 1) / 2
+TURNS_rad = np.arange(-3, 4) * 0.06  # starts of the search: ±.18
+ZOOMS = (0.92, 1.0, 1.09)
+ROUNDS = 15
+COUNT_RATIO = 1.1  # markers seen over drawn, either way
+MATCHED_SHARE = 0.9  # of the markers seen; fewer: not the drawing's pattern
+REACH = 0.25  # spacings: a marker's distance from its place in the drawing
+
+
+def drawn_px(spec: SensorSpec) -> np.ndarray:
+    """Return (M, 2) px, x right and y down: where the drawing shows the markers at nominal scale, in free air."""
+    rim_mm = max(spec.pad_size_mm) / 2
+    squeeze = 1 - spec.fisheye * (spec.layout_mm**2).sum(axis=1, keepdims=True) / rim_mm**2
+    return CENTRE_PX + spec.layout_mm * squeeze * np.array(spec.px_per_mm) * np.array(nominal_zoom(spec))
+
+
+def find_view(centres_px: np.ndarray, spec: SensorSpec) -> np.ndarray | None:
+    """Return the (3, 3) homography that brings free-air markers (K, 2) px to the drawing's places.
+
+    None where they show another pattern: a different number, or too few near a place of the drawing.
+    """
+    drawn = drawn_px(spec)
+    if not 1 / COUNT_RATIO <= len(centres_px) / len(drawn) <= COUNT_RATIO:
+        return None
+    tree, reach = cKDTree(drawn), REACH * spacing(drawn)
+    starts = (_start(centres_px, drawn, turn, zoom) for turn in TURNS_rad for zoom in ZOOMS)
+    tried = [_refine(centres_px, drawn, tree, start) for start in starts]
+    found = max(tried, key=lambda matrix: _close(matrix, centres_px, tree, reach))
+    near, distance = _match(centres_px, tree, found)
+    kept = distance < reach
+    if kept.sum() < MATCHED_SHARE * len(centres_px):
+        logger.info("%s: the reference doesn't show the drawing's pattern; the camera's view stays as it is", spec.name)
+        return None
+    view, _ = cv2.findHomography(centres_px[kept].astype(np.float64), drawn[near[kept]].astype(np.float64))
+    return view
+
+
+def seen_from(images: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """Return (H, W) uint8 marker image in {0, 255} moved by the homography; what enters the frame is black."""
+    smooth = cv2.warpPerspective(images, view, images.shape[::-1], flags=cv2.INTER_LINEAR)
+    return np.where(smooth >= 128, 255, 0).astype(np.uint8)  # an edge stays an edge
+
+
+def _start(points: np.ndarray, drawn: np.ndarray, turn_rad: float, zoom: float) -> np.ndarray:
+    """Return the (2, 3) similarity that lays the points' middle on the drawing's."""
+    cos, sin = zoom * np.cos(turn_rad), zoom * np.sin(turn_rad)
+    linear = np.array([[cos, -sin], [sin, cos]])
+    return np.column_stack([linear, drawn.mean(axis=0) - linear @ points.mean(axis=0)])
+
+
+def _refine(points: np.ndarray, drawn: np.ndarray, tree: cKDTree, matrix: np.ndarray) -> np.ndarray:
+    """Return the similarity after rounds of matching to the nearest place and fitting again."""
+    for _ in range(ROUNDS):
+        near, distance = _match(points, tree, matrix)
+        kept = distance <= max(float(np.median(distance)) * 2, 1.0)
+        again, _ = cv2.estimateAffinePartial2D(points[kept].astype(np.float64), drawn[near[kept]].astype(np.float64))
+        if again is None or np.allclose(again, matrix, atol=1e-6):
+            break
+        matrix = again
+    return matrix
+
+
+def _match(points: np.ndarray, tree: cKDTree, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nearest place of each point and how far it is, px."""
+    distance, near = tree.query(points @ matrix[:, :2].T + matrix[:, 2])
+    return near, distance
+
+
+def _close(matrix: np.ndarray, points: np.ndarray, tree: cKDTree, reach_px: float) -> float:
+    near, distance = _match(points, tree, matrix)
+    return len(set(near[distance < reach_px])) - float(distance.mean()) / reach_px
