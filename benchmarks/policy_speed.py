@@ -13,6 +13,7 @@ from tqdm import tqdm
 from benchmarks.policy.latency import CASES, bench_case
 from benchmarks.policy.memory import bench_memory
 from benchmarks.policy.touch import bench_touch
+from benchmarks.policy.training import bench_training
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, expected
@@ -21,6 +22,7 @@ from uniforce_vtla.options import Count, Names, OutFolder, Pattern, Range
 from uniforce_vtla.results_file import provenance, write_json
 
 CPU_CASES, GPU_CASES = "tiny,mid_3_cameras,mid_2_of_3_cameras", "base_3_cameras"
+TRAINING_STEPS = 20
 BAR_CASE = "mid_2_of_3_cameras"  # whose numbers stand at the top of the file
 
 
@@ -36,7 +38,7 @@ class BenchPolicyConfig:
 
     Example: python -m benchmarks.policy_speed rounds=9
     With what touch costs and what loading takes: python -m benchmarks.policy_speed touch=mid_3_cameras memory=base
-    On a GPU: python -m benchmarks.policy_speed device=cuda rounds=30 touch=base_3_cameras touch_train=false
+    On a GPU: python -m benchmarks.policy_speed device=cuda rounds=30 training=base_3_cameras
     """
 
     device: Device = "cpu"  # cpu (one thread) | cuda
@@ -46,6 +48,7 @@ class BenchPolicyConfig:
     touch: Case = ""  # case on which two slots of touch are timed too, e.g. mid_3_cameras; "" = not
     # a training step too: three networks with their optimisers at once, 94 GB for base
     touch_train: bool = True
+    training: Case = ""  # case of which 20 training steps are timed, gradient and tokenizer checked; "" = not
     # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
     memory: Literal["", "base"] = ""
     out: OutFolder = "outputs/bench_policy"  # policy_latency.json and .png
@@ -67,6 +70,9 @@ def measure(config: BenchPolicyConfig) -> dict[str, Any]:
     if config.touch:
         case = choose(CASES, config.touch)[config.touch]
         more["touch"] = bench_touch(case, config.device, config.rounds, config.steps, config.touch_train)
+    if config.training:
+        case = choose(CASES, config.training)[config.training]
+        more["training"] = bench_training(case, config.device, TRAINING_STEPS)
     if config.memory:
         more["memory"] = {config.memory: bench_memory(size=config.memory, dtype="bfloat16")}
     return more | {
@@ -102,7 +108,7 @@ def main(config: BenchPolicyConfig) -> None:
             f"{name}: stock {r['stock_ms']:.1f} ms, fast {r['fast_ms']:.1f} ms ({r['ratio']:.2f}×), floor "
             f"{r['floor_ms']:.1f} ms; operations {r['operations']['fast']} of {r['operations']['stock']}"
         )
-    for name in ("touch", "memory"):
+    for name in ("touch", "training", "memory"):
         if name in content:
             print(f"{name}: {json.dumps(content[name])}")
     print(f"written to {path}")

@@ -74,7 +74,8 @@ def build(case: BenchCase, device: str, touch: TouchSettings | None = None) -> P
     config.output_features = {ACTION: PolicyFeature(FeatureType.ACTION, (len(AXES),))}
     if case.size == "base":
         config.dtype = "bfloat16"
-    network = PI05UniforcePytorch(config)
+    with torch.device(device):  # 3 B random numbers take a CPU a minute
+        network = PI05UniforcePytorch(config)
     network.state_token = None  # LeRobot's loop knows none
     network.to(device).eval()
     for name, weight in network.named_parameters():
@@ -147,7 +148,7 @@ def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[st
         operations = {name: count_operations(sample) for name, sample in both.items()}
     report: dict[str, Any] = {
         "config": case.name,
-        "device": _device_name(device),
+        "device": device_name(device),
         "cameras": case.cameras - case.missing,
         "prompt_tokens": case.prompt,
         "steps": steps,
@@ -205,5 +206,6 @@ def _gemm_flops_per_s(device: str) -> float:
     return 2 * GEMM_SIDE**3 / best * 1000
 
 
-def _device_name(device: str) -> str:
+def device_name(device: str) -> str:
+    """Return what was timed, in words."""
     return torch.cuda.get_device_name() if device.startswith("cuda") else "CPU, one thread"

@@ -24,8 +24,8 @@ def variants() -> dict[str, TouchSettings]:
     """Return settings per variant."""
     return {
         "none": TouchSettings(slots={}, input="none"),
-        "prefix": TouchSettings(slots=SLOTS, site="prefix", start_at_base=True),
-        "suffix": TouchSettings(slots=SLOTS, site="suffix", start_at_base=True),
+        "prefix": TouchSettings(slots=SLOTS, input="latent", site="prefix", start_at_base=True),
+        "suffix": TouchSettings(slots=SLOTS, input="latent", site="suffix", start_at_base=True),
     }
 
 
@@ -35,7 +35,7 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bo
     trains: dict[str, Call] = {}
     for name, settings in variants().items():
         network = build(case, device, settings)
-        given, noise = _with_touch(network, *observe(case, network, device))
+        given, noise = with_touch(network, *observe(case, network, device))
         calls[name] = _sampling(network, given, noise, steps)
         trains[name] = _training(network, given, noise)
         if name == "suffix":
@@ -48,7 +48,7 @@ def bench_touch(case: BenchCase, device: str, rounds: int, steps: int, train: bo
     return report | _in_turns(trains, device, max(3, rounds // 3), "train_step")
 
 
-def _with_touch(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -> tuple[Given, torch.Tensor]:
+def with_touch(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -> tuple[Given, torch.Tensor]:
     """Add cached latents of every slot and leave text padding out, as the trainer does for short prompts."""
     images, masks, tokens, text_mask = given
     config, used = network.config, int(text_mask.sum())

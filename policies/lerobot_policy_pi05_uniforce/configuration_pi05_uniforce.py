@@ -34,10 +34,11 @@ class TouchSettings:
     """Which fingers give force tokens, of what, and where they enter the network."""
 
     slots: dict[str, str] = field(default_factory=lambda: {"touch0": "right"})  # slot → finger; {} = none
-    # "latent" | "newtons" (what a frozen force head reads in the latents, three numbers) | "none" (plain π0.5);
-    # controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair" (CNN)
-    input: str = "latent"
-    head: str = "tactip"  # input=newtons: kind whose shipped force head reads
+    # "newtons" (tiny): what a frozen force head reads in the latents, three numbers | "latent" (base): the whole map,
+    # as in the paper | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair"
+    # (CNN)
+    input: str = _BY_SIZE
+    head: str = "tactip"  # input=newtons: kind whose shipped force head reads; that of the demonstrations' finger
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     site: str = "prefix"
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
@@ -143,7 +144,6 @@ class PI05UniforceConfig(PI05Config):
 
     def __post_init__(self) -> None:
         self.size = resolve_size(self.size, self.device)
-        self._check_choices("touch.input")
         for slot in self.touch.slots:
             _require(slot in SLOTS, "touch slot", " or ".join(SLOTS), slot)
         self.finger_by_slot()

@@ -22,6 +22,8 @@ BY_SIZE: dict[str, tuple[Any, Any]] = {
     "scheduler_warmup_steps": (3_000, 1_000),
     "scheduler_decay_steps": (100_000, 30_000),
     "scheduler_decay_lr": (1e-5, 2.5e-6),
+    # tiny: from whole latents it learns what sensors don't share, docs/experiments/tiny_policy.md; base: not tried
+    "touch.input": ("newtons", "latent"),
     "touch.start_at_base": (False, True),  # from scratch there is no base
     "action.form": ("target_delta", "absolute"),
     "action.objective": ("regression", "flow"),

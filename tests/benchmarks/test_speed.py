@@ -9,6 +9,7 @@ import pytest
 from benchmarks import policy_speed
 from benchmarks.policy.latency import CASES, BenchCase, bench_case
 from benchmarks.policy.touch import bench_touch
+from benchmarks.policy.training import bench_training
 from benchmarks.policy_speed import main
 from benchmarks.speed import encode as bench
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
@@ -31,6 +32,15 @@ def test_the_command_writes_its_table_and_picture(tmp_path: Path, monkeypatch: p
     assert table["gpu"] == "not run" and table["cpu"]["stock_ms"] > 0
     assert table["cases"]["tiny"]["cameras"] == 2
     assert (tmp_path / "policy_latency.png").stat().st_size > 5_000
+
+
+def test_twenty_steps_of_bases_code_learn_touch_and_leave_the_tokenizer() -> None:
+    """The code of ``base`` at reduced width; at full size it runs on a GPU (docs/results/policy_latency.json)."""
+    small = BenchCase("small", prompt=12, settings=SMALL)
+    report = bench_training(small, "cpu", steps=20, learning_rate=1e-3)
+    assert report["losses"][-1] < 0.8 * report["losses"][0]
+    assert all(min(norms) > 0 for norms in report["gradient_norms"].values())
+    assert report["tokenizer_unchanged"] and report["steps"] == 20 == len(report["losses"])
 
 
 def test_touch_is_timed_in_turns_with_none() -> None:

@@ -127,7 +127,7 @@ def policy(folder: Path) -> FileTarget:
     """Read config, weights and processors of a tiny policy, as the scorer does."""
     stored = Tokenizer.random(SMALL).save(folder / "tokenizer")
     cameras = ("front", "wrist", "tactile_left", "tactile_right")
-    config = small_config(cameras, touch=TouchSettings(tokenizer_path=str(stored)))
+    config = small_config(cameras, touch=TouchSettings(input="latent", tokenizer_path=str(stored)))
     one = {name: np.full(5, value) for name, value in (("q01", -1.0), ("q99", 1.0), ("mean", 0.0))}
     stats = {key: one | {"std": np.ones(5), "min": -np.ones(5), "max": np.ones(5)} for key in (STATE, ACTION)}
     root = folder / "data"

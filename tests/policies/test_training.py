@@ -54,7 +54,11 @@ SMALL = "tiny.width=64 tiny.depth=2 tiny.mlp_dim=32 image_resolution=[28,28]"
 
 def policy_settings(tokenizer_path: Path) -> list[str]:
     model = [f"policy.{entry}" for entry in SMALL.split()]
-    touch = [f"policy.touch.tokenizer_path={tokenizer_path}", "policy.touch.slots={touch0: right}"]
+    touch = [
+        f"policy.touch.tokenizer_path={tokenizer_path}",
+        "policy.touch.slots={touch0: right}",
+        "policy.touch.input=latent",
+    ]
     return ["policy=pi05_uniforce", "policy.size=tiny", "policy.device=cpu", *model, *touch]
 
 

@@ -59,7 +59,7 @@ def trained(tmp_path: Path) -> tuple[Path, torch.Tensor]:
     text_tokenizer.build(tmp_path / "words")
     tactile = TokenizerConfig(side=64, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)
     Tokenizer.random(tactile).save(tmp_path / "tactile")
-    touch = TouchSettings(tokenizer_path=str(tmp_path / "tactile"))
+    touch = TouchSettings(input="latent", tokenizer_path=str(tmp_path / "tactile"))
     config = small_config(touch=touch, text_tokenizer_name=str(tmp_path / "words"))
     one = {"q01": np.zeros(5), "q99": np.ones(5), "min": np.zeros(5), "max": np.ones(5)}
     stats = {"observation.state": dict(one), "action": dict(one)}
