@@ -5,7 +5,8 @@ The ladder exchanges the sensor of the finger that the policy feels with, the ri
 another question: eraser and board load the two unlike, and with its true wrench the other finger is 20 points worse
 (development scenes, 24 each: 21 clean with the same finger, 16 with the other). The paper's arms ask it.
 
-Checkpoints are folders of training seeds, ``<checkpoints>/<arm>/seed0`` …; all arms learn from the same demonstrations
+V+T is the default of ``size=tiny``: the right finger's three newtons, read in the latent by a frozen head. Checkpoints
+are folders of training seeds, ``<checkpoints>/<arm>/seed0`` …; all arms learn from the same demonstrations
 with the same recipe.
 Settings were chosen on development scenes, with V+T on rungs S0 and S1 alone.
 
@@ -83,8 +84,8 @@ CONTROLS = tuple(
     Entry(f"{what} {rung}", arm, worn, calibrated=calibrated and maps != "", tokenizer=maps,
           block="controls", rollouts=102)
     for what, arm, maps in (
-        ("latents", "vt", "shipped"),
-        ("three newtons", "newtons", "shipped"),
+        ("three newtons", "vt", "shipped"),
+        ("whole latents", "latents", "shipped"),
         ("descriptor", "descriptor", "descriptor"),
         ("raw images", "marker_pair", ""),
         ("random encoder", "random", "random"),
@@ -132,8 +133,8 @@ BETTER = (
     ("V+T", "V+T frozen mid-wipe"),
     ("V+T", "V+T masked"),
     *(
-        (f"latents {rung}", f"{what} {rung}")
+        (f"three newtons {rung}", f"{what} {rung}")
         for rung in RUNGS
-        for what in ("three newtons", "descriptor", "raw images")
+        for what in ("whole latents", "descriptor", "raw images")
     ),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,26 +64,41 @@ class ControlInput(TouchInput):
 
 
 class NewtonInput(TouchInput):
-    """Reads force in newtons: a shipped force head on the slot's latents, mapped by its calibration where it wears one.
+    """Reads force in newtons: a frozen force head on the slot's latents, mapped by its calibration where it wears one.
 
     Raises:
-        CheckpointError: the policy's tokenizer is not a packaged one, so that no head reads it.
+        CheckpointError: as ``read_head``.
     """
 
     def __init__(self, latents: TouchInput) -> None:
         config = latents.config
         super().__init__(config, latents.encoder, SHAPES["newtons"])
         self._latents = latents
-        size = packaged_hashes().get(config.tokenizer_hash)
-        if size is None:
-            do = "Use touch.input=latent, or a packaged tokenizer."
-            raise CheckpointError(expected("tokenizer", " | ".join(packaged_hashes().values()), "another", do))
-        self._head = ForceHead.from_pretrained(config.touch.head, size).model
+        self._head = read_head(config.touch.head, config.tokenizer_hash).model
 
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
         with torch.no_grad():
             return self._head.to(device).step(self._latents.read(batch, slot, device), None)[0][:, None]
+
+
+def read_head(head: str, tokenizer_hash: str) -> ForceHead:
+    """Return the force head of a kind of sensor for a packaged tokenizer, or the one in a folder.
+
+    Raises:
+        CheckpointError: no such head, or one that reads another tokenizer.
+    """
+    if Path(head).is_dir():
+        found = ForceHead.from_pretrained(path=head)
+        if found.tokenizer_hash != tokenizer_hash:
+            do = "Train a head on this tokenizer."
+            raise CheckpointError(expected(f"tokenizer of {head}", tokenizer_hash, found.tokenizer_hash, do))
+        return found
+    size = packaged_hashes().get(tokenizer_hash)
+    if size is None:
+        do = "Use touch.input=latent, a packaged tokenizer, or name the head's folder: touch.head=…"
+        raise CheckpointError(expected("tokenizer", " | ".join(packaged_hashes().values()), "another", do))
+    return ForceHead.from_pretrained(head, size)
 
 
 class MarkerPairTokens(nn.Module):
