@@ -35,11 +35,11 @@ class DemoConfig:
     out: OutFolder = "outputs/demo"  # everything goes here; an earlier demo there is replaced
 
 
-# arm → (left, right sensor, swap): the shipped policy learnt touch0 = right TacTip, never retrained
+# arm → (left, right sensor): the shipped policy learnt to feel with a TacTip on the right finger, never retrained
 ARMS = {
-    "V+T": ("gelsight", "tactip", ""),
-    "V+G": ("gelsight", "tactip", "touch0:left"),
-    "V+U": ("uskin", "tactip", "touch0:left"),
+    "V+T": ("gelsight", "tactip"),
+    "V+G": ("gelsight", "gelsight"),
+    "V+U": ("gelsight", "uskin"),
 }
 
 
@@ -131,9 +131,9 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
     lerobot_training.train(_train_arguments(config, out))
     say("\n[4/5] rolling out the shipped policy: trained sensor, then two swapped ones, nothing retrained")
     reports = []
-    for arm, (left, right, swap) in ARMS.items():
+    for arm, (left, right) in ARMS.items():
         scoring = score.ScoreConfig(
-            arm=arm, left_sensor=left, right_sensor=right, swap=swap, level=config.level,
+            arm=arm, left_sensor=left, right_sensor=right, level=config.level,
             rollouts=config.rollouts, videos=1 if arm == "V+T" else 0, out=str(out / "score"),
         )  # fmt: skip
         reports.append(score.score(scoring))
