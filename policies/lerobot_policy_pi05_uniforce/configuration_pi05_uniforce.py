@@ -38,8 +38,7 @@ class TouchSettings:
     # as in the paper | "none" (plain π0.5); controls: "wrench" (true wrench) | "descriptor" (hand-made) | "marker_pair"
     # (CNN)
     input: str = _BY_SIZE
-    # input=newtons: which frozen force head reads, a kind of sensor (that of the demonstrations' finger) or a folder
-    head: str = "tactip"
+    head: str = "tactip"  # input=newtons: kind whose shipped force head reads; that of the demonstrations' finger
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     site: str = "prefix"
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off

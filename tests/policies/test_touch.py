@@ -210,14 +210,6 @@ def test_newtons_are_what_the_shipped_head_reads_in_the_latents(make_policy, mak
     assert policy.model.force_tokens.input_scale.tolist() == [5.0, 5.0, 10.0]
 
 
-def test_a_head_may_be_a_folder_but_reads_one_tokenizer_alone(tmp_path):
-    shipped = ForceHead.from_pretrained("tactip")
-    folder = str(shipped.save(tmp_path / "head"))
-    assert controls.read_head(folder, shipped.tokenizer_hash).source == "tactip"
-    with pytest.raises(CheckpointError, match="Train a head"):
-        controls.read_head(folder, "another")
-
-
 @pytest.mark.parametrize("kind", ["latent", "newtons", "descriptor", "marker_pair"])
 def test_touch_acts_and_a_swap_mirrors_as_the_right_finger_did(make_policy, make_batch, kind):
     shipped = {"touch__tokenizer_path": None} if kind == "newtons" else {}

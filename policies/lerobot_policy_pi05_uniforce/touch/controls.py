@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -83,20 +82,14 @@ class NewtonInput(TouchInput):
 
 
 def read_head(head: str, tokenizer_hash: str) -> ForceHead:
-    """Return the force head of a kind of sensor for a packaged tokenizer, or the one in a folder.
+    """Return the force head of a kind of sensor for a packaged tokenizer.
 
     Raises:
-        CheckpointError: no such head, or one that reads another tokenizer.
+        CheckpointError: no such head; another tokenizer, which has none.
     """
-    if Path(head).is_dir():
-        found = ForceHead.from_pretrained(path=head)
-        if found.tokenizer_hash != tokenizer_hash:
-            do = "Train a head on this tokenizer."
-            raise CheckpointError(expected(f"tokenizer of {head}", tokenizer_hash, found.tokenizer_hash, do))
-        return found
     size = packaged_hashes().get(tokenizer_hash)
     if size is None:
-        do = "Use touch.input=latent, a packaged tokenizer, or name the head's folder: touch.head=…"
+        do = "Use touch.input=latent, or a packaged tokenizer."
         raise CheckpointError(expected("tokenizer", " | ".join(packaged_hashes().values()), "another", do))
     return ForceHead.from_pretrained(head, size)
 
