@@ -40,6 +40,12 @@ def test_lost_and_strange_markers_do_not_matter(sensor: str) -> None:
     assert view is not None and np.abs(placed(seen, view) - drawn_px(spec)).max() < 3.0
 
 
+def test_a_camera_that_was_mounted_at_an_angle_stays_there() -> None:
+    spec = get_sensor("tactip")
+    turned = TactileSimulator("tactip", UnitVariation(view_turn_rad=np.radians(18)), seed=0)
+    assert find_view(turned._project(spec.layout_mm[None])[0], spec) is None
+
+
 def test_another_pattern_stays_where_it_is() -> None:
     gelsight, tactip = get_sensor("gelsight"), get_sensor("tactip")
     assert find_view(drawn_px(tactip), gelsight) is None  # another number

@@ -16,14 +16,14 @@ from uniforce_vtla.tokenizer.latent import Latent
 
 @pytest.mark.slow
 def test_a_unit_learns_to_read_as_another_one_does(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Units 7 and 1 of a TacTip answer to the same grasp by 1.4 to 1."""
+    """Unit 12 of a TacTip is stiffer and answers to the same grasp by .84 of unit 1."""
     out = tmp_path / "map"
-    assert main(["new=tactip:7", "anchor=tactip:1", "grasps=120", f"out={out}"]) == 0
-    assert "tactip:7 against tactip:1" in capsys.readouterr().out
+    assert main(["new=tactip:12", "anchor=tactip:1", "grasps=120", f"out={out}"]) == 0
+    assert "tactip:12 against tactip:1" in capsys.readouterr().out
     found = Calibration.load(out, Tokenizer.from_pretrained().hash)
-    assert (found.new, found.anchor) == ("tactip:7", "tactip:1")
+    assert (found.new, found.anchor) == ("tactip:12", "tactip:1")
     for judged in found.agreement.values():
-        assert judged.r2[2] > 0.9 > judged.r2_before[2]
+        assert judged.r2[2] > 0.95 and judged.r2[2] > judged.r2_before[2]
 
 
 @pytest.mark.parametrize("words", ["tactip:any", "tactip:left", "nose:3"])

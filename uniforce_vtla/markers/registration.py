@@ -23,6 +23,8 @@ logger = logging.getLogger(__name__)
 
 CENTRE_PX = (np.array(MARKER_IMAGE_SHAPE[::-1]) - 1) / 2
 TURNS_rad = np.arange(-3, 4) * 0.06  # starts of the search: ±.18
+# a camera turned further was mounted so (`rotation_deg`): its pattern stands at an angle in the finger's frame and must
+MOST_TURN_rad = 0.20
 ZOOMS = (0.92, 1.0, 1.09)
 ROUNDS = 15
 COUNT_RATIO = 1.1  # markers seen over drawn, either way
@@ -40,7 +42,7 @@ def drawn_px(spec: SensorSpec) -> np.ndarray:
 def find_view(centres_px: np.ndarray, spec: SensorSpec) -> np.ndarray | None:
     """Return the (3, 3) homography that brings free-air markers (K, 2) px to the drawing's places.
 
-    None where they show another pattern: a different number, or too few near a place of the drawing.
+    None where they show another pattern: a different number, too few near a place of the drawing, or turned too far.
     """
     drawn = drawn_px(spec)
     if not 1 / COUNT_RATIO <= len(centres_px) / len(drawn) <= COUNT_RATIO:
@@ -51,7 +53,8 @@ def find_view(centres_px: np.ndarray, spec: SensorSpec) -> np.ndarray | None:
     found = max(tried, key=lambda matrix: _close(matrix, centres_px, tree, reach))
     near, distance = _match(centres_px, tree, found)
     kept = distance < reach
-    if kept.sum() < MATCHED_SHARE * len(centres_px):
+    turned = abs(np.arctan2(found[1, 0], found[0, 0])) > MOST_TURN_rad
+    if turned or kept.sum() < MATCHED_SHARE * len(centres_px):
         logger.info("%s: the reference doesn't show the drawing's pattern; the camera's view stays as it is", spec.name)
         return None
     view, _ = cv2.findHomography(centres_px[kept].astype(np.float64), drawn[near[kept]].astype(np.float64))
