@@ -15,6 +15,7 @@ from lerobot_policy_pi05_uniforce import weights
 from uniforce_vtla.contracts import Finger, check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.json_file import read_object
+from uniforce_vtla.markers import MARKER_IMAGES
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -30,6 +31,7 @@ COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim
 LIMITS = {**dict.fromkeys(COUNTS, 4096), "tokenizer_max_length": 65536}
 TINY_LIMITS = {"width": 8192, "depth": 64, "mlp_dim": 65536}
 ENCODED = ("latent", "newtons")  # touch inputs that come from the frozen tokenizer
+FROM_MARKERS = (*ENCODED, "descriptor", "marker_pair")
 MAX_SIDE = 4096  # of an image or a feature's axis
 # What LeRobot, draccus and torch raise over settings that fit nothing
 MISFITS = (
@@ -42,7 +44,8 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
     """Check a saved ``config.json``.
 
     Raises:
-        CheckpointError: another policy, settings of 0.1.0, a tokenizer elsewhere, or a size no machine holds.
+        CheckpointError: another policy, settings of 0.1.0, a tokenizer elsewhere, other marker images, or a size no
+            machine holds.
     """
     if saved.get("type") != TYPE:
         came = repr(saved.get("type"))[:80]
@@ -59,6 +62,10 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
     if not touch or (encodes and not isinstance(touch.get("tokenizer"), dict)):
         do = "A checkpoint names its tokenizer; a path to another one is never followed. Copy it again."
         raise CheckpointError(expected(f"touch.tokenizer in {where}", "sizes and hash", "none", do))
+    came = touch.get("marker_images", 1)
+    if touch.get("slots") and touch.get("input") in FROM_MARKERS and came != MARKER_IMAGES:
+        do = "Train again, on demonstrations recorded with this version."
+        raise CheckpointError(expected(f"marker images of {where}", f"version {MARKER_IMAGES}", came, do))
     try:
         for limits, numbers in ((LIMITS, saved), (TINY_LIMITS, tiny)):
             for name, most in limits.items():

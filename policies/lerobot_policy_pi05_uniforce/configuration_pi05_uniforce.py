@@ -48,6 +48,7 @@ class TouchSettings:
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any
     trained_sensors: dict[str, str] = field(default_factory=dict)
     tokenizer_path: str | None = None  # tactile tokenizer to freeze into a new policy; None = the shipped one
+    marker_images: int = 1  # version of the marker images it was trained on; filled when the policy is made
     # its sizes, canonicalizer and content hash; filled when the policy is made
     tokenizer: dict[str, Any] | None = None
 

@@ -27,6 +27,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION, STATE
+from uniforce_vtla.markers import MARKER_IMAGES
 
 logger = logging.getLogger(__name__)
 
@@ -57,6 +58,7 @@ class PI05UniforcePolicy(stock.PI05Policy):
         PreTrainedPolicy.__init__(self, config)  # PI05Policy's own would build the 4 B model
         config.validate_features()
         self.config = config
+        config.touch.marker_images = MARKER_IMAGES  # a checkpoint's was compared with it
         self.init_rtc_processor()
         self.model = PI05UniforcePytorch(config, rtc_processor=self.rtc_processor, empty=empty)
         self.touch = self._make_touch_input()

@@ -27,6 +27,7 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import (
 from lerobot_policy_pi05_uniforce.weights import fill
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.file_hashes import write_hashes
+from uniforce_vtla.markers import MARKER_IMAGES
 
 
 @pytest.fixture
@@ -251,3 +252,14 @@ def test_files_of_a_hub_repository_are_fetched_and_verified(checkpoint, monkeypa
     (checkpoint / "config.json").write_text("{}")
     with pytest.raises(CheckpointError, match=r"config\.json: 2 bytes"):
         weights.check_files("somebody/policy", "full", None, False)
+
+
+def test_a_policy_of_other_marker_images_is_refused(make_policy, tmp_path: Path) -> None:
+    make_policy().save_pretrained(tmp_path)
+    config = json.loads((tmp_path / "config.json").read_text())
+    assert config["touch"]["marker_images"] == MARKER_IMAGES
+    config["touch"]["marker_images"] = 1
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    write_hashes(tmp_path)
+    with pytest.raises(CheckpointError, match="marker images"):
+        PI05UniforcePolicy.from_pretrained(tmp_path)
