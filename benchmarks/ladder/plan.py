@@ -8,7 +8,8 @@ another question: eraser and board load the two unlike, and with its true wrench
 V+T is the default of ``size=tiny``: the right finger's three newtons, read in the latent by a frozen head. Checkpoints
 are folders of training seeds, ``<checkpoints>/<arm>/seed0`` …; all arms learn from the same demonstrations
 with the same recipe.
-Settings were chosen on development scenes, with V+T on rungs S0 and S1 alone.
+Settings were chosen on development scenes, with V+T on rungs S0 and S1 alone. GelSight and uSkin were looked at there
+too, to find out why the exchange failed; final scenes were not.
 
 "Within X points" is a paired estimate of at most X and a one-sided 95 % bound of at most X + 5. "Buys" is a paired
 interval clear of 0 and the same sign in every training seed.

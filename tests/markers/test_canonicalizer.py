@@ -158,7 +158,7 @@ def test_the_canonicalizer_brings_a_new_cameras_images_to_scale(monkeypatch: pyt
     assert np.array_equal(again, to_nominal_scale(image, zoomed.spec)) and not np.array_equal(image, again)
     pairs = [canonicalizer.pair(raw, raw, "left") for canonicalizer in (plain, zoomed)]
     overlap = (pairs[0].current > 0) & (pairs[1].current > 0)
-    assert overlap.sum() > 0.95 * (pairs[0].current > 0).sum()  # with a reference the pattern itself tells the scale
+    assert overlap.sum() > 0.95 * (pairs[0].current > 0).sum()  # with a reference the scale is measured
     spread = [np.ptp(c.markers(raw), axis=0) for c in (plain, zoomed)]
     assert np.allclose(spread[1] / spread[0], 1.2, atol=0.02)
 

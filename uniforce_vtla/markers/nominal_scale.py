@@ -39,7 +39,12 @@ def to_nominal_scale(images: np.ndarray, spec: SensorSpec) -> np.ndarray:
     matrix = np.column_stack([np.diag(zoom), (1 - zoom) * (np.array(size) - 1) / 2])
     flat = images.reshape(-1, *images.shape[-2:])
     smooth = np.stack([cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR) for image in flat])
-    return np.where(smooth >= 128, 255, 0).astype(np.uint8).reshape(images.shape)  # an edge stays an edge
+    return sharp(smooth).reshape(images.shape)
+
+
+def sharp(smooth: np.ndarray) -> np.ndarray:
+    """Return uint8 images in {0, 255} of interpolated ones: an edge stays an edge."""
+    return np.where(smooth >= 128, 255, 0).astype(np.uint8)
 
 
 def points_to_nominal_scale(points_px: np.ndarray, spec: SensorSpec, size_px: tuple[int, int]) -> np.ndarray:

@@ -1,9 +1,9 @@
 """Where a camera looks: its marker images are moved so that the free-air pattern lies as in the sensor's drawing.
 
 Units of one kind differ by how the pattern was moulded and how the camera was mounted: shifted by 1 mm, turned by 5°,
-6 % nearer, 3° off square. A tokenizer reads the same contact through them with 14 % of scatter in force, with the
-pattern in its place with 6 % (docs/experiments/tokenizer.md). The place is found in the reference, by matching its
-markers to the drawing's. A pattern that isn't the drawing's is left where it is.
+6 % nearer, 3° off square. Over ten simulated TacTips the shipped tokenizer and head read the same press with 14 % of
+scatter, and with the pattern in its place with 7 % (docs/experiments/tokenizer.md). The place is found in the
+reference, by matching its markers to the drawing's. A pattern that isn't the drawing's is left where it is.
 """
 
 from __future__ import annotations
@@ -14,14 +14,13 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.markers.marker_blobs import spacing
-from uniforce_vtla.markers.nominal_scale import nominal_zoom
+from uniforce_vtla.markers.nominal_scale import nominal_zoom, sharp
+from uniforce_vtla.markers.raster import CENTRE_PX
 from uniforce_vtla.sensors import SensorSpec
 
 logger = logging.getLogger(__name__)
 
-CENTRE_PX = (np.array(MARKER_IMAGE_SHAPE[::-1]) - 1) / 2
 TURNS_rad = np.arange(-3, 4) * 0.06  # starts of the search: ±.18
 # a camera turned further was mounted so (`rotation_deg`): its pattern stands at an angle in the finger's frame and must
 MOST_TURN_rad = 0.20
@@ -61,10 +60,9 @@ def find_view(centres_px: np.ndarray, spec: SensorSpec) -> np.ndarray | None:
     return view
 
 
-def seen_from(images: np.ndarray, view: np.ndarray) -> np.ndarray:
+def seen_from(image: np.ndarray, view: np.ndarray) -> np.ndarray:
     """Return (H, W) uint8 marker image in {0, 255} moved by the homography; what enters the frame is black."""
-    smooth = cv2.warpPerspective(images, view, images.shape[::-1], flags=cv2.INTER_LINEAR)
-    return np.where(smooth >= 128, 255, 0).astype(np.uint8)  # an edge stays an edge
+    return sharp(cv2.warpPerspective(image, view, image.shape[::-1], flags=cv2.INTER_LINEAR))
 
 
 def _start(points: np.ndarray, drawn: np.ndarray, turn_rad: float, zoom: float) -> np.ndarray:
