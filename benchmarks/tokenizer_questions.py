@@ -1,13 +1,9 @@
-"""What else is asked of a tokenizer: real slip, a user's own recordings."""
+"""What else is asked of a tokenizer: force in a user's own recordings."""
 
 from pathlib import Path
 from typing import Any
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.latent_rotation import fit_rotation, pad_latent
-from benchmarks.probes.real_slip import real_slip
-from benchmarks.probes.real_slip_figure import draw_real_slip
-from benchmarks.probes.real_trials import read_trials
 from benchmarks.probes.recorded_set import (
     WindowConfig,
     of_indenters,
@@ -21,29 +17,6 @@ from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-
-
-def slip(tokenizer: Tokenizer, uskin: LabelledSet, recordings: str, results: Path) -> str:
-    """Write what the latent says of real two-finger uSkin recordings.
-
-    Args:
-        tokenizer: encodes both fingers.
-        uskin: simulated uSkin sequences; the direction of Fz in the latent comes from them.
-        recordings: folder with the trials' CSV files.
-        results: where the report goes.
-
-    Raises:
-        DatasetError: no recordings there.
-    """
-    if not recordings or not Path(recordings).is_dir():
-        do = "Pass recordings=<folder of the bilateral uSkin trials>."
-        raise DatasetError(expected("recordings", "a folder", repr(recordings), do))
-    rotation = fit_rotation(pad_latent(tokenizer, uskin), uskin.force_N, "uskin")
-    trials = read_trials(Path(recordings))
-    content, signals, scores = real_slip(tokenizer, trials, rotation)
-    path = write_json(results / "real_slip.json", content | {"tokenizer_hash": tokenizer.hash} | provenance())
-    draw_real_slip(content, trials, signals, scores, rotation, path.with_suffix(".png"))
-    return f"written to {path}"
 
 
 def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:

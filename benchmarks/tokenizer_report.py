@@ -71,11 +71,10 @@ class TokenizerReportCommand:
     Example: python -m benchmarks.tokenizer_report question=force set=hetero_hard_v2 seeds=3
     """
 
-    # force (Q3) | correlation of the latent with force (Q1) | reconstruction (Q2) | slip (real)
-    question: Literal["force", "correlation", "reconstruction", "slip"] = "force"
+    # force (Q3) | correlation of the latent with force (Q1) | reconstruction (Q2)
+    question: Literal["force", "correlation", "reconstruction"] = "force"
     # folder of your own force-labelled recordings instead of a simulated set (docs/data_readers.md)
     data: FolderPath = ""
-    recordings: FolderPath = ""  # question=slip: folder of the bilateral uSkin trials
     # zero_shot_v2 | hetero_hard_v2 | fe_dev_v1 (for choosing) | fe_contacts_v1 (for scoring)
     set: ReportSetName = "zero_shot_v2"
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
@@ -272,9 +271,6 @@ def _report(command: TokenizerReportCommand) -> str:
         return f"replay of {command.replay} cells {verdict} {path}: largest difference {worst:.4f}"
     if command.data:
         return questions.user_data(tokenizer, command.data, command.seeds, results)
-    if command.question == "slip":
-        table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
-        return questions.slip(tokenizer, table.training["uskin"], command.recordings, results)
     if command.question in ("correlation", "reconstruction"):
         return _latent_or_pictures(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.probes.real_trials import SlipConfig, Trial, changes_load, read_trials
+from benchmarks.real.trials import Trial, TrialConfig, changes_load, read_trials
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -26,7 +26,7 @@ def balance(tokenizer: Tokenizer, head: ForceHead, folder: Path) -> dict[str, An
     Raises:
         DatasetError: as ``read_trials``.
     """
-    config = SlipConfig()
+    config = TrialConfig()
     trials = [trial for trial in read_trials(folder, config) if changes_load(trial, config)]
     rows = [row for row in (_balance(tokenizer, head, trial) for trial in trials) if row is not None]
     r, ratio = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
