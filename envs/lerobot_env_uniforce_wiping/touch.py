@@ -11,7 +11,7 @@ from lerobot_env_uniforce_wiping.mjcf import FELT_m
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from uniforce_vtla.contact import free_air
 from uniforce_vtla.contact.indenters import flat_face_gap
-from uniforce_vtla.contact.worn import WornSensor, WornView
+from uniforce_vtla.contact.worn import STALL_EVERY, WornSensor, WornView
 from uniforce_vtla.contracts import ContactState, Finger
 
 TOUCHING_N = 0.02  # below this the pad counts as in free air
@@ -45,10 +45,13 @@ class PadImages:
         self._view = WornView(sensor, seed=2 * seed + (finger == "right"))
         self._past: deque[Load] = deque(maxlen=sensor.lag_steps + 1)
         self._late = np.zeros(4)
+        self._steps = 0
+        self._shown: np.ndarray | None = None  # the latest image
         self.reference = cv2.cvtColor(self._view.reference, cv2.COLOR_GRAY2RGB)
 
     def follow(self, sim: WipeSimulation) -> None:
         """Look at the pad after a control step."""
+        self._steps += 1
         wrench = sim.pads[self.finger].wrench.astype(np.float64)
         if creep := self._worn.creep:
             self._late += (1 - np.exp(-1 / (creep.relaxation_s * CONTROL_HZ))) * (wrench - self._late)
@@ -61,10 +64,13 @@ class PadImages:
         Raises:
             SensorError: the canonicalizer refuses the frame.
         """
+        if self._shown is not None and self._steps % STALL_EVERY < self._worn.stall_steps:
+            return self._shown
         contact = pad_contact(self._past[0], sim, self.finger)
         if not self._view.simulator.faces_object(contact)[0]:  # forces are the step's mean: the eraser left within it
             contact = free_air(1)
-        return cv2.cvtColor(self._view.images(contact)[0], cv2.COLOR_GRAY2RGB)
+        self._shown = cv2.cvtColor(self._view.images(contact)[0], cv2.COLOR_GRAY2RGB)
+        return self._shown
 
 
 def pad_contact(load: Load, sim: WipeSimulation, finger: Finger) -> ContactState:

@@ -37,6 +37,12 @@ class MarkerMotion:
     shift_mm: np.ndarray
     growth: np.ndarray
 
+    def without(self, still: np.ndarray) -> MarkerMotion:
+        """Return this motion but for the (M,) bool markers that stand still."""
+        if not still.any():
+            return self
+        return MarkerMotion(np.where(still[:, None], 0, self.shift_mm), np.where(still, 1, self.growth))
+
 
 class PointMotion:
     """Displacement of points at a pad's readout depth, and its gradient along the skin; linear in traction."""

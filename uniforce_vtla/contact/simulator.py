@@ -54,6 +54,7 @@ class TactileSimulator:
         self.pad = build_pad(gel_of(self.spec, self._material))
         self._stiffness = self._material.stiffness * self.unit.stiffness
         self._respond = self._build_response()
+        self._lost, self._dead = self._damage()
 
     def reference(self) -> np.ndarray:
         """Return the (480, 640) uint8 marker image in free air, without noise."""
@@ -138,7 +139,7 @@ class TactileSimulator:
         if isinstance(self._respond, TaxelResponse):
             discs = self._discs(traction, noise)
             return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
-        motion = self._respond(traction)
+        motion = self._respond(traction).without(self._dead)
         mm = self.spec.marker_size_mm * self.unit.marker_size * self.unit.view_scale
         size = mm * self.spec.px_per_mm[0] * motion.growth
         return self._disturbed(self._project(self._rest_mm + motion.shift_mm), noise), size
@@ -163,11 +164,14 @@ class TactileSimulator:
         if self.options.marker_loss:
             lost = self._rng.random((B, M)) < self.options.loss_probability
             centre_px = np.where(lost[..., None], np.nan, centre_px)
+        if self._lost.any():
+            centre_px = np.where(self._lost[:, None], np.nan, centre_px)
         return centre_px
 
     def _counts(self, traction: Traction, noise: bool) -> np.ndarray:
         assert isinstance(self._respond, TaxelResponse)
-        counts = self._respond(traction)
+        counts = np.where(self._dead[:, None], 0, self._respond(traction))
+        counts = counts + np.float32(self.unit.crosstalk) * (counts.mean(axis=1, keepdims=True) - counts)
         if noise:
             scatter = self._rng.standard_normal(counts.shape) * self.options.noise_counts
             counts = counts + scatter.astype(np.float32)
@@ -199,6 +203,14 @@ class TactileSimulator:
         self._rest_mm = self._unit_layout(rng, offset)
         scale = self.unit.gain / self._stiffness
         return CameraResponse(self.pad.influence, self._rest_mm, self._material, scale)
+
+    def _damage(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return (M,) bool twice: markers that are gone, and markers or taxels that never move."""
+        rng, count = np.random.default_rng([self.unit.seed, 1]), len(self.spec.layout_mm)
+        gone = np.argsort(rng.random(count)) < round(self.unit.lost * count)
+        place = self.spec.layout_mm[rng.integers(count)]
+        near = np.argsort(np.argsort(np.linalg.norm(self.spec.layout_mm - place, axis=1), kind="stable"))
+        return gone, near < round(self.unit.dead * count)
 
     def _unit_layout(self, rng: np.random.Generator, offset_mm: np.ndarray) -> np.ndarray:
         """Return (M, 2) rest positions of this unit's markers in mm."""

@@ -31,6 +31,9 @@ class UnitVariation:
     # where the camera looks: moves and turns pattern and contact alike, x right, y down, x towards y
     view_shift_mm: tuple[float, float] = (0.0, 0.0)
     view_turn_rad: float = 0.0
+    lost: float = 0.0  # share of camera markers that are gone for good
+    dead: float = 0.0  # share of markers or taxels that never move: those nearest a random place
+    crosstalk: float = 0.0  # part of each taxel's counts that is the mean of all (taxels)
 
     @classmethod
     def draw(cls, rng: np.random.Generator, sensor: str | VirtualSensor, strength: float = 1.0) -> UnitVariation:
