@@ -11,25 +11,17 @@ from typing import Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
-from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
-from lerobot_env_uniforce_wiping.episodes import walk
+from benchmarks.stress.readings import read_scenes
 from uniforce_cli.boundary import Level, command
 from uniforce_cli.calibrate import CalibrateCommand, calibrate_sensor
-from uniforce_vtla.contact.virtual import any_virtual
-from uniforce_vtla.contact.worn import drawing
-from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.options import Count, OutFile, Seed, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
 
 WORN = ("gelsight_stiff", "uskin_keen", "tactip_soft")
 ANCHOR = "tactip"
-EVERY = 10  # steps between two readings
-GRIPPED_N = 1.0  # the object is held
 
 
 @dataclass
@@ -45,21 +37,6 @@ class WornReadingsCommand:
     grasps: Count = 200  # pairs of the calibration
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     out: OutFile = "outputs/worn_readings.json"
-
-
-def readings(config: WornReadingsCommand, tokenizer: Tokenizer, name: str) -> tuple[Latent, np.ndarray]:
-    """Return pooled latents (n, P, L) of the left finger over all scenes, and the true force (n, 3), canonical."""
-    env, latents, truth = WipeEnv(config.level, drawing(any_virtual(name))), [], []
-    for seed in tqdm(range(config.first_seed, config.first_seed + config.scenes), desc=name, leave=False):
-        for step, _ in enumerate(walk(env, WipeExpert(), seed)):
-            force = env.true_wrench()["left"][:3]
-            if step % EVERY or force[2] < GRIPPED_N:
-                continue
-            pixels = env.observe()["pixels"]
-            pair = [pixels[tactile_name("left", reference)][None, ..., 0] for reference in (True, False)]
-            latents.append(pool_latent(tokenizer.encode(*pair, "left"), POOL))
-            truth.append(force)
-    return Latent.of(torch.cat(latents).as_subclass(torch.Tensor), tokenizer.hash), np.stack(truth)
 
 
 def compare(read_N: np.ndarray, true_N: np.ndarray) -> dict[str, float]:
@@ -81,7 +58,9 @@ def measure(config: WornReadingsCommand) -> dict[str, Any]:
     head = ForceHead.from_pretrained(ANCHOR, config.tokenizer or None)
     found: dict[str, Any] = {}
     for name in (*WORN, "gelsight", "uskin", "tactip"):
-        latent, truth = readings(config, tokenizer, name)
+        seeds = range(config.first_seed, config.first_seed + config.scenes)
+        read = read_scenes(config.level, "left", f"{name}:drawing", seeds, tokenizer)
+        latent, truth = read.latent, read.truth_N
         settings = CalibrateCommand(
             f"{name}:drawing", f"{ANCHOR}:drawing", grasps=config.grasps, tokenizer=config.tokenizer
         )

@@ -105,6 +105,15 @@ class WipeEnv(gymnasium.Env):
         """Return finger → (4,) float32 canonical fx, fy, fz N and torsion Nmm, mean over the last step."""
         return {f: self.sim.pads[f].wrench.copy() for f in FINGERS}
 
+    def marker_pair(self, finger: Finger) -> tuple[np.ndarray, np.ndarray]:
+        """Return a drawn finger's reference and current marker image, (480, 640) uint8 each; cameras stay unpainted.
+
+        Raises:
+            SensorError: a canonicalizer refuses its frame.
+        """
+        pad = self._touch[finger]
+        return pad.reference[..., 0], pad.image(self.sim)[..., 0]
+
     def result(self) -> EpisodeResult:
         """Score the episode as it stands."""
         return score_episode(self.trace, self.limits)

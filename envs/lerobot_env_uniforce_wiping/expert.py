@@ -193,12 +193,16 @@ class WipeExpert:
 
     def act(self, env: WipeEnv) -> np.ndarray:
         """Return the next absolute target (5,) float32."""
-        self._felt.append(self._estimate(env.true_wrench()))
+        self._felt.append(self._estimate(self._feel(env)))
         self._contact = self._felt[0]
         self._clock += 1
         action = self._sequence.next(env.state.astype(np.float64))
         action[:2] += self.noise.wander_m * np.sin(self._clock * 0.05 + self._phase_rad)
         return action.astype(np.float32)
+
+    def _feel(self, env: WipeEnv) -> dict[Finger, np.ndarray]:
+        """Return what the pads say; here the truth."""
+        return env.true_wrench()
 
     def _estimate(self, wrench: dict[Finger, np.ndarray]) -> Contact:
         """Estimate grip and press from the pads it may use; one pad stands for both."""

@@ -29,7 +29,8 @@ Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes 
 Level = Literal["easy", "touch"]
 Sensor = Annotated[str, Names(list_sensors())]
 # words for what a simulated finger wears (uniforce_vtla/contact/worn.py)
-Worn = Annotated[str, Pattern("a sensor and which unit of it", r"\w+(:(any|drawing|\d{1,6}))?", "tactip:any")]
+_WORN = r"\w+(:(any|drawing|\d{1,6}))?(\+\w+=[\d.]+)*"
+Worn = Annotated[str, Pattern("a sensor and which unit of it", _WORN, "tactip:any")]
 Sensors = Annotated[str, Names(list_sensors(), many=True)]
 
 

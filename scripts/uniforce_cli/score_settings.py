@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from uniforce_cli.boundary import Level, Worn
-from uniforce_vtla.contact.virtual import any_virtual
 from uniforce_vtla.contracts import Finger
 from uniforce_vtla.options import (
     Count,
@@ -47,7 +46,9 @@ class Rig:
     @property
     def kinds(self) -> dict[Finger, str]:
         """Finger → kind of sensor, which a policy knows or doesn't."""
-        return {finger: any_virtual(words.partition(":")[0]).like for finger, words in self.mounted.items()}
+        from uniforce_vtla.contact.worn import wear
+
+        return {finger: wear(words)(0).kind for finger, words in self.mounted.items()}
 
     @property
     def calibrations(self) -> dict[Finger, str]:
@@ -67,7 +68,8 @@ class ScoreConfig:
     arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
     level: Level = "touch"
     # "" = gelsight, and it must be what the policy knows. Naming a sensor allows it to differ from training: unit 1 of
-    # it, or uskin:7 | uskin:any (another in every scene) | uskin:drawing (as drawn, no camera: fast)
+    # it, or uskin:7 | uskin:any (another in every scene) | uskin:drawing (as drawn, no camera: fast); faults stand
+    # behind it: tactip:1+flicker=0.2 (uniforce_vtla/contact/faults.py)
     left_sensor: Worn = ""
     right_sensor: Worn = ""  # likewise; "" = tactip
     left_calibration: FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
@@ -115,7 +117,7 @@ class ScoreConfig:
         swap += "".join(f"_{finger}-calibrated" for finger in self.rig.calibrations)
         arm = re.sub(r"\W+", "-", self.arm.replace("+", "")).strip("-")
         control = f"_{self.control}" if self.control else ""
-        rig = "+".join(self.rig.mounted.values()).replace(":", "-")
+        rig = "+".join(self.rig.mounted.values()).replace(":", "-").replace("=", "-")
         return Path(self.out) / f"{arm}_{rig}_{self.level}{swap}{control}"
 
     def video(self, seed: int) -> Path:

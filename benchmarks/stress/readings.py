@@ -1,0 +1,82 @@
+"""What a frozen head reads on a worn finger of the scene while the expert wipes, by the true wrench or by that."""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.episodes import walk
+from uniforce_vtla.contracts import Finger
+from uniforce_vtla.errors import SensorError
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.latent import POOL, Latent, pool_latent
+
+EVERY = 4  # steps between two readings
+GRIPPED_N = 1.0  # the eraser is held
+
+
+@dataclass(frozen=True)
+class Readings:
+    """n moments in which the eraser was held."""
+
+    latent: Latent  # (n, P, L) pooled, canonical frame
+    truth_N: np.ndarray  # (n, 3) force on the pad, canonical frame
+    press_N: np.ndarray  # (n,) of the eraser on the board
+    refused: int  # frames that the canonicalizer refused
+
+
+def encode_now(env: WipeEnv, finger: Finger, tokenizer: Tokenizer) -> Latent:
+    """Return the (1, P, L) pooled latent of a finger; SensorError where its frame is refused."""
+    reference, current = env.marker_pair(finger)
+    return pool_latent(tokenizer.encode(reference[None], current[None], finger), POOL)  # type: ignore[return-value]
+
+
+def read_scenes(level: str, finger: Finger, sensor: str, seeds: range, tokenizer: Tokenizer) -> Readings:
+    """Let the expert wipe by the true wrench with ``sensor`` on ``finger``, and read it every few steps.
+
+    Raises:
+        SensorError: the reference of a scene's unit is refused.
+    """
+    worn: dict[str, Any] = {f"{finger}_sensor": sensor}
+    env, latents, truth, press, refused = WipeEnv(level, drawn=(finger,), **worn), [], [], [], 0
+    for seed in seeds:
+        for step, _ in enumerate(walk(env, WipeExpert(), seed)):
+            force = env.true_wrench()[finger][:3]
+            if step % EVERY or force[2] < GRIPPED_N:
+                continue
+            try:
+                latents.append(encode_now(env, finger, tokenizer))
+            except SensorError:
+                refused += 1
+                continue
+            truth.append(force)
+            press.append(env.sim.press_N)
+    found = torch.cat(latents) if latents else torch.zeros(0, POOL**2, tokenizer.config.latent)
+    latent = Latent.of(found.as_subclass(torch.Tensor), tokenizer.hash)
+    return Readings(latent, np.array(truth).reshape(-1, 3), np.array(press), refused)
+
+
+class ReadsWorn(WipeExpert):
+    """The expert's law on what the head reads of one worn finger: a policy that makes no mistake but the reading's.
+
+    A refused frame repeats the reading before it.
+    """
+
+    def __init__(self, finger: Finger, tokenizer: Tokenizer, head: ForceHead) -> None:
+        super().__init__(fingers=finger)
+        self._finger, self._tokenizer, self._head = finger, tokenizer, head
+        self._read = np.zeros(3)
+
+    def reset(self, env: WipeEnv) -> None:
+        """Start a new episode."""
+        self._read = np.zeros(3)
+        super().reset(env)
+
+    def _feel(self, env: WipeEnv) -> dict[Finger, np.ndarray]:
+        with suppress(SensorError):  # a frame late; the score shows what it costs
+            self._read = self._head(encode_now(env, self._finger, self._tokenizer))[0].numpy()
+        return {self._finger: self._read}
