@@ -39,9 +39,6 @@ class TouchSettings:
     # (CNN)
     input: str = _BY_SIZE
     head: str = "tactip"  # input=newtons: kind whose shipped force head reads; that of the demonstrations' finger
-    # input=newtons: which of fx, fy (shear), fz (compression) it feels; a task needs few, and an exchanged sensor may
-    # misread the others
-    axes: list[int] = field(default_factory=lambda: [0, 1, 2])
     # "prefix": beside cameras and text, encoded once | "suffix": before the actions, read in every flow step
     site: str = "prefix"
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
@@ -186,8 +183,6 @@ class PI05UniforceConfig(PI05Config):
         _require(fit, "left_calibration, right_calibration", "latents to map", came)
         deltas = self.state_token and action.form == "target_delta"
         _require(augment.camera_variation >= 0, "augment.camera_variation", "≥ 0", augment.camera_variation)
-        fit = bool(touch.axes) and sorted(set(touch.axes) & {0, 1, 2}) == touch.axes
-        _require(fit, "touch.axes", "some of 0, 1, 2, in that order", touch.axes)
         steps, axes = action.previous_steps, action.previous_axes
         fit = steps >= 0 and (deltas or not steps)
         _require(fit, "action.previous_steps", "0, or more with tiny's deltas", steps)

@@ -78,7 +78,6 @@ def test_auto_size_is_tiny_on_a_cpu() -> None:
         ({"swap": "touch0"}, "finger"),
         ({"touch__site": "middle"}, "suffix"),
         ({"touch__input": "video"}, r"touch\.input"),
-        *(({"touch__axes": axes}, r"touch\.axes") for axes in ([], [3], [1, 0], [1, 1])),
         ({"action__form": "velocity"}, r"action\.form"),
         ({"action__objective": "diffusion"}, r"flow \| regression"),
         *(({"action__previous_steps": 4, "action__previous_axes": a}, "previous_axes") for a in ([5], [1, 1])),

@@ -23,18 +23,12 @@ if TYPE_CHECKING:
 
 WRENCH_SCALE = (5.0, 5.0, 10.0, 100.0)  # N, N, N, Nmm: a firm wipe's shear, press and torsion become ~1
 SHAPES = {
-    "newtons": (1, 3),  # fx, fy, fz in N, or those of touch.axes
+    "newtons": (1, 3),  # fx, fy, fz in N
     "wrench": (1, len(WRENCH_SCALE)),  # and torsion in Nmm
     "descriptor": (1, DESCRIPTOR_SIZE),
     "marker_pair": (2, PAIR_SIDE**2),  # flat: what has four axes counts as a camera
 }
 FROM_IMAGES = {"descriptor": (descriptor_key, descriptors), "marker_pair": (marker_pair_key, marker_pairs)}
-
-
-def input_shape(config: PI05UniforceConfig) -> tuple[int, int]:
-    """Return (rows, numbers) of what stands in place of latents."""
-    kind = config.touch.input
-    return (1, len(config.touch.axes)) if kind == "newtons" else SHAPES[kind]
 
 
 class ControlInput(TouchInput):
@@ -77,15 +71,14 @@ class NewtonInput(TouchInput):
 
     def __init__(self, latents: TouchInput) -> None:
         config = latents.config
-        super().__init__(config, latents.encoder, input_shape(config))
+        super().__init__(config, latents.encoder, SHAPES["newtons"])
         self._latents = latents
         self._head = read_head(config.touch.head, config.tokenizer_hash).model
 
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
-        """Return (B, 1, axes) N of a slot; RolloutError where its sensor is lost."""
+        """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
         with torch.no_grad():
-            force = self._head.to(device).step(self._latents.read(batch, slot, device), None)[0]
-        return force[:, None, self.config.touch.axes]
+            return self._head.to(device).step(self._latents.read(batch, slot, device), None)[0][:, None]
 
 
 def read_head(head: str, tokenizer_hash: str) -> ForceHead:
@@ -132,8 +125,7 @@ def control_tokens(config: PI05UniforceConfig, width: int) -> ForceTokens | Mark
     """Return the tokens of a policy with this control."""
     if config.touch.input == "marker_pair":
         return MarkerPairTokens(config, width)
-    tokens = ForceTokens(config, input_shape(config), width)
+    tokens = ForceTokens(config, SHAPES[config.touch.input], width)
     if config.touch.input in ("wrench", "newtons"):
-        axes = config.touch.axes if config.touch.input == "newtons" else range(len(WRENCH_SCALE))
-        tokens.input_scale.copy_(torch.tensor([WRENCH_SCALE[axis] for axis in axes]))
+        tokens.input_scale.copy_(torch.tensor(WRENCH_SCALE[: tokens.input_scale.numel()]))
     return tokens
