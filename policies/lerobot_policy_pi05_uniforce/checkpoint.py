@@ -66,6 +66,9 @@ def check_settings(saved: dict[str, Any], where: str) -> None:
     if touch.get("slots") and touch.get("input") in FROM_MARKERS and came != MARKER_IMAGES:
         do = "Train again, on demonstrations recorded with this version."
         raise CheckpointError(expected(f"marker images of {where}", f"version {MARKER_IMAGES}", came, do))
+    if touch.get("slots") and touch.get("input") == "newtons" and not touch.get("head_hash"):
+        do = "Train again with this version: a policy that feels newtons names the head that reads them."
+        raise CheckpointError(expected(f"touch.head_hash in {where}", "a hash", "none", do))
     try:
         for limits, numbers in ((LIMITS, saved), (TINY_LIMITS, tiny)):
             for name, most in limits.items():

@@ -43,6 +43,7 @@ class TouchSettings:
     site: str = "prefix"
     # True: training starts with the base policy's actions, touch behind a learnt gate (touch/tokens.py). tiny off
     start_at_base: bool = _BY_SIZE
+    head_hash: str = ""  # of that head; filled when the policy is made
     # "error": hold and stop; "mask": go on without that slot, logged; simulation only
     on_sensor_loss: str = "error"
     # slot → kinds seen in training, "gelsight+uskin"; "" or absent = any

@@ -163,9 +163,8 @@ def calibrate(
     truth, before, after = (head(Latent.of(z[judge], origin)).numpy() for z in (own_anchor, own_new, found(own_new)))
     kinds = names[judge]
     judged = {c: _judged(truth[kinds == c], before[kinds == c], after[kinds == c]) for c in OBJECT_CLASSES}
-    head_hash = content_hash(head.model, {"source": head.source})
     turn_deg = float(np.degrees(in_plane_turn_rad(before[:, :2], truth[:, :2])))
-    return Calibration(found, origin, head_hash, new, anchor, ridge, turn_deg, judged)
+    return Calibration(found, origin, head.hash, new, anchor, ridge, turn_deg, judged)
 
 
 def fit_map(z_new: torch.Tensor, z_anchor: torch.Tensor) -> tuple[LatentMap, float]:

@@ -15,7 +15,7 @@ from torch import nn
 from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.latent import own_latent, pool_latent
-from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
+from uniforce_vtla.tokenizer.weights import checkpoint_folder, content_hash, load_model, read_config, save_checkpoint
 
 LIMITS = {"channels": 4096, "grid": 64, "hidden": 4096, "mlp": 16384}  # of HeadConfig, see model.LIMITS
 
@@ -131,6 +131,11 @@ class ForceHead:
             wanted, do = "head, source, tokenizer_hash", "Is this a force head?"
             raise CheckpointError(expected(f"config of {folder}", wanted, error, do)) from error
         return cls(load_model(folder, lambda: ForceRegressor(config)), found, tokenizer_hash)
+
+    @property
+    def hash(self) -> str:
+        """Content hash of weights and source; what is fitted or trained with a head's newtons stores it."""
+        return content_hash(self.model, {"source": self.source})
 
     def save(self, path: str | Path) -> Path:
         """Write weights and facts to a folder that ``from_pretrained`` reads."""

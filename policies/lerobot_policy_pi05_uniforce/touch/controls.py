@@ -73,7 +73,11 @@ class NewtonInput(TouchInput):
         config = latents.config
         super().__init__(config, latents.encoder, SHAPES["newtons"])
         self._latents = latents
-        self._head = read_head(config.touch.head, config.tokenizer_hash).model
+        head = read_head(config.touch.head, config.tokenizer_hash)
+        if (trained_with := config.touch.head_hash or head.hash) != head.hash:
+            do = "Use the version it was trained with, or train again."
+            raise CheckpointError(expected(f"force head of {config.touch.head}", trained_with, head.hash, do))
+        config.touch.head_hash, self._head = head.hash, head.model
 
     def read(self, batch: dict[str, Tensor], slot: str, device: torch.device) -> Tensor:
         """Return (B, 1, 3) N of a slot; RolloutError where its sensor is lost."""
