@@ -7,6 +7,7 @@ import shlex
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
@@ -30,8 +31,8 @@ def name_of(page: Path) -> str:
 
 def fenced(page: Path) -> str:
     """Return the fenced code of a page, lines that end in a backslash joined to the next."""
-    blocks = re.findall(r"^```\w*\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
-    return "\n".join(blocks).replace("\\\n", " ")
+    blocks = re.findall(r"^( *)```\w*\n(.*?)^\1```", page.read_text(), re.MULTILINE | re.DOTALL)
+    return "\n".join(dedent(code) for _, code in blocks).replace("\\\n", " ")
 
 
 def command_lines(page: Path) -> list[list[str]]:
