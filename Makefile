@@ -4,12 +4,13 @@ STAMP := .venv/.ready
 export HF_HUB_OFFLINE ?= 1
 export TOKENIZERS_PARALLELISM ?= false
 
-.PHONY: help setup demo test lint properties faults fuzz ci canary clean lock
+.PHONY: help setup demo test lint docs properties faults fuzz ci canary clean lock
 
 help:
 	@echo "make setup   fill .venv (Python 3.12, locked dependencies)"
 	@echo "make demo    record, train, roll out, score: one page and one video, 3 to 5 minutes on a laptop"
 	@echo "make test    lint, types and the whole test suite, 14 minutes on 2 cores"
+	@echo "make docs    the pages of docs/ as a site in site/, every link checked, in seconds and without the network"
 	@echo "make properties  property tests with ten times as many examples, random ones"
 	@echo "make fuzz    100,000 injured inputs into each parser of bytes, 2,000 into each reader of files (half an hour)"
 	@echo "make faults  31 faults of the stand-in arm against both Franka clients, ten times each (20 minutes)"
@@ -36,6 +37,10 @@ test: setup lint
 	echo "second half, against the clock: $$([ $$second -eq 0 ] && echo passed || echo FAILED)"; \
 	[ $$first -eq 0 ] && [ $$second -eq 0 ]
 
+# NO_MKDOCS_2_WARNING: the theme's notice about its successor
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict
+
 properties: setup
 	$(PY) -m pytest -m hypothesis --hypothesis-profile random
 
@@ -53,7 +58,7 @@ LOCK = $$(command -v uv || echo .venv-uv/bin/uv) pip compile --python-version 3.
 	  --no-emit-find-links --generate-hashes
 
 lock:
-	$(LOCK) --override scripts/lock_overrides.txt --group dev pyproject.toml -o requirements.lock
+	$(LOCK) --override scripts/lock_overrides.txt --group dev --group docs pyproject.toml -o requirements.lock
 	$(LOCK) --constraint requirements.lock --group clients -o requirements-clients.lock
 
 canary: setup
@@ -61,4 +66,4 @@ canary: setup
 	$(PY) -m pytest -m "not realtime" tests/policies tests/datasets tests/test_layering.py
 
 clean:
-	rm -rf .venv outputs .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv outputs site .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,142 @@
+"""README and docs name commands with options that they have, and files and functions that exist."""
+
+import ast
+import importlib
+import re
+import shlex
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from uniforce_cli.main import VERBS
+from uniforce_vtla.arguments import options_of, read
+from uniforce_vtla.contact.faults import FAULTS
+from uniforce_vtla.options import Existing, Writable
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+MODULES = ("benchmarks", "uniforce_robots", "standins")  # of `python -m` in fenced code
+LEROBOT = Path(str(find_spec("lerobot").submodule_search_locations[0]))  # type: ignore[union-attr, index]
+POLICY = ROOT / "policies" / "lerobot_policy_pi05_uniforce"
+NO_FIELDS = {"policy", "env", "verify", "config_path", "resume", "policy.path"}  # of train: LeRobot's parser reads them
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def fenced(page: Path) -> str:
+    """Return the fenced code of a page, lines that end in a backslash joined to the next."""
+    blocks = re.findall(r"^( *)```\w*\n(.*?)^\1```", page.read_text(), re.MULTILINE | re.DOTALL)
+    return "\n".join(dedent(code) for _, code in blocks).replace("\\\n", " ")
+
+
+def command_lines(page: Path) -> list[list[str]]:
+    """Return the words of every `uniforce …` in fenced code and between back ticks, but for those with an ellipsis."""
+    lines = [line for line in fenced(page).splitlines() if line.startswith("uniforce ")]
+    lines += [f"{code} " for code in re.findall(r"(?<!`)`(uniforce [^`]+)`(?!`)", page.read_text())]
+    split = [shlex.split(line.replace("VERB", "record"), comments=True)[1:] for line in lines]
+    return [[word for word in words if "…" not in word] for words in split]
+
+
+@cache
+def fields(*places: Path) -> frozenset[str]:
+    """Return the names of all fields of classes in files or folders; nothing is imported, LeRobot takes seconds."""
+    files = [file for place in places for file in ([place] if place.is_file() else place.rglob("*.py"))]
+    classes = [n for file in files for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.ClassDef)]
+    return frozenset(
+        n.target.id for c in classes for n in c.body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)
+    )
+
+
+def unknown(name: str, known: frozenset[str]) -> bool:
+    """Return whether a part of a dotted name is no field; names of cameras are free."""
+    return "cameras" not in name and bool(set(name.split(".")[1:] or [name]) - known)
+
+
+def check_train(names: list[str]) -> list[str]:
+    ours = fields(POLICY, LEROBOT / "policies" / "pi05", LEROBOT / "configs")
+    return [name for name in names if name not in NO_FIELDS and unknown(name, ours)]
+
+
+def check_words(verb: str, words: list[str]) -> list[str]:
+    """Return what is wrong with the words behind a verb."""
+    given = [word for word in words if not word.startswith("--help")]
+    names = [word.removeprefix("--").partition("=")[0] for word in given]
+    if verb == "train":
+        return check_train(names)
+    command = importlib.import_module(f"uniforce_cli.{verb}").main
+    devices = [name for name in names if command.others and name.startswith(command.others)]
+    own = [word for word, name in zip(given, names, strict=True) if name not in devices]
+    config, texts = read(command.config_class, own)  # raises for an unknown option and a wrong type
+    for name in texts:
+        rule = options_of(command.config_class)[name].rule
+        if rule is not None and not isinstance(rule, Existing | Writable) and "." not in name:
+            rule.check(name, getattr(config, name))
+    return [name for name in devices if unknown(name, fields(ROOT / "robots" / "uniforce_robots"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_command_line_names_a_verb_and_options_that_it_has(page: Path) -> None:
+    for words in command_lines(page):
+        verbs = words[0].split("|") if words else []
+        assert not set(verbs) - {*VERBS, "--help"}, f"{name_of(page)}: uniforce {' '.join(words)}"
+        if verbs and verbs[0] in VERBS:
+            wrong = check_words(verbs[0], [word for word in words[1:] if "=" in word or word.startswith("--")])
+            assert not wrong, f"{name_of(page)}: uniforce {' '.join(words)}: {wrong}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_module_and_target_named_exists(page: Path) -> None:
+    roots = (ROOT, ROOT / "robots", ROOT / "tests")
+    for module in re.findall(r"python -m ([\w.]+)", fenced(page)):
+        if module.partition(".")[0] in MODULES:
+            path = Path(*module.split("."))
+            assert any((root / path).is_dir() or (root / f"{path}.py").is_file() for root in roots), module
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert set(re.findall(r"^make (\w+)", fenced(page), re.MULTILINE)) <= targets
+
+
+@cache
+def defined(path: Path) -> frozenset[str]:
+    """Return the names of a module, `Class.method` among them."""
+    body = ast.parse(path.read_text()).body
+    kinds = (ast.FunctionDef, ast.ClassDef)
+    found = [node for node in body if isinstance(node, kinds)]
+    inner = [f"{c.name}.{n.name}" for c in found if isinstance(c, ast.ClassDef) for n in c.body if isinstance(n, kinds)]
+    return frozenset([node.name for node in found] + inner)
+
+
+@pytest.mark.parametrize("page", [DOCS / "method.md", DOCS / "definitions.md"], ids=name_of)
+def test_files_and_functions_beside_the_equations_exist(page: Path) -> None:
+    text = page.read_text()
+    paths = set(re.findall(r"`([\w/]+/\w+\.py)`", text))
+    assert paths and not [path for path in paths if not (ROOT / path).is_file()]
+    for path, names in re.findall(r"`([\w/]+\.py)`[:,] ((?:`[\w.]+`(?:, )?)+)", text):
+        missing = set(re.findall(r"`([\w.]+)`", names)) - defined(ROOT / path)
+        assert not missing, f"{path}: {missing}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_to_files_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#\s]+)(?:#[^)]*)?\)", page.read_text())
+    local = [link for link in links if "://" not in link and not link.startswith("mailto:")]
+    assert not [link for link in local if not (page.parent / link).exists()]
+
+
+def test_the_site_lists_every_page() -> None:
+    listed = set(re.findall(r"[\w/]+\.md", (ROOT / "mkdocs.yml").read_text()))
+    assert listed == {str(page.relative_to(DOCS)) for page in PAGES if page.is_relative_to(DOCS)}
+
+
+def test_the_tutorial_names_every_fault() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| (?:[^|]*) \| [^|]* \|$", (DOCS / "tutorial.md").read_text(), re.MULTILINE)
+    assert set(FAULTS) <= set(rows)
+
+
+def test_readme_is_read_in_five_minutes() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 150
