@@ -40,7 +40,7 @@ class CalibrateCommand:
     take a tool's flat handle. Record that with: uniforce pairs robot=franka indenters=small,tool
     Example: uniforce calibrate new=gelsight anchor=tactip pairs=outputs/pairs/uniforce_pairs out=outputs/calibration
     In simulation: uniforce calibrate new=gelsight_stiff anchor=tactip, or a unit of them: new=tactip:7 anchor=tactip:1
-    Use it: uniforce score … left_calibration=outputs/calibration
+    Use it: uniforce score … right_sensor=uskin right_calibration=outputs/calibration
     """
 
     new: Unit = "gelsight_stiff"  # the sensor to fit; in simulation unit 1 of it, or uskin:7 | uskin:drawing
@@ -176,4 +176,5 @@ def main(config: CalibrateCommand) -> None:
     worst = check_agreement(found, config)
     if found.worst()[1] < config.fit.warn_below:
         logger.warning("%s: grasp again, more of them and all over the pad", worst)
-    print(f"{worst}; map in {found.save(config.out)}. Next: uniforce score left_calibration={config.out} …")
+    then = f"uniforce score right_sensor={config.new} right_calibration={config.out} …"
+    print(f"{worst}; map in {found.save(config.out)}. Next: {then}")

@@ -65,7 +65,7 @@ class ScoreConfig:
     """
 
     policy: Policies = "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
-    arm: ArmName = ""  # name of this arm in the table; "" = V+T, or the script's own
+    arm: ArmName = ""  # name of this arm in the table; "" = V+T or the script, and what it wears
     level: Level = "touch"
     # "" = gelsight, and it must be what the policy knows. Naming a sensor allows it to differ from training: unit 1 of
     # it, or uskin:7 | uskin:any (another in every scene) | uskin:drawing (as drawn, no camera: fast); faults stand
@@ -86,8 +86,12 @@ class ScoreConfig:
     out: OutFolder = "outputs/score"  # rows, table, picture and videos go here
 
     def __post_init__(self) -> None:
-        """Name the arm."""
-        self.arm = self.arm or (self.policy if self.policy in SCRIPTS else "V+T")
+        """Name the arm, after what differs from the usual rig: arms of one folder are told apart by name."""
+        fingers = [(finger, getattr(self, f"{finger}_sensor")) for finger in ("left", "right")]
+        differs = [f"{finger} {words}" for finger, words in fingers if words]
+        differs += [f"{finger} calibrated" for finger in self.rig.calibrations]
+        usual = self.policy if self.policy in SCRIPTS else "V+T"
+        self.arm = self.arm or ", ".join([usual, *differs, *filter(None, (self.swap, self.control))])
 
     @property
     def policies(self) -> list[str]:

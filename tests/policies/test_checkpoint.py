@@ -28,6 +28,7 @@ from lerobot_policy_pi05_uniforce.weights import fill
 from uniforce_vtla.errors import CheckpointError, ContractError
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.markers import MARKER_IMAGES
+from uniforce_vtla.tokenizer.force_head import ForceHead
 
 
 @pytest.fixture
@@ -262,4 +263,18 @@ def test_a_policy_of_other_marker_images_is_refused(make_policy, tmp_path: Path)
     (tmp_path / "config.json").write_text(json.dumps(config))
     write_hashes(tmp_path)
     with pytest.raises(CheckpointError, match="marker images"):
+        PI05UniforcePolicy.from_pretrained(tmp_path)
+
+
+@pytest.mark.parametrize(("stored", "said"), [("", "head_hash"), ("0" * 64, "force head of tactip")])
+def test_a_policy_of_another_force_head_is_refused(make_policy, tmp_path: Path, stored: str, said: str) -> None:
+    """Its newtons would be in another scale, and nothing else would show it."""
+    make_policy(touch__input="newtons", touch__tokenizer_path=None).save_pretrained(tmp_path)
+    path = tmp_path / "config.json"
+    config = json.loads(path.read_text())
+    assert config["touch"]["head_hash"] == ForceHead.from_pretrained("tactip").hash
+    config["touch"]["head_hash"] = stored
+    path.write_text(json.dumps(config))
+    write_hashes(tmp_path)
+    with pytest.raises(CheckpointError, match=said):
         PI05UniforcePolicy.from_pretrained(tmp_path)

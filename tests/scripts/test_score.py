@@ -41,6 +41,7 @@ def rolled_out(monkeypatch: pytest.MonkeyPatch) -> RolledOut:
 def test_a_script_is_not_taken_for_a_policy() -> None:
     arms = [ScoreConfig(policy=policy).arm for policy in ("shipped", "expert")]
     assert arms == ["V+T", "expert"] and ScoreConfig(policy="expert", arm="me").arm == "me"
+    assert ScoreConfig(right_sensor="uskin:7+lag=100", control="masked").arm == "V+T, right uskin:7+lag=100, masked"
 
 
 def test_training_seeds_take_turns_from_scene_to_scene(tmp_path: Path, rolled_out: RolledOut) -> None:
