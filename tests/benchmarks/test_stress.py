@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.readings import ReadsWorn, read_scenes
+from benchmarks.stress.rollouts import Arm, cells_of, near_cliffs, roll_readers, summarise
 from benchmarks.stress.screen import against, screen_cell
 from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import walk
@@ -57,3 +58,38 @@ def test_the_reading_expert_regulates_by_what_the_head_reads(tokenizer, head) ->
     for _ in walk(env, expert, SCENE[0]):
         pass
     assert env.result().success
+
+
+def screened(*errors: float) -> list[dict]:
+    doses = (OPERATORS["T1 lag"].benign, *OPERATORS["T1 lag"].doses)
+    return [{"dose": dose, "press_error_N": error} for dose, error in zip(doses, errors, strict=True)]
+
+
+def test_doses_near_a_cliff_are_rolled_out_and_the_worst_where_there_is_none() -> None:
+    steep, flat, refused = screened(0, 0.1, 0.5, -2, 5, 9), screened(0, *[0.1] * 5), screened(0, *[np.inf] * 5)
+    found = near_cliffs({"none": {}, "T1 lag": steep, "T2 stall": flat, "H1 creep": refused})
+    assert found == {"T1 lag": [67, 133], "T2 stall": [533], "H1 creep": [533]}
+
+
+def test_the_first_dose_that_loses_more_than_the_margin_breaks() -> None:
+    cells = cells_of(Arm("me", "uskin:2"), {"T1 lag": [33, 533], "M2 flicker": [0.1]})
+    assert [cell.name for cell in cells] == [
+        "me",
+        "me, T1 lag 0",
+        "me, T1 lag 33",
+        "me, T1 lag 533",
+    ]  # taxels: no flicker
+    scenes = range(40)
+    clean = {cell.name: dict.fromkeys(scenes, True) for cell in cells}
+    clean["me, T1 lag 533"] |= dict.fromkeys(range(10), False)
+    found = summarise(cells, clean)
+    assert found[""] == {"n": 40, "clean": 40}
+    row = found["T1 lag"]
+    assert (row["clean"], row["benign"], row["breaking_dose"]) == ([40, 30], 40, 533)
+
+
+def test_episodes_of_the_reading_expert_are_kept(tmp_path) -> None:
+    cells = cells_of(Arm("reads", "uskin:2"), {})
+    path = tmp_path / "rows.jsonl"
+    path.write_text('{"cell": "reads", "seed": 7, "clean": true}\n')
+    assert roll_readers(cells, "touch", range(7, 8), 1, path) == {"reads": {7: True}}
