@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from benchmarks import tokenizer_questions as questions
 from benchmarks.baselines import rows as baseline_rows
-from benchmarks.baselines.checkpoint import read_tensors
+from benchmarks.baselines.speed import speed_report
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
 from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
@@ -34,11 +34,10 @@ from benchmarks.probes.zero_shot import (
 from benchmarks.probes.zero_shot_figure import draw_table
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.arguments import choose
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.options import (
     CountOrZero,
     FileName,
-    FilePath,
     FolderPath,
     Names,
     OutFolder,
@@ -55,7 +54,6 @@ from uniforce_vtla.tokenizer.weights import checkpoint_folder
 PICTURED = 64  # pairs per rig that are redrawn
 REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU differ far less
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
-OF_BASELINES = ("published_encoders", "speed")  # parts of the table that ``baselines=true`` measures
 # its sensors are the registry's, which is what the package's heads are for
 SHIPPED_HEADS_SET = "zero_shot_v2"
 # less noise and more steps than a table's heads: they see 100 units, not 8. Of .1, .4 and .8 what read other TacTips'
@@ -63,7 +61,6 @@ SHIPPED_HEADS_SET = "zero_shot_v2"
 SHIPPED_HEADS = HeadTrainingConfig(steps=1500, batch=128, input_noise=0.4)
 
 
-WEIGHTS_OF_BASELINES = ("anytouch", "t3", "t3_encoder", "unit")
 Heads = Annotated[int, Range(1, 100)]
 ReportSetName = Annotated[str, Names(tuple(REPORT_SETS))]
 
@@ -94,10 +91,6 @@ class TokenizerReportCommand:
     table: FileName = ""  # another name for the table's file; empty = the set's own
     # also the rows that train networks of their own: hours on two cores, one row at a time
     baselines: bool = False
-    anytouch: FilePath = ""  # official checkpoint file; empty = row n/a
-    t3: FolderPath = ""  # folder with encoders/ and trunk.pth; empty = row n/a
-    t3_encoder: FileName = ""  # which of T3's encoders reads our sensors; must be named
-    unit: FilePath = ""  # official checkpoint file; empty = row n/a
     only: Text = ""  # measure just these rows (comma between them), keep the others from the committed table
     # only re-measure so many cells of the UniForce row, or of the shipped heads, and compare
     replay: CountOrZero = 0
@@ -144,10 +137,9 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "rows": rows,
         "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
     }
-    content |= {part: committed[part] for part in OF_BASELINES if part in committed}
+    content |= {"speed": committed["speed"]} if "speed" in committed else {}
     if command.baselines:
-        paths = {"anytouch": command.anytouch, "t3": command.t3, "unit": command.unit}
-        content |= baseline_rows.published(table, tokenizer, seeds, paths, command.t3_encoder)
+        content["speed"] = speed_report(tokenizer)["encoders"]
     if report_set.name == SHIPPED_HEADS_SET and not command.table:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
     return content | origin
@@ -254,19 +246,9 @@ def _say_if_redrawn(command: TokenizerReportCommand, report_set: ReportSet, froz
         print(f"note: {error}")
 
 
-def _check_baselines(command: TokenizerReportCommand) -> None:
-    """Refuse other people's weights that are damaged, or not asked about, before hours of work."""
-    given = [name for name in WEIGHTS_OF_BASELINES if getattr(command, name)]
-    if given and not command.baselines:
-        raise ContractError(expected(", ".join(given), "baselines=true beside it", "baselines=false", "Add it."))
-    for file in filter(None, (command.anytouch, command.unit)):
-        read_tensors(Path(file))
-
-
 def _report(command: TokenizerReportCommand) -> str:
     results, report_set = Path(command.results), get_report_set(command.set)
     tokenizer = Tokenizer.from_pretrained(command.tokenizer or None)
-    _check_baselines(command)
     if command.freeze:
         return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
     if command.replay:

@@ -1,27 +1,15 @@
-"""T3 (Transferable Tactile Transformer): a sensor's own encoder, then a shared trunk; plain ViT blocks.
+"""T3-medium (Transferable Tactile Transformer, alanzjl/t3, MIT) by its published sizes: plain ViT blocks.
 
-Key layout from the project's code (MIT); the blocks are written here with the names those files use.
-Its own loader takes ``gs_green`` in silence for a sensor without an encoder. Here the encoder must be named.
+For its speed alone, with random weights: the official ones were never at hand, and time depends on shapes alone.
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from benchmarks.baselines.checkpoint import load_strictly, read_tensors
-from benchmarks.baselines.frozen import (
-    Brightness,
-    PublishedEncoder,
-    PublishedRow,
-    grey_to_rgb,
-    measured_row,
-    missing_row,
-)
-from benchmarks.probes.zero_shot import Table
-from uniforce_vtla.errors import CheckpointError, expected
+from benchmarks.probes.zero_shot import POOL
 
 RESIZE_PX = 256  # shorter edge before the centre crop
 
@@ -40,7 +28,7 @@ class T3Config:
 
 
 class Attention(nn.Module):
-    """Multi-head self-attention under the file's names ``qkv`` and ``proj``."""
+    """Multi-head self-attention."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -57,7 +45,7 @@ class Attention(nn.Module):
 
 
 class Mlp(nn.Module):
-    """Two linear layers under the file's names ``fc1`` and ``fc2``."""
+    """Two linear layers."""
 
     def __init__(self, width: int, ratio: int) -> None:
         super().__init__()
@@ -86,7 +74,7 @@ class Block(nn.Module):
 
 
 class PatchProjection(nn.Module):
-    """A strided convolution under the file's name ``proj``."""
+    """A strided convolution."""
 
     def __init__(self, config: T3Config) -> None:
         super().__init__()
@@ -98,7 +86,7 @@ class PatchProjection(nn.Module):
 
 
 class SensorEncoder(nn.Module):
-    """What ``encoders/<sensor>.pth`` holds."""
+    """A sensor's own encoder."""
 
     def __init__(self, config: T3Config) -> None:
         super().__init__()
@@ -118,7 +106,7 @@ class SensorEncoder(nn.Module):
 
 
 class Trunk(nn.Module):
-    """What ``trunk.pth`` holds."""
+    """What all sensors share."""
 
     def __init__(self, config: T3Config) -> None:
         super().__init__()
@@ -132,64 +120,26 @@ class Trunk(nn.Module):
         return self.norm(tokens)
 
 
-class T3Encoder(PublishedEncoder):
-    """Encoder of one sensor and the trunk; tokens are the trunk's patch tokens."""
-
-    name = "T3"
+class T3Encoder(nn.Module):
+    """Encoder of one sensor and the trunk."""
 
     def __init__(self, config: T3Config | None = None) -> None:
         super().__init__()
         self.config = config or T3Config()
-        self.input_size = (self.config.image, self.config.image)
         self.encoder = SensorEncoder(self.config)
         self.trunk = Trunk(self.config)
 
-    def prepare(self, images: torch.Tensor, brightness: Brightness) -> torch.Tensor:
-        """Return (B, 3, 224, 224): resize, centre crop, the set's own mean and spread as T3 does per data set."""
-        larger = round(RESIZE_PX * self.config.image / 224)
-        rgb = grey_to_rgb(images, (larger, larger))
-        start = (larger - self.config.image) // 2
-        inner = slice(start, start + self.config.image)
-        return (rgb[..., inner, inner] - brightness.mean) / brightness.std
-
     def token_map(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Return (B, D, 14, 14) at full size; the class token is left out."""
+        """Return the trunk's patch tokens (B, D, 14, 14), at full size, of (B, 3, 224, 224)."""
         tokens = self.trunk(self.encoder(inputs))[:, 1:]  # (B, P, D)
         side = self.config.image // self.config.patch
         return tokens.transpose(1, 2).unflatten(2, (side, side))
 
-
-def load_t3(folder: Path, encoder: str, config: T3Config | None = None) -> T3Encoder:
-    """Load ``encoders/<encoder>.pth`` and ``trunk.pth`` from T3's folder.
-
-    Args:
-        folder: the released folder.
-        encoder: whose encoder to take, e.g. ``mini``; none of them was made for marker images.
-        config: sizes; T3-medium if not given.
-
-    Raises:
-        CheckpointError: no such encoder (those present are listed), a file missing, or any key that doesn't fit.
-    """
-    present = sorted(path.stem for path in (folder / "encoders").glob("*.pth"))
-    if encoder not in present:
-        raise CheckpointError(
-            expected(
-                f"T3 encoder in {folder}",
-                f"one of {', '.join(present) or 'none present'}",
-                repr(encoder),
-                "Name the encoder to use; nothing is put in its place.",
-            )
-        )
-    model = T3Encoder(config)
-    path = folder / "encoders" / f"{encoder}.pth"
-    load_strictly(model.encoder, read_tensors(path), str(path))
-    load_strictly(model.trunk, read_tensors(folder / "trunk.pth"), str(folder / "trunk.pth"))
-    return model.eval().requires_grad_(False)
-
-
-def t3_row(table: Table, seeds: int, folder: Path | None, encoder: str = "", device: str = "cpu") -> PublishedRow:
-    """Return T3's row; without a folder "n/a", with one the encoder must be named."""
-    if folder is None:
-        with torch.device("meta"):
-            return missing_row(T3Encoder())
-    return measured_row(load_t3(folder, encoder), table, seeds, f"{encoder} + trunk", device)
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Return (B, POOL², D) of grey images (B, S, S) in [0, 1]: resized, cropped, the tokens pooled as ours are."""
+        larger = round(RESIZE_PX * self.config.image / 224)
+        rgb = F.interpolate(images[:, None], (larger, larger), mode="bilinear", antialias=True).expand(-1, 3, -1, -1)
+        start = (larger - self.config.image) // 2
+        inner = slice(start, start + self.config.image)
+        pooled = F.adaptive_avg_pool2d(self.token_map(rgb[..., inner, inner]), POOL)
+        return pooled.flatten(2).transpose(1, 2)

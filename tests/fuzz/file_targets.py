@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from policy_samples import small_config
 
-from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.speed.loader import BlockMeans
 from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
@@ -147,13 +146,6 @@ def training_state(folder: Path) -> FileTarget:
     return FileTarget(folder / "data", lambda: load_state(folder / "data"))
 
 
-def foreign(folder: Path) -> FileTarget:
-    root = folder / "data"
-    root.mkdir()
-    torch.save({"a": torch.arange(12.0).view(3, 4), "b": torch.zeros(2)}, root / "foreign.pth")
-    return FileTarget(root, lambda: read_tensors(root / "foreign.pth"))
-
-
 def hashes_of_checkpoint(folder: Path) -> FileTarget:
     (folder / "data").mkdir()
     (folder / "data" / "config.json").write_text("{}")
@@ -179,7 +171,6 @@ FILE_TARGETS: dict[str, Callable[[Path], FileTarget]] = {  # the quick ones firs
     "arrays": arrays,
     "hashes_of_dataset": hashes_of_dataset,
     "hashes_of_checkpoint": hashes_of_checkpoint,
-    "foreign": foreign,
     "training_state": training_state,
     "adapter": adapter,
     "descriptor_head": descriptor_head,

@@ -2,16 +2,13 @@
 
 import json
 import time
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
-from benchmarks.baselines.checkpoint import read_tensors
 from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES, CheckpointDamage
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
@@ -68,16 +65,6 @@ def test_an_info_that_cannot_be(dataset: Path, name: str, value: Any) -> None:
     with pytest.raises(DatasetError):
         read_source(dataset).columns(("episode_index",))
     assert time.process_time() - began_s < 5
-
-
-def test_a_foreign_file_of_unknown_endianness(tmp_path: Path) -> None:
-    torch.save({"a": torch.zeros(2)}, tmp_path / "whole.pth")
-    with zipfile.ZipFile(tmp_path / "whole.pth") as whole, zipfile.ZipFile(tmp_path / "spoilt.pth", "w") as spoilt:
-        for entry in whole.infolist():
-            name = entry.filename
-            spoilt.writestr(name, b"ZZZZZZ" if name.endswith("byteorder") else whole.read(name))
-    with pytest.raises(CheckpointError, match="endianness"):
-        read_tensors(tmp_path / "spoilt.pth")
 
 
 def test_a_processors_state_that_is_damaged(policy_copy: Path) -> None:

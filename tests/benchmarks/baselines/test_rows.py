@@ -9,11 +9,10 @@ import torch
 
 from benchmarks.baselines.end_to_end import EndToEndConfig, train_end_to_end
 from benchmarks.baselines.finetuned import FineTuneConfig, TokenizerEncoder, finetuned_row, fit_finetuned
-from benchmarks.baselines.frozen import PublishedEncoder
 from benchmarks.baselines.genforce_style import TranslationConfig, genforce_style_row, train_translator, translate
 from benchmarks.baselines.pictures import labels, pictures
 from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, resnet_row
-from benchmarks.baselines.speed import SpeedConfig, interleaved, one_thread, our_size, speed_report
+from benchmarks.baselines.speed import SpeedConfig, interleaved, one_thread, our_size, size_facts, speed_report
 from benchmarks.baselines.t3 import T3Config, T3Encoder
 from benchmarks.probes.zero_shot import Cells, Table, encode_set, score
 from uniforce_vtla.errors import ContractError
@@ -147,8 +146,15 @@ def test_fine_tuning_refuses_pictures_of_another_size(table: Table, tiny: Tokeni
         finetuned_row(table, other, 1, FineTuneConfig(SHORT))
 
 
-def t3(depth: int) -> PublishedEncoder:
+def t3(depth: int) -> T3Encoder:
     return T3Encoder(T3Config(image=64, patch=8, width=96, heads=2, encoder_depth=1, trunk_depth=depth))
+
+
+def test_t3_medium_has_its_published_size() -> None:
+    """ViT-B/16 without a head: 85.8 M parameters, 17.6 G multiply-adds."""
+    with torch.device("meta"):
+        facts = size_facts(T3Encoder())
+    assert facts["params"] == 85_798_656 and 34e9 < facts["flops_per_frame"] < 37e9
 
 
 def test_report_is_plain_data_and_ranks_by_work(tiny: TokenizerConfig) -> None:
