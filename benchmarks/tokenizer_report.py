@@ -56,7 +56,7 @@ REPLAY_TOLERANCE = 0.01  # R²; the same images and weights on another CPU diffe
 OF_THE_TOKENIZER = {"UniForce", "UniForce (FT)"}  # rows that change with its weights
 # its sensors are the registry's, which is what the package's heads are for
 SHIPPED_HEADS_SET = "zero_shot_v2"
-# less noise and more steps than a table's heads: they see 100 units, not 8. Of .1, .4 and .8 what read other TacTips'
+# less noise and more steps than a table's heads: they see 80 units, not 8. Of .1, .4 and .8 what read other TacTips'
 # press in the scene best, by scatter and scale, without a slope that only TacTips have
 SHIPPED_HEADS = HeadTrainingConfig(steps=1500, batch=128, input_noise=0.4)
 

@@ -6,6 +6,7 @@ Ids of RoboTactile's suite where the fault is the same; further ones in the same
 from dataclasses import dataclass
 
 from uniforce_vtla.contact.faults import FAULTS
+from uniforce_vtla.contact.worn import wear
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,5 @@ OPERATORS = {
 
 def worn_with(operator: Operator, sensor: str, dose: float) -> str | None:
     """Return a sensor's words with the fault; None where this kind can't have it."""
-    from uniforce_vtla.contact.worn import wear
-
     signal = wear(sensor)(0).sensor.spec.signal
     return sensor + operator.words(dose) if signal in FAULTS[operator.fault].signals else None

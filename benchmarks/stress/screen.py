@@ -5,13 +5,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.stress.readings import Readings, read_scenes
+from lerobot_env_uniforce_wiping.expert import GRAVITY_m_s2
+from lerobot_env_uniforce_wiping.levels import get_level
 from uniforce_vtla.errors import SensorError
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 
 AT_N = 6.0  # middle of the band
 PRESSED_N = 1.0
-WEIGHT_N = 0.055 * 9.81  # of the eraser: press = weight + pull of both pads upwards
 FEWEST = 20  # readings that a line can be fitted to
 
 
@@ -23,13 +24,14 @@ def screen_cell(level: str, sensor: str, seeds: range, tokenizer: Tokenizer, hea
         return {"refused_share": 1.0, "why": str(error)}
     total = len(found.press_N) + found.refused
     share = {"refused_share": round(found.refused / max(total, 1), 4)}
-    return {**share, **({} if len(found.press_N) < FEWEST else _line(found, head))}
+    return {**share, **({} if len(found.press_N) < FEWEST else _line(found, head, level))}
 
 
-def _line(found: Readings, head: ForceHead) -> dict[str, float]:
+def _line(found: Readings, head: ForceHead, level: str) -> dict[str, float]:
+    weight_N = get_level(level).layout.eraser_mass_kg * GRAVITY_m_s2  # press = weight + what both pads push down
     read = head(found.latent).numpy()
     pressed = found.press_N > PRESSED_N
-    press = WEIGHT_N - 2 * read[pressed, 1]
+    press = weight_N - 2 * read[pressed, 1]
     slope, offset = np.polyfit(found.press_N[pressed], press, 1)
     scatter = np.std(press - slope * found.press_N[pressed] - offset)
     numbers = {

@@ -86,7 +86,7 @@ class ScoreConfig:
     out: OutFolder = "outputs/score"  # rows, table, picture and videos go here
 
     def __post_init__(self) -> None:
-        """Name the arm, after what differs from the usual rig: arms of one folder are told apart by name."""
+        """Name the arm, after what differs from the usual rig: arms of one folder need different names."""
         fingers = [(finger, getattr(self, f"{finger}_sensor")) for finger in ("left", "right")]
         differs = [f"{finger} {words}" for finger, words in fingers if words]
         differs += [f"{finger} calibrated" for finger in self.rig.calibrations]

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from uniforce_vtla.contact.faults import FAULTS
+from lerobot_env_uniforce_wiping import levels
+from uniforce_vtla.contact.faults import CONTROL_HZ, FAULTS
 from uniforce_vtla.contact.simulator import free_air
 from uniforce_vtla.contact.worn import WornSensor, WornView, wear
 from uniforce_vtla.contracts import ContactState
@@ -70,6 +71,10 @@ def test_free_air_differs_from_a_reference_taken_under_load(words: str) -> None:
         return float((view.images(free_air(1))[0] != view.reference).mean())
 
     assert off(f"{words}+stale=6") > 1.3 * off(words)
+
+
+def test_steps_of_a_fault_are_those_of_the_scene() -> None:
+    assert CONTROL_HZ == levels.CONTROL_HZ  # the library knows no scene
 
 
 def test_light_changes_after_the_reference_and_time_is_in_steps() -> None:

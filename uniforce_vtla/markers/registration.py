@@ -22,7 +22,7 @@ from uniforce_vtla.sensors import SensorSpec
 logger = logging.getLogger(__name__)
 
 TURNS_rad = np.arange(-3, 4) * 0.06  # starts of the search: ±.18
-# a camera turned further was mounted so (`rotation_deg`): its pattern stands at an angle in the finger's frame and must
+# a camera turned further was mounted so (`rotation_deg`): its pattern stands at an angle and stays
 MOST_TURN_rad = 0.20
 ZOOMS = (0.92, 1.0, 1.09)
 ROUNDS = 15
