@@ -12,7 +12,7 @@ from lerobot_env_uniforce_wiping import LEVELS, level_hash
 from uniforce_cli.boundary import Level, command
 from uniforce_cli.score import check_policies, score_arms
 from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
-from uniforce_vtla.errors import CheckpointError, expected
+from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, table
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms
@@ -33,6 +33,7 @@ class LadderCommand:
     part: Literal["ladder", "left_out", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
     calibrations: FolderPath = ""  # of `uniforce calibrate`: shipped/uskin-2, …; "" = those rows wait
+    rows: str = ""  # names between commas: score these alone, the others wait; "" = all of the part
     level: Level = "touch"
     rollouts: CountOrZero = 0  # per sensor worn; 0 = as planned
     first_seed: Seed = 0  # 0 = the plan's own block: score it once
@@ -81,6 +82,20 @@ def joined(configs: Sequence[ScoreConfig], parts: Sequence[ArmReport]) -> dict[s
     }
 
 
+def wanted(config: LadderCommand) -> list[Entry]:
+    """Return the part's rows that are to be scored, in the plan's order.
+
+    Raises:
+        ContractError: a name that the part doesn't hold.
+    """
+    names = [name.strip() for name in config.rows.split(",") if name.strip()]
+    planned = PARTS[config.part]
+    if unknown := set(names) - {entry.name for entry in planned}:
+        have = ", ".join(entry.name for entry in planned)
+        raise ContractError(expected("rows", f"some of: {have}", ", ".join(sorted(unknown)), "Name rows of the plan."))
+    return [entry for entry in planned if not names or entry.name in names]
+
+
 def claims(reports: dict[str, ArmReport]) -> list[dict[str, Any]]:
     """Return the plan's claims with their verdict: estimate within the margin, bound within the margin and slack."""
     found = as_good(reports, CLAIMS)
@@ -93,7 +108,7 @@ def claims(reports: dict[str, ArmReport]) -> list[dict[str, Any]]:
 @command(LadderCommand)
 def main(config: LadderCommand) -> None:
     """Entry of ``python -m benchmarks.ladder``."""
-    planned = [(entry, configured(config, entry)) for entry in PARTS[config.part]]
+    planned = [(entry, configured(config, entry)) for entry in wanted(config)]
     configs = [part for _, parts in planned for part in parts]
     for entry, parts in planned:
         if not parts:

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.ladder.__main__ import LadderCommand, claims, configured, joined, main
+from benchmarks.ladder.__main__ import LadderCommand, claims, configured, joined, main, wanted
 from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, Entry
 from benchmarks.scene_blocks import BLOCKS
 from uniforce_cli.score_settings import ScoreConfig
+from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
 
 
@@ -36,6 +37,13 @@ def test_rows_wait_for_checkpoints_and_calibrations(tmp_path: Path) -> None:
     assert first.left_calibration == str(tmp_path / "maps" / "shipped" / "uskin-2") and second.left_sensor == "uskin:3"
     assert [Path(policy).name for policy in first.policies] == ["seed0", "seed1"]
     assert [*first.seeds, *second.seeds] == [*range(BLOCKS["swap ladder"].start, BLOCKS["swap ladder"].start + 204)]
+
+
+def test_rows_are_picked_by_name_in_the_plans_order() -> None:
+    assert [entry.name for entry in wanted(LadderCommand(rows="S1, S0"))] == ["S0", "S1"]
+    assert wanted(LadderCommand()) == list(PARTS["ladder"])
+    with pytest.raises(ContractError, match="S2 tactip"):
+        wanted(LadderCommand(rows="S0,S2 tactip"))
 
 
 def test_a_rows_parts_are_joined_and_counted_by_training_seed(tmp_path: Path) -> None:
