@@ -1,6 +1,5 @@
 """Screen the operators, roll them out, draw the page."""
 
-import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +9,17 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from benchmarks.scene_blocks import BLOCKS
+from benchmarks.stress.actors import Arm
+from benchmarks.stress.disturbed import SCENE_OPERATORS
 from benchmarks.stress.operators import OPERATORS, worn_with
-from benchmarks.stress.rollouts import Arm, cells_of, near_cliffs, roll_policies, roll_readers, summarise
+from benchmarks.stress.page import draw, one_table
+from benchmarks.stress.rollouts import cells_of, near_cliffs, roll, summarise
 from benchmarks.stress.screen import against, screen_cell
 from lerobot_env_uniforce_wiping import LEVELS, level_hash
-from uniforce_cli.boundary import Level, command, one_thread
-from uniforce_cli.score_settings import ScoreConfig
-from uniforce_vtla.options import Count, FilePath, FolderPath, OutFile, OutFolder, Policies, Seed, Text, Workers, split
+from uniforce_cli.boundary import Level, command, worker_process
+from uniforce_vtla.errors import ContractError
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.options import Count, FolderPath, OutFile, OutFolder, Policies, Seed, Text, Workers, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
@@ -24,29 +27,38 @@ from uniforce_vtla.tokenizer.force_head import ForceHead
 
 @dataclass
 class StressCommand:
-    """Ask of every operator and dose what would be read of a press of 6 N; then roll out what is near a cliff.
+    """Ask of every operator and dose what would be read of a press of 6 N; roll out what is near a cliff; draw it.
 
-    Example: python -m benchmarks.stress sensors=tactip:1,uskin:2
-    Then: python -m benchmarks.stress part=rollouts policy=arms/vt/seed0,arms/vt/seed1 rollouts=40
+    Example: python -m benchmarks.stress
+    Then: python -m benchmarks.stress part=rollouts policy=arms/vt/seed0,arms/vt/seed1 blind=arms/v/seed0
+    Then: python -m benchmarks.stress part=page out=docs/results/stress.json
     """
 
-    part: Literal["screen", "rollouts"] = "screen"
-    sensors: Text = "tactip:1,uskin:2"  # worn on the right finger, comma between them; rollouts: the policy's own first
+    part: Literal["screen", "rollouts", "page"] = "screen"
+    sensors: Text = "tactip:1,uskin:2"  # worn on the right finger, comma between them; the policy's own first
     level: Level = "touch"
     scenes: Count = 2  # screen: per cell
-    first_seed: Seed = 39_700  # screen: development scenes
     policy: Policies = "shipped"  # rollouts: checkpoint folders that take turns
+    blind: Text = ""  # rollouts: likewise, of a policy without touch; it acts where a scene's fault is
     calibrations: FolderPath = ""  # rollouts: of exchanged sensors, uskin-2 …; "" = they wear none
     rollouts: Count = 40  # scenes, the same for every cell
-    only: Text = ""  # rollouts: just these operators, comma between them
+    first_seed: Seed = 0  # 0 = screen: development scenes; rollouts: the benchmark's own block
+    only: Text = ""  # rollouts: just these operators, comma between them; "" = all
     workers: Workers = 2
-    work: OutFolder = "outputs/stress"  # episodes so far: run it again to go on
-    screened: FilePath = ""  # rollouts: the screen's result; "" = WORK/screen.json
-    out: OutFile = "outputs/stress/screen.json"
+    work: OutFolder = "outputs/stress"  # results of the parts; episodes so far: run it again to go on
+    out: OutFile = ""  # "" = WORK/PART.json
+
+    @property
+    def result(self) -> Path:
+        """Where the part's result goes."""
+        return Path(self.out or Path(self.work) / f"{self.part}.json")
+
+
+SCREENED_FROM = 39_700  # development scenes
 
 
 def _cell(level: str, words: str, first: int, scenes: int) -> dict[str, Any]:
-    one_thread()
+    worker_process()
     return screen_cell(
         level, words, range(first, first + scenes), Tokenizer.from_pretrained(), ForceHead.from_pretrained()
     )
@@ -60,7 +72,8 @@ def screen(config: StressCommand) -> dict[str, Any]:
             for dose in (operator.benign, *operator.doses):
                 if (words := worn_with(operator, sensor, dose)) is not None:
                     cells.append((sensor, name, dose, words))
-    jobs = [delayed(_cell)(config.level, words, config.first_seed, config.scenes) for *_, words in cells]
+    first = config.first_seed or SCREENED_FROM
+    jobs = [delayed(_cell)(config.level, words, first, config.scenes) for *_, words in cells]
     found = list(tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="cells"))
     usual = {sensor: cell for (sensor, name, *_), cell in zip(cells, found, strict=True) if name == "none"}
     rows: dict[str, Any] = {sensor: {"none": usual[sensor]} for sensor in usual}
@@ -71,26 +84,35 @@ def screen(config: StressCommand) -> dict[str, Any]:
     return rows
 
 
-def roll_out(config: StressCommand) -> dict[str, Any]:
-    """Return, per arm and for the experts that read its sensor, counts and breaking doses."""
-    screened = json.loads(Path(config.screened or Path(config.work) / "screen.json").read_text())["screened"]
-    seeds = range(BLOCKS["stress"].start, BLOCKS["stress"].start + config.rollouts)
-    usual = ScoreConfig(
-        policy=config.policy, level=config.level, rollouts=config.rollouts, first_seed=seeds.start, videos=0,
-        out=config.work,
-    )  # fmt: skip
-    found: dict[str, Any] = {}
-    for sensor in split(config.sensors):
-        near = near_cliffs(screened[sensor])
-        doses = {name: near[name] for name in split(config.only) or near}
+def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
+    """Return who acts, and which doses of which operators it meets. An operator stands first with its expert."""
+    screened = read_object(Path(config.work) / "screen.json", ContractError)["screened"]
+    policies, blind = tuple(split(config.policy)), tuple(split(config.blind))
+    scene = {name: list(operator.doses) for name, operator in SCENE_OPERATORS.items()}
+    found = []
+    for number, sensor in enumerate(split(config.sensors)):
         folder = Path(config.calibrations, sensor.replace(":", "-"))
         worn = str(folder) if config.calibrations and folder.is_dir() else ""
-        cells = cells_of(Arm(f"policy on {sensor}", sensor, worn), doses)
-        readers = cells_of(Arm(f"expert reads {sensor}", sensor), doses)
-        found[cells[0].name] = summarise(cells, roll_policies(cells, usual, config.workers))
-        path = Path(config.work) / "reading_experts.jsonl"
-        found[readers[0].name] = summarise(readers, roll_readers(readers, config.level, seeds, config.workers, path))
-    return found
+        doses = near_cliffs(screened[sensor]) | (scene if number == 0 else {})
+        of_sensor = {name: near for name, near in doses.items() if name in OPERATORS}
+        found.append((Arm(f"policy on {sensor}", sensor, "policy", policies, worn), doses))
+        found.append((Arm(f"expert reads {sensor}", sensor, "reads"), of_sensor))
+    found.append((Arm("expert", acts="expert"), scene))
+    if blind:
+        found.append((Arm("policy without touch", acts="policy", policies=blind), scene))
+    wanted = split(config.only)
+    return [(arm, {n: d for n, d in doses.items() if not wanted or n in wanted}) for arm, doses in found]
+
+
+def roll_out(config: StressCommand) -> dict[str, Any]:
+    """Return, per arm, counts and breaking doses."""
+    first = config.first_seed or BLOCKS["stress"].start
+    cells = {arm.name: cells_of(arm, doses) for arm, doses in arms(config)}
+    every = [cell for of_arm in cells.values() for cell in of_arm]
+    rows = roll(
+        every, config.level, range(first, first + config.rollouts), config.workers, Path(config.work) / "episodes.jsonl"
+    )
+    return {name: summarise(of_arm, rows) for name, of_arm in cells.items()}
 
 
 @command(StressCommand)
@@ -100,15 +122,14 @@ def main(config: StressCommand) -> None:
     if config.part == "screen":
         content["screened"] = rows = screen(config)
         _print_screen(rows)
+    elif config.part == "rollouts":
+        content["arms"] = found = roll_out(config)
+        _print_arms(found)
     else:
-        content["arms"] = arms = roll_out(config)
-        for name, operators in arms.items():
-            print(f"{name}: {operators['']['clean']} of {operators['']['n']} clean without a fault")
-            for operator, row in operators.items():
-                if operator:
-                    clean = "  ".join(f"{dose:g}: {k}" for dose, k in zip(row["doses"], row["clean"], strict=True))
-                    print(f"  {operator:20} benign {row['benign']}  {clean}  breaks at {row['breaking_dose']}")
-    print(f"written to {write_json(Path(config.out), content | provenance())}")
+        parts = [read_object(Path(config.work) / f"{name}.json", ContractError) for name in ("rollouts", "screen")]
+        content |= one_table(parts[0]["arms"], parts[1]["screened"])
+        draw(content, config.result.with_suffix(".png"))
+    print(f"written to {write_json(config.result, content | provenance())}")
 
 
 def _print_screen(rows: dict[str, Any]) -> None:
@@ -118,6 +139,15 @@ def _print_screen(rows: dict[str, Any]) -> None:
             if name != "none":
                 said = "  ".join(f"{cell['dose']:g}: {cell['press_error_N']:+.2f}" for cell in cells[1:])
                 print(f"  {name:20} [{OPERATORS[name].unit}] {said}")
+
+
+def _print_arms(found: dict[str, Any]) -> None:
+    for name, operators in found.items():
+        print(f"{name}: {operators['']['clean']} of {operators['']['n']} clean without a fault")
+        for operator, row in operators.items():
+            if operator:
+                clean = "  ".join(f"{dose:g}: {k}" for dose, k in zip(row["doses"], row["clean"], strict=True))
+                print(f"  {operator:30} benign {row['benign']}  {clean}  breaks at {row['breaking_dose']}")
 
 
 if __name__ == "__main__":

@@ -1,42 +1,26 @@
-"""Roll faults out: a policy and its swapped arm, the expert by the same readings, and the dose that must not matter.
+"""Roll faults out: paired scenes, each dose beside one that must not matter, and what the counts say.
 
-All arms of all cells act in the same scenes. The expert that reads the faulty sensor says what the reading alone costs,
-so that an impossible cell isn't blamed on the policy.
+All cells act in the same scenes. Each arm has its expert beside it: for a sensor's faults the one that reads the faulty
+sensor, for the scene's faults the one with the true wrench, so that an impossible cell isn't blamed on the policy.
 """
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-from benchmarks.stress.operators import OPERATORS, worn_with
-from benchmarks.stress.readings import ReadsWorn
-from lerobot_env_uniforce_wiping import WipeEnv
-from lerobot_env_uniforce_wiping.episodes import run_script
-from uniforce_cli.boundary import one_thread
-from uniforce_cli.score import score_arms
-from uniforce_cli.score_settings import ScoreConfig
-from uniforce_vtla.errors import SensorError
+from benchmarks.stress.actors import Arm, Row, play
+from benchmarks.stress.disturbed import SCENE_OPERATORS
+from benchmarks.stress.operators import OPERATORS, Operator, worn_with
 from uniforce_vtla.evaluation.statistics import non_inferior
-from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
 
 MARGIN = 0.10  # of clean success: what may be lost before a dose counts as breaking
 NEAR_N = (0.2, 4.0)  # a misread press between these is near a cliff; the level fails readings by 15 %, .9 N
-
-
-@dataclass(frozen=True)
-class Arm:
-    """What acts: a policy's checkpoints on a sensor, and that sensor's calibration."""
-
-    name: str
-    sensor: str  # worn right, in words
-    calibration: str = ""  # folder
+ALL_OPERATORS: dict[str, Operator] = {**OPERATORS, **SCENE_OPERATORS}
 
 
 @dataclass(frozen=True)
@@ -50,7 +34,8 @@ class Cell:
     @property
     def words(self) -> str:
         """What the right finger wears."""
-        worn = worn_with(OPERATORS[self.operator], self.arm.sensor, self.dose) if self.operator else self.arm.sensor
+        faulty = self.operator in OPERATORS
+        worn = worn_with(OPERATORS[self.operator], self.arm.sensor, self.dose) if faulty else self.arm.sensor
         assert worn is not None
         return worn
 
@@ -81,83 +66,87 @@ def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
     """Return an arm's cells: without a fault, each operator's benign dose, and the doses to roll out."""
     cells = [Cell(arm)]
     for name, wanted in doses.items():
-        if worn_with(OPERATORS[name], arm.sensor, OPERATORS[name].benign) is not None:
-            cells += [Cell(arm, name, dose) for dose in (OPERATORS[name].benign, *wanted)]
+        benign = ALL_OPERATORS[name].benign
+        if name in SCENE_OPERATORS or worn_with(OPERATORS[name], arm.sensor, benign) is not None:
+            cells += [Cell(arm, name, dose) for dose in (benign, *wanted)]
     return cells
 
 
-def roll_policies(cells: Sequence[Cell], usual: ScoreConfig, workers: int) -> dict[str, dict[int, bool]]:
-    """Return cell → scene → clean, of a policy; episodes of an earlier call are kept."""
-    configs = [
-        replace(usual, arm=cell.name, right_sensor=cell.words, right_calibration=cell.arm.calibration) for cell in cells
-    ]
-    reports = score_arms(configs, workers)
-    return {
-        cell.name: {row.seed: row.clean for row in report.rows} for cell, report in zip(cells, reports, strict=True)
-    }
-
-
-def roll_readers(
-    cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path
-) -> dict[str, dict[int, bool]]:
-    """Return cell → scene → clean, of the expert that reads the worn sensor; rows in ``path`` are kept."""
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-    done = {(row["cell"], row["seed"]) for row in rows}
+def roll(cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path) -> dict[str, dict[int, Row]]:
+    """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it."""
+    lines = path.read_text().splitlines() if path.is_file() else []
+    rows = [Row(**json.loads(line)) for line in lines]
+    done = {(row.cell, row.seed) for row in rows}
     jobs = [
-        delayed(_read_episode)(level, cell.name, cell.words, seed)
+        delayed(play)(cell.arm, level, cell.words, cell.operator, cell.dose, cell.name, seed, seeds.start)
         for seed in seeds
         for cell in cells
         if (cell.name, seed) not in done
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as file:
-        for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="reading experts"):
-            file.write(json.dumps(row) + "\n")
+        for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
+            file.write(json.dumps(asdict(row)) + "\n")
             file.flush()
             rows.append(row)
-    found: dict[str, dict[int, bool]] = {cell.name: {} for cell in cells}
+    return by_cell(rows, cells, seeds)
+
+
+def by_cell(rows: Iterable[Row], cells: Sequence[Cell], seeds: range) -> dict[str, dict[int, Row]]:
+    """Return cell → scene → row, of these cells and scenes alone."""
+    found: dict[str, dict[int, Row]] = {cell.name: {} for cell in cells}
     for row in rows:
-        if row["cell"] in found and row["seed"] in seeds:
-            found[row["cell"]][row["seed"]] = row["clean"]
+        if row.cell in found and row.seed in seeds:
+            found[row.cell][row.seed] = row
     return found
 
 
-def _read_episode(level: str, cell: str, words: str, seed: int) -> dict[str, Any]:
-    one_thread()
-    tokenizer, head = _reader()
-    env = WipeEnv(level, right_sensor=words, drawn=("right",))
-    try:
-        clean = run_script(env, ReadsWorn("right", tokenizer, head), seed).clean
-    except SensorError:  # the reference is refused: nothing is done, as on a robot
-        clean = False
-    return {"cell": cell, "seed": seed, "clean": bool(clean)}
-
-
-@cache
-def _reader() -> tuple[Tokenizer, ForceHead]:
-    return Tokenizer.from_pretrained(), ForceHead.from_pretrained()
-
-
-def summarise(cells: Sequence[Cell], clean: Mapping[str, Mapping[int, bool]]) -> dict[str, Any]:
+def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> dict[str, Any]:
     """Return, per operator of one arm, counts and the breaking dose: the first that loses more than the margin."""
-    usual = clean[cells[0].name]
-    found: dict[str, Any] = {"": {"n": len(usual), "clean": sum(usual.values())}}
+    usual = rows[cells[0].name]
+    found: dict[str, Any] = {"": counts(usual)}
     for name in dict.fromkeys(cell.operator for cell in cells[1:]):
         benign, *faulty = (cell for cell in cells if cell.operator == name)
-        rows = [_against(clean[cell.name], usual) for cell in faulty]
-        breaking = [cell.dose for cell, row in zip(faulty, rows, strict=True) if row["lower"] < -MARGIN]
+        lower = [_lower_bound(rows[cell.name], usual) for cell in faulty]
+        breaking = [cell.dose for cell, bound in zip(faulty, lower, strict=True) if bound < -MARGIN]
         found[name] = {
-            "unit": OPERATORS[name].unit,
+            "unit": ALL_OPERATORS[name].unit,
             "doses": [cell.dose for cell in faulty],
-            "clean": [row["clean"] for row in rows],
-            "lower_bound": [round(row["lower"], 3) for row in rows],
-            "benign": _against(clean[benign.name], usual)["clean"],
+            **{key: [counts(rows[cell.name])[key] for cell in faulty] for key in counts(usual)},
+            "lower_bound": [round(bound, 3) for bound in lower],
+            "benign": counts(rows[benign.name])["clean"],
             "breaking_dose": breaking[0] if breaking else None,
         }
     return found
 
 
-def _against(faulty: Mapping[int, bool], usual: Mapping[int, bool]) -> dict[str, Any]:
+def counts(rows: Mapping[int, Row]) -> dict[str, float]:
+    """Return how many episodes there are, how they ended, and the mean in-band share."""
+    found = list(rows.values())
+    return {
+        "n": len(found),
+        "clean": sum(row.clean for row in found),
+        "success": sum(row.outcome == "success" for row in found),
+        "slippage": sum(row.slippage for row in found),
+        "excess_force": sum(row.excess_force for row in found),
+        "in_band_share": round(sum(row.in_band_share for row in found) / max(len(found), 1), 3),
+    }
+
+
+def mean_corruption_error(arm: Mapping[str, Any], without_touch: Mapping[str, Any]) -> float | None:
+    """Return the mean over operators of an arm's failures over those of a policy without touch (ImageNet-C's mCE).
+
+    A sensor's fault doesn't reach a policy without touch: its failures without a fault stand there. None: no operator.
+    """
+    ratios = []
+    for name in filter(None, arm):
+        here = arm[name]
+        there = without_touch.get(name) or {key: [without_touch[""][key]] for key in ("n", "clean")}
+        failed, fails = (1 - sum(row["clean"]) / sum(row["n"]) for row in (here, there))
+        ratios.append(failed / max(fails, 1e-9))
+    return round(sum(ratios) / len(ratios), 3) if ratios else None
+
+
+def _lower_bound(faulty: Mapping[int, Row], usual: Mapping[int, Row]) -> float:
     seeds = sorted(faulty.keys() & usual.keys())
-    found = non_inferior([faulty[s] for s in seeds], [usual[s] for s in seeds], MARGIN)
-    return {"clean": sum(faulty.values()), "lower": found.lower}
+    return non_inferior([faulty[s].clean for s in seeds], [usual[s].clean for s in seeds], MARGIN).lower

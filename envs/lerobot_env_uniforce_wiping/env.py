@@ -128,9 +128,13 @@ class WipeEnv(gymnasium.Env):
         self.start(seed)
         return self.observe(), self._info()
 
+    def scene_of(self, seed: int) -> SceneParams:
+        """Return every number of the scene that ``start`` builds."""
+        return draw_scene(seed, self.level.name)
+
     def start(self, seed: int) -> None:
         """Build the scene of ``seed`` without observing it: the fast path's reset."""
-        scene = draw_scene(seed, self.level.name)
+        scene = self.scene_of(seed)
         self.worn = {finger: worn(seed) for finger, worn in self._wear.items()}
         stiffness = self.worn["left"].stiffness, self.worn["right"].stiffness
         self._sim = WipeSimulation(scene, self.sensors["left"], self.sensors["right"], stiffness=stiffness)

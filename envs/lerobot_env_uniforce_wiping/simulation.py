@@ -67,6 +67,7 @@ class WipeSimulation:
         self._place_arm()
         self.pads = {f: PadTruth(np.zeros(4, np.float32), 0.0) for f in FINGERS}
         self.press_N = self.slide_m = 0.0
+        self.push_N = np.zeros(3)  # on the hand, besides the scene's pull
         self._felt_before = self._felt_on_board()
 
     def _find_ids(self) -> None:
@@ -143,7 +144,7 @@ class WipeSimulation:
         """Advance 1/30 s, averaging touch over the step and wearing ink."""
         forces = {f: np.zeros(5) for f in FINGERS}  # fx, fy, fz, torsion, depth
         press = np.zeros(3)
-        self.data.xfrc_applied[self._hand, :3] = self._pull_N[self._steps % len(self._pull_N)]
+        self.data.xfrc_applied[self._hand, :3] = self._pull_N[self._steps % len(self._pull_N)] + self.push_N
         self._steps += 1
         for _ in range(READS):
             self._raise_board()

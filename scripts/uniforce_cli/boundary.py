@@ -23,6 +23,7 @@ from uniforce_vtla.sensors import list_sensors
 REFUSED, FAULT, STOPPED = 2, 70, 130
 DEBUG = "--debug"
 LONGEST_LINE = 600
+GROWN_bytes = 4_000_000_000  # a process of rollouts may grow by
 
 Verify = Literal["full", "quick", "off"]  # how files are checked: whole, sizes and samples, not at all
 # the environment's, which takes seconds to import; a test compares
@@ -94,6 +95,17 @@ def one_thread() -> None:
     threadpool_limits(1, user_api="blas")
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
+
+
+def worker_process() -> None:
+    """Compute on one thread, and keep what this process has built: checkpoints and rigs, 35 MB each.
+
+    joblib replaces a process that grew by .3 GB; importing and building then begin again. It has no public setting.
+    """
+    from joblib.externals.loky import process_executor
+
+    one_thread()
+    process_executor._MAX_MEMORY_LEAK_SIZE = GROWN_bytes
 
 
 def guarded(name: str, run: Callable[[], int]) -> int:

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import Script, walk
 from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
-from uniforce_cli.boundary import one_thread
+from uniforce_cli.boundary import worker_process
 from uniforce_cli.score_settings import Rig, ScoreConfig
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import ContractError, expected
@@ -72,7 +72,7 @@ class Job:
 
 def score_job(job: Job) -> tuple[int, EpisodeRow]:
     """Roll one episode out and return its row."""
-    one_thread()  # processes share the cores
+    worker_process()
     config, seed = job.config, job.seed
     env, controller = _build(config.policy_of(seed), config.rig, config.control, config.folder)
     film = seed < config.first_seed + config.videos or seed in config.film

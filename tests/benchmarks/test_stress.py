@@ -1,15 +1,22 @@
 """Stress: operators of the screen, and what is read of a faulty sensor."""
 
+import json
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
+from benchmarks.stress.actors import Arm, Row, play
+from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.operators import OPERATORS, worn_with
+from benchmarks.stress.page import draw, one_table, retention
 from benchmarks.stress.readings import ReadsWorn, read_scenes
-from benchmarks.stress.rollouts import Arm, cells_of, near_cliffs, roll_readers, summarise
+from benchmarks.stress.rollouts import cells_of, mean_corruption_error, near_cliffs, roll, summarise
 from benchmarks.stress.screen import against, screen_cell
-from lerobot_env_uniforce_wiping import WipeEnv
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
 from uniforce_vtla.contact.worn import wear
+from uniforce_vtla.evaluation.episode import WIPING_PHASE
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 
@@ -71,6 +78,10 @@ def test_doses_near_a_cliff_are_rolled_out_and_the_worst_where_there_is_none() -
     assert found == {"T1 lag": [67, 133], "T2 stall": [533], "H1 creep": [533]}
 
 
+def row(cell: str, seed: int, clean: bool) -> Row:
+    return Row(cell, seed, clean, "success" if clean else "residual", 0.9, False, False)
+
+
 def test_the_first_dose_that_loses_more_than_the_margin_breaks() -> None:
     cells = cells_of(Arm("me", "uskin:2"), {"T1 lag": [33, 533], "M2 flicker": [0.1]})
     assert [cell.name for cell in cells] == [
@@ -79,17 +90,73 @@ def test_the_first_dose_that_loses_more_than_the_margin_breaks() -> None:
         "me, T1 lag 33",
         "me, T1 lag 533",
     ]  # taxels: no flicker
-    scenes = range(40)
-    clean = {cell.name: dict.fromkeys(scenes, True) for cell in cells}
-    clean["me, T1 lag 533"] |= dict.fromkeys(range(10), False)
-    found = summarise(cells, clean)
-    assert found[""] == {"n": 40, "clean": 40}
-    row = found["T1 lag"]
-    assert (row["clean"], row["benign"], row["breaking_dose"]) == ([40, 30], 40, 533)
+    rows = {cell.name: {seed: row(cell.name, seed, True) for seed in range(40)} for cell in cells}
+    rows["me, T1 lag 533"] |= {seed: row("", seed, False) for seed in range(10)}
+    found = summarise(cells, rows)
+    assert (found[""]["n"], found[""]["clean"]) == (40, 40)
+    lag = found["T1 lag"]
+    assert (lag["clean"], lag["benign"], lag["breaking_dose"]) == ([40, 30], 40, 533)
 
 
-def test_episodes_of_the_reading_expert_are_kept(tmp_path) -> None:
-    cells = cells_of(Arm("reads", "uskin:2"), {})
+def test_episodes_are_kept(tmp_path) -> None:
+    cells = cells_of(Arm("expert", acts="expert"), {})
     path = tmp_path / "rows.jsonl"
-    path.write_text('{"cell": "reads", "seed": 7, "clean": true}\n')
-    assert roll_readers(cells, "touch", range(7, 8), 1, path) == {"reads": {7: True}}
+    kept = row("expert", 7, True)
+    path.write_text(json.dumps(asdict(kept)) + "\n")
+    assert roll(cells, "touch", range(7, 8), 1, path) == {"expert": {7: kept}}
+
+
+def arms() -> dict:
+    def found(clean: list[int], benign: int) -> dict:
+        return {"unit": "ms", "doses": [33, 67], "clean": clean, "n": [40, 40], "benign": benign, "breaking_dose": None}
+
+    usual = {"n": 40, "clean": 40}
+    return {
+        "policy on tactip:1": {"": usual, "T1 lag": found([40, 30], 40), "P2 pushed arm": found([20, 10], 40)},
+        "expert reads tactip:1": {"": usual, "T1 lag": found([40, 40], 40)},
+        "expert": {"": usual, "P2 pushed arm": found([39, 38], 40)},
+        "policy without touch": {"": {"n": 40, "clean": 20}, "P2 pushed arm": found([8, 0], 20)},
+    }
+
+
+def test_the_table_puts_the_right_expert_beside_each_operator(tmp_path) -> None:
+    table = one_table(arms(), {})
+    operators = table["operators"]
+    assert operators["T1 lag"]["expert"] == [40, 40] and operators["P2 pushed arm"]["expert"] == [39, 38]
+    assert "policy without touch" not in operators["T1 lag"]
+    # 10 of 80 failed where the policy without touch fails 20 of 40; 50 of 80 where it fails 72 of 80
+    assert table["mce"] == pytest.approx((0.125 / 0.5 + 0.625 / 0.9) / 2, abs=1e-3)
+    assert mean_corruption_error({"": {}}, {}) is None
+    assert retention(operators["T1 lag"], {"clean": 20, "n": 40}).tolist() == [1.0, 1.0]
+    assert draw(table, tmp_path / "page.png").stat().st_size > 5000
+
+
+def test_every_disturbance_changes_its_episode_and_its_benign_dose_does_not() -> None:
+    def felt(disturbance: Disturbance) -> list:
+        env = DisturbedEnv(disturbance, "touch", drawn=())
+        env.start(39_700)
+        for _ in range(70):  # past the first push
+            env.advance(np.array([0.45, -0.17, 0.05, 0.0, 0.05]))
+        return [env.state.tolist(), env.task, repr(env.scene)]
+
+    usual = felt(Disturbance())
+    for name, operator in SCENE_OPERATORS.items():
+        assert felt(operator.disturb(operator.benign)) == usual or name.startswith("X1"), name
+        assert felt(operator.disturb(operator.doses[0])) != usual or name.startswith("X1"), name
+
+
+def test_a_unit_is_exchanged_once_the_board_is_wiped() -> None:
+    env, expert = DisturbedEnv(Disturbance(exchanged="tactip:4"), "touch", drawn=("right",)), WipeExpert()
+    references = []
+    for step, _ in enumerate(walk(env, expert, 39_700)):
+        if step % 20 == 0:
+            references.append((env.phase, env.marker_pair("right")[0].copy()))
+    wiping = [image for phase, image in references if phase == WIPING_PHASE]
+    assert all((image == references[0][1]).all() for phase, image in references if phase < WIPING_PHASE)
+    assert (wiping[-1] != references[0][1]).any()
+
+
+def test_a_refused_reference_is_an_aborted_episode() -> None:
+    arm = Arm("expert reads tactip:1", acts="reads")
+    found = play(arm, "touch", "tactip:1+flicker=0.9", "M2 flicker", 0.9, "cell", 39_700, 39_700)
+    assert found.outcome == "aborted" and found.cell == "cell"

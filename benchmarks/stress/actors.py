@@ -1,0 +1,91 @@
+"""Who acts in a cell: a policy, the expert by the true wrench, or the expert by what a worn sensor is read as."""
+
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Literal
+
+import torch
+
+from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
+from benchmarks.stress.readings import ReadsWorn
+from lerobot_env_uniforce_wiping import WipeExpert
+from lerobot_env_uniforce_wiping.episodes import run_script
+from lerobot_policy_pi05_uniforce.controller import PolicyController
+from uniforce_cli.boundary import worker_process
+from uniforce_cli.score_settings import Rig
+from uniforce_cli.score_worker import policy_on_rig
+from uniforce_vtla.errors import SensorError
+from uniforce_vtla.evaluation.arms import whose_turn
+from uniforce_vtla.evaluation.episode import EpisodeResult
+from uniforce_vtla.evaluation.rollout import roll_out
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.force_head import ForceHead
+
+
+@dataclass(frozen=True)
+class Arm:
+    """What acts, and what its right finger wears."""
+
+    name: str
+    sensor: str = "tactip:1"  # in words
+    acts: Literal["policy", "expert", "reads"] = "policy"  # expert: by the true wrench; reads: by the worn sensor
+    policies: tuple[str, ...] = ()  # checkpoint folders that take turns
+    calibration: str = ""  # folder; of a policy's sensor
+
+
+@dataclass(frozen=True)
+class Row:
+    """One episode of a cell."""
+
+    cell: str
+    seed: int
+    clean: bool
+    outcome: str
+    in_band_share: float
+    slippage: bool
+    excess_force: bool
+
+
+def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str, seed: int, first: int) -> Row:
+    """Let an arm act in one scene with a sensor in words, under an operator of the scene if it is one.
+
+    What a refused sensor stops counts as aborted.
+    """
+    worker_process()
+    torch.manual_seed(seed)
+    of_scene = SCENE_OPERATORS.get(operator)
+    disturbance = of_scene.disturb(dose) if of_scene else Disturbance()
+    act = {"policy": _policy, "expert": _expert, "reads": _reads}[arm.acts]
+    try:
+        result = act(arm, level, words, disturbance, seed, first)
+    except SensorError:  # the reference is refused: nothing is done, as on a robot
+        return Row(cell, seed, False, "aborted", 0.0, False, False)
+    share = float(result.metrics.get("in_band_share", 0.0))
+    return Row(cell, seed, bool(result.clean), result.outcome, share, bool(result.slippage), bool(result.excess_force))
+
+
+def _policy(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
+    rig = Rig(level, right_sensor=words, right_calibration=arm.calibration)
+    controller = _controller(whose_turn(seed - first, arm.policies), rig)
+    worn = (rig.mounted["left"], rig.mounted["right"])
+    env = DisturbedEnv(disturbance, level, *worn, drawn=controller.reads, expose_wrench=controller.needs_true_wrench)
+    return roll_out(env, controller, seed).result
+
+
+@lru_cache(maxsize=64)
+def _controller(policy: str, rig: Rig) -> PolicyController:
+    return policy_on_rig(policy, rig)[1]
+
+
+def _expert(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
+    return run_script(DisturbedEnv(disturbance, level, right_sensor=words, drawn=()), WipeExpert(), seed)
+
+
+def _reads(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
+    env = DisturbedEnv(disturbance, level, right_sensor=words, drawn=("right",))
+    return run_script(env, ReadsWorn("right", *_reader()), seed)
+
+
+@cache
+def _reader() -> tuple[Tokenizer, ForceHead]:
+    return Tokenizer.from_pretrained(), ForceHead.from_pretrained()

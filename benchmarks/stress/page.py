@@ -1,0 +1,72 @@
+"""One table and one picture: how much of its clean success an arm keeps under each operator and dose."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.stress.disturbed import SCENE_OPERATORS
+from benchmarks.stress.rollouts import mean_corruption_error
+from uniforce_vtla.figure_file import save_figure
+
+Arms = Mapping[str, Mapping[str, Any]]  # arm → operator → row of ``summarise``
+
+
+def one_table(arms: Arms, screened: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the form of stress.json: what was rolled out, operator by operator, and what was only screened."""
+    policies = [name for name in arms if name.startswith("policy on ")]
+    own = policies[0]
+    blind = arms.get("policy without touch", {})
+    operators = {}
+    for name in (name for name in arms[own] if name):
+        reader = "expert" if name in SCENE_OPERATORS else own.replace("policy on", "expert reads")
+        row = dict(arms[own][name]) | {
+            "expert": arms[reader][name]["clean"],
+            "expert_benign": arms[reader][name]["benign"],
+        }
+        for other in policies[1:]:
+            if name in arms[other]:
+                row[other] = arms[other][name]
+        if name in blind:
+            row["policy without touch"] = blind[name]["clean"]
+        operators[name] = row
+    return {
+        "clean_without_fault": {name: {key: found[""][key] for key in ("clean", "n")} for name, found in arms.items()},
+        "operators": operators,
+        "mce": mean_corruption_error(arms[own], blind) if blind else None,
+        "screened": screened,
+    }
+
+
+def retention(row: Mapping[str, Any], usual: Mapping[str, Any]) -> np.ndarray:
+    """Return clean under each dose over clean without a fault, at most 1."""
+    share = np.array(row["clean"]) / np.maximum(row["n"], 1)
+    return np.minimum(share / max(usual["clean"] / usual["n"], 1e-9), 1.0)
+
+
+def draw(table: Mapping[str, Any], path: Path) -> Path:
+    """Draw a row per operator that was rolled out, doses mild to severe, each with clean of n."""
+    operators, usual = table["operators"], table["clean_without_fault"]
+    own = next(iter(usual))
+    columns = max(len(row["doses"]) for row in operators.values())
+    kept = np.full((len(operators), columns), np.nan)
+    for index, row in enumerate(operators.values()):
+        kept[index, : len(row["doses"])] = retention(row, usual[own])
+    figure = Figure(figsize=(2.2 + 1.6 * columns, 1.2 + 0.42 * len(operators)), layout="constrained")
+    axes = figure.subplots()
+    image = axes.imshow(kept, vmin=0, vmax=1, cmap="RdYlGn", aspect="auto")
+    for index, row in enumerate(operators.values()):
+        for column, dose in enumerate(row["doses"]):
+            said = f"{dose:g} {row['unit']}\n{row['clean'][column]}/{row['n'][column]}, expert {row['expert'][column]}"
+            axes.text(column, index, said, ha="center", va="center", fontsize=7)
+    axes.set_yticks(range(len(operators)), list(operators), fontsize=8)
+    axes.set_xticks([])
+    axes.set_xlabel("doses that were rolled out, mild to severe")
+    clean = usual[own]
+    axes.set_title(
+        f"{own}: clean under a fault over clean without ({clean['clean']}/{clean['n']}), simulated", fontsize=9
+    )
+    figure.colorbar(image, label="kept")
+    return save_figure(figure, path)
