@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.ladder import report as report_of
 from benchmarks.ladder.__main__ import LadderCommand, claims, configured, joined, main, wanted
 from benchmarks.ladder.plan import BETTER, CLAIMS, PARTS, Entry
 from benchmarks.scene_blocks import BLOCKS
@@ -85,3 +86,22 @@ def test_the_expert_alone_is_scored_and_the_rest_is_named(tmp_path: Path, capsys
     assert "not scored: V+T" in capsys.readouterr().out
     assert json.loads((tmp_path / "arms.json").read_text())["rows"]["expert"]["clean"] == 1
     assert main(["part=ladder", f"checkpoints={tmp_path}", f"work={tmp_path / 'work'}"]) == 2
+
+
+def part_of(part: str, level_hash: str = "a", **counts: int) -> dict:
+    rows = {name: {"n": n, "clean": n, "clean_by_training_seed": ["1/1"] * 3} for name, n in counts.items()}
+    return {"part": part, "level": "touch", "level_hash": level_hash, "rows": rows, "within": [part], "better": []}
+
+
+def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> None:
+    ladder, arms = part_of("ladder", **{"S2 uskin": 204}), part_of("arms", **{"V": 204, "V+T masked": 102})
+    found = report_of.joined([ladder, arms])
+    assert list(found["ladder"]) == ["S2_uskin"] and list(found["arms"]) == ["V"]
+    assert list(found["side_arms"]) == ["V+T masked"] and found["training_seeds"] == 3
+    assert found["within"] == ["ladder", "arms"]
+    with pytest.raises(ContractError, match="level of the parts"):
+        report_of.joined([ladder, part_of("arms", level_hash="b")])
+    file = tmp_path / "ladder.json"
+    file.write_text(json.dumps(ladder))
+    assert report_of.main([f"parts={file}", f"out={tmp_path / 'wiping.json'}"]) == 0
+    assert json.loads((tmp_path / "wiping.json").read_text())["ladder"]["S2_uskin"]["n"] == 204

@@ -1,0 +1,67 @@
+"""Join the scored parts of the plan into one ``wiping.json``: the ladder, its controls, arms, claims and tests."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from uniforce_cli.boundary import command
+from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.options import OutFile, Text, split
+from uniforce_vtla.results_file import provenance, write_json
+
+CLAIMABLE = 200  # an arm of fewer rollouts stands aside: no claim rests on it
+SECTIONS = {"ladder": "ladder", "left_out": "ladder", "controls": "ladder_controls", "arms": "arms"}
+SAME = ("level", "level_hash")
+
+
+@dataclass
+class ReportCommand:
+    """Write docs/results/wiping.json from what `python -m benchmarks.ladder` wrote part by part.
+
+    Example: python -m benchmarks.ladder.report parts=outputs/ladder.json,outputs/arms.json out=docs/results/wiping.json
+    """
+
+    parts: Text = "outputs/ladder.json"  # result files, comma between them
+    out: OutFile = "outputs/wiping.json"
+
+
+def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the content of ``wiping.json``: rows under their section, the claims and tests of all parts.
+
+    Raises:
+        ContractError: parts of different levels.
+    """
+    first = parts[0]
+    for part in parts[1:]:
+        if came := {key: part[key] for key in SAME if part[key] != first[key]}:
+            wanted = {key: first[key] for key in came}
+            raise ContractError(expected("level of the parts", wanted, came, "Score them on one level."))
+    found: dict[str, Any] = {key: first[key] for key in SAME}
+    rows = [row for part in parts for row in part["rows"].values()]
+    found["training_seeds"] = max(len(row["clean_by_training_seed"]) for row in rows)
+    found |= {"arms": {}, "side_arms": {}, "ladder": {}, "ladder_controls": {}, "within": [], "tests": []}
+    for part in parts:
+        section = SECTIONS[part["part"]]
+        for name, row in part["rows"].items():
+            aside = section == "arms" and row["n"] < CLAIMABLE
+            key = name.replace(" ", "_") if section == "ladder" else name
+            found["side_arms" if aside else section][key] = row
+        found["within"] += part["within"]
+        found["tests"] += part["better"]
+    return found
+
+
+@command(ReportCommand)
+def main(config: ReportCommand) -> None:
+    """Entry of ``python -m benchmarks.ladder.report``."""
+    content = joined([read_object(Path(part), ContractError) for part in split(config.parts)])
+    path = write_json(Path(config.out), content | provenance())
+    rows = sum(len(content[section]) for section in ("arms", "side_arms", "ladder", "ladder_controls"))
+    print(f"{rows} rows written to {path}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
