@@ -1,0 +1,36 @@
+"""The notebook of docs/ runs as a notebook does: in a kernel of its own, from the first cell to the last."""
+
+import base64
+from pathlib import Path
+
+import cv2
+import jupytext
+import numpy as np
+import pytest
+from nbclient import NotebookClient
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "docs" / "notebooks").glob("*.py"))
+SHOWS = "plt.show()"
+
+
+def pictures(cell: dict) -> list[np.ndarray]:
+    """Return what a cell shows, (H, W, 3) uint8 each."""
+    encoded = [out["data"]["image/png"] for out in cell["outputs"] if "image/png" in out.get("data", {})]
+    return [cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR) for text in encoded]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_every_cell_runs_and_shows_its_picture(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # else the kernel draws where nobody looks
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    notebook = jupytext.read(path)
+    NotebookClient(notebook, timeout=240).execute()  # raises CellExecutionError where a cell fails
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.execution_count for cell in code)
+    showing = [cell for cell in code if SHOWS in cell.source]
+    assert showing
+    for cell in showing:
+        shown = pictures(cell)
+        assert shown, f"no picture: {cell.source}"
+        assert all(picture.std() > 10 for picture in shown)  # not blank
