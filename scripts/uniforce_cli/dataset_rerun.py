@@ -1,6 +1,6 @@
 """A recorded episode for the rerun viewer: every stream on one time line, in one .rrd file."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -8,15 +8,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from uniforce_cli.recorded_episode import cameras, frames, marker_images, raw_touch
+from uniforce_cli.episode_films import encoded, streams
+from uniforce_cli.recorded_episode import cameras
 from uniforce_datasets.source import Episode, Source
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
 
 TIME = "time"
 AXES = ("fx", "fy", "fz")
-JPEG_QUALITY = 85  # of scene cameras and raw tactile frames
-HEAT_PX = 16  # a patch's side in a heat map, so that the viewer has something to show
+JPEG = (".jpg", "image/jpeg", cv2.IMWRITE_JPEG_QUALITY, 85)  # for scene cameras and raw tactile frames
+PNG = (".png", "image/png")
 
 
 def write_recording(rerun: ModuleType, summary: EpisodeSummary, source: Source, episode: Episode, path: Path) -> Path:
@@ -26,9 +27,10 @@ def write_recording(rerun: ModuleType, summary: EpisodeSummary, source: Source, 
     with rerun.RecordingStream("uniforce show", recording_id=path.stem) as recording:
         recording.save(path, default_blueprint=_layout(rerun, summary, cameras(source)))
         recording.log("events", rerun.TextDocument("\n".join(["estimated:", *summary.verdict])), static=True)
-        for name, pictures, ending in _pictures(summary, source, episode):
-            blobs = [_encoded(picture, ending) for picture in pictures]
-            kinds = [f"image/{'jpeg' if ending == '.jpg' else 'png'}"] * len(blobs)
+        for name, pictures in streams(summary, source, episode):
+            ending, kind, *options = JPEG if name.startswith(("camera", "raw")) else PNG
+            blobs = [encoded(picture, ending, *options) for picture in pictures]
+            kinds = [kind] * len(blobs)
             recording.send_columns(name, [at], rerun.EncodedImage.columns(blob=blobs, media_type=kinds))
         for name, values in traces(summary).items():
             recording.send_columns(name, [at], rerun.Scalars.columns(scalars=np.ascontiguousarray(values)))
@@ -36,21 +38,6 @@ def write_recording(rerun: ModuleType, summary: EpisodeSummary, source: Source, 
             recording.set_time(TIME, duration=summary.time_s[frame])
             recording.log("log", rerun.TextLog(text, level=level))
     return path
-
-
-def _pictures(
-    summary: EpisodeSummary, source: Source, episode: Episode
-) -> Iterator[tuple[str, Iterable[np.ndarray], str]]:
-    """Yield the path, frames and file ending of every stream of pictures."""
-    for name, key in cameras(source).items():
-        yield f"camera/{name}", frames(source, episode, key), ".jpg"
-    for finger in FINGERS:
-        if (raw := raw_touch(source, episode, finger)) is not None:
-            yield f"raw/{finger}", raw, ".jpg"
-        yield f"markers/{finger}", marker_images(source, episode, finger)[1], ".png"
-        strength = summary.strength(finger)
-        scale = 255 / max(float(strength.max()), 1e-6)
-        yield f"latent/{finger}", (_heat(frame * scale) for frame in strength), ".png"
 
 
 def _notes(summary: EpisodeSummary) -> Iterator[tuple[int, str, str]]:
@@ -89,14 +76,3 @@ def _layout(rerun: ModuleType, summary: EpisodeSummary, seen: dict[str, str]) ->
     texts = view.Horizontal(view.TextDocumentView(origin="events"), view.TextLogView(origin="log"))
     lines = (view.TimeSeriesView(origin=path, name=path) for path in plots)
     return view.Blueprint(view.Horizontal(view.Vertical(*pictures), view.Vertical(*lines, texts)))
-
-
-def _heat(strength: np.ndarray) -> np.ndarray:
-    large = np.kron(np.clip(strength, 0, 255).astype(np.uint8), np.ones((HEAT_PX, HEAT_PX), np.uint8))
-    return cv2.cvtColor(cv2.applyColorMap(large, cv2.COLORMAP_MAGMA), cv2.COLOR_BGR2RGB)
-
-
-def _encoded(picture: np.ndarray, ending: str) -> bytes:
-    image = cv2.cvtColor(picture, cv2.COLOR_RGB2BGR) if picture.ndim == 3 else picture
-    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if ending == ".jpg" else []
-    return cv2.imencode(ending, image, options)[1].tobytes()

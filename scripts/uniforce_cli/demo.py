@@ -103,9 +103,10 @@ def run(config: DemoConfig) -> None:
     start, out = time.perf_counter(), Path(config.out)
     _start_over(out)
     with logged(out / LOG) as say:
-        page = _steps(config, out, say)
+        page, episode = _steps(config, out, say)
         minutes = (time.perf_counter() - start) / 60
         say(f"\nDone in {minutes:.1f} minutes (n = {config.rollouts}: smoke, no claim).")
+        say(f"  look at it     {episode}   (a demo with a slider: open it in a browser)")
         say(f"  picture page   {page}")
         say(f"  video          {next(out.glob('score/VT_*/seed_*.mp4'))}")
         say(f"  demos          {out / 'demos'}   (LeRobot v3 dataset)")
@@ -114,10 +115,10 @@ def run(config: DemoConfig) -> None:
         say(f"  log            {out / LOG}")
 
 
-def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
-    """Run every stage; return the picture page's path."""
+def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> tuple[Path, Path]:
+    """Run every stage; return the paths of the picture page and of the first demo's page."""
     say(f"\n[1/5] recording {config.episodes} demos with the scripted expert (GelSight left, TacTip right)")
-    from uniforce_cli import demo_page, lerobot_training, record, score, view
+    from uniforce_cli import demo_page, lerobot_training, record, score, show, view
     from uniforce_vtla.evaluation.arms import table
 
     recording = record.RecordConfig(
@@ -142,8 +143,9 @@ def _steps(config: DemoConfig, out: Path, say: Callable[[str], None]) -> Path:
     arms = {report.arm: report.as_dict() for report in reports}
     content = {"level": config.level, "label": "smoke, no claim", "arms": arms}
     write_json(out / "wiping.json", content | provenance())
+    (episode,) = show.show_dataset(show.ShowDatasetConfig(root=str(out / "demos"), out=str(out / "show")))
     say(table(reports))
-    return page
+    return page, episode
 
 
 def _train_arguments(config: DemoConfig, out: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""Look at recorded episodes: a page of pictures for any browser, or a recording for the rerun viewer."""
+"""Look at recorded episodes: a page with a slider for any browser, or a recording for the rerun viewer."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class ShowDatasetConfig:
 
     root: Dataset = "outputs/demos"  # recorded dataset, from a robot or from the simulator
     episode: Episodes = "0"  # numbers, comma between them; all = every one
-    out: OutFolder = "outputs/show"  # a page with its pictures, or an .rrd file, for each episode
-    form: Literal["sheet", "rerun"] = "sheet"  # sheet = HTML and PNG | rerun = .rrd (needs rerun-sdk)
+    out: OutFolder = "outputs/show"  # a page, which holds its pictures, or an .rrd file, for each episode
+    form: Literal["sheet", "rerun"] = "sheet"  # sheet = HTML with a slider, PNG | rerun = .rrd (needs rerun-sdk)
     spawn: bool = False  # open the rerun viewer on what was written (it listens on loopback only)
     pad_friction: Numbers = ""  # left,right: pull slowly until the object slides; empty = slippage isn't judged
     head: Head = ""  # reads newtons from the latents; empty = descriptor heads, as for scores
@@ -57,6 +57,7 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
 
     from uniforce_cli.dataset_rerun import write_recording
     from uniforce_cli.dataset_sheet import write_sheet
+    from uniforce_cli.episode_films import read_films
     from uniforce_cli.recorded_episode import RecordingForces, summarise_episode
     from uniforce_vtla.tokenizer import Tokenizer
 
@@ -73,7 +74,8 @@ def show_dataset(config: ShowDatasetConfig) -> list[Path]:
         summary = summarise_episode(recording, tokenizer, episode, friction, title)
         facts = _facts(recording.source, episode, config)
         if rerun is None:
-            written.append(write_sheet(summary, facts, out, stem))
+            films = read_films(summary, recording.source, episode)
+            written.append(write_sheet(summary, films, facts, out, stem))
         else:
             written.append(write_recording(rerun, summary, recording.source, episode, out / f"{stem}.rrd"))
         content = _numbers(summary, facts) | {"tokenizer_hash": tokenizer.hash}

@@ -55,6 +55,8 @@ def test_the_smallest_demo_prints_less_than_forty_lines(tmp_path: Path, capfd: p
     assert len((said + warned).splitlines()) <= 40
     assert "| V+U |" in said and "Done in" in said and str(out / demo.LOG) in said
     assert "Creating policy" in (out / demo.LOG).read_text()  # LeRobot's own words
+    page = out / "show" / "episode_0.html"
+    assert page.is_file() and str(page) in said
     assert (out / "page.png").is_file() and (out / "wiping.json").is_file()
 
 

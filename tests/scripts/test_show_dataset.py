@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import sys
+import time
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from unittest.mock import MagicMock
@@ -11,9 +14,11 @@ from unittest.mock import MagicMock
 import cv2
 import numpy as np
 import pytest
+from headless_browser import Page, find_browser, open_browser
 
 from uniforce_cli.dataset_rerun import traces
 from uniforce_cli.dataset_sheet import write_sheet
+from uniforce_cli.episode_films import Films, encoded
 from uniforce_cli.recorded_episode import (
     EpisodeForces,
     RecordingForces,
@@ -45,24 +50,27 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Sources(HTMLParser):
-    """Collects what a page points at."""
+    """Collects what a page points at, and its tags."""
 
     def __init__(self) -> None:
         super().__init__()
         self.found: list[str] = []
+        self.tags: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
         self.found += [value for name, value in attrs if name in ("src", "href") and value]
 
 
-def test_a_page_shows_every_picture_beside_it(recorded: Path, tmp_path: Path) -> None:
+def test_a_page_holds_its_pictures(recorded: Path, tmp_path: Path) -> None:
     assert main([f"root={recorded}", "episode=1", f"out={tmp_path}"]) == 0
     page = (tmp_path / "episode_1.html").read_text()
     parser = Sources()
     parser.feed(page)
     assert len(parser.found) == 3  # and nothing from a network
-    for name in parser.found:
-        picture = cv2.imread(str(tmp_path / name))
+    for source in parser.found:
+        encoded = source.removeprefix("data:image/png;base64,")
+        picture = cv2.imdecode(np.frombuffer(base64.b64decode(encoded, validate=True), np.uint8), cv2.IMREAD_COLOR)
         assert picture is not None and picture.std() > 10
     assert "wipe the dots" in page and "tactip" in page and "Estimated" in page
     content = json.loads((tmp_path / "episode_1.json").read_text())
@@ -173,11 +181,92 @@ def test_key_frames_and_stretches_are_where_things_happen() -> None:
     assert "mean press > 10 N" in summary.verdict and not summary.true_verdict
 
 
+def films_of(frames: int, name: str = "camera/front") -> Films:
+    """Return one stream that brightens, a picture for each tenth frame."""
+    shown = tuple(range(0, frames, 10))
+    greys = (np.full((24, 24, 3), 250 * number // frames, np.uint8) for number in shown)
+    return Films(shown, {name: tuple(encoded(grey, ".webp") for grey in greys)})
+
+
+def made_up_page(folder: Path, title: str = "made up", camera: str = "camera/front") -> Path:
+    summary = summary_of(title)
+    return write_sheet(summary, films_of(len(summary.time_s), camera), {"task": "<img src=http://x>"}, folder, "e")
+
+
 def test_what_a_dataset_says_of_itself_is_text_never_html(tmp_path: Path) -> None:
-    page = write_sheet(summary_of("<script>x</script>"), {"task": "<img src=http://x>"}, tmp_path, "e")
+    hostile = "</script><script>x</script>"
     parser = Sources()
-    parser.feed(page.read_text())
-    assert all("/" not in name for name in parser.found) and "<script>" not in page.read_text()
+    parser.feed(made_up_page(tmp_path, hostile, f'camera/"{hostile}').read_text())
+    assert all(source.startswith("data:image/png;base64,") for source in parser.found)
+    assert parser.tags.count("script") == 2  # the data and the page's own
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    executable = find_browser()
+    if executable is None:
+        pytest.skip("no Chromium on this machine: the page isn't tried in a browser")
+    with open_browser(executable, tmp_path_factory.mktemp("profile")) as page:
+        yield page
+
+
+LOADED = "Promise.all([...document.images].map(i => i.decode().then(() => i.naturalWidth)))"
+ROW = "[...document.getElementById('{}').cells].map(cell => cell.textContent)"
+
+
+def seen(page: Page) -> dict[str, object]:
+    """Return what the page shows now that the slider may change."""
+    found = dict(page.read("[...document.querySelectorAll('#films img')].map(i => [i.id, i.src])"))
+    found |= {row: page.read(ROW.format(row)) for row in ("estimate", "true")}
+    found |= {name: page.read(f"document.getElementById('{name}').textContent") for name in ("time", "number")}
+    return found | {"cursor": page.read("document.getElementById('cursor').getBoundingClientRect().left")}
+
+
+def test_the_slider_moves_pictures_numbers_time_and_the_line_in_the_plots(recorded, tmp_path, browser: Page) -> None:
+    assert main([f"root={recorded}", "episode=1", f"out={tmp_path}"]) == 0
+    browser.open(tmp_path / "episode_1.html", width=1280, height=800)
+    assert all(width > 0 for width in browser.read(LOADED))
+    start = seen(browser)
+    assert {"camera/front", "camera/wrist", "markers/left", "latent/right"} <= start.keys()
+    assert (start["time"], start["number"]) == ("0.00 s", f"frame 0 of {FRAMES - 1}")
+    browser.read("document.getElementById('frame').focus()")
+    browser.press("ArrowRight", times=FRAMES - 1)
+    end = seen(browser)
+    assert (end["time"], end["number"]) == ("0.23 s", f"frame {FRAMES - 1} of {FRAMES - 1}")
+    assert all(start[what] != end[what] for what in start), "something stood still"
+    assert all(width > 0 for width in browser.read(LOADED))
+    assert browser.read("document.documentElement.scrollWidth") <= 1280
+    assert not browser.complaints
+
+
+def test_events_and_plots_move_the_slider_and_the_press_is_told_from_its_band(tmp_path, browser: Page) -> None:
+    browser.open(made_up_page(tmp_path, "<b>made up</b>"), width=1280, height=800)
+    assert browser.read("document.title") == "<b>made up</b>"
+    press = "[document.getElementById('press').textContent, document.getElementById('press').className]"
+    time_s = "parseFloat(document.getElementById('time').textContent)"
+    assert browser.read(press) == ["not pressing", "none"]
+    browser.click("button.beyond")
+    assert browser.read(time_s) == 4.0 and browser.read(press) == ["press above 4 to 8 N", "outside"]
+    assert browser.read("document.querySelectorAll('[aria-pressed=true]').length") > 0
+    browser.click("#plot", 0.999)
+    assert browser.read(time_s) == pytest.approx(6.0, abs=0.05)
+    browser.click("#plot", 0.5)
+    middle = browser.read(time_s)
+    assert 2.0 < middle < 5.0
+    browser.click("#play")
+    end = time.monotonic() + 30
+    while browser.read(time_s) == middle and time.monotonic() < end:
+        time.sleep(0.05)
+    browser.click("#play")
+    assert browser.read(time_s) > middle and browser.read("document.getElementById('play').textContent") == "Play"
+    assert not browser.complaints
+
+
+def test_a_browser_complains_of_a_page_that_is_wrong(tmp_path: Path, browser: Page) -> None:
+    page = tmp_path / "wrong.html"
+    page.write_text("<!doctype html><script>missing()</script><img src='nowhere.png'>")
+    browser.open(page, width=200, height=200)
+    assert "missing" in "".join(browser.complaints) and "nowhere" in "".join(browser.complaints)
 
 
 def test_an_episode_too_short_to_judge_is_shown_all_the_same(recorded, tmp_path, monkeypatch) -> None:
@@ -190,7 +279,7 @@ def test_an_episode_too_short_to_judge_is_shown_all_the_same(recorded, tmp_path,
     monkeypatch.setattr(recording, "read", lambda _: forces)
     summary = summarise_episode(recording, tokenizer, episode, None, "short")
     assert summary.found is None and "time after the lift" in summary.verdict[0]
-    assert "time after the lift" in write_sheet(summary, {}, tmp_path, "e").read_text()
+    assert "time after the lift" in write_sheet(summary, films_of(FRAMES), {}, tmp_path, "e").read_text()
 
 
 RAW_FRAMES = 8

@@ -14,8 +14,10 @@ from uniforce_vtla.figure_file import save_figure
 LETTERS = "ABCDEFGH"  # of the key frames, the same in all pictures
 FORCES = (("fx", "#4c78a8"), ("fy", "#e07b39"), ("fz", "#2a9d8f"))
 BEYOND = "#e63946"  # limits, and stretches beyond one
+BAND = "#2a9d8f"  # the press that was asked for
 SIDE_IN = 2.1  # of a key frame's picture
-WIDTH_IN, FILM_IN, PLOT_IN, LATENT_IN = 14.0, 1.12, 1.45, 0.8  # of the time line and its rows
+WIDTH_IN, FILM_IN, PLOT_IN, LATENT_IN = 14.0, 1.12, 1.6, 0.8  # of the time line and its rows
+SMALL = 9  # points: 11 px on a page as wide as the time line
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +86,15 @@ class EpisodeSummary:
     def true_verdict(self) -> list[str]:
         """The same judged by true forces; empty where there are none."""
         return [] if self.truth is None else self.truth.events
+
+
+@dataclass(frozen=True)
+class TimeLine:
+    """The picture of a time line, and where in it the episode begins and ends."""
+
+    path: Path
+    left: float  # shares of the picture's width
+    right: float
 
 
 def find_key_frames(force_N: np.ndarray, tool_z_m: np.ndarray) -> dict[str, int]:
@@ -160,7 +171,7 @@ def draw_channels(summary: EpisodeSummary, frame: KeyFrame, path: Path) -> Path:
     return save_figure(figure, path)
 
 
-def draw_timeline(summary: EpisodeSummary, path: Path) -> Path:
+def draw_timeline(summary: EpisodeSummary, path: Path) -> TimeLine:
     """Draw everything over the same seconds; letters mark the columns of ``draw_key_frames``."""
     events = [] if summary.found is None else ["press", *(["friction"] if summary.judges_slip else [])]
     plots = [*events, *(f"force {finger}" for finger in summary.change)]
@@ -175,16 +186,19 @@ def draw_timeline(summary: EpisodeSummary, path: Path) -> Path:
         # rows of the pad from its top down, each as strong as its latents' mean distance from free air
         pad_rows = summary.strength(finger).mean(axis=2).T  # (g, n)
         label = f"{finger}\nlatent,\npad rows"
-        _strip(panels[f"latent {finger}"], pad_rows, summary.time_s[-1], label, fontsize=8)
+        _strip(panels[f"latent {finger}"], pad_rows, summary.time_s[-1], label, fontsize=SMALL)
     for name in events:
         _event(panels[name], summary, name)
     for name in plots:
-        _finish(panels[name], summary)
-    for letter, frame in zip(LETTERS, summary.key_frames, strict=False):
-        at, above = (summary.time_s[frame.frame], 1.0), {"xytext": (0, 3), "textcoords": "offset points"}
-        panels[rows[0]].annotate(letter, at, ha="center", fontweight="bold", **above)
-    panels[rows[-1]].set_xlabel("time [s]")
-    return save_figure(figure, path)
+        _finish(panels[name], summary, names=name == plots[0])
+    for number, (letter, frame) in enumerate(zip(LETTERS, summary.key_frames, strict=False)):
+        above = {"xytext": (0, 3 + 12 * (number % 2)), "textcoords": "offset points"}  # two lines: neighbours are near
+        at = (summary.time_s[frame.frame], 1.0)
+        panels[rows[0]].annotate(f"{letter} {frame.name}", at, ha="center", fontsize=SMALL, fontweight="bold", **above)
+    panels[rows[-1]].set(xlabel="time [s]", xlim=(0, summary.time_s[-1]))
+    save_figure(figure, path)
+    box = panels[rows[-1]].get_position()  # once drawn
+    return TimeLine(path, box.x0, box.x1)
 
 
 def _strip(panel: Axes, picture: np.ndarray, end_s: float, label: str, fontsize: float = 10) -> None:
@@ -200,7 +214,7 @@ def _event(panel: Axes, summary: EpisodeSummary, name: str) -> None:
         return estimate.press_N if name == "press" else estimate.friction_used.min(axis=1)
 
     limits = {
-        "press": (ScoreLimits().mean_press_N, "limit of its 0.5 s mean", "press on board [N]", "#6a4c93"),
+        "press": (ScoreLimits().mean_press_N, "limit of the 0.5 s mean", "press on board [N]", "#6a4c93"),
         "friction": (FRICTION_SHARE, "limit", "friction used,\nlesser pad", "#bc6c25"),
     }
     limit, limit_label, label, colour = limits[name]
@@ -209,6 +223,9 @@ def _event(panel: Axes, summary: EpisodeSummary, name: str) -> None:
     if summary.found is not None:
         panel.plot(summary.time_s, values(summary.found), color=colour, lw=1.4, label="estimate")
     panel.axhline(limit, color=BEYOND, lw=0.8, ls="--", label=limit_label)
+    if name == "press":
+        low_N, high_N = ScoreLimits().band_N
+        panel.axhspan(low_N, high_N, color=BAND, alpha=0.12, lw=0, label=f"asked for, {low_N:g} to {high_N:g} N")
     panel.set_ylabel(label)
 
 
@@ -223,13 +240,14 @@ def _forces(panel: Axes, summary: EpisodeSummary, number: int, finger: str) -> N
     panel.set_ylabel(f"{finger} finger [N]")
 
 
-def _finish(panel: Axes, summary: EpisodeSummary) -> None:
-    """Mark key frames and stretches; add grid and legend."""
+def _finish(panel: Axes, summary: EpisodeSummary, names: bool) -> None:
+    """Mark key frames and stretches, with ``names`` in the legend too; add grid and legend."""
     for frame in summary.key_frames:
         panel.axvline(summary.time_s[frame.frame], color="0.4", lw=0.6, ls=":")
-    for stretch in summary.stretches:
+    for number, stretch in enumerate(summary.stretches):
         first_s, last_s = summary.time_s[[stretch.first, stretch.end - 1]]
-        panel.axvspan(first_s, last_s, color=BEYOND, alpha=0.12, lw=0)
+        label = "beyond a limit" if names and number == 0 else None
+        panel.axvspan(first_s, last_s, color=BEYOND, alpha=0.12, lw=0, label=label)
     panel.grid(alpha=0.2)
     panel.spines[["top", "right"]].set_visible(False)
-    panel.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    panel.legend(fontsize=SMALL, loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False, labelspacing=0.25)

@@ -1,0 +1,119 @@
+"""A Chromium without a window, driven through its own debugging protocol: no driver and no further package."""
+
+import itertools
+import json
+import shutil
+import subprocess
+import time
+from base64 import b64decode
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+START_s, ANSWER_s = 60.0, 60.0  # a busy machine takes long
+# --no-sandbox: root has none; pages are the tests' own
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--remote-debugging-port=0")
+SILENT = ("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync")
+SILENT += ("--disable-quic",)  # nothing but the page is fetched
+
+
+def find_browser() -> str | None:
+    """Return the path of a Chromium, or None."""
+    return next(filter(None, map(shutil.which, NAMES)), None)
+
+
+class Page:
+    """One open page.
+
+    Attributes:
+        complaints: what the console was told since the page was opened: errors, warnings, exceptions, loads that
+            failed or were refused.
+    """
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self.complaints: list[str] = []
+        self._socket, self._numbers, self._session = socket, itertools.count(1), {}
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._session = {"sessionId": session}
+        for domain in ("Page", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """Return the browser's answer to one method; complaints that come before it are kept."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({"id": number, "method": method, "params": params} | self._session))
+        while True:
+            said = json.loads(self._socket.recv(ANSWER_s))
+            if said.get("id") == number:
+                assert "error" not in said, f"{method}: {said['error']}"
+                return said["result"]
+            self._hear(said)
+
+    def _hear(self, said: dict[str, Any]) -> None:
+        method, params = said["method"], said["params"]
+        level = params.get("entry", params).get("level") or params.get("type")
+        loud = method in ("Log.entryAdded", "Runtime.consoleAPICalled") and level in ("error", "warning")
+        if loud or method == "Runtime.exceptionThrown":
+            self.complaints.append(json.dumps(params))
+
+    def open(self, path: Path, width: int, height: int) -> None:
+        """Show a file in a window of so many pixels, and wait until all of it is there."""
+        self.complaints.clear()
+        size = {"width": width, "height": height}
+        self.call("Emulation.setDeviceMetricsOverride", **size, deviceScaleFactor=1, mobile=False)
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        end = time.monotonic() + ANSWER_s
+        while self.read("location.href + document.readyState") != f"{path.resolve().as_uri()}complete":
+            assert time.monotonic() < end, f"{path} doesn't load"
+            time.sleep(0.05)
+
+    def read(self, expression: str) -> Any:
+        """Return what a JavaScript expression gives."""
+        answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer
+        return answer["result"].get("value")
+
+    def press(self, key: str, times: int = 1) -> None:
+        """Press a key, as a hand does."""
+        for kind in ("keyDown", "keyUp") * times:
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
+    def click(self, selector: str, share: float = 0.5) -> None:
+        """Click into what a CSS selector finds, at a share of its width, as a mouse does."""
+        box = f"document.querySelector('{selector}').getBoundingClientRect()"
+        self.read(f"document.querySelector('{selector}').scrollIntoView({{block: 'center'}})")
+        x, y = self.read(f"[{box}.left + {share} * {box}.width, {box}.top + {box}.height / 2]")
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def photograph(self, path: Path, whole: bool = False) -> Path:
+        """Write a PNG of the window, or of the whole page."""
+        path.write_bytes(b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"]))
+        return path
+
+
+@contextmanager
+def open_browser(executable: str, profile: Path) -> Iterator[Page]:
+    """Start a browser whose files all lie in ``profile``, an empty folder; end it afterwards."""
+    words = [executable, *FLAGS, *SILENT, f"--user-data-dir={profile}", "about:blank"]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            port, place = _address(process, profile / "DevToolsActivePort")
+            with connect(f"ws://127.0.0.1:{port}{place}", max_size=None, proxy=None) as socket:
+                yield Page(socket)
+        finally:
+            process.terminate()
+
+
+def _address(process: "subprocess.Popen[bytes]", file: Path) -> list[str]:
+    """Return port and path of the protocol, which the browser writes when it is ready."""
+    end = time.monotonic() + START_s
+    while not file.is_file() or len(lines := file.read_text().split()) < 2:
+        assert process.poll() is None and time.monotonic() < end, "the browser doesn't start"
+        time.sleep(0.05)
+    return lines
