@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from uniforce_vtla.contact.materials import PadMaterial
 from uniforce_vtla.contact.virtual import VirtualSensor
+from uniforce_vtla.sensors.material import PadMaterial
 from uniforce_vtla.tokenizer.family import FamilyBounds, Span
 
 

@@ -12,14 +12,13 @@ from tqdm import tqdm
 
 from benchmarks.finite_elements.contacts import CELL_MM, Contact, solve_contacts
 from benchmarks.probes.labelled_set import LabelledSet
-from uniforce_vtla.contact.elastic import Layer
-from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.traction import Traction
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.markers.nominal_scale import to_nominal_scale
+from uniforce_vtla.sensors.material import Layer, PadMaterial, TaxelMaterial
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 

@@ -6,7 +6,8 @@ Every check returns what was computed over what theory says, so that 1 is right.
 import numpy as np
 
 from benchmarks.finite_elements.friction import CellForces, FrictionContact, Motion
-from uniforce_vtla.contact.elastic import Gel, Influence, Layer, PadMesh, cell_edges, compute_influence
+from uniforce_vtla.contact.elastic import Gel, Influence, PadMesh, cell_edges, compute_influence
+from uniforce_vtla.sensors.material import Layer
 
 SMOOTH = 1e-6  # friction so small that it doesn't count
 _POISSON = 0.48

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from uniforce_vtla.contact import elastic
-from uniforce_vtla.contact.elastic import Gel, Layer, cell_edges, compute_influence, influence
+from uniforce_vtla.contact.elastic import Gel, cell_edges, compute_influence, influence
+from uniforce_vtla.sensors.material import Layer
 
 SMALL = Gel((8.0, 6.5), (Layer(2.0, 1.0),), readout_mm=0.5)
 DOME = Gel((12.0, 12.0), (Layer(1.0, 0.4), Layer(4.0, 0.1, 0.3)), readout_mm=1.0, dome_radius_mm=20.0, cell_mm=1.5)

@@ -18,18 +18,11 @@ import numpy as np
 from filelock import FileLock
 from tqdm import tqdm
 
+from uniforce_vtla.sensors.material import Layer
+
 VERSION = 1  # of the equations below; a cached file of another one isn't read
 _HEIGHTS = 6  # element layers at least; twice as many move a marker by less than 2 %
 _SPLIT_MM = 1e-6
-
-
-@dataclass(frozen=True)
-class Layer:
-    """One material, from the skin inwards."""
-
-    thickness_mm: float
-    young_MPa: float
-    poisson: float = 0.48  # silicone: nearly incompressible
 
 
 @dataclass(frozen=True)

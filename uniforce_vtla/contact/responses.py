@@ -8,9 +8,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from uniforce_vtla.contact.elastic import Influence
-from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial
 from uniforce_vtla.contact.raw_look import PixelNoise
 from uniforce_vtla.contact.traction import Traction
+from uniforce_vtla.sensors.material import PadMaterial, TaxelMaterial
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uniforce_vtla.contact.materials import PadMaterial, TaxelMaterial, gel_of
+from uniforce_vtla.contact.materials import gel_of
 from uniforce_vtla.contact.pads import CELL_MM, GRID_CELLS, build_pad, has_object
 from uniforce_vtla.contact.pressure import Pressure, solve_pressure
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
@@ -21,6 +21,7 @@ from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
+from uniforce_vtla.sensors.material import TaxelMaterial
 
 Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
 
@@ -146,9 +147,8 @@ class TactileSimulator:
 
     def _project(self, point_mm: np.ndarray) -> np.ndarray:
         """Return (B, M, 2) pixels of points on the pad: scale, a tilted camera, the lens's compression at the rim."""
-        assert isinstance(self._material, PadMaterial)
         rim_mm = max(self.spec.pad_size_mm) / 2
-        squeeze = 1 - self._material.fisheye * (point_mm**2).sum(axis=-1, keepdims=True) / rim_mm**2
+        squeeze = 1 - self.spec.fisheye * (point_mm**2).sum(axis=-1, keepdims=True) / rim_mm**2
         if any(self.unit.tilt):
             squeeze = squeeze * (1 + (point_mm @ np.asarray(self.unit.tilt))[..., None] / rim_mm)
         scale = np.asarray(self.spec.px_per_mm) * self.unit.view_scale

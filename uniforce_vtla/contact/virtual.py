@@ -6,9 +6,10 @@ pretrained on.  GelSight-D (diamonds on a staggered lattice) is the one the pape
 
 from dataclasses import dataclass, replace
 
-from uniforce_vtla.contact.materials import MATERIALS, PadMaterial, TaxelMaterial, get_material
+from uniforce_vtla.contact.materials import get_material
 from uniforce_vtla.sensors import SensorSpec, get_sensor
 from uniforce_vtla.sensors.layouts import staggered
+from uniforce_vtla.sensors.material import PadMaterial, TaxelMaterial
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ GELSIGHT_D = VirtualSensor(
         rated_depth_mm=1.5,
         source="GenForce's diamond pattern as the UniForce paper names it; only the name is documented",
     ),
-    MATERIALS["gelsight"],
+    get_material("gelsight"),
     like="gelsight",
 )
 

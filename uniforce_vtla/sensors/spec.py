@@ -5,10 +5,12 @@ from typing import Literal
 
 import numpy as np
 
+from uniforce_vtla.sensors.material import PadMaterial, TaxelMaterial
+
 
 @dataclass(frozen=True, kw_only=True)
 class SensorSpec:
-    """Facts about one kind of sensor; simulation-only material numbers live in ``contact/``."""
+    """Facts about one kind of sensor."""
 
     name: str  # registry name
     # "camera" (markers are found in an image) or "taxel" (markers are rendered from counts)
@@ -26,3 +28,4 @@ class SensorSpec:
     rated_depth_mm: float  # deepest indentation the maker allows; deeper counts as excess force
     rate_hz: float = 30.0  # usual rate of the raw signal
     source: str  # where the numbers come from
+    material: PadMaterial | TaxelMaterial | None = None  # of its pad; None: real frames are read, nothing is simulated

@@ -1,6 +1,7 @@
 """TacTip: a soft dome with 127 pins seen through a fisheye."""
 
 from uniforce_vtla.sensors.layouts import hexagonal
+from uniforce_vtla.sensors.material import Layer, PadMaterial
 from uniforce_vtla.sensors.spec import SensorSpec
 
 TACTIP = SensorSpec(
@@ -13,5 +14,12 @@ TACTIP = SensorSpec(
     fisheye=0.07,
     dome_radius_mm=41.5,
     rated_depth_mm=5.0,
+    material=PadMaterial(
+        layers=(Layer(1.0, 0.4), Layer(14.0, 0.08, 0.3)),  # rubber skin over a soft filling that can flow aside
+        readout_mm=1.0,
+        cell_mm=2.5,
+        camera_mm=45.0,
+        pin_mm=2.0,
+    ),
     source="UniForce paper, section IV-A (127 markers, R 41.5 mm, diameter 40 mm, 5 mm)",
 )

@@ -1,6 +1,7 @@
 """XELA uSkin patch: 4×4 magnetic taxels of three axes each."""
 
 from uniforce_vtla.sensors.layouts import rectangular
+from uniforce_vtla.sensors.material import Layer, TaxelMaterial
 from uniforce_vtla.sensors.spec import SensorSpec
 
 USKIN = SensorSpec(
@@ -14,5 +15,6 @@ USKIN = SensorSpec(
     pad_size_mm=(24.6, 22.6),
     rated_depth_mm=1.5,
     rate_hz=500.0,
+    material=TaxelMaterial(layers=(Layer(5.0, 0.5, 0.42),), readout_mm=2.0, hall_mm=8.0, magnet_mm=4.0),
     source="UniForce paper, section IV-A (4×4 taxels, 24.6×22.6×5 mm, 500 Hz)",
 )

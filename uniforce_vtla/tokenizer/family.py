@@ -9,11 +9,11 @@ from functools import cache
 
 import numpy as np
 
-from uniforce_vtla.contact.elastic import Layer
-from uniforce_vtla.contact.materials import PadMaterial, get_material
+from uniforce_vtla.contact.materials import get_material
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.sensors import SensorSpec
 from uniforce_vtla.sensors.layouts import hexagonal, rectangular
+from uniforce_vtla.sensors.material import Layer, PadMaterial
 
 Span = tuple[float, float]
 _SEED = 20_261  # draws the bodies
@@ -90,11 +90,8 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
     dome = b.dome
     count = int(rng.integers(dome.rings[0], dome.rings[1] + 1))
     pitch = rng.uniform(*dome.reach_mm) / count
-    material = replace(
-        dome_bodies(b)[rng.integers(b.bodies)],
-        stiffness=rng.uniform(*dome.skin_MPa),
-        fisheye=rng.uniform(*dome.fisheye),
-    )
+    material = replace(dome_bodies(b)[rng.integers(b.bodies)], stiffness=rng.uniform(*dome.skin_MPa))
+    fisheye = rng.uniform(*dome.fisheye)
     scale = rng.uniform(*dome.px_per_mm)
     spec = SensorSpec(
         name="dome_hexagonal",
@@ -103,6 +100,7 @@ def draw_dome(rng: np.random.Generator, bounds: FamilyBounds | None = None) -> V
         marker_shape="disc",
         marker_size_mm=min(rng.uniform(*dome.size_mm), 0.6 * pitch),  # pins never touch at rest
         pad_size_mm=(40.0, 40.0),
+        fisheye=fisheye,
         dome_radius_mm=41.5,
         rated_depth_mm=5.0,
         source="procedural",
