@@ -15,7 +15,7 @@ FINGERS: tuple[Finger, ...] = get_args(Finger)
 QUARTERS = ("top-left", "top-right", "bottom-left", "bottom-right")  # of a pad, as its marker image shows it
 
 MARKER_IMAGE_SHAPE = (480, 640)  # rows, columns: the size on disk and from devices
-TAXEL_SHAPE = (16, 3)  # uSkin 4×4, (x, y, z) counts
+TAXEL_SHAPE = (16, 3)  # of a uSkin 4×4, (x, y, z) counts; other taxels say theirs in their SensorSpec
 
 
 def check_finger(finger: str) -> Finger:

@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.finite_elements.contacts import PRESS_STEPS, Contact, fine_gel, solve_contacts
 from uniforce_vtla.contact.elastic import influence
-from uniforce_vtla.contact.responses import ContactOptions, PointMotion, taxel_positions_mm
+from uniforce_vtla.contact.responses import ContactOptions, PointMotion
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.traction import Traction
 from uniforce_vtla.contact.virtual import VirtualSensor
@@ -20,9 +20,7 @@ def compare(sensor: VirtualSensor, n: int, seed: int, friction: float = 1.0) -> 
     """Return how well the fast model agrees with ``n`` contacts: correlation, slope, depth error."""
     contacts = solve_contacts(np.random.default_rng(seed), sensor, n, friction=friction)
     simulator = TactileSimulator(sensor, options=replace(ContactOptions().quiet(), friction=friction))
-    taxel = sensor.spec.signal == "taxel"
-    points = taxel_positions_mm(sensor.spec.layout_mm) if taxel else sensor.spec.layout_mm
-    scale = 1 / sensor.material.stiffness
+    points, scale = sensor.spec.layout_mm, 1 / sensor.material.stiffness
     fine, fast = (PointMotion(i, points, scale) for i in (influence(fine_gel(sensor)), simulator.pad.influence))
     rows: dict[str, list[tuple[str, float, float, float]]] = {"press": [], "shear": []}
     for contact in contacts:

@@ -18,7 +18,7 @@ from uniforce_vtla.contact.traction import Traction
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.markers.nominal_scale import to_nominal_scale
-from uniforce_vtla.sensors.material import Layer, PadMaterial, TaxelMaterial
+from uniforce_vtla.sensors.material import Layer, Material
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 
@@ -41,7 +41,6 @@ class ElementSettings:
 FE_DEV = ElementSettings("fe_dev_v1", seed=41_001, contacts=36)
 FE_CONTACTS = ElementSettings("fe_contacts_v1", seed=41_002, contacts=78)
 
-Material = PadMaterial | TaxelMaterial
 # (thickness, Young's modulus, Poisson's ratio, readout) over the nominal ones; a dome's of skin and filling
 _SPREAD = ((0.8, 0.9, 1.02, 1.3), (1.0, 1.0, 1.0, 1.0), (1.2, 1.1, 0.98, 0.75))
 

@@ -60,7 +60,7 @@ def make_finger(config: TouchConfig, source: str) -> TactileFinger:
     common["reference_on_connect"] = False
     if get_sensor(config.sensor).signal != "camera":
         link = "server" if source.startswith("ws://") else "slcan"
-        taxels = {"flip": config.flip, "controller": config.controller}
+        taxels = {"sensor": config.sensor, "flip": config.flip, "controller": config.controller}
         return sensors.UniforceUskin(sensors.UniforceUskinConfig(link=link, **taxels, **common))  # type: ignore[arg-type]
     settings = sensors.UniforceTactileCameraConfig(sensor=config.sensor, **common)
     if source.startswith("http://"):
@@ -79,7 +79,7 @@ def opened(config: TouchConfig) -> Iterator[TactileFinger]:
         source = config.source
         if source == STAND_IN:
             print("starting a stand-in: simulated touch, no hardware")
-            taxels = config.sensor == "uskin"
+            taxels = get_sensor(config.sensor).signal == "taxel"
             options = ("slcan", "rate_hz=100") if taxels else ("mjpeg", f"sensor={config.sensor}")
             source = stack.enter_context(StandIn(*options, "rest_s=2")).address
         finger = stack.enter_context(make_finger(config, source))

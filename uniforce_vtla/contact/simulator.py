@@ -11,8 +11,8 @@ from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
 from uniforce_vtla.contact.responses import (
     CameraResponse,
     ContactOptions,
+    ForceTaxelResponse,
     TaxelResponse,
-    taxel_positions_mm,
 )
 from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
 from uniforce_vtla.contact.units import Look, UnitVariation
@@ -21,10 +21,11 @@ from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
-from uniforce_vtla.sensors.material import TaxelMaterial
+from uniforce_vtla.sensors.material import ForceTaxelMaterial, TaxelMaterial
 
 Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
 
+Taxels = TaxelResponse | ForceTaxelResponse
 _CHUNK = 16  # images drawn at once: 5 MB, stays in cache
 _SCALES = TaxelScales()
 
@@ -90,23 +91,23 @@ class TactileSimulator:
         return transmitted(traction.press_N, traction.shear_N, self.pad.position_mm[traction.cells])
 
     def counts(self, contact: ContactState) -> np.ndarray:
-        """Return (B, 16, 3) float32 counts above the baseline.
+        """Return (B, M, 3) float32 counts above the baseline, in the sensor's own unit.
 
         Raises:
             ContractError: the sensor is a camera.
         """
-        if not isinstance(self._respond, TaxelResponse):
+        if not isinstance(self._respond, Taxels):
             do = "Use raw_frames for a camera."
             raise ContractError(expected("counts", "a taxel sensor", self.spec.name, do))
         return self._counts(self.traction(contact), self.options.noise)
 
     def raw_reference(self) -> np.ndarray:
-        """Return one free-air raw signal: (480, 640, 3) uint8 RGB frame, or (16, 3) int32 counts."""
+        """Return one free-air raw signal: (480, 640, 3) uint8 RGB frame, or (M, 3) int32 counts."""
         return self.raw_frames(free_air(1))[0]
 
     def raw_frames(self, contact: ContactState) -> np.ndarray:
-        """Return what the driver would deliver: (B, 480, 640, 3) uint8 RGB, or (B, 16, 3) int32 counts."""
-        if isinstance(self._respond, TaxelResponse):
+        """Return what the driver would deliver: (B, 480, 640, 3) uint8 RGB, or (B, M, 3) int32 counts."""
+        if isinstance(self._respond, Taxels):
             return (self._baseline + self._counts(self.traction(contact), self.options.noise)).astype(np.int32)
         press_N = self._pressure(contact).press_N  # solved once for picture and shade
         images = self.images_under(self._traction(press_N, contact))
@@ -137,7 +138,7 @@ class TactileSimulator:
         return Traction(cells, press, shear)
 
     def _markers(self, traction: Traction, noise: bool) -> tuple[np.ndarray, np.ndarray]:
-        if isinstance(self._respond, TaxelResponse):
+        if isinstance(self._respond, Taxels):
             discs = self._discs(traction, noise)
             return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
         motion = self._respond(traction).without(self._dead)
@@ -169,20 +170,20 @@ class TactileSimulator:
         return centre_px
 
     def _counts(self, traction: Traction, noise: bool) -> np.ndarray:
-        assert isinstance(self._respond, TaxelResponse)
+        assert isinstance(self._respond, Taxels)
         counts = np.where(self._dead[:, None], 0, self._respond(traction))
         counts = counts + np.float32(self.unit.crosstalk) * (counts.mean(axis=1, keepdims=True) - counts)
         if noise:
-            scatter = self._rng.standard_normal(counts.shape) * self.options.noise_counts
+            scatter = self._rng.standard_normal(counts.shape) * self._noise_counts
             counts = counts + scatter.astype(np.float32)
         return np.round(counts)
 
     def _discs(self, traction: Traction, noise: bool) -> list[TaxelDiscs]:
-        return [place_discs(counts, _SCALES) for counts in self._counts(traction, noise)]
+        return [place_discs(counts, self.spec, _SCALES) for counts in self._counts(traction, noise)]
 
     def _images(self, traction: Traction, noise: bool) -> np.ndarray:
         """Return (B, 480, 640): taxels drawn by the canonicalizer's rule, camera markers by our own."""
-        if isinstance(self._respond, TaxelResponse):
+        if isinstance(self._respond, Taxels):
             return np.stack([draw_discs(discs) for discs in self._discs(traction, noise)])
         centre_px, size_px = self._markers(traction, noise)
         turn = self.unit.rotation_rad + self.unit.view_turn_rad
@@ -190,12 +191,17 @@ class TactileSimulator:
             return fill_discs(centre_px, size_px)
         return fill_squares(centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0))
 
-    def _build_response(self) -> CameraResponse | TaxelResponse:
+    def _build_response(self) -> CameraResponse | Taxels:
         rng = np.random.default_rng(self.unit.seed)
         offset = np.asarray(self.unit.offset_mm, dtype=np.float32)
-        if isinstance(self._material, TaxelMaterial):
-            taxel_mm = taxel_positions_mm(self.spec.layout_mm) + offset
+        if self.spec.taxels:
+            taxel_mm = self.spec.layout_mm + offset
             gain = self.unit.gain * (1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3)))
+        if isinstance(self._material, ForceTaxelMaterial):
+            self._baseline, self._noise_counts = np.zeros(self.spec.raw_shape, int), self._material.noise_counts
+            return ForceTaxelResponse(self.pad.position_mm, taxel_mm, self._material, gain)
+        if isinstance(self._material, TaxelMaterial):
+            self._noise_counts = self.options.noise_counts
             shear = rng.integers(*self._material.baseline_shear, size=(len(taxel_mm), 2))
             normal = rng.integers(*self._material.baseline_normal, size=(len(taxel_mm), 1))
             self._baseline = np.concatenate([shear, normal], axis=1)  # raw counts at rest

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from uniforce_vtla.contact.materials import get_material
 from uniforce_vtla.sensors import SensorSpec, get_sensor
 from uniforce_vtla.sensors.layouts import staggered
-from uniforce_vtla.sensors.material import PadMaterial, TaxelMaterial
+from uniforce_vtla.sensors.material import Material, TaxelMaterial
 
 
 @dataclass(frozen=True)
@@ -17,7 +17,7 @@ class VirtualSensor:
     """A sensor's drawing and how it answers to load."""
 
     spec: SensorSpec  # layout, marker, view, pad
-    material: PadMaterial | TaxelMaterial  # stiffness, gains, lens
+    material: Material  # stiffness, gains, lens
     like: str  # registry name of the real sensor whose canonicalizer and raw look it shares
 
     @property
@@ -59,7 +59,7 @@ def hidden_sensors() -> dict[str, VirtualSensor]:
     """Return sensors that look usual and answer by × .6 to × 1.5 of what the family does: for calibration."""
     gel, dome, taxels = (get_material(name) for name in ("gelsight", "tactip", "uskin"))
     assert isinstance(taxels, TaxelMaterial)
-    materials: dict[str, PadMaterial | TaxelMaterial] = {
+    materials: dict[str, Material] = {
         "gelsight_stiff": replace(gel, stiffness=1.6),
         "gelsight_soft": replace(gel, stiffness=0.7),
         "tactip_soft": replace(dome, stiffness=0.65),
@@ -74,6 +74,6 @@ def any_virtual(name: str) -> VirtualSensor:
     return hidden_sensors().get(name) or as_virtual(name)
 
 
-def _renamed(base: str, name: str, material: PadMaterial | TaxelMaterial) -> VirtualSensor:
+def _renamed(base: str, name: str, material: Material) -> VirtualSensor:
     sensor = as_virtual(base)
     return VirtualSensor(replace(sensor.spec, name=name), material, like=base)

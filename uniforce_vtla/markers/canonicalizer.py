@@ -19,6 +19,7 @@ from uniforce_vtla.markers.taxel_render import (
     place_discs,
 )
 from uniforce_vtla.sensors import get_sensor
+from uniforce_vtla.sensors.spec import TaxelSignal
 
 LIKELY_COUNT = 4  # times the spec's markers or a quarter: gels of one kind carry 25 to 266, domes 127 or 331
 
@@ -57,7 +58,7 @@ class Canonicalizer:
                 one still reads noise.
         """
         if self._is_taxel:
-            self._reference_counts = _free_air(raw)
+            self._reference_counts = self._checked(raw, "reference")
         else:
             (self._reference, self._view), self.match = self._remember(raw), None
 
@@ -67,7 +68,7 @@ class Canonicalizer:
         """Return the marker pair of two raw signals of one sensor; leaves ``set_reference`` as it was.
 
         Args:
-            reference_raw: free-air frame (H, W, 3) uint8 RGB, or (16, 3) integer counts.
+            reference_raw: free-air frame (H, W, 3) uint8 RGB, or (M, 3) integer counts of M taxels.
             current_raw: the same, now.
             finger: the finger that wears the sensor.
             reference_from: "own", or where a borrowed reference came from.
@@ -82,7 +83,7 @@ class Canonicalizer:
         return MarkerPair(reference, current, finger, self.sensor, reference_from)
 
     def marker_image(self, raw: np.ndarray) -> np.ndarray:
-        """Return the (480, 640) uint8 image in {0, 255} of a frame (H, W, 3) uint8 RGB or counts (16, 3).
+        """Return the (480, 640) uint8 image in {0, 255} of a frame (H, W, 3) uint8 RGB or counts (M, 3).
 
         Raises:
             ContractError: wrong shape or dtype, or taxels without a reference.
@@ -109,7 +110,12 @@ class Canonicalizer:
 
     @property
     def _is_taxel(self) -> bool:
-        return self.spec.signal == "taxel"
+        return self.spec.taxels is not None
+
+    @property
+    def _taxels(self) -> TaxelSignal:
+        assert self.spec.taxels is not None
+        return self.spec.taxels
 
     def _remember(self, raw: np.ndarray) -> tuple[MarkerReference, np.ndarray | None]:
         count = len(self.spec.layout_mm)
@@ -140,19 +146,24 @@ class Canonicalizer:
         return self._placed(reference.image, view), self._camera_image(current, reference, view)
 
     def _taxel_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        reference = _free_air(free)
+        reference = self._checked(free, "reference")
         discs = self._discs(current, reference)
-        refuse_pressed_reference(current.astype(np.int64) - reference)
+        refuse_pressed_reference((current.astype(np.int64) - reference) * self._taxels.worth)
         self.saturation.add(discs)
-        return draw_discs(place_discs(np.zeros_like(reference), self._taxel_scales)), draw_discs(discs)
+        return draw_discs(self._placed_discs(np.zeros_like(reference))), draw_discs(discs)
 
     def _discs(self, raw: np.ndarray, reference: np.ndarray | None) -> TaxelDiscs:
         if reference is None:
             do = "Call set_reference(counts) with a free-air scan first."
-            raise ContractError(expected("uSkin reference", "(16, 3) counts in free air", "none", do))
-        return place_discs(check_alive(check_counts(raw)) - reference, self._taxel_scales)
+            wanted = f"{self.spec.raw_shape} counts in free air"
+            raise ContractError(expected(f"{self.sensor} reference", wanted, "none", do))
+        return self._placed_discs(self._checked(raw, "counts") - reference)
 
+    def _placed_discs(self, delta_counts: np.ndarray) -> TaxelDiscs:
+        return place_discs(delta_counts, self.spec, self._taxel_scales)
 
-def _free_air(raw: np.ndarray) -> np.ndarray:
-    """Return a reference's counts (16, 3) int64, if it came from a live sensor."""
-    return check_alive(check_counts(raw, "uSkin reference"), "uSkin reference")
+    def _checked(self, raw: np.ndarray, what: str) -> np.ndarray:
+        """Return a scan's counts (M, 3) int64, if it came from a live sensor."""
+        name = f"{self.sensor} {what}"
+        counts = check_counts(raw, name, self.spec.raw_shape)
+        return counts if self._taxels.tared else check_alive(counts, name)

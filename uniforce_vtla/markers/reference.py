@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from uniforce_vtla.contracts import TAXEL_SHAPE
 from uniforce_vtla.errors import ContractError, SensorError, expected
 from uniforce_vtla.markers.taxel_render import check_alive, check_counts
 
@@ -32,7 +31,7 @@ PRESSED_TAXELS = 4  # so many of 16: one alone may be cross-talk (0.4 % of real 
 
 
 def capture_taxel_reference(scans: Sequence[np.ndarray], resting_level: np.ndarray | None = None) -> np.ndarray:
-    """Return the (16, 3) int64 median of several free-air scans of (16, 3) counts.
+    """Return the (16, 3) int64 median of several free-air scans of a uSkin's (16, 3) counts.
 
     Args:
         scans: consecutive raw scans, at least three.
@@ -81,10 +80,10 @@ def capture_camera_reference(frames: Sequence[np.ndarray], centres_px: Sequence[
 
 
 def refuse_pressed_reference(delta_counts: np.ndarray) -> None:
-    """Raise SensorError where (16, 3) counts above the reference show that the reference was pressed."""
+    """Raise SensorError where (M, 3) uSkin counts above the reference show that the reference was pressed."""
     released = int((delta_counts[:, 2] < -PRESSED_COUNTS).sum())
     if released >= PRESSED_TAXELS and delta_counts[:, 2].sum() < 0:
-        _refuse("taxels at or above it", f"{released} of {TAXEL_SHAPE[0]} far below it")
+        _refuse("taxels at or above it", f"{released} of {len(delta_counts)} far below it")
 
 
 def _check_enough(count: int) -> None:

@@ -1,7 +1,9 @@
 """Taxel counts → canonical marker image: one white disc per taxel, moved by shear, swollen by pressure.
 
-The picture is the one the GenForce collection rig draws (facts: canvas axes −1…4 both ways, y up): taxel i rests at
-column i mod 4, row i div 4 *from the bottom*. Shear counts move the disc, normal counts grow its area.
+A uSkin's picture is the one the GenForce collection rig draws (facts: canvas axes −1…4 both ways, y up): taxel i rests
+at column i mod 4, row i div 4 *from the bottom*. Shear counts move the disc, normal counts grow its area. Another
+layout is drawn at its own places: as many pixels per shear count, and areas in proportion to a taxel's cell, so that
+the same pressure on the same part of the pad paints as much white however many taxels feel it.
 """
 
 import math
@@ -12,10 +14,13 @@ import numpy as np
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, TAXEL_SHAPE
 from uniforce_vtla.errors import ContractError, SensorError, expected
+from uniforce_vtla.markers.raster import CENTRE_PX
+from uniforce_vtla.sensors import SensorSpec
 
 SUBPIXEL_BITS = 4  # cv2 takes fixed-point centres; 1/16 px is far below a pixel
 
 MOST_COUNTS = 1 << 17  # either way: a uSkin's registers hold 16 bits, and taring makes some negative
+CELL_PX = np.array([128.0, 96.0])  # of a uSkin: columns and rows between neighbours
 EDGE_PX = 0.45  # cv2 fills the pixels its outline touches: this much less gives the disc's true area
 
 
@@ -24,7 +29,7 @@ class TaxelScales:
     """How counts become geometry. A checkpoint stores and hashes these: change one, change ``version``."""
 
     version: str = "uskin-collection-1"
-    counts_per_pitch: float = 2000.0  # S: shear counts that move a disc by one taxel pitch
+    counts_per_pitch: float = 2000.0  # S: shear counts that move a disc by one pitch of a uSkin
     area_rest_pt2: float = 100.0  # matplotlib "points²" at rest: 13.9 px across
     area_per_count_pt2: float = 1.0  # k: growth of the area per normal count
     area_max_pt2: float = 6000.0  # 107.6 px across; beyond it the disc saturates
@@ -47,10 +52,10 @@ class TaxelScales:
 class TaxelDiscs:
     """Where the discs are, and which were clipped."""
 
-    centres_px: np.ndarray  # (16, 2) float32, x right and y down in the 480×640 image
-    radii_px: np.ndarray  # (16,) float32
-    radius_saturated: np.ndarray  # (16,) bool, pressed beyond ``area_max_pt2``
-    xy_saturated: np.ndarray  # (16,) bool, sheared beyond ``shift_max_pitch``
+    centres_px: np.ndarray  # (M, 2) float32, x right and y down in the 480×640 image
+    radii_px: np.ndarray  # (M,) float32
+    radius_saturated: np.ndarray  # (M,) bool, pressed beyond ``area_max_pt2``
+    xy_saturated: np.ndarray  # (M,) bool, sheared beyond ``shift_max_pitch``
 
 
 @dataclass
@@ -70,16 +75,16 @@ class Saturation:
         self.taxels_xy += int(discs.xy_saturated.sum())
 
 
-def check_counts(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
-    """Return (16, 3) integer counts as int64.
+def check_counts(counts: np.ndarray, name: str = "uSkin counts", wanted: tuple[int, ...] = TAXEL_SHAPE) -> np.ndarray:
+    """Return (M, 3) integer counts as int64.
 
     Raises:
-        ContractError: not an integer array of shape (16, 3), or more than any sensor counts.
+        ContractError: not an integer array of the ``wanted`` shape, or more than any sensor counts.
     """
     shape, dtype = getattr(counts, "shape", None), getattr(counts, "dtype", type(counts).__name__)
-    if not isinstance(counts, np.ndarray) or shape != TAXEL_SHAPE or counts.dtype.kind not in "iu":
+    if not isinstance(counts, np.ndarray) or shape != wanted or counts.dtype.kind not in "iu":
         do = "Pass raw integer counts, one row (x, y, z) per taxel; NaN and fractions aren't counts."
-        raise ContractError(expected(name, f"integers {TAXEL_SHAPE}", f"{dtype} {shape}", do))
+        raise ContractError(expected(name, f"integers {wanted}", f"{dtype} {shape}", do))
     if max(int(counts.max()), -int(counts.min())) > MOST_COUNTS:
         came = f"{counts.min()} to {counts.max()}"
         raise ContractError(expected(name, f"within ±{MOST_COUNTS}", came, "Pass raw counts as they came."))
@@ -89,29 +94,38 @@ def check_counts(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
 def check_alive(counts: np.ndarray, name: str = "uSkin counts") -> np.ndarray:
     """Return ``counts``; raise SensorError if all are zero: live taxels never read exactly zero on all axes."""
     if not counts.any():
-        raise SensorError(expected(name, "a live scan", "48 zeros", "Check power and cable of the sensor."))
+        raise SensorError(expected(name, "a live scan", f"{counts.size} zeros", "Check power and cable of the sensor."))
     return counts
 
 
-def place_discs(delta_counts: np.ndarray, scales: TaxelScales) -> TaxelDiscs:
-    """Return the discs that (16, 3) counts above the reference are drawn as."""
-    taxel = np.arange(TAXEL_SHAPE[0])
-    rest = np.stack([taxel % 4, taxel // 4], axis=1)  # (16, 2) in pitches, y up
-    shift = delta_counts[:, :2] / scales.counts_per_pitch
-    limit = scales.shift_max_pitch
-    position = np.clip(rest + np.clip(shift, -limit, limit), -scales.edge_pitch, 3 + scales.edge_pitch)
-    # canvas (y up, axes −1…4, 5 pitches wide) to pixels (y down; the first one's centre is 0, its edge −0.5)
-    rows, columns = MARKER_IMAGE_SHAPE
-    right, up = ((position + 1) * (columns, rows) / 5).T
-    centres_px = np.stack([right, rows - up], axis=1) - 0.5
-    area = scales.area_rest_pt2 + scales.area_per_count_pt2 * delta_counts[:, 2]
+def place_discs(delta_counts: np.ndarray, spec: SensorSpec, scales: TaxelScales) -> TaxelDiscs:
+    """Return the discs that (M, 3) counts of a taxel sensor above the reference are drawn as."""
+    assert spec.taxels is not None
+    delta = _spread(delta_counts * np.array(spec.taxels.worth), spec.layout_mm, spec.taxels.spread_mm)
+    rest_px = CENTRE_PX + spec.layout_mm * np.array(spec.px_per_mm)
+    cell_px = np.array(spec.taxels.pitch_mm) * spec.px_per_mm
+    shift = delta[:, :2] * (1, -1) * (CELL_PX / scales.counts_per_pitch)  # y down
+    limit, edge = scales.shift_max_pitch * cell_px, scales.edge_pitch * cell_px
+    centres_px = np.clip(
+        rest_px + np.clip(shift, -limit, limit), rest_px.min(axis=0) - edge, rest_px.max(axis=0) + edge
+    )
+    area = scales.area_rest_pt2 + scales.area_per_count_pt2 * delta[:, 2]
     radii = np.sqrt(np.clip(area, scales.area_rest_pt2, scales.area_max_pt2)) * scales.px_per_pt / 2
     return TaxelDiscs(
         centres_px=centres_px.astype(np.float32),
-        radii_px=radii.astype(np.float32),
+        radii_px=(radii * np.sqrt(cell_px.prod() / CELL_PX.prod())).astype(np.float32),
         radius_saturated=area > scales.area_max_pt2,
         xy_saturated=np.any(np.abs(shift) > limit, axis=1),
     )
+
+
+def _spread(delta: np.ndarray, layout_mm: np.ndarray, spread_mm: float) -> np.ndarray:
+    """Return (M, 3) means of the counts around each taxel, weighted by a Gaussian; the counts without a spread."""
+    if not spread_mm:
+        return delta
+    apart_mm = np.linalg.norm(layout_mm[:, None] - layout_mm, axis=-1)
+    weight = np.exp(-(apart_mm**2) / (2 * spread_mm**2))
+    return weight @ delta / weight.sum(axis=1, keepdims=True)
 
 
 def draw_discs(discs: TaxelDiscs) -> np.ndarray:

@@ -42,3 +42,19 @@ class TaxelMaterial:
     rest_counts: float = 26_000.0
     baseline_shear: tuple[int, int] = (15_500, 16_800)  # raw x, y of real taxels at rest differ this much
     baseline_normal: tuple[int, int] = (36_000, 39_000)  # raw z likewise
+
+
+@dataclass(frozen=True)
+class ForceTaxelMaterial:
+    """An elastomer over taxels whose maker has turned their signal into newtons."""
+
+    layers: tuple[Layer, ...]
+    readout_mm: float  # depth of the taxels
+    spread_mm: float  # standard deviation over which a point force on the skin reaches taxels
+    count_N: float  # force on a taxel that is one count
+    noise_counts: float = 0.15  # standard deviation before it is rounded
+    cell_mm: float = 1.25
+    stiffness: float = 1.0
+
+
+Material = PadMaterial | TaxelMaterial | ForceTaxelMaterial

@@ -5,7 +5,18 @@ from typing import Literal
 
 import numpy as np
 
-from uniforce_vtla.sensors.material import PadMaterial, TaxelMaterial
+from uniforce_vtla.sensors.material import Material
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaxelSignal:
+    """What a taxel's counts mean, measured by a uSkin's; x right, y up, z into the pad."""
+
+    pitch_mm: tuple[float, float]  # (x, y) usual distance of neighbours: a taxel is drawn in a cell of this size
+    worth: tuple[float, float, float] = (1.0, 1.0, 1.0)  # uSkin counts that one count of x, y, z is drawn as
+    # of taxels that say forces: skin takes its surroundings along, so a disc shows the mean of what is this near
+    spread_mm: float = 0.0
+    tared: bool = False  # the sensor subtracts its own free air, so that all zeros are a live scan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -13,10 +24,9 @@ class SensorSpec:
     """Facts about one kind of sensor."""
 
     name: str  # registry name
-    # "camera" (markers are found in an image) or "taxel" (markers are rendered from counts)
-    signal: Literal["camera", "taxel"] = "camera"
+    taxels: TaxelSignal | None = None  # markers are rendered from counts; None: a camera sees them
     raw_shape: tuple[int, ...] = (480, 640, 3)  # of the usual camera frame, or (taxels, 3)
-    # (M, 2) rest position of each marker on the pad, x right, y down, 0 at the pad's centre
+    # (M, 2) rest position of each marker on the pad, x right, y down, 0 at the pad's centre; taxels in order of counts
     layout_mm: np.ndarray
     px_per_mm: tuple[float, float]  # (x, y) scale from the pad to the 640×480 canonical image
     # what a marker looks like at rest; a diamond is a square on its corner
@@ -28,4 +38,9 @@ class SensorSpec:
     rated_depth_mm: float  # deepest indentation the maker allows; deeper counts as excess force
     rate_hz: float = 30.0  # usual rate of the raw signal
     source: str  # where the numbers come from
-    material: PadMaterial | TaxelMaterial | None = None  # of its pad; None: real frames are read, nothing is simulated
+    material: Material | None = None  # of its pad; None: real frames are read, nothing is simulated
+
+    @property
+    def signal(self) -> Literal["camera", "taxel"]:
+        """What the sensor delivers: "camera" (frames) or "taxel" (counts)."""
+        return "camera" if self.taxels is None else "taxel"

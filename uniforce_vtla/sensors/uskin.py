@@ -2,14 +2,16 @@
 
 from uniforce_vtla.sensors.layouts import rectangular
 from uniforce_vtla.sensors.material import Layer, TaxelMaterial
-from uniforce_vtla.sensors.spec import SensorSpec
+from uniforce_vtla.sensors.spec import SensorSpec, TaxelSignal
+
+PITCH_mm = (24.6 / 4, 22.6 / 4)
 
 USKIN = SensorSpec(
     name="uskin",
-    signal="taxel",
+    taxels=TaxelSignal(pitch_mm=PITCH_mm),
     raw_shape=(16, 3),
-    layout_mm=rectangular(rows=4, columns=4, pitch_mm=(24.6 / 4, 22.6 / 4)),
-    px_per_mm=(128.0 / (24.6 / 4), 96.0 / (22.6 / 4)),  # one taxel pitch = 128 × 96 px of the canonical image
+    layout_mm=rectangular(rows=4, columns=4, pitch_mm=(PITCH_mm[0], -PITCH_mm[1])),  # the first row is the lowest
+    px_per_mm=(128.0 / PITCH_mm[0], 96.0 / PITCH_mm[1]),  # one taxel pitch = 128 × 96 px of the canonical image
     marker_shape="disc",
     marker_size_mm=0.67,  # 13.9 px at rest: the canonical renderer's smallest disc
     pad_size_mm=(24.6, 22.6),

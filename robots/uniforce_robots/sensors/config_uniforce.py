@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from lerobot.cameras.configs import CameraConfig
 
 from uniforce_robots.sensors.orientation import TURNS, Orientation
-from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, check_finger
+from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, TAXEL_SHAPE, check_finger
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.sensors import get_sensor
 
@@ -149,6 +149,9 @@ class UniforceUskinConfig(TactileFingerConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.spec.raw_shape != TAXEL_SHAPE:
+            do = "No driver of it is here: give its counts to Canonicalizer."
+            raise ContractError(expected("sensor", "a patch of 4×4 taxels", self.sensor, do))
         self._one_of("link", "slcan", "server")
         if self.rotation_deg not in TURNS:
             do = "A grid of taxels turns by quarters."
