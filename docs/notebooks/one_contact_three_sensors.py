@@ -26,7 +26,7 @@ import torch
 
 from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import policy_on_rig
-from uniforce_vtla import Canonicalizer, ForceHead, Tokenizer, list_sensors
+from uniforce_vtla import Canonicalizer, ForceHead, Tokenizer
 from uniforce_vtla.contact import TactileSimulator, gap_map
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.evaluation.episode import ScoreLimits
@@ -47,7 +47,7 @@ np.set_printoptions(precision=2, suppress=True)
 FORCE_N = np.array([(0.75, -0.375, 2.0), (1.5, -0.75, 4.0), (2.25, -1.125, 6.0)], np.float32)  # (3, 3)
 ball = np.repeat(gap_map("sphere", center_mm=(0.0, 0.0), angle_rad=0.0)[None], len(FORCE_N), axis=0)
 contact = ContactState(ball, FORCE_N, torsion_Nmm=np.zeros(len(FORCE_N), np.float32))
-simulators = {name: TactileSimulator(name) for name in list_sensors()}
+simulators = {name: TactileSimulator(name) for name in ("gelsight", "tactip", "uskin")}
 for name, simulator in simulators.items():
     print(f"{name:9} depth [mm] at 2, 4 and 6 N: {simulator.depth_mm(contact)}")
 
