@@ -17,7 +17,7 @@ from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, table
 from uniforce_vtla.evaluation.comparison import as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import wilson
-from uniforce_vtla.options import CountOrZero, FolderPath, OutFile, OutFolder, Seed, Workers
+from uniforce_vtla.options import CountOrZero, FolderPath, OutFile, OutFolder, Seed, Text, Workers, split
 from uniforce_vtla.results_file import provenance, write_json
 
 DEMONSTRATED = {"left_sensor": "gelsight", "right_sensor": "tactip"}
@@ -33,7 +33,7 @@ class LadderCommand:
     part: Literal["ladder", "left_out", "controls", "arms"] = "ladder"
     checkpoints: FolderPath = "outputs/arms"  # ARM/seed0, ARM/seed1, …
     calibrations: FolderPath = ""  # of `uniforce calibrate`: shipped/uskin-2, …; "" = those rows wait
-    rows: str = ""  # names between commas: score these alone, the others wait; "" = all of the part
+    rows: Text = ""  # names between commas: score these alone, the others wait; "" = all of the part
     level: Level = "touch"
     rollouts: CountOrZero = 0  # per sensor worn; 0 = as planned
     first_seed: Seed = 0  # 0 = the plan's own block: score it once
@@ -88,7 +88,7 @@ def wanted(config: LadderCommand) -> list[Entry]:
     Raises:
         ContractError: a name that the part doesn't hold.
     """
-    names = [name.strip() for name in config.rows.split(",") if name.strip()]
+    names = [name.strip() for name in split(config.rows)]
     planned = PARTS[config.part]
     if unknown := set(names) - {entry.name for entry in planned}:
         have = ", ".join(entry.name for entry in planned)

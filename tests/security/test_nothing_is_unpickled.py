@@ -18,7 +18,10 @@ ROOT = Path(__file__).parents[2]
 UNPICKLERS = {"pickle", "_pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 NEVER = {"eval", "exec", "compile", "os.system", "yaml.load", "yaml.unsafe_load", "yaml.full_load"}
 NEVER |= {"pd.read_pickle", "pandas.read_pickle", "torch.package.PackageImporter", "torch.jit.load"}
-PROCESSES = {"Parallel", "delayed"}  # of joblib: its loader is what unpickles files
+PROCESSES = {  # of joblib: its loader is what unpickles files
+    "joblib": {"Parallel", "delayed"},
+    "joblib.externals.loky": {"process_executor"},
+}
 
 
 def breaches(source: str, name: str) -> Iterator[str]:
@@ -28,7 +31,7 @@ def breaches(source: str, name: str) -> Iterator[str]:
             yield from (f"import {a.name}" for a in node.names if a.name.split(".")[0] in UNPICKLERS)
         elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in UNPICKLERS:
             names = {a.name for a in node.names}
-            if not (node.module == "joblib" and names <= PROCESSES):
+            if not names <= PROCESSES.get(node.module or "", set()):
                 yield f"from {node.module} import"
         elif isinstance(node, ast.Call):
             yield from call_breaches(node, name)
