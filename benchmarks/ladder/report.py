@@ -40,6 +40,7 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
             wanted = {key: first[key] for key in came}
             raise ContractError(expected("level of the parts", wanted, came, "Score them on one level."))
     found: dict[str, Any] = {key: first[key] for key in SAME}
+    found["scored_by"] = [{key: part[key] for key in ("command", "date", "machine")} for part in parts]
     rows = [row for part in parts for row in part["rows"].values()]
     found["training_seeds"] = max(len(row["clean_by_training_seed"]) for row in rows)
     found |= {"arms": {}, "side_arms": {}, "ladder": {}, "ladder_controls": {}, "within": [], "tests": []}

@@ -90,7 +90,9 @@ def test_the_expert_alone_is_scored_and_the_rest_is_named(tmp_path: Path, capsys
 
 def part_of(part: str, level_hash: str = "a", **counts: int) -> dict:
     rows = {name: {"n": n, "clean": n, "clean_by_training_seed": ["1/1"] * 3} for name, n in counts.items()}
-    return {"part": part, "level": "touch", "level_hash": level_hash, "rows": rows, "within": [part], "better": []}
+    scored = {"command": part, "date": "today", "machine": "here"}
+    claimed = {"within": [part], "better": []}
+    return {"part": part, "level": "touch", "level_hash": level_hash, "rows": rows} | claimed | scored
 
 
 def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ THUMBNAILS = 6
 PICTURE_DPI = 110  # thumbnails need it
 COLOURS = {
     "clean": "#2a9d8f",
-    "success with an event": "#a8dcd5",
+    "wiped, not clean": "#a8dcd5",
     "residual": "#e9c46a",
     "failed_grasp": "#e76f51",
     "aborted": "#6c757d",
@@ -52,7 +52,7 @@ def draw_outcomes(axes: Axes, reports: Sequence[ArmReport]) -> None:
 
 def _draw_bar(axes: Axes, place: int, report: ArmReport) -> None:
     counts = {outcome: report.count(outcome) for outcome in OUTCOME_NAMES} | {"clean": report.count("clean")}
-    counts["success with an event"] = counts["success"] - counts["clean"]
+    counts["wiped, not clean"] = counts["success"] - counts["clean"]
     left = 0.0
     for name, colour in COLOURS.items():
         share = counts[name] / report.n
