@@ -30,7 +30,7 @@ class Page:
     """One open page.
 
     Attributes:
-        complaints: what the console was told since the page was opened: errors, warnings, exceptions, loads that
+        complaints: messages of the console since the page was opened: errors, warnings, exceptions, loads that
             failed or were refused.
     """
 

@@ -23,7 +23,7 @@ def pictures(cell: dict) -> list[np.ndarray]:
 @pytest.mark.timeout(900)  # 40 s of work; other processes may leave it little of a core
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_cell_runs_and_shows_its_picture(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MPLBACKEND", raising=False)  # else the kernel draws where nobody looks
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # else the kernel draws into no notebook
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     notebook = jupytext.read(path)
     NotebookClient(notebook, timeout=600).execute()  # raises CellExecutionError where a cell fails

@@ -74,7 +74,7 @@ def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
 
 def roll(cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path) -> dict[str, dict[int, Row]]:
     """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it."""
-    lines = path.read_text().splitlines() if path.is_file() else []
+    lines = path.read_text().split("\n")[:-1] if path.is_file() else []  # without one that a kill has cut short
     rows = [Row(**json.loads(line)) for line in lines]
     done = {(row.cell, row.seed) for row in rows}
     jobs = [
@@ -84,6 +84,7 @@ def roll(cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Pa
         if (cell.name, seed) not in done
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(f"{line}\n" for line in lines))
     with path.open("a") as file:
         for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
             file.write(json.dumps(asdict(row)) + "\n")
@@ -107,12 +108,13 @@ def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> d
     found: dict[str, Any] = {"": counts(usual)}
     for name in dict.fromkeys(cell.operator for cell in cells[1:]):
         benign, *faulty = (cell for cell in cells if cell.operator == name)
+        counted = [counts(rows[cell.name]) for cell in faulty]
         lower = [_lower_bound(rows[cell.name], usual) for cell in faulty]
         breaking = [cell.dose for cell, bound in zip(faulty, lower, strict=True) if bound < -MARGIN]
         found[name] = {
             "unit": ALL_OPERATORS[name].unit,
             "doses": [cell.dose for cell in faulty],
-            **{key: [counts(rows[cell.name])[key] for cell in faulty] for key in counts(usual)},
+            **{key: [one[key] for one in counted] for key in found[""]},
             "lower_bound": [round(bound, 3) for bound in lower],
             "benign": counts(rows[benign.name])["clean"],
             "breaking_dose": breaking[0] if breaking else None,

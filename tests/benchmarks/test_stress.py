@@ -104,6 +104,9 @@ def test_episodes_are_kept(tmp_path) -> None:
     kept = row("expert", 7, True)
     path.write_text(json.dumps(asdict(kept)) + "\n")
     assert roll(cells, "touch", range(7, 8), 1, path) == {"expert": {7: kept}}
+    path.write_text(path.read_text() + '{"cell": "exp')  # killed while it wrote
+    found = roll(cells, "touch", range(7, 9), 1, path)
+    assert found["expert"][7] == kept and roll(cells, "touch", range(7, 9), 1, path) == found
 
 
 def arms() -> dict:
