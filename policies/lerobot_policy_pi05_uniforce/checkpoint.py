@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 TYPE = "pi05_uniforce"
 # settings of who loads a checkpoint, not of who wrote it: stored at these values alone
-NEVER_STORED = {"verify": "full", "left_calibration": "", "right_calibration": ""}
+NEVER_STORED = {"verify": "full", "monitor": "stop", "left_calibration": "", "right_calibration": ""}
 PROCESSORS = ("policy_preprocessor.json", "policy_postprocessor.json")
 # of whole numbers in config.json: far beyond what is ever trained, far below what fills a machine
 COUNTS = ("chunk_size", "n_action_steps", "num_inference_steps", "max_action_dim", "max_state_dim")

@@ -20,6 +20,7 @@ _BY_SIZE: Any = None
 CHOICES = {
     "size": ("tiny", "base"),
     "verify": ("full", "quick", "off"),
+    "monitor": ("stop", "off"),
     "touch.input": ("latent", "newtons", "wrench", "descriptor", "marker_pair", "none"),
     "touch.site": ("prefix", "suffix"),
     "touch.on_sensor_loss": ("error", "mask"),
@@ -125,6 +126,9 @@ class PI05UniforceConfig(PI05Config):
     # loading: files are compared with hashes.json. "full": all, a second per GB | "quick": from 16 MB by size
     # alone | "off". A checkpoint always stores "full": none may ask for its own files not to be compared
     verify: str = "full"
+    # rollout: "stop" when a sensor gives what no healthy one of its kind does (tokenizer/latent_range.py) | "off".
+    # A checkpoint always stores "stop"
+    monitor: str = "stop"
 
     touch: TouchSettings = field(default_factory=TouchSettings)
     action: ActionSettings = field(default_factory=ActionSettings)

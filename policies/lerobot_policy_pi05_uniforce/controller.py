@@ -124,6 +124,8 @@ class PolicyController:
         for finger, folder in (calibrations or {}).items():
             setattr(config, f"{finger}_calibration", folder)
         self.notes = stored.check_sensors(config, mounted)
+        for finger, kind in mounted.items():  # whose health is watched
+            setattr(config, f"{finger}_sensor", kind)
         folder = str(config.pretrained_path)
         self.policy = PI05UniforcePolicy.from_pretrained(folder, config=config)
         with stored.misfits_named(f"processors of {folder}"):

@@ -22,7 +22,14 @@ from lerobot_policy_pi05_uniforce.model_card import CARD, model_card
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch, state_size
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE, floor_quantiles
 from lerobot_policy_pi05_uniforce.touch.controls import ControlInput, NewtonInput
-from lerobot_policy_pi05_uniforce.touch.encode import ENCODER, TouchInput, check_hash, is_packaged, load_calibrations
+from lerobot_policy_pi05_uniforce.touch.encode import (
+    ENCODER,
+    TouchInput,
+    build_monitors,
+    check_hash,
+    is_packaged,
+    load_calibrations,
+)
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import drop_hashes
 from uniforce_vtla.json_file import read_object
@@ -81,7 +88,8 @@ class PI05UniforcePolicy(stock.PI05Policy):
         if config.touch.input not in (*checkpoint.ENCODED, "none"):
             return ControlInput(config)
         rows = (config.tokens_per_slot, config.latent_size) if encoder else (0, 0)
-        latents = TouchInput(config, encoder, rows, load_calibrations(config, rows))
+        monitors = build_monitors(config) if encoder else {}
+        latents = TouchInput(config, encoder, rows, load_calibrations(config, rows), monitors)
         return NewtonInput(latents) if config.touch.input == "newtons" else latents
 
     def _take_dataset_facts(self, stats: dict[str, Any] | None, meta: Any) -> None:

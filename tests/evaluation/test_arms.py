@@ -41,6 +41,8 @@ def test_rows_survive_a_line_cut_short(tmp_path: Path) -> None:
     with file.open("a") as handle:
         handle.write('{"seed": 5, "outc')
     assert read_rows(file) == {3: row(3), 4: row(4, "residual", False)}
+    write_row(file, row(5))  # scored again
+    assert read_rows(file) == {3: row(3), 4: row(4, "residual", False), 5: row(5)}
 
 
 def test_rows_of_another_version_are_refused(tmp_path: Path) -> None:

@@ -11,10 +11,11 @@ from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy,
 from lerobot_policy_pi05_uniforce.checkpoint import check_settings
 from lerobot_policy_pi05_uniforce.touch import controls
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
-from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError
+from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
 from uniforce_vtla.keys import descriptor_key, latent_key, marker_pair_key, tactile_key
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
 from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
 PROJECTIONS = ("action_in_proj", "action_out_proj", "time_mlp_in", "time_mlp_out")
@@ -141,6 +142,34 @@ def test_lost_touch_can_be_masked_and_is_logged_once(make_policy, make_batch, ca
             _, masks = policy._preprocess_images(gone)
     assert masks[3].all() and not masks[4].any()
     assert sum("tactile_left" in r.message for r in caplog.records) == 1
+
+
+def watched(policy, limit=1e-3):
+    """A policy whose right sensor is watched so closely that nothing is healthy."""
+    usual = LatentRange("tactip", policy.config.tokenizer_hash, 96, limit, limit)
+    policy.touch.monitors["right"] = HealthMonitor(usual, "right", FREE_LOOKS)
+    return policy
+
+
+def test_a_sensor_that_is_not_healthy_stops_the_rollout_at_the_third_look(make_policy, make_batch):
+    policy = watched(make_policy())
+    batch = make_batch(policy)
+    for _ in range(2):  # episodes
+        policy.reset()
+        for _ in range(FREE_LOOKS - 1):
+            policy.predict_action_chunk(batch)
+        with pytest.raises(SensorError, match="tactip on the right finger"):
+            policy.predict_action_chunk(batch)
+
+
+def test_a_sensor_that_is_not_healthy_can_be_masked_and_is_not_watched_in_training(make_policy, make_batch):
+    policy = watched(make_policy(touch__on_sensor_loss="mask"))
+    batch = make_batch(policy)
+    masks = [policy._preprocess_images(batch)[1] for _ in range(FREE_LOOKS)]
+    assert masks[0][3].all() and not masks[-1][3].any() and masks[-1][4].all()
+    policy = watched(make_policy(touch__on_sensor_loss="error")).train()
+    for _ in range(FREE_LOOKS + 1):
+        policy._preprocess_images(batch)
 
 
 def test_touch_dropout_in_training_with_two_slots_or_on_request(make_policy, make_batch):

@@ -64,10 +64,15 @@ def row_of(rollout: Rollout) -> EpisodeRow:
 
 
 def write_row(path: Path, row: EpisodeRow) -> None:
-    """Append a row and force it to disk: a killed run keeps every finished episode."""
+    """Append a row and force it to disk: a killed run keeps every finished episode.
+
+    A last line that a kill has cut short is overwritten, as ``read_rows`` leaves it out.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as handle:
-        handle.write(json.dumps(asdict(row)) + "\n")
+    with path.open("ab+") as handle:
+        handle.seek(0)
+        handle.truncate(handle.read().rfind(b"\n") + 1)
+        handle.write(json.dumps(asdict(row)).encode() + b"\n")
         handle.flush()
         os.fsync(handle.fileno())
 

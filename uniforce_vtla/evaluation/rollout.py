@@ -60,7 +60,7 @@ class Rollout:
 
 
 def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: bool = False) -> Rollout:
-    """Run one episode to its end. Where a sensor is lost on the way the robot stops, and the episode is aborted.
+    """Run one episode to its end. Where a sensor is lost or not healthy the robot stops, and the episode is aborted.
 
     Raises:
         RolloutError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
@@ -74,11 +74,17 @@ def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: b
     def finished(result: EpisodeResult) -> Rollout:
         return Rollout(seed, result, env.trace, np.asarray(think_ms), frames, controller.facts())
 
+    def stopped(error: SensorError) -> Rollout:  # so does the robot
+        return finished(replace(env.result(), outcome="aborted", reasons=(str(error),)))
+
     while not done:
         if keep_frames:
             frames.append(observation["pixels"]["front"])
         start = time.perf_counter()
-        chunk = controller.chunk(observation, env.task)
+        try:
+            chunk = controller.chunk(observation, env.task)
+        except SensorError as error:  # a sensor isn't to be trusted
+            return stopped(error)
         if chunk.ndim != 2 or chunk.shape[1] != 5 or len(chunk) == 0 or not np.isfinite(chunk).all():
             do = "The robot holds; check the policy."
             raise RolloutError(expected("action chunk", "finite (n ≥ 1, 5)", chunk.shape, do))
@@ -87,6 +93,6 @@ def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: b
         if not done:
             try:
                 observation = env.observe()
-            except SensorError as error:  # touch is lost: the robot stops
-                return finished(replace(env.result(), outcome="aborted", reasons=(str(error),)))
+            except SensorError as error:  # touch is lost
+                return stopped(error)
     return finished(env.result())

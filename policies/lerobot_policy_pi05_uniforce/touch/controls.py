@@ -71,7 +71,7 @@ class NewtonInput(TouchInput):
 
     def __init__(self, latents: TouchInput) -> None:
         config = latents.config
-        super().__init__(config, latents.encoder, SHAPES["newtons"])
+        super().__init__(config, latents.encoder, SHAPES["newtons"], monitors=latents.monitors)
         self._latents = latents
         head = read_head(config.touch.head, config.tokenizer_hash)
         if (trained_with := config.touch.head_hash or head.hash) != head.hash:

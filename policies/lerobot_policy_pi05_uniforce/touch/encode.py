@@ -12,15 +12,16 @@ from torch import Tensor, nn
 
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, expected
+from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError, UniForceError, expected
 from uniforce_vtla.keys import SLOTS, latent_key, tactile_key
 from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
 from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentMap
 from uniforce_vtla.tokenizer.entry import prepare_tensor
+from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
-from uniforce_vtla.tokenizer.weights import SIZES, content_hash
+from uniforce_vtla.tokenizer.weights import SIZES, checkpoint_folder, content_hash
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import PI05UniforceConfig
@@ -30,6 +31,7 @@ logger = logging.getLogger(__name__)
 LATENT_KEYS = {slot: latent_key(slot) for slot in SLOTS}
 # reference, current
 PAIR_KEYS = {finger: (tactile_key(finger, True), tactile_key(finger)) for finger in FINGERS}
+HALF_SECOND = 15  # control steps, at 30 Hz
 ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where the package doesn't have them
 
 
@@ -136,6 +138,25 @@ def load_calibrations(
     return found
 
 
+def build_monitors(config: PI05UniforceConfig) -> dict[Finger, HealthMonitor]:
+    """Return finger → monitor of the sensor it wears, where the policy feels with it and a range is shipped.
+
+    A finger whose kind isn't known, or has no range, isn't watched; the log says so.
+    """
+    size = packaged_hashes().get(config.tokenizer_hash) if config.tokenizer_hash else None
+    found: dict[Finger, HealthMonitor] = {}
+    if config.monitor == "off" or size is None:
+        return found
+    looks = max(FREE_LOOKS, round(HALF_SECOND / config.n_action_steps))
+    for slot, finger in config.finger_by_slot().items():
+        kind = getattr(config, f"{finger}_sensor") or config.touch.trained_sensors.get(slot, "")
+        if checkpoint_folder(size, f"latent_range_{kind}").is_dir():
+            found[finger] = HealthMonitor(LatentRange.from_pretrained(kind, size), finger, looks)
+        else:
+            logger.info("%s finger (%s): no range of latents is shipped, it isn't watched", finger, kind or "unknown")
+    return found
+
+
 class TouchInput:
     """Turn a batch into one (B, rows, numbers) tensor (``shape``) and one (B,) mask per slot."""
 
@@ -145,24 +166,30 @@ class TouchInput:
         encoder: Any,
         shape: tuple[int, int],
         calibrations: dict[Finger, LatentMap] | None = None,
+        monitors: dict[Finger, HealthMonitor] | None = None,
     ) -> None:
-        self.config, self.shape = config, shape
+        self.config, self.shape, self.monitors = config, shape, monitors or {}
         self.calibrations = calibrations or {}  # of what is encoded now; cached latents are used as they are
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
         self.masked = False  # every slot masked: the control that takes touch away from a trained policy
         self._logged: set[str] = set()
 
     def reset(self) -> None:
-        """Forget cached references: the next episode takes its own."""
+        """Forget cached references and what was watched: the next episode takes its own."""
         if self.encoder is not None:
             self.encoder.references.forget()
+        for monitor in self.monitors.values():
+            monitor.reset()
 
     def gather(self, batch: dict[str, Tensor], device: torch.device, training: bool) -> tuple[list, list]:
         """Return the slots' tensors and masks, in slot order.
 
         Raises:
             RolloutError: a declared input is missing or not finite, and ``on_sensor_loss`` is "error".
+            SensorError: likewise, where a sensor gives what no healthy one of its kind does.
         """
+        for monitor in self.monitors.values():
+            monitor.active = not training
         touches = [self._read(batch, slot, device) for slot in self.config.slots]
         masks = [touch.isfinite().flatten(1).all(dim=1) for touch in touches]  # (B,) each
         if self.masked:
@@ -176,18 +203,19 @@ class TouchInput:
         """Return a slot's input, NaN where its sensor is lost."""
         try:
             touch = self.read(batch, slot, device)
-        except RolloutError as error:
-            self._lost(str(error))
+        except (RolloutError, SensorError) as error:
+            self._lost(error)
             size = len(next(v for k, v in batch.items() if k.startswith("observation.")))
             return torch.full((size, *self.shape), torch.nan, device=device)
         if not bool(touch.isfinite().all()):
-            self._lost(expected(slot, "finite numbers", "NaN or inf", "Check the sensor or the dataset."))
+            do = "Check the sensor or the dataset."
+            self._lost(RolloutError(expected(slot, "finite numbers", "NaN or inf", do)))
         return touch
 
-    def _lost(self, message: str) -> None:
+    def _lost(self, error: UniForceError) -> None:
         if self.config.touch.on_sensor_loss == "error":
-            raise RolloutError(message)
-        if message not in self._logged:
+            raise error
+        if (message := str(error)) not in self._logged:
             self._logged.add(message)
             logger.warning("on_sensor_loss=mask: going on without touch. %s", message)
 
@@ -199,6 +227,8 @@ class TouchInput:
         finger = self.config.finger_by_slot()[slot]
         reference, current = (image.to(device) for image in self.pair(batch, finger))
         latent = self.encoder(slot, finger, reference, current)
+        if finger in self.monitors:
+            self.monitors[finger].see(latent)
         return self.calibrations[finger](latent) if finger in self.calibrations else latent
 
     def pair(self, batch: dict[str, Tensor], finger: Finger) -> list[Tensor]:

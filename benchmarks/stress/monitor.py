@@ -1,0 +1,187 @@
+"""A monitor of a sensor's health: fit a kind's range of latents; say which faults it notices while the expert wipes."""
+
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+from joblib import Parallel, delayed
+from scipy.stats import mannwhitneyu
+from tqdm import tqdm
+
+from benchmarks.probes.worn_sequences import WornSequences, draw_worn
+from benchmarks.stress.operators import OPERATORS, worn_with
+from benchmarks.stress.readings import encode_now
+from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
+from lerobot_env_uniforce_wiping.episodes import walk
+from uniforce_cli.boundary import Level, command, worker_process
+from uniforce_vtla.errors import SensorError
+from uniforce_vtla.options import Count, Names, OutFile, OutFolder, Text, Workers, split
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
+from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, LatentRange
+from uniforce_vtla.tokenizer.weights import SIZES
+
+EVERY = 2  # steps between two looks, as tiny takes them
+LOOKS = 8  # that make half a second
+MARGIN = 1.1  # of the largest distance seen in clean wipes
+KINDS = ("tactip", "gelsight", "uskin")
+# development scenes, and units that no benchmark wears
+LIMITS = [(39_700 + n, 20 + n) for n in range(16)]
+CLEAN = [(39_720 + n, 40 + n) for n in range(40)]
+FAULTY = [(39_780 + n, 100 + n) for n in range(4)]
+
+Size = Annotated[str, Names(SIZES)]
+
+
+@dataclass
+class MonitorCommand:
+    """Fit the ranges of kinds (part=fit), or watch wipes with every fault (part=faults).
+
+    Example: python -m benchmarks.stress.monitor out=outputs/monitor.json
+    """
+
+    part: Literal["fit", "faults"] = "faults"
+    kinds: Text = "tactip"  # comma between them
+    level: Level = "touch"
+    size: Size = "small"  # tokenizer
+    # part=fit: where the ranges go; to ship them uniforce_vtla/tokenizer/assets/small
+    folder: OutFolder = "outputs/latent_ranges"
+    clean: Count = 40  # at most; wipes without a fault
+    faulty: Count = 2  # wipes per operator and dose, at most four
+    workers: Workers = 2
+    out: OutFile = "outputs/monitor.json"
+
+
+@dataclass(frozen=True)
+class Watched:
+    """One wipe: how far its latents were from healthy ones, in units of the range's limits."""
+
+    free: float  # at the start, in free air
+    run: float  # the largest over half a second
+    alarm_s: float  # of the first alarm; inf: none
+    seconds: float  # of the whole wipe
+    refused: bool  # a frame wasn't encoded at all: the robot stops there without a monitor
+
+    @property
+    def score(self) -> float:
+        """The larger of both; an alarm above 1."""
+        return max(self.free, self.run)
+
+
+def watch(level: str, sensor: str, seed: int, usual: LatentRange, tokenizer: Tokenizer) -> Watched:
+    """Let the expert wipe by the true wrench with ``sensor`` on its right finger; stop at a refused frame."""
+    env, distances, refused, steps = WipeEnv(level, right_sensor=sensor, drawn=("right",)), [], False, 0
+    try:
+        for steps, _ in enumerate(walk(env, WipeExpert(), seed)):
+            if steps % EVERY == 0:
+                latents = encode_now(env, "right", tokenizer).as_subclass(torch.Tensor)
+                distances.append(float(usual.distance(latents)))
+    except SensorError:
+        refused = True
+    return watched(np.array(distances), usual, steps / env.metadata["render_fps"], refused)
+
+
+def watched(distances: np.ndarray, usual: LatentRange, seconds: float, refused: bool) -> Watched:
+    """Return what a monitor makes of the looks' (n,) distances."""
+    if len(distances) < LOOKS:
+        return Watched(0.0, 0.0, seconds if refused else np.inf, seconds, refused)
+    free = float(distances[:FREE_LOOKS].mean()) / usual.free_limit
+    means = np.convolve(distances, np.full(LOOKS, 1 / LOOKS), "valid") / usual.run_limit
+    over = np.flatnonzero(means > 1)
+    period_s = seconds / len(distances)
+    first = FREE_LOOKS if free > 1 else over[0] + LOOKS if len(over) else np.inf
+    return Watched(free, float(means.max()), float(first * period_s), seconds, refused)
+
+
+def _job(level: str, sensor: str, seed: int, usual: LatentRange, size: str) -> Watched:
+    worker_process()
+    return watch(level, sensor, seed, usual, Tokenizer.from_pretrained(size))
+
+
+def _watch_all(config: MonitorCommand, rows: Iterable[tuple[str, int]], usual: LatentRange, desc: str) -> list[Watched]:
+    jobs = [delayed(_job)(config.level, sensor, seed, usual, config.size) for sensor, seed in rows]
+    found = Parallel(config.workers, return_as="generator")(jobs)
+    return list(tqdm(found, total=len(jobs), desc=desc, disable=None))
+
+
+def fit(config: MonitorCommand, kind: str) -> Path:
+    """Fit a kind's range to drawn contacts of many units, set its limits by clean wipes of others, store it."""
+    tokenizer = Tokenizer.from_pretrained(config.size)
+    latents, _ = draw_worn(WornSequences(), kind, tokenizer)
+    usual = LatentRange.fit(latents.flatten(0, 1), kind, tokenizer.hash)
+    usual.free_limit = usual.run_limit = 1.0
+    seen = _watch_all(config, [(f"{kind}:{unit}", seed) for seed, unit in LIMITS], usual, f"clean wipes, {kind}")
+    usual.free_limit = round(MARGIN * max(one.free for one in seen), 3)
+    usual.run_limit = round(MARGIN * max(one.run for one in seen), 3)
+    return usual.save(Path(config.folder) / f"latent_range_{kind}")
+
+
+def faults(config: MonitorCommand, kind: str) -> dict[str, Any]:
+    """Return what the shipped range of a kind notices, operator by operator and dose by dose."""
+    usual = LatentRange.from_pretrained(kind, config.size)
+    clean_rows = [(f"{kind}:{unit}", seed) for seed, unit in CLEAN[: config.clean]]
+    clean = _watch_all(config, clean_rows, usual, f"clean, {kind}")
+    false = [one for one in clean if one.score > 1]
+    hours = sum(one.seconds for one in clean) / 3600
+    found: dict[str, Any] = {
+        "free_limit": usual.free_limit,
+        "run_limit": usual.run_limit,
+        "clean": {"wipes": len(clean), "hours": round(hours, 3), "false_alarms": len(false)},
+        "largest_clean": {"free": max(one.free for one in clean), "run": max(one.run for one in clean)},
+        "operators": {},
+    }
+    for name, operator in OPERATORS.items():
+        cells = []
+        for dose in operator.doses:
+            worn = [(worn_with(operator, f"{kind}:{unit}", dose), seed) for seed, unit in FAULTY[: config.faulty]]
+            rows = [(sensor, seed) for sensor, seed in worn if sensor]
+            if rows:
+                seen = _watch_all(config, rows, usual, f"{name} {dose:g}, {kind}")
+                cells.append({"dose": dose, **summary(seen, clean)})
+        if cells:
+            found["operators"][name] = {"unit": operator.unit, "cells": cells}
+    return found
+
+
+def summary(seen: list[Watched], clean: list[Watched]) -> dict[str, Any]:
+    """Return how one dose is noticed: share of wipes, median time, AUROC against clean wipes."""
+    scores = [np.inf if one.refused else one.score for one in seen]
+    area = mannwhitneyu(scores, [one.score for one in clean]).statistic / (len(seen) * len(clean))
+    noticed = [one for one in seen if one.refused or one.score > 1]
+    times_s = [min(one.alarm_s, one.seconds) for one in noticed]
+    return {
+        "n": len(seen),
+        "noticed": len(noticed),
+        "refused": sum(one.refused for one in seen),
+        "auroc": round(float(area), 3),
+        "after_s": round(float(np.median(times_s)), 2) if times_s else None,
+        "free": round(float(np.mean([one.free for one in seen])), 2),
+        "run": round(float(np.mean([one.run for one in seen])), 2),
+    }
+
+
+@command(MonitorCommand)
+def main(config: MonitorCommand) -> None:
+    """Entry of ``python -m benchmarks.stress.monitor``."""
+    torch.set_num_threads(1)
+    kinds = split(config.kinds)
+    if config.part == "fit":
+        for kind in kinds:
+            print(f"written to {fit(config, kind)}")
+        return
+    found = {kind: faults(config, kind) for kind in kinds}
+    for kind, rows in found.items():
+        print(f"{kind}: {rows['clean']}")
+        for name, row in rows["operators"].items():
+            said = "  ".join(f"{cell['dose']:g}: {cell['noticed']}/{cell['n']}" for cell in row["cells"])
+            print(f"  {name:20} [{row['unit']}] noticed {said}")
+    content = {"level": config.level, "size": config.size, "kinds": found}
+    print(f"written to {write_json(Path(config.out), content | provenance())}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

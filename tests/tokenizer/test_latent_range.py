@@ -1,0 +1,97 @@
+"""A range of latents: what lies in it, what doesn't, and a monitor that says so once it lasts."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from uniforce_vtla.errors import CheckpointError, ContractError, SensorError
+from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor, LatentRange
+
+LOOKS = 8
+PATCHES, CHANNELS = 4, 3
+
+
+def drawn(count: int, seed: int = 0) -> torch.Tensor:
+    """Return (n, P, L) latents whose numbers depend on one another."""
+    generator = torch.Generator().manual_seed(seed)
+    mixing = torch.randn(PATCHES * CHANNELS, PATCHES * CHANNELS, generator=torch.Generator().manual_seed(1))
+    rows = torch.randn(count, PATCHES * CHANNELS, generator=generator) @ mixing + 5
+    return rows.unflatten(1, (PATCHES, CHANNELS))
+
+
+@pytest.fixture
+def usual() -> LatentRange:
+    found = LatentRange.fit(drawn(4000), "tactip", "abc")
+    found.free_limit, found.run_limit = 1.6, 1.4
+    return found
+
+
+def test_what_was_fitted_lies_one_away_whatever_its_scale(usual: LatentRange) -> None:
+    mean_square = usual.distance(drawn(2000, 7)).square().mean().item()
+    assert 0.7 < mean_square < 1.05  # the floor takes a little
+    stretched = LatentRange.fit(100 * drawn(4000), "tactip", "abc")
+    assert torch.allclose(stretched.distance(100 * drawn(5, 3)), usual.distance(drawn(5, 3)), rtol=1e-2)
+
+
+def test_too_few_latents_are_refused() -> None:
+    with pytest.raises(ContractError, match="more than 12"):
+        LatentRange.fit(drawn(12), "tactip", "abc")
+
+
+def test_a_range_is_stored_and_read_back(usual: LatentRange, tmp_path: Path) -> None:
+    again = LatentRange.from_pretrained("tactip", usual.save(tmp_path / "range"))
+    assert torch.allclose(again.distance(drawn(3)), usual.distance(drawn(3)))
+    assert (again.kind, again.tokenizer_hash, again.free_limit, again.run_limit) == ("tactip", "abc", 1.6, 1.4)
+
+
+def test_a_folder_without_limits_is_refused(usual: LatentRange, tmp_path: Path) -> None:
+    folder = usual.save(tmp_path / "range")
+    config = json.loads((folder / "config.json").read_text())
+    del config["run_limit"]
+    (folder / "config.json").write_text(json.dumps(config))
+    (folder / "hashes.json").unlink()
+    with pytest.raises(CheckpointError, match="run_limit"):
+        LatentRange.from_pretrained("tactip", folder)
+
+
+def test_healthy_latents_raise_no_alarm(usual: LatentRange) -> None:
+    monitor = HealthMonitor(usual, "right", LOOKS)
+    for look in drawn(300, 9):
+        monitor.see(look[None])
+
+
+def test_one_odd_look_is_forgiven_and_half_a_second_of_them_is_not(usual: LatentRange) -> None:
+    monitor, odd = HealthMonitor(usual, "right", LOOKS), drawn(1, 3) + 20
+    for look in drawn(20, 9):
+        monitor.see(look[None])
+    monitor.see(usual.mean.unflatten(0, (PATCHES, CHANNELS))[None] * 1.01)
+    with pytest.raises(SensorError, match=r"tactip on the right finger over half a second.*monitor=off"):
+        for _ in range(LOOKS):
+            monitor.see(odd)
+
+
+def test_an_odd_picture_in_free_air_is_noticed_at_the_third_look_of_each_episode(usual: LatentRange) -> None:
+    monitor, odd = HealthMonitor(usual, "left", LOOKS), drawn(1, 3) + 20
+    for _ in range(2):
+        monitor.reset()
+        for _ in range(FREE_LOOKS - 1):
+            monitor.see(odd)
+        with pytest.raises(SensorError, match="in free air"):
+            monitor.see(odd)
+
+
+def test_of_several_environments_the_worst_counts(usual: LatentRange) -> None:
+    monitor = HealthMonitor(usual, "left", LOOKS)
+    looks = torch.cat([drawn(3, 5), drawn(1, 3) + 20])
+    with pytest.raises(SensorError):
+        for _ in range(FREE_LOOKS):
+            monitor.see(looks)
+
+
+def test_training_samples_are_not_watched(usual: LatentRange) -> None:
+    monitor = HealthMonitor(usual, "left", LOOKS)
+    monitor.active = False
+    for _ in range(2 * LOOKS):
+        monitor.see(drawn(1, 3) + 20)

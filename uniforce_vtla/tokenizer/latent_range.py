@@ -1,0 +1,129 @@
+"""Whether latents are such as a kind of sensor gives: their distance from what many units of it showed.
+
+A camera that moved, a reference taken under load or markers that come and go still give a latent, and a head still
+reads newtons in it. The distance notices them: healthy units lie close together whatever they touch. It can't notice a
+sensor that answers too little, because that looks like a lighter touch.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from uniforce_vtla.errors import CheckpointError, ContractError, SensorError, expected
+from uniforce_vtla.tokenizer.weights import checkpoint_folder, load_model, read_config, save_checkpoint
+
+FLOOR = 0.01  # of the mean variance, added to each: directions in which no unit moved must not decide alone
+FREE_LOOKS = 3  # at the start of an episode, before anything is touched
+
+
+class LatentRange(nn.Module):
+    """Mean and covariance of a kind's pooled latents, and how far healthy units go.
+
+    Args:
+        kind: of sensor.
+        tokenizer_hash: whose latents.
+        size: numbers of a latent, P · L.
+        free_limit: largest mean distance of a healthy unit's first looks, in free air.
+        run_limit: largest mean distance of a healthy unit over half a second.
+    """
+
+    mean: torch.Tensor
+    whitening: torch.Tensor
+
+    def __init__(self, kind: str, tokenizer_hash: str, size: int, free_limit: float, run_limit: float) -> None:
+        super().__init__()
+        self.kind, self.tokenizer_hash = kind, tokenizer_hash
+        self.free_limit, self.run_limit = free_limit, run_limit
+        self.register_buffer("mean", torch.zeros(size))
+        self.register_buffer("whitening", torch.eye(size))
+
+    @classmethod
+    def fit(cls, latents: torch.Tensor, kind: str, tokenizer_hash: str) -> LatentRange:
+        """Return the range of (n, P, L) pooled latents; its limits are infinite until they are set.
+
+        Raises:
+            ContractError: fewer latents than numbers in one.
+        """
+        rows = latents.flatten(1)
+        count, size = rows.shape
+        if count <= size:
+            raise ContractError(expected("latents", f"more than {size}", count, "Draw more contacts."))
+        found = cls(kind, tokenizer_hash, size, float("inf"), float("inf"))
+        variance, axes = torch.linalg.eigh(torch.cov(rows.T.double()))
+        found.mean = rows.mean(dim=0)
+        found.whitening = (axes / (variance + FLOOR * variance.mean()).sqrt()).float()
+        return found
+
+    @classmethod
+    def from_pretrained(cls, kind: str, path: str | Path | None = None) -> LatentRange:
+        """Load a shipped kind's range for a size of tokenizer ("small" by default, "nano"), or any range's folder.
+
+        Raises:
+            CheckpointError: no range for that kind, or a checkpoint that doesn't fit.
+        """
+        folder = checkpoint_folder(path, f"latent_range_{kind}")
+        facts = read_config(folder)
+        try:
+            found = str(facts["kind"]), str(facts["tokenizer_hash"]), int(facts["size"])
+            limits = float(facts["free_limit"]), float(facts["run_limit"])
+        except (KeyError, TypeError, ValueError) as error:
+            wanted = "kind, tokenizer_hash, size, free_limit, run_limit"
+            raise CheckpointError(expected(f"config of {folder}", wanted, error, "Is this a latent range?")) from error
+        return load_model(folder, lambda: cls(*found, *limits))
+
+    def save(self, path: str | Path) -> Path:
+        """Write buffers and facts to a folder that ``from_pretrained`` reads."""
+        facts = {"kind": self.kind, "tokenizer_hash": self.tokenizer_hash, "size": len(self.mean)}
+        return save_checkpoint(Path(path), self, facts | {"free_limit": self.free_limit, "run_limit": self.run_limit})
+
+    def distance(self, latents: torch.Tensor) -> torch.Tensor:
+        """Return (B,) Mahalanobis distances of (B, P, L) pooled latents, root mean square over their P · L numbers."""
+        whitened = (latents.flatten(1) - self.mean) @ self.whitening
+        return whitened.square().mean(dim=1).sqrt()
+
+
+class HealthMonitor:
+    """Watches one finger through an episode.
+
+    Args:
+        usual: range of the kind it wears.
+        finger: name in messages.
+        looks: that make half a second.
+    """
+
+    def __init__(self, usual: LatentRange, finger: str, looks: int) -> None:
+        self._usual, self._finger = usual, finger
+        self._recent: deque[float] = deque(maxlen=looks)
+        self._seen = 0
+        self.active = True  # False while a policy trains: samples are in no order
+
+    def reset(self) -> None:
+        """Start an episode, in free air."""
+        self._recent.clear()
+        self._seen = 0
+
+    def see(self, latents: torch.Tensor) -> None:
+        """Take in the (B, P, L) pooled latents of one look; of several environments the worst counts.
+
+        Raises:
+            SensorError: farther from healthy units than any of them was.
+        """
+        if not self.active:
+            return
+        self._recent.append(float(self._usual.distance(latents).max()))
+        self._seen += 1
+        mean = sum(self._recent) / len(self._recent)
+        if self._seen == FREE_LOOKS and mean > self._usual.free_limit:
+            do = "Let go of everything and take the reference again; look whether the camera or gel has moved."
+            self._alarm("in free air", self._usual.free_limit, mean, do)
+        if len(self._recent) == self._recent.maxlen and mean > self._usual.run_limit:
+            do = "Look at the sensor; monitor=off goes on without this check."
+            self._alarm("over half a second", self._usual.run_limit, mean, do)
+
+    def _alarm(self, when: str, limit: float, mean: float, do: str) -> None:
+        what = f"{self._usual.kind} on the {self._finger} finger {when}"
+        raise SensorError(expected(what, f"latents within {limit:.2f} of healthy units", f"{mean:.2f}", do))
