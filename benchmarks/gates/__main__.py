@@ -22,8 +22,9 @@ from lerobot_env_uniforce_wiping.episodes import Script, run_script
 from lerobot_env_uniforce_wiping.expert import WipeExpert
 from lerobot_env_uniforce_wiping.levels import get_level, level_hash
 from uniforce_cli.boundary import Level, command, one_thread
+from uniforce_vtla.arguments import choose
 from uniforce_vtla.evaluation.statistics import wilson
-from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Workers
+from uniforce_vtla.options import Count, OutFile, OutFolder, Seed, Text, Workers
 from uniforce_vtla.results_file import provenance, write_json
 
 WANTED = BlindSettings(press_N=6.0, grip_N=8.5)  # forces as they are wanted: this script knows the stiffness
@@ -103,6 +104,7 @@ class GatesCommand:
     learn_from: Count = 250  # scenes that lag laws and observers are fitted on
     sweep_on: Count = 15  # of them that set points of scripts without touch are chosen on
     learn_seed: Seed = BLOCKS["what scripts of the gates learn from"].start  # where these start
+    only: Text = ""  # these scripts, comma between them
     workers: Workers = 2
     work: OutFolder = "outputs/gates"  # what was learnt, and episodes so far: run it again to go on
     out: OutFile = "outputs/gates.json"
@@ -122,7 +124,7 @@ def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
     rows = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
     done = {(row["script"], row["seed"]) for row in rows}
     seeds = range(config.first_seed, config.first_seed + config.episodes)
-    wanted = [(name, seed) for seed in seeds for name in GATES if (name, seed) not in done]
+    wanted = [(name, seed) for seed in seeds for name in choose(GATES, config.only) if (name, seed) not in done]
     jobs = [delayed(_episode)(config.level, name, seed, fitted, folder) for name, seed in wanted]
     with path.open("a") as file:
         for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
@@ -133,10 +135,12 @@ def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return a line per script."""
+    """Return a line per script that was run; ``by_seed`` as in an arm's (``EpisodeRow.code``)."""
     found = {}
     for name, gate in GATES.items():
-        own = [row for row in rows if row["script"] == name]
+        own = sorted((row for row in rows if row["script"] == name), key=lambda row: row["seed"])
+        if not own:
+            continue
         clean = sum(row["clean"] for row in own)
         interval = wilson(clean, len(own))
         found[name] = {
@@ -147,6 +151,8 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
             "at_most": gate.at_most,
             "holds": gate.holds(clean / len(own)),
             "in_band_share": sum(row["in_band_share"] for row in own) / len(own),
+            "success": sum(row["outcome"] == "success" for row in own),
+            "by_seed": "".join("C" if row["clean"] else row["outcome"][0] for row in own),
         }
     return found
 

@@ -102,7 +102,7 @@ ARMS = (
     Entry("true wrench", "wrench", block="arms"),
     Entry("V+T", "vt", block="arms"),
     Entry("V", "v", block="arms"),
-    Entry("V with previous action", "v_history", block="arms"),
+    Entry("V with history", "v_history", block="arms"),
     # the paper's arms: another sensor on the other finger, which bears another part of the press. The true wrench of
     # that finger says how much of a loss is the finger's
     Entry("V+G", "vt", ("gelsight",), "left", SWAP, block="arms"),
@@ -113,7 +113,7 @@ ARMS = (
     Entry("V+T+G on the uSkin rig", "vtg", ("uskin",), "left", block="arms"),
     Entry("V+T masked", "vt", control="masked", block="arms", rollouts=102),
     Entry("V+T shuffled", "vt", control="shuffled", block="arms", rollouts=102),
-    Entry("V+T frozen mid-wipe", "vt", control="frozen", block="arms", rollouts=102),
+    Entry("V+T frozen", "vt", control="frozen", block="arms"),
 )
 PARTS = {"ladder": LADDER, "left_out": LEFT_OUT, "controls": CONTROLS, "arms": ARMS}
 
@@ -130,8 +130,8 @@ CLAIMS = (
 SLACK = 0.05  # of the bound beyond a claim's margin
 BETTER = (
     ("V+T", "V"),
-    ("V+T", "V with previous action"),
-    ("V+T", "V+T frozen mid-wipe"),
+    ("V+T", "V with history"),
+    ("V+T", "V+T frozen"),
     ("V+T", "V+T masked"),
     *(
         (f"three newtons {rung}", f"{what} {rung}")

@@ -2,14 +2,15 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from uniforce_cli.boundary import command
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.evaluation.statistics import mcnemar
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import OutFile, Text, split
+from uniforce_vtla.options import FilePath, OutFile, Text, split
 from uniforce_vtla.results_file import provenance, write_json
 
 CLAIMABLE = 200  # an arm of fewer rollouts stands aside: no claim rests on it
@@ -25,6 +26,8 @@ class ReportCommand:
     """
 
     parts: Text = "outputs/ladder.json"  # result files, comma between them
+    # gates.json of the arms' scenes (benchmarks.gates first_seed=…): its best script without touch stands beside them
+    blind: FilePath = ""
     out: OutFile = "outputs/wiping.json"
 
 
@@ -55,10 +58,30 @@ def joined(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
+def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
+    """Put the script without touch that wipes clean most often beside the arms, and compare V+T with it.
+
+    Raises:
+        ContractError: another level or other scenes than V+T's.
+    """
+    scored, with_touch = [gates["level_hash"], *gates["seeds"]], found["arms"]["V+T"]
+    wanted = [found["level_hash"], *with_touch["seeds"]]
+    if scored != wanted:
+        raise ContractError(expected("level and scenes of the blind", wanted, scored, "Run them on the arms' scenes."))
+    blind = {name: row for name, row in gates["scripts"].items() if row["at_most"] is not None}
+    name = max(blind, key=lambda name: blind[name]["clean"])
+    found["arms"]["best blind"] = {"script": name, **blind[name]}
+    one, two = ([code == "C" for code in row["by_seed"]] for row in (with_touch, blind[name]))
+    points = 100 * (sum(one) - sum(two)) / len(one)
+    found["tests"].append({"arms": ["V+T", "best blind"], "n": len(one), **asdict(mcnemar(one, two)), "points": points})
+
+
 @command(ReportCommand)
 def main(config: ReportCommand) -> None:
     """Entry of ``python -m benchmarks.ladder.report``."""
     content = joined([read_object(Path(part), ContractError) for part in split(config.parts)])
+    if config.blind:
+        add_best_blind(content, read_object(Path(config.blind), ContractError))
     path = write_json(Path(config.out), content | provenance())
     rows = sum(len(content[section]) for section in ("arms", "side_arms", "ladder", "ladder_controls"))
     print(f"{rows} rows written to {path}")

@@ -107,3 +107,19 @@ def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> No
     file.write_text(json.dumps(ladder))
     assert report_of.main([f"parts={file}", f"out={tmp_path / 'wiping.json'}"]) == 0
     assert json.loads((tmp_path / "wiping.json").read_text())["ladder"]["S2_uskin"]["n"] == 204
+
+
+def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
+    found = report_of.joined([part_of("arms", **{"V+T": 204})])
+    found["arms"]["V+T"] |= {"seeds": [10, 13], "by_seed": "CCCr"}
+    lines = {
+        "expert": {"at_most": None, "clean": 4, "by_seed": "CCCC"},
+        "open loop": {"at_most": 0.15, "clean": 0, "by_seed": "rrrr"},
+        "plane known": {"at_most": 0.15, "clean": 1, "by_seed": "Crrr"},
+    }
+    gates = {"level_hash": "a", "seeds": [10, 13], "scripts": lines}
+    report_of.add_best_blind(found, gates)
+    assert found["arms"]["best blind"]["script"] == "plane known"
+    assert found["tests"][-1]["points"] == 50 and found["tests"][-1]["arms"] == ["V+T", "best blind"]
+    with pytest.raises(ContractError, match="arms' scenes"):
+        report_of.add_best_blind(found, gates | {"seeds": [20, 23]})
