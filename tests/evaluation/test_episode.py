@@ -2,29 +2,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from episode_samples import N, good_trace
 from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.evaluation.episode import STEP_FIELDS, EpisodeTrace, ScoreLimits, running_mean, score_episode
-
-N = 120  # steps at 30 Hz
-
-
-def good_trace(**changes: object) -> EpisodeTrace:
-    phase = np.repeat([0.0, 1.0, 2.0, 3.0], N // 4)
-    zeros = np.zeros(N)
-    fields: dict[str, object] = {name: zeros.copy() for name in STEP_FIELDS}
-    fields |= {
-        "time_s": (np.arange(N) + 1) / 30,
-        "press_N": np.where(phase == 2, 6.0, 0.0),
-        "grip_left_N": np.where(phase > 0, 9.0, 0.0),
-        "grip_right_N": np.where(phase > 0, 9.0, 0.0),
-        "residual": np.where(phase == 3, 0.05, 1.0),
-        "phase": phase,
-    }
-    return EpisodeTrace(**(fields | changes), rated_depth_mm=(1.5, 5.0))  # type: ignore[arg-type]
 
 
 def at(values: np.ndarray, where: slice, to: float) -> np.ndarray:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_episode import good_trace
+from episode_samples import good_trace
 
 from uniforce_vtla.errors import RolloutError, SensorError
 from uniforce_vtla.evaluation.episode import EpisodeResult, score_episode
