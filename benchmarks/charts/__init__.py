@@ -1,0 +1,1 @@
+"""Speed against accuracy: one chart per family, its Pareto front and the default on it."""

@@ -1,0 +1,59 @@
+"""Points of a chart, which of them no other one beats on both axes, and the picture."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from uniforce_vtla.figure_file import save_figure
+
+TIE = 0.005  # of the score: a smaller difference is none
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting, measured."""
+
+    name: str
+    cost: float  # less is better
+    score: float  # more is better
+    low: float  # of the score: the worst cell, or an interval's end
+    high: float
+    default: bool = False
+
+
+@dataclass(frozen=True)
+class Axes:
+    """What a chart shows."""
+
+    title: str
+    cost: str
+    score: str
+
+
+def front(points: Sequence[Point]) -> list[str]:
+    """Return the names of points that no other one beats: cheaper and at least as good, or as cheap and better."""
+    return [one.name for one in points if not any(_beats(other, one) for other in points)]
+
+
+def _beats(other: Point, one: Point) -> bool:
+    no_worse = other.cost <= one.cost and other.score >= one.score - TIE
+    return no_worse and (other.cost < one.cost or other.score > one.score + TIE)
+
+
+def draw_chart(points: Sequence[Point], axes: Axes, path: Path) -> Path:
+    """Draw points with their spans, the front as a line and the default filled; return ``path``."""
+    figure = Figure(figsize=(7, 4.5), layout="constrained")
+    plot = figure.subplots()
+    best = sorted((point for point in points if point.name in front(points)), key=lambda point: point.cost)
+    plot.plot([p.cost for p in best], [p.score for p in best], color="0.7", zorder=0, label="Pareto front")
+    for point in points:
+        span = [[point.score - point.low], [point.high - point.score]]
+        fill = "C0" if point.default else "white"
+        plot.errorbar(point.cost, point.score, yerr=span, marker="o", color="C0", markerfacecolor=fill, capsize=2)
+        plot.annotate(point.name, (point.cost, point.score), xytext=(5, 5), textcoords="offset points", fontsize=8)
+    plot.set(title=axes.title, xlabel=axes.cost, ylabel=axes.score, xscale="log")
+    plot.grid(alpha=0.3)
+    plot.legend(loc="lower right")
+    return save_figure(figure, path)
