@@ -9,6 +9,7 @@ from policy_samples import OPEN, SITES, alive, inputs, ours, start_noise
 
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
 from lerobot_policy_pi05_uniforce.checkpoint import check_settings
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch import controls
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError
@@ -160,6 +161,25 @@ def test_a_sensor_that_is_not_healthy_stops_the_rollout_at_the_third_look(make_p
             policy.predict_action_chunk(batch)
         with pytest.raises(SensorError, match="tactip on the right finger"):
             policy.predict_action_chunk(batch)
+
+
+def test_an_open_hand_in_free_air_takes_a_new_reference_once(make_policy, make_batch, caplog):
+    policy = make_policy()
+    batch = make_batch(policy, size=1)
+    current = policy.touch.pair(batch, "right")[1]
+    watched(policy).touch.monitors["right"]._usual.mean = policy.touch.encoder("touch0", "right", current, current)[
+        0
+    ].flatten()
+    open_m = batch[MEASURED_STATE][0, 4].item()
+    policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m]]
+    odd = [policy.touch.gather(batch, current.device, training=False)[0][0] for _ in range(FREE_LOOKS + 2)]
+    assert torch.equal(odd[0], odd[FREE_LOOKS - 2]) and not torch.equal(odd[0], odd[FREE_LOOKS - 1])
+    assert sum("new reference" in record.message for record in caplog.records) == 1
+    policy.reset()  # the next episode begins with the reference it is given
+    policy.config.action.target_range = [[0.0] * 5, [0.0] * 4 + [open_m + 0.03]]  # the hand may hold something
+    with pytest.raises(SensorError, match="in free air"):
+        for _ in range(FREE_LOOKS):
+            policy.touch.gather(batch, current.device, training=False)
 
 
 def test_a_sensor_that_is_not_healthy_can_be_masked_and_is_not_watched_in_training(make_policy, make_batch):

@@ -20,6 +20,10 @@ FLOOR = 0.01  # of the mean variance, added to each: directions in which no unit
 FREE_LOOKS = 3  # at the start of an episode, before anything is touched
 
 
+class FreeAirError(SensorError):
+    """Nothing is touched yet, and the picture is unlike its reference: a new reference may be all it needs."""
+
+
 class LatentRange(nn.Module):
     """Mean and covariance of a kind's pooled latents, and how far healthy units go.
 
@@ -110,7 +114,7 @@ class HealthMonitor:
         """Take in the (B, P, L) pooled latents of one look; of several environments the worst counts.
 
         Raises:
-            SensorError: farther from healthy units than any of them was.
+            SensorError: farther from healthy units than any of them was; FreeAirError at the start of an episode.
         """
         if not self.active:
             return
@@ -119,11 +123,11 @@ class HealthMonitor:
         mean = sum(self._recent) / len(self._recent)
         if self._seen == FREE_LOOKS and mean > self._usual.free_limit:
             do = "Let go of everything and take the reference again; look whether the camera or gel has moved."
-            self._alarm("in free air", self._usual.free_limit, mean, do)
+            raise FreeAirError(self._message("in free air", self._usual.free_limit, mean, do))
         if len(self._recent) == self._recent.maxlen and mean > self._usual.run_limit:
             do = "Look at the sensor; monitor=off goes on without this check."
-            self._alarm("over half a second", self._usual.run_limit, mean, do)
+            raise SensorError(self._message("over half a second", self._usual.run_limit, mean, do))
 
-    def _alarm(self, when: str, limit: float, mean: float, do: str) -> None:
+    def _message(self, when: str, limit: float, mean: float, do: str) -> str:
         what = f"{self._usual.kind} on the {self._finger} finger {when}"
-        raise SensorError(expected(what, f"latents within {limit:.2f} of healthy units", f"{mean:.2f}", do))
+        return expected(what, f"latents within {limit:.2f} of healthy units", f"{mean:.2f}", do)

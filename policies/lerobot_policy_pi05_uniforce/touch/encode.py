@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
+from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError, UniForceError, expected
@@ -19,7 +20,7 @@ from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
 from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
 from uniforce_vtla.tokenizer.calibration import Calibration, LatentMap
 from uniforce_vtla.tokenizer.entry import prepare_tensor
-from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, HealthMonitor, LatentRange
+from uniforce_vtla.tokenizer.latent_range import FREE_LOOKS, FreeAirError, HealthMonitor, LatentRange
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, ReferenceCache, build_model
 from uniforce_vtla.tokenizer.weights import SIZES, checkpoint_folder, content_hash
 
@@ -31,6 +32,8 @@ logger = logging.getLogger(__name__)
 LATENT_KEYS = {slot: latent_key(slot) for slot in SLOTS}
 # reference, current
 PAIR_KEYS = {finger: (tactile_key(finger, True), tactile_key(finger)) for finger in FINGERS}
+WIDTH = 4  # axis of the hand in state and action
+OPEN_m = 0.004  # of its widest command: what it measures lags behind
 HALF_SECOND = 15  # control steps, at 30 Hz
 ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where the package doesn't have them
 
@@ -171,6 +174,7 @@ class TouchInput:
         self.config, self.shape, self.monitors = config, shape, monitors or {}
         self.calibrations = calibrations or {}  # of what is encoded now; cached latents are used as they are
         self.encoder: Any = encoder  # TactileEncoder; None where the input is a control's
+        self._renewed: dict[Finger, Tensor] = {}  # references taken in this episode instead of those given
         self.masked = False  # every slot masked: the control that takes touch away from a trained policy
         self._logged: set[str] = set()
 
@@ -178,6 +182,7 @@ class TouchInput:
         """Forget cached references and what was watched: the next episode takes its own."""
         if self.encoder is not None:
             self.encoder.references.forget()
+        self._renewed.clear()
         for monitor in self.monitors.values():
             monitor.reset()
 
@@ -226,10 +231,30 @@ class TouchInput:
             return latent.reshape(len(latent), *self.shape)
         finger = self.config.finger_by_slot()[slot]
         reference, current = (image.to(device) for image in self.pair(batch, finger))
-        latent = self.encoder(slot, finger, reference, current)
+        latent = self.encoder(slot, finger, self._renewed.get(finger, reference), current)
         if finger in self.monitors:
-            self.monitors[finger].see(latent)
+            try:
+                self.monitors[finger].see(latent)
+            except FreeAirError as error:
+                latent = self._renew(batch, slot, current, error)
         return self.calibrations[finger](latent) if finger in self.calibrations else latent
+
+    def _renew(self, batch: dict[str, Tensor], slot: str, current: Tensor, why: FreeAirError) -> Tensor:
+        """Take what an open hand shows now as the reference of this episode, once; return the latents with it."""
+        finger = self.config.finger_by_slot()[slot]
+        if finger in self._renewed or not self._hand_is_open(batch):
+            raise why
+        logger.warning("%s finger: a new reference is taken. %s", finger, why)
+        self._renewed[finger] = current
+        self.monitors[finger].reset()
+        return self.encoder(slot, finger, current, current)
+
+    def _hand_is_open(self, batch: dict[str, Tensor]) -> bool:
+        """Return whether the hand is as wide as demonstrations ever commanded it; False where that isn't known."""
+        widest = [high[WIDTH] for high in self.config.action.target_range[1:]]
+        if not widest or MEASURED_STATE not in batch:
+            return False
+        return bool((batch[MEASURED_STATE][:, WIDTH] > widest[0] - OPEN_m).all())
 
     def pair(self, batch: dict[str, Tensor], finger: Finger) -> list[Tensor]:
         """Return a finger's reference and current marker images, (B, H, W)."""
