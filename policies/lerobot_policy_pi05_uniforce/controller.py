@@ -104,6 +104,7 @@ class PolicyController:
         swap: which finger fills a slot instead, e.g. ``touch0:left``.
         asked: finger → kind the user named; only a named kind may differ from the trained one, which ``notes`` say.
         calibrations: finger → folder of a calibration that its sensor wears.
+        monitor: "stop" when a sensor isn't healthy | "off".
 
     Raises:
         CheckpointError: as ``stored_config``, weights that don't fit, or a sensor that differs unasked.
@@ -116,8 +117,10 @@ class PolicyController:
         swap: str = "",
         asked: dict[Finger, str] | None = None,
         calibrations: dict[Finger, str] | None = None,
+        monitor: str = "stop",
     ) -> None:
         config = stored_config(Path(checkpoint))
+        config.monitor = monitor
         config.swap = swap or config.swap
         for finger, sensor in (asked or {}).items():
             setattr(config, f"{finger}_sensor", sensor or getattr(config, f"{finger}_sensor"))

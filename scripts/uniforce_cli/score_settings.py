@@ -37,6 +37,7 @@ class Rig:
     swap: str = ""
     left_calibration: str = ""
     right_calibration: str = ""
+    monitor: str = "stop"
 
     @property
     def mounted(self) -> dict[Finger, str]:
@@ -74,6 +75,8 @@ class ScoreConfig:
     right_sensor: Worn = ""  # likewise; "" = tactip
     left_calibration: FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
     right_calibration: FolderPath = ""  # likewise
+    # stop: where a sensor gives what no healthy one of its kind does the episode is aborted | off: go on
+    monitor: Literal["stop", "off"] = "stop"
     swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
     # touch taken away | another scene's touch of the same phase | frozen half a second into the wipe
     control: Literal["", "masked", "shuffled", "frozen"] = ""
@@ -91,6 +94,7 @@ class ScoreConfig:
         differs = [f"{finger} {words}" for finger, words in fingers if words]
         differs += [f"{finger} calibrated" for finger in self.rig.calibrations]
         usual = self.policy if self.policy in SCRIPTS else "V+T"
+        differs += ["unwatched"] if self.monitor == "off" else []
         self.arm = self.arm or ", ".join([usual, *differs, *filter(None, (self.swap, self.control))])
 
     @property
@@ -121,6 +125,7 @@ class ScoreConfig:
         swap += "".join(f"_{finger}-calibrated" for finger in self.rig.calibrations)
         arm = re.sub(r"\W+", "-", self.arm.replace("+", "")).strip("-")
         control = f"_{self.control}" if self.control else ""
+        control += "_unwatched" if self.monitor == "off" else ""
         rig = "+".join(self.rig.mounted.values()).replace(":", "-").replace("=", "-")
         return Path(self.out) / f"{arm}_{rig}_{self.level}{swap}{control}"
 

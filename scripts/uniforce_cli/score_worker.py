@@ -192,7 +192,7 @@ def policy_on_rig(policy: str, rig: Rig) -> tuple[WipeEnv, PolicyController]:
     path = shipped_checkpoint() if policy == "shipped" else Path(policy)
     named: dict[Finger, str] = {"left": rig.left_sensor, "right": rig.right_sensor}
     asked = {finger: rig.kinds[finger] for finger, words in named.items() if words}
-    controller = PolicyController(path, rig.kinds, rig.swap, asked, rig.calibrations)
+    controller = PolicyController(path, rig.kinds, rig.swap, asked, rig.calibrations, rig.monitor)
     worn, reads = (rig.mounted["left"], rig.mounted["right"]), controller.reads
     return WipeEnv(rig.level, *worn, drawn=reads, expose_wrench=controller.needs_true_wrench), controller
 

@@ -7,8 +7,10 @@ import torch
 from lerobot.policies.pi05 import modeling_pi05 as stock
 from policy_samples import OPEN, SITES, alive, inputs, ours, start_noise
 
+from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, training
 from lerobot_policy_pi05_uniforce.checkpoint import check_settings
+from lerobot_policy_pi05_uniforce.controller import PolicyController, shipped_checkpoint
 from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.touch import controls
 from lerobot_policy_pi05_uniforce.touch.tokens import SHUT, ForceTokens
@@ -402,3 +404,27 @@ def test_a_descriptor_is_aligned_as_latents_are(make_policy, make_batch, tmp_pat
     assert torch.allclose(after, before + 0.5, atol=1e-6)
     with pytest.raises(ContractError, match="latents to map"):
         make_policy(**{"touch__input": "wrench", f"{finger}_calibration": str(tmp_path)})
+
+
+def watch_start(words, monitor="stop"):
+    """Let the shipped policy begin in a scene whose right finger wears this; return what it watches."""
+    env = WipeEnv("touch", right_sensor=words, drawn=("right",))
+    kinds = {"left": "gelsight", "right": "tactip"}
+    controller = PolicyController(shipped_checkpoint(), kinds, monitor=monitor)
+    observation, _ = env.reset(seed=20_000)
+    controller.reset(env)
+    for _ in range(2 * FREE_LOOKS):
+        for action in controller.chunk(observation, env.task):
+            env.advance(action)
+        observation = env.observe()
+    return controller.policy.touch.monitors
+
+
+@pytest.mark.slow
+def test_the_shipped_policy_renews_a_shifted_reference_and_stops_on_markers_that_come_and_go(caplog):
+    assert set(watch_start("tactip:1")) == {"right"} and not caplog.records
+    watch_start("tactip:1+shift=1")
+    assert "new reference" in caplog.text
+    with pytest.raises(SensorError, match="in free air"):
+        watch_start("tactip:1+flicker=0.4")
+    assert not watch_start("tactip:1+flicker=0.4", monitor="off")
