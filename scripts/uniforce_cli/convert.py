@@ -1,4 +1,4 @@
-"""Turn a published π0.5 (folder or hub id) into a pi05_uniforce that training can start from.
+"""Turn a published π0.5 (folder or hub id) into a pi05_uniforce that training can start from; or convert data.
 
 Why not ``policy.pretrained_path``: LeRobot would load the published processors with it, which know nothing of touch,
 and its own loader goes on with random weights after an error. Here every tensor is placed by name or named in an error.
@@ -15,7 +15,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION
-from uniforce_vtla.options import Existing, OutFolder, Pattern, Slots, View
+from uniforce_vtla.options import Existing, FolderPath, OutFolder, Pattern, Range, Slots, View
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
@@ -26,6 +26,7 @@ NOT_TAKEN = (  # what the new policy decides for itself, or what its own data sa
     *("pretrained_path", "repo_id", "trained_on", "swap", "left_sensor", "right_sensor", "touch", "augment"),
 )
 Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
+Frames = Annotated[int, Range(1, 1000)]
 Revision = Annotated[str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")]
 
 
@@ -35,10 +36,11 @@ class ConvertConfig:
 
     Example: uniforce convert source=lerobot/pi05_base view=outputs/view224 out=outputs/pi05_touch
     then: uniforce train policy.path=outputs/pi05_touch dataset.repo_id=local/view dataset.root=outputs/view224
+    or data, either way: uniforce convert dataset=wipe_board.zarr fps=30 out=outputs/wipe_board
     """
 
     source: Published = "lerobot/pi05_base"  # a pi05, or a pi05_uniforce to change its touch
-    view: View = "outputs/view"  # of your demos (uniforce view image_side=224): features, statistics
+    view: View = ""  # of your demos (uniforce view image_side=224): features, statistics
     out: OutFolder = "outputs/converted"  # the new policy's folder
     touch_input: Literal["latent", "none", "wrench", "descriptor", "marker_pair"] = "latent"  # the last three: controls
     touch_slots: Slots = "touch0:right,touch1:left"  # slot:finger, comma between them
@@ -46,6 +48,8 @@ class ConvertConfig:
     start_at_base: bool = True  # training starts with the source's actions, touch behind a gate (touch/tokens.py)
     dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
     revision: Revision = ""  # of a hub repository
+    dataset: FolderPath = ""  # instead of a policy: an Open-X-Tactile task to LeRobot, or a recording to such a task
+    fps: Frames = 30  # of an Open-X-Tactile task
 
 
 def convert(config: ConvertConfig) -> Path:
@@ -104,11 +108,29 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
     return PI05UniforceConfig(**taken, device="cpu", dtype=dtype, touch=touch)
 
 
+def convert_dataset(config: ConvertConfig) -> Path:
+    """Convert data from Open-X-Tactile or to it, whichever it isn't yet; return the new folder.
+
+    Raises DatasetError: what isn't whole, or ``out`` exists.
+    """
+    from uniforce_datasets.dataset_info import INFO
+    from uniforce_datasets.open_x_tactile import from_lerobot, to_lerobot
+
+    if (Path(config.dataset) / INFO).is_file():
+        return from_lerobot(config.dataset, config.out)
+    return to_lerobot(config.dataset, config.out, config.fps)
+
+
 @command(ConvertConfig)
 def main(config: ConvertConfig) -> None:
     from lerobot_policy_pi05_uniforce import weights
 
     one_thread()
+    if config.dataset:
+        print(f"converted: {convert_dataset(config)}")
+        return
+    if not config.view:
+        raise ContractError(expected("view", "a training view's folder", "none", "Build one with uniforce view."))
     out = convert(config)
     print(f"policy in {out}; new modules start fresh: {', '.join(weights.FRESH)}")
     print(f"next: uniforce train policy.path={out} dataset.repo_id=local/view dataset.root={config.view}")
