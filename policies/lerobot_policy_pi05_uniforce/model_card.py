@@ -33,12 +33,13 @@ def model_card(
         ContractError: scores without arms.
     """
     base, asked = config.size == "base", ("steps", "batch_size", "seed")
+    trained_on = config.trained_on.get("repo_id") or ""
     data = ModelCardData(
         license=config.license or ("gemma" if base else "apache-2.0"),
         library_name="lerobot",
         pipeline_tag="robotics",
         tags=sorted({*(config.tags or []), "robotics", "lerobot", "tactile", config.type}),
-        datasets=config.trained_on.get("repo_id"),
+        datasets=None if trained_on.startswith("local/") else trained_on or None,  # local: no place on the hub
         base_model=BASE_MODEL if base else None,
     )
     return ModelCard(

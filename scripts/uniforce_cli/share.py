@@ -11,7 +11,7 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import Dataset, Existing, FilePath, HubName, OutFolder
+from uniforce_vtla.options import Dataset, Existing, FilePath, HubName, OutFolder, Pattern
 from uniforce_vtla.results_file import write_json
 
 if TYPE_CHECKING:
@@ -21,7 +21,13 @@ SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_con
 TOKENIZER = "model.tactile_encoder."
 CARD = "README.md"
 UPLOADED = ["*.safetensors", "*.json", CARD]
+TAGS = ["lerobot", "robotics", "tactile", "uniforce"]
+DESCRIPTION = (
+    "Demonstrations with marker images of tactile sensors, recorded with uniforce-vtla. "
+    "`docs/own_data.md` there says what its columns hold."
+)
 TrainedPolicy = Annotated[str, Existing("a checkpoint's folder", "config.json")]
+Licence = Annotated[str, Pattern("a licence's name", r"[a-z0-9][a-z0-9.-]{0,60}", "cc-by-4.0")]
 
 
 @dataclass
@@ -30,7 +36,7 @@ class ShareConfig:
 
     Example: uniforce share checkpoint=outputs/train/checkpoints/last/pretrained_model scores=outputs/score/wiping.json
     then: uniforce share … push=your-name/pi05-wiping  (needs `hf auth login`)
-    a dataset: uniforce share dataset=outputs/demos push=your-name/wiping
+    a dataset: uniforce share dataset=outputs/demos push=your-name/wiping licence=cc-by-4.0
     """
 
     checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
@@ -39,6 +45,7 @@ class ShareConfig:
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
     dataset: Dataset = ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    licence: Licence = ""  # of the dataset, as the hub spells it; "" = its card names none
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
 
@@ -123,7 +130,8 @@ def share_dataset(config: ShareConfig) -> str:
     dataset = open_dataset(config.dataset, config.push or "local/dataset", verify="full")
     if not config.push:
         return f"{config.dataset} is whole: {dataset.num_episodes} episodes; push=name/dataset uploads it"
-    dataset.push_to_hub(private=config.private, license=None)
+    card = {"tags": TAGS, "license": config.licence or None, "dataset_description": DESCRIPTION}
+    dataset.push_to_hub(private=config.private, **card)
     return f"pushed {dataset.num_episodes} episodes to {config.push}"
 
 

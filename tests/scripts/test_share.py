@@ -7,19 +7,24 @@ import subprocess
 import sys
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 import torch
+from huggingface_hub import DatasetCard, ModelCard
 from policy_samples import small_config
 
 from benchmarks.policy import text_tokenizer
-from lerobot_policy_pi05_uniforce import PI05UniforcePolicy
+from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy
 from lerobot_policy_pi05_uniforce import make_pi05_uniforce_pre_post_processors as make_processors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
+from lerobot_policy_pi05_uniforce.model_card import model_card
 from uniforce_cli import share
+from uniforce_datasets.synthetic import record_synthetic
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig
 
+SHIPPED = "assets/wiping_vt/README.md"
 ELSEWHERE = """
 import sys, torch
 from lerobot.configs import PreTrainedConfig
@@ -104,7 +109,30 @@ def test_what_is_pushed_is_the_whole_folder(trained, tmp_path, monkeypatch) -> N
     there = {path.name for path in (tmp_path / "shared").iterdir()}
     assert json.loads((tmp_path / "shared" / "hashes.json").read_text()).keys() == there - {"hashes.json"}
     assert {"config.json", "model.safetensors", "README.md", "policy_preprocessor.json"} <= there
-    assert "# pi05-wipe" in (tmp_path / "shared" / "README.md").read_text()
+    card = ModelCard.load(tmp_path / "shared" / "README.md")
+    assert "# pi05-wipe" in card.text and ModelCard(str(card)).data.to_dict() == card.data.to_dict()
+    assert (card.data.license, card.data.library_name, card.data.pipeline_tag) == ("apache-2.0", "lerobot", "robotics")
+    assert card.data.datasets == "somebody/wipe" and {"lerobot", "robotics", "tactile"} <= set(card.data.tags)
+
+
+def test_a_pushed_datasets_card_is_what_the_hub_reads(tmp_path, monkeypatch, capsys) -> None:
+    cards: list[DatasetCard] = []
+    monkeypatch.setattr("lerobot.datasets.lerobot_dataset.HfApi", MagicMock())
+    monkeypatch.setattr(DatasetCard, "push_to_hub", lambda card, **_: cards.append(card))
+    given = [f"dataset={record_synthetic(tmp_path / 'demos', 1, 2)}", "push=somebody/wiping"]
+    assert share.main([*given, "licence=CC BY"]) == 2 and "cc-by-4.0" in capsys.readouterr().err
+    assert share.main([*given, "licence=cc-by-4.0"]) == 0 and share.main(given) == 0
+    stated, unstated = (DatasetCard(str(card)).data for card in cards)  # parsed again from the text
+    assert stated.license == "cc-by-4.0" and unstated.license is None
+    assert stated.task_categories == ["robotics"] and {"LeRobot", "robotics", "tactile"} <= set(stated.tags)
+    assert "marker images" in cards[0].text and '"total_episodes": 1' in cards[0].text
+
+
+def test_the_shipped_policys_card_parses_and_a_local_dataset_is_no_link() -> None:
+    shipped = ModelCard.load(Path(sys.modules[model_card.__module__].__file__).parent / SHIPPED)  # type: ignore[arg-type]
+    assert (shipped.data.license, shipped.data.library_name) == ("apache-2.0", "lerobot")
+    config = PI05UniforceConfig(size="tiny", device="cpu", trained_on={"repo_id": "local/view"})
+    assert model_card(config).data.datasets is None and "local/view" in model_card(config).text
 
 
 def test_what_is_no_score_or_no_checkpoint_is_said(trained, tmp_path, capsys) -> None:
