@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lerobot.datasets.dataset_tools import delete_episodes
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from scipy.spatial.transform import Rotation
 
@@ -15,6 +16,7 @@ from uniforce_cli.convert import main
 from uniforce_datasets import zarr_task as store
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.open_x_tactile import _pad_key, from_lerobot, to_lerobot, wrist_pose
+from uniforce_datasets.rehash import rehash
 from uniforce_datasets.source import episode_frames, read_source
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_robots.franka.poses import TOOL_TO_EE, ToolPose
@@ -111,6 +113,13 @@ def test_there_and_back_every_array_is_the_same_but_for_the_cameras_video(task: 
         else:
             assert np.array_equal(came, values), key
     check_dataset(dataset, "full")  # hashes and all
+
+
+def test_what_lerobots_tools_leave_goes_back(dataset: Path, tmp_path: Path) -> None:
+    delete_episodes(LeRobotDataset("local/wipe", root=dataset), [0], tmp_path / "fewer", "local/fewer")
+    rehash(tmp_path / "fewer")
+    back = store.open_task(from_lerobot(tmp_path / "fewer", tmp_path / "fewer.zarr"))
+    assert back.ends == [5] and np.array_equal(back.read(PADS, 0, 5), documented()[PADS][4:])
 
 
 @pytest.mark.slow

@@ -1,0 +1,73 @@
+"""LeRobot's own commands work on our recordings, called by the entry points of their scripts."""
+
+import importlib
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from uniforce_cli.verify import main as verify
+from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.synthetic import record_synthetic
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes of four frames; read only."""
+    return record_synthetic(tmp_path_factory.mktemp("tools") / "demos", 2, 4)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch):
+    """Call a command's entry point, as its script does."""
+
+    def called(name: str, *words: str) -> None:
+        monkeypatch.setattr(sys, "argv", [f"lerobot-{name.replace('_', '-')}", *words])
+        importlib.import_module(f"lerobot.scripts.lerobot_{name}").main()
+
+    return called
+
+
+def edit(root: Path, kind: str, *words: str) -> list[str]:
+    return ["--repo_id=local/demos", f"--root={root}", f"--operation.type={kind}", *words]
+
+
+def test_what_delete_and_split_leave_is_whole(recording: Path, run, tmp_path: Path) -> None:
+    to = [f"--new_root={tmp_path / 'fewer'}", "--new_repo_id=local/fewer"]
+    run("edit_dataset", *edit(recording, "delete_episodes", "--operation.episode_indices=[0]", *to))
+    run("edit_dataset", *edit(recording, "split", '--operation.splits={"a": [0], "b": [1]}', f"--new_root={tmp_path}"))
+    for name in ("fewer", "a", "b"):
+        assert verify([f"root={tmp_path / name}", "rehash=true"]) == 0
+        assert [episode.length for episode in check_dataset(tmp_path / name, "full").episodes] == [4]
+
+
+def test_merge_feature_removal_and_new_tasks_keep_it_whole(recording: Path, run, tmp_path: Path) -> None:
+    both, fewer = tmp_path / "both", tmp_path / "fewer"
+    merge = ["--operation.type=merge", '--operation.repo_ids=["local/a", "local/b"]']
+    roots = f'--operation.roots=["{recording}", "{recording}"]'
+    run("edit_dataset", "--new_repo_id=local/both", f"--new_root={both}", *merge, roots)
+    columns = '--operation.feature_names=["truth.wrench.left", "truth.wrench.right"]'
+    run("edit_dataset", *edit(both, "remove_feature", columns, f"--new_root={fewer}", "--new_repo_id=local/fewer"))
+    run("edit_dataset", *edit(fewer, "modify_tasks", "--operation.new_task=another"))
+    assert verify([f"root={fewer}", "rehash=true"]) == 0
+    source = check_dataset(fewer, "full")
+    assert [episode.task for episode in source.episodes] == [
+        "another"
+    ] * 4 and "truth.wrench.left" not in source.features
+
+
+def test_info_tells_of_dataset_and_machine(recording: Path, run, capsys, caplog) -> None:
+    run("edit_dataset", *edit(recording, "info", "--operation.show_features=true"))
+    run("info")
+    said = capsys.readouterr().out + caplog.text
+    assert "observation.images.tactile_left" in said and re.search(r"LeRobot version: 0\.6", said)
+
+
+def test_the_viewer_writes_an_episode(recording: Path, run, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="the extra rerun isn't installed")
+    where = ["--repo-id=local/demos", f"--root={recording}", f"--output-dir={tmp_path}"]
+    run("dataset_viz", *where, "--episode-index=1", "--save=1", "--num-workers=0", "--batch-size=4")
+    assert (tmp_path / "local_demos_episode_1.rrd").stat().st_size > 10_000
