@@ -36,12 +36,9 @@ BLOCK = 64  # rows whose pictures are decoded at once
 
 
 def to_lerobot(folder: str | Path, root: str | Path, fps: int) -> Path:
-    """Write a task, a folder that ends in .zarr, into ``root`` and return it.
+    """Write a task, a folder that ends in .zarr, into ``root`` and return it; its timestamps don't tell the fps.
 
-    The format's timestamps come in several units, so they don't say how many frames per second there are.
-
-    Raises:
-        DatasetError: a task that isn't whole (see ``open_task``), or ``root`` exists.
+    Raises DatasetError: a task that isn't whole (see ``open_task``), or ``root`` exists.
     """
     task, codec = open_task(folder), camera_codec()
     with _whole_folder(root) as partial:
@@ -58,8 +55,7 @@ def to_lerobot(folder: str | Path, root: str | Path, fps: int) -> Path:
 def from_lerobot(root: str | Path, folder: str | Path) -> Path:
     """Write a converted task or a recording of this project as a task into ``folder`` and return it.
 
-    Raises:
-        DatasetError: a damaged dataset, one of neither kind, or ``folder`` exists.
+    Raises DatasetError: a damaged dataset, one of neither kind, or ``folder`` exists.
     """
     dataset, source = open_dataset(root), read_source(root)
     converted = f"{COLUMN}{TIMESTAMPS}" in source.features

@@ -46,9 +46,8 @@ class Task:
 def open_task(folder: str | Path) -> Task:
     """Open a task and check all but its values.
 
-    Raises:
-        DatasetError: zarr isn't installed, no zarr v2 group, a link that leads out, a documented key that is missing
-            or has another shape, a codec that isn't known, ends that are no ends of episodes.
+    Raises DatasetError: zarr isn't installed, no zarr v2 group, a link that leads out, a documented key that is missing
+        or has another shape, a codec that isn't known, ends that are no ends of episodes.
     """
     folder = Path(folder)
     if not (folder / ".zgroup").is_file():
@@ -137,8 +136,8 @@ class TaskWriter:
         blosc = importlib.import_module("numcodecs").Blosc("zstd", clevel=5, shuffle=2)  # 2: bitwise
         frame_bytes = max(1, int(np.prod(shape)) * np.dtype(dtype).itemsize)
         chunks = (min(self._frames, max(1, CHUNK_bytes // frame_bytes)), *shape)
-        whole = (self._frames, *shape)
-        return self._data.create_array(key, shape=whole, dtype=dtype, chunks=chunks, compressors=blosc)
+        made = {"shape": (self._frames, *shape), "dtype": dtype, "chunks": chunks, "compressors": blosc}
+        return self._data.create_array(key, **made)
 
     def whole(self, key: str, values: np.ndarray) -> None:
         """Write an array at once."""

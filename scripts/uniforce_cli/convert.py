@@ -15,7 +15,7 @@ from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.file_hashes import write_hashes
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.keys import ACTION
-from uniforce_vtla.options import Existing, FolderPath, OutFolder, Pattern, Range, Slots, View
+from uniforce_vtla.options import Count, Existing, FolderPath, OutFolder, Pattern, Slots, View
 
 if TYPE_CHECKING:
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
@@ -26,7 +26,6 @@ NOT_TAKEN = (  # what the new policy decides for itself, or what its own data sa
     *("pretrained_path", "repo_id", "trained_on", "swap", "left_sensor", "right_sensor", "touch", "augment"),
 )
 Published = Annotated[str, Existing("a checkpoint's folder or a hub id", "config.json", hub=True)]
-Frames = Annotated[int, Range(1, 1000)]
 Revision = Annotated[str, Pattern("a branch, tag or commit", r"\w[\w.-]{0,99}(/\w[\w.-]{0,99})*", "main")]
 
 
@@ -49,7 +48,7 @@ class ConvertConfig:
     dtype: Literal["bfloat16", "float32"] = "bfloat16"  # of the backbone; a tiny source stays float32
     revision: Revision = ""  # of a hub repository
     dataset: FolderPath = ""  # instead of a policy: an Open-X-Tactile task to LeRobot, or a recording to such a task
-    fps: Frames = 30  # of an Open-X-Tactile task
+    fps: Count = 30  # of an Open-X-Tactile task
 
 
 def convert(config: ConvertConfig) -> Path:
@@ -109,10 +108,7 @@ def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, st
 
 
 def convert_dataset(config: ConvertConfig) -> Path:
-    """Convert data from Open-X-Tactile or to it, whichever it isn't yet; return the new folder.
-
-    Raises DatasetError: what isn't whole, or ``out`` exists.
-    """
+    """Convert data from Open-X-Tactile or to it, whichever it isn't yet; return the new folder."""
     from uniforce_datasets.dataset_info import INFO
     from uniforce_datasets.open_x_tactile import from_lerobot, to_lerobot
 

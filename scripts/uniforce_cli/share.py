@@ -22,10 +22,7 @@ TOKENIZER = "model.tactile_encoder."
 CARD = "README.md"
 UPLOADED = ["*.safetensors", "*.json", CARD]
 TAGS = ["lerobot", "robotics", "tactile", "uniforce"]
-DESCRIPTION = (
-    "Demonstrations with marker images of tactile sensors, recorded with uniforce-vtla. "
-    "`docs/own_data.md` there says what its columns hold."
-)
+DESCRIPTION = "Demonstrations with marker images of tactile sensors, recorded with uniforce-vtla."
 TrainedPolicy = Annotated[str, Existing("a checkpoint's folder", "config.json")]
 Licence = Annotated[str, Pattern("a licence's name", r"[a-z0-9][a-z0-9.-]{0,60}", "cc-by-4.0")]
 
