@@ -20,13 +20,7 @@ from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import TouchSettings
 from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.evaluation.episode import (
-    WIPING_PHASE,
-    EpisodeTrace,
-    ScoreLimits,
-    press_events,
-    score_episode,
-)
+from uniforce_vtla.evaluation.episode import WIPING_PHASE, EpisodeTrace, ScoreLimits, press_events, score_episode
 from uniforce_vtla.evaluation.finger_estimates import estimate_events
 from uniforce_vtla.keys import tactile_name
 from uniforce_vtla.options import Count, OutFile, OutFolder, Range, Seed
@@ -128,10 +122,7 @@ def judge(heads: dict[str, DescriptorHead], episode: EpisodeForces) -> dict[str,
     wiping = trace.phase == WIPING_PHASE
     return {
         "slippage": [truth.slippage, bool(found.slippage or found.lost)],
-        "press_above_limit": [
-            bool(press_events(trace.press_N, trace.time_s, ScoreLimits())),
-            bool(found.excess_force),
-        ],
+        "press_above_limit": [bool(press_events(trace.press_N, trace.time_s, ScoreLimits())), bool(found.excess_force)],
         "slip_max_mm": float(trace.slip_mm.max()),
         "press_max_N": [float(trace.press_N.max()), float(found.press_N.max())],
         "press_mae_N": float(np.abs(found.press_N - trace.press_N)[wiping].mean()) if wiping.any() else None,

@@ -67,12 +67,7 @@ def measure(config: PairQualityConfig) -> dict[str, Any]:
 
 
 def _train(sensors: list[str]) -> None:
-    from benchmarks.pairs.training import (
-        ForceTraining,
-        save_finger_force,
-        train_finger_force,
-        training_contacts,
-    )
+    from benchmarks.pairs.training import ForceTraining, save_finger_force, train_finger_force, training_contacts
 
     training = ForceTraining()
     for sensor in tqdm(sensors, desc="force readers", unit="sensor"):

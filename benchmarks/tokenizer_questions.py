@@ -4,13 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.recorded_set import (
-    WindowConfig,
-    of_indenters,
-    of_sensor,
-    shear_agreement,
-    to_labelled_set,
-)
+from benchmarks.probes.recorded_set import WindowConfig, of_indenters, of_sensor, shear_agreement, to_labelled_set
 from benchmarks.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
 from uniforce_datasets.readers import read_genforce
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN

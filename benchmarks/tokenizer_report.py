@@ -35,16 +35,7 @@ from benchmarks.probes.zero_shot_figure import draw_table
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected
-from uniforce_vtla.options import (
-    CountOrZero,
-    FileName,
-    FolderPath,
-    Names,
-    OutFolder,
-    Range,
-    Text,
-    TokenizerFolder,
-)
+from uniforce_vtla.options import CountOrZero, FileName, FolderPath, Names, OutFolder, Range, Text, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead

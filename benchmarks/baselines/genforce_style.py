@@ -156,12 +156,7 @@ def _batch(rng: np.random.Generator, source: Pictures, target: Pictures, size: i
     """Return source reference, source current, target reference, target current, (B, 1, S, S) each."""
     n, length = source.frames.shape[:2]
     row, frame = rng.integers(n, size=size), rng.integers(length, size=size)
-    images = (
-        source.reference[row],
-        source.frames[row, frame],
-        target.reference[row],
-        target.frames[row, frame],
-    )
+    images = (source.reference[row], source.frames[row, frame], target.reference[row], target.frames[row, frame])
     return [torch.from_numpy(i)[:, None].to(device).float() / 255 for i in images]
 
 

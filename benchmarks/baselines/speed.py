@@ -39,9 +39,7 @@ class Taken:
 
 @torch.no_grad()
 def speed_report(
-    tokenizer: Tokenizer,
-    config: SpeedConfig | None = None,
-    published: dict[str, T3Encoder] | None = None,
+    tokenizer: Tokenizer, config: SpeedConfig | None = None, published: dict[str, T3Encoder] | None = None
 ) -> dict[str, Any]:
     """Return per encoder its size, ``ms_per_frame`` and ``cpu_ms_per_frame``, and both over ours.
 
@@ -62,11 +60,7 @@ def speed_report(
         taken = interleaved(turns, config.repeats)
     facts = {OURS: our_size(tokenizer)} | {name: size_facts(encoder) for name, encoder in published.items()}
     encoders = {name: facts[name] | _timing(taken, name) for name in turns}
-    return {
-        "what": "one marker image, one CPU thread, medians",
-        "repeats": config.repeats,
-        "encoders": encoders,
-    }
+    return {"what": "one marker image, one CPU thread, medians", "repeats": config.repeats, "encoders": encoders}
 
 
 def our_size(tokenizer: Tokenizer) -> dict[str, Any]:

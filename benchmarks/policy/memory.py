@@ -53,11 +53,7 @@ def write_sparse(folder: Path, **settings: Any) -> int:
     header, end = {}, 0
     for name, tensor in policy.state_dict().items():
         start, end = end, end + tensor.numel() * tensor.element_size()
-        header[name] = {
-            "dtype": DTYPES[tensor.dtype],
-            "shape": list(tensor.shape),
-            "data_offsets": [start, end],
-        }
+        header[name] = {"dtype": DTYPES[tensor.dtype], "shape": list(tensor.shape), "data_offsets": [start, end]}
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 8)
     with (folder / weights.WEIGHTS).open("wb") as file:

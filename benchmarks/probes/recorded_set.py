@@ -85,11 +85,7 @@ def to_labelled_set(
     force_N = np.stack(kept.force_N)
     digest.update(np.ascontiguousarray(force_N).tobytes())
     return LabelledSet(
-        np.stack(kept.reference),
-        np.stack(kept.frames),
-        np.stack(kept.descriptor),
-        force_N,
-        digest.hexdigest(),
+        np.stack(kept.reference), np.stack(kept.frames), np.stack(kept.descriptor), force_N, digest.hexdigest()
     )
 
 

@@ -59,10 +59,7 @@ def read_trials(folder: Path, config: TrialConfig | None = None) -> list[Trial]:
         raise DatasetError(expected(config.lender, "a trial that ends in a drop", "none", "Choose another."))
     return [
         Trial(
-            name,
-            counts,
-            own.get(name, own[config.lender]),
-            "own" if name in own else f"borrowed from {config.lender}",
+            name, counts, own.get(name, own[config.lender]), "own" if name in own else f"borrowed from {config.lender}"
         )
         for name, (counts, _) in tables.items()
     ]

@@ -32,10 +32,7 @@ def load_in_stock_lerobot(root: Path, first: int = 0) -> dict[str, Any]:
     for episode in episodes[first:]:
         for row in (episode.start, episode.start + episode.length - 1):
             assert int(dataset[row]["episode_index"]) == episode.index, f"row {row} is of another episode"
-    return {
-        "loads_in_stock_lerobot": dataset.num_episodes == len(episodes),
-        "episodes_loaded": len(episodes[first:]),
-    }
+    return {"loads_in_stock_lerobot": dataset.num_episodes == len(episodes), "episodes_loaded": len(episodes[first:])}
 
 
 def train_a_little(root: Path, out: Path) -> dict[str, Any]:

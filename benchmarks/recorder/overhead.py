@@ -67,12 +67,7 @@ def _recorder(plan: Plan, keep_raw: bool = True) -> dict[str, Any]:
             cores = meter.read()
             code = session.wait_end(START_s + plan.overhead_s)
     whole = cores["recording_loop"] + cores["storing_process"]
-    return {
-        "cores": round(whole, 3),
-        "cores_by_process": cores,
-        "counted": COUNTED,
-        "exit_code": code,
-    } | _beat(root)
+    return {"cores": round(whole, 3), "cores_by_process": cores, "counted": COUNTED, "exit_code": code} | _beat(root)
 
 
 def _beat(root: Any) -> dict[str, Any]:

@@ -29,10 +29,7 @@ def bench_contact(seconds: float) -> dict[str, Any]:
         for sensor in list_sensors()
     }
     rates["median"] = {name: median(rate[name] for rate in rates.values()) for name in _BATCHES}
-    return {
-        "contact_images_per_s": rates,
-        "anchors": {"draw_127_circles_cv2_per_s": _rate(_draw_circles, 1, seconds)},
-    }
+    return {"contact_images_per_s": rates, "anchors": {"draw_127_circles_cv2_per_s": _rate(_draw_circles, 1, seconds)}}
 
 
 def _work(sensor: str, batch: int) -> Callable[[], None]:

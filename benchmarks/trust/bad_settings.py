@@ -22,13 +22,7 @@ NEEDS: dict[type, dict[str, Any]] = {
 
 def bad_values(allowed: Range) -> list[Any]:
     """Return values outside a range, and values that are no numbers."""
-    outside = [
-        allowed.low - 1.0,
-        allowed.low - 1e-6,
-        allowed.high * 1.01 + 1e-6,
-        -abs(allowed.high) - 1.0,
-        1e9,
-    ]
+    outside = [allowed.low - 1.0, allowed.low - 1e-6, allowed.high * 1.01 + 1e-6, -abs(allowed.high) - 1.0, 1e9]
     edge = [allowed.low] if allowed.above else []
     return [math.nan, math.inf, -math.inf, "0.1", None, True, *outside, *edge]
 

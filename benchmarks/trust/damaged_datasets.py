@@ -205,10 +205,7 @@ VIDEO_DAMAGES = (
         lambda r: encode_again(video(r), lambda n, frame: None if n == 3 else frame),
         hashed=False,
     ),
-    Damage(
-        "raw frames of another episode",
-        lambda r: shutil.copy(raw_path(r, "left", 2), raw_path(r, "left", HIT)),
-    ),
+    Damage("raw frames of another episode", lambda r: shutil.copy(raw_path(r, "left", 2), raw_path(r, "left", HIT))),
     Damage("raw frames missing", lambda r: raw_path(r, "right", HIT).unlink()),
 )
 TABLE_DAMAGES = (
@@ -238,21 +235,14 @@ META_DAMAGES = (
     Damage("a file added", lambda r: shutil.copy(data(r), data(r, 7)), "file-007.parquet"),
     Damage("hashes cut", lambda r: cut(r / HASHES), HASHES),
     Damage(
-        "a hash removed",
-        lambda r: edit_json(r / HASHES, lambda h: h.pop(str(video(r).relative_to(r)))),
-        "file-001.mp4",
+        "a hash removed", lambda r: edit_json(r / HASHES, lambda h: h.pop(str(video(r).relative_to(r)))), "file-001.mp4"
     ),
 )
 VIEW_DAMAGES = (
     Damage("a latent changed", lambda r: edit_array(r / "latent_left.npy"), "latent_left.npy", of="view"),
     Damage("an action changed", lambda r: edit_array(r / f"{ACTION}.npy"), f"{ACTION}.npy", of="view"),
     Damage("a picture overwritten", lambda r: overwrite(r / "front.npy", 0.5, b"x"), "front.npy", of="view"),
-    Damage(
-        "fingers exchanged",
-        lambda r: swap(r / "latent_left.npy", r / "latent_right.npy"),
-        "latent_",
-        of="view",
-    ),
+    Damage("fingers exchanged", lambda r: swap(r / "latent_left.npy", r / "latent_right.npy"), "latent_", of="view"),
     Damage(
         "another tokenizer named",
         lambda r: edit_json(r / "uniforce_view.json", lambda v: v.update(tokenizer_hash="0" * 64)),

@@ -44,10 +44,7 @@ LIES = {  # what an arm may say that can't be, or that forbids motion, and the n
 }
 LATER = 5  # of them, the last ones, are none in a first reading: nothing to compare with, nothing that moves
 LIE_SHARE, SABOTAGE_SHARE = 0.004, 0.3
-GARBAGE: tuple[Any, ...] = (
-    *(None, "0.4", "nan", [], [1.0, 2.0], {}, True, b"0", object()),
-    *(np.nan, np.inf, -np.inf),
-)
+GARBAGE: tuple[Any, ...] = (*(None, "0.4", "nan", [], [1.0, 2.0], {}, True, b"0", object()), *(np.nan, np.inf, -np.inf))
 
 
 class Clock:

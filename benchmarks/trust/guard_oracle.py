@@ -28,12 +28,7 @@ def axes_of(pose: np.ndarray) -> np.ndarray:
 
 
 def wrong_pose(
-    limits: Limits,
-    pose: np.ndarray,
-    here: np.ndarray,
-    last: np.ndarray | None,
-    elapsed_s: float,
-    slack: float = SLACK,
+    limits: Limits, pose: np.ndarray, here: np.ndarray, last: np.ndarray | None, elapsed_s: float, slack: float = SLACK
 ) -> list[str]:
     """Return what is wrong with a pose (4,) on its way to an arm that is ``here`` and was sent ``last`` before."""
     if not np.isfinite(pose).all():
@@ -49,11 +44,7 @@ def wrong_pose(
     slow &= _turn(pose, before) <= limits.speed_rad_s * allowed_s + slack
     near = _gap(pose, here) <= limits.step_m + limits.speed_m_s * gap_s + slack
     near &= _turn(pose, here) <= limits.step_rad + limits.speed_rad_s * gap_s + slack
-    rules = {
-        "box": ((lowest <= pose) & (pose <= highest)).all(),
-        "rate": slow or at_arm,
-        "near": near,
-    }
+    rules = {"box": ((lowest <= pose) & (pose <= highest)).all(), "rate": slow or at_arm, "near": near}
     return [name for name, holds in rules.items() if not holds]
 
 

@@ -29,11 +29,7 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
     "sent: box unchecked": (SEND, "self._require_box(target, last, here)", "pass"),
     "sent: box 1 cm wider": (SEND, "self._low) - ROUNDING", "self._low) - 0.01"),
     "sent: rate unchecked": (SEND, "self._require_rate(target, last, here, elapsed_s)", "pass"),
-    "sent: turn rate unchecked": (
-        SEND,
-        "_turn(target, last) <= limits.speed_rad_s * elapsed_s + ROUNDING",
-        "True",
-    ),
+    "sent: turn rate unchecked": (SEND, "_turn(target, last) <= limits.speed_rad_s * elapsed_s + ROUNDING", "True"),
     "sent: distance unchecked": (SEND, "self._require_near(target, here)", "pass"),
     "sent: last pose forgotten": (SEND, "self._last, self._last_s = target, now_s", "pass"),
     "sent: a pause buys a jump": (SEND, "min(max(now_s - self._last_s, 0.0), gap_s)", "now_s - self._last_s"),
@@ -47,17 +43,9 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
     "guards: no rate": (GUARDS, "self._rate(stepped, last, elapsed_s)", "stepped"),
     "guards: width at any speed": (GUARDS, "limits.speed_width_m_s * elapsed_s", "1.0"),
     "guards: last target forgotten": (GUARDS, "self._last, self._last_s = sent, now_s", "pass"),
-    "guards: a pause buys a jump": (
-        GUARDS,
-        "min(max(now_s - self._last_s, 0.0), gap_s)",
-        "now_s - self._last_s",
-    ),
+    "guards: a pause buys a jump": (GUARDS, "min(max(now_s - self._last_s, 0.0), gap_s)", "now_s - self._last_s"),
     "guards: turns the long way": (GUARDS, "turn = shortest_turn(start_rad, goal_rad)", "turn = -goal_rad"),
-    "stream: sends unchecked": (
-        STREAM,
-        "self._check_sent(target, ToolPose.from_ee(state.ee_to_base), now)",
-        "pass",
-    ),
+    "stream: sends unchecked": (STREAM, "self._check_sent(target, ToolPose.from_ee(state.ee_to_base), now)", "pass"),
     "stream: readings unchecked": (
         STREAM,
         "        self._check_state(state)\n        self._refuse",
@@ -74,22 +62,10 @@ MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there,
         "            return self._measured()\n        limits",
         "            return goal\n        limits",
     ),
-    "stream: no watchdog": (
-        STREAM,
-        "            self._rest_wanted = True\n            log",
-        "            log",
-    ),
-    "stream: rest follows the arm": (
-        STREAM,
-        "self._rest_wanted, self._holding = False, True",
-        "self._holding = True",
-    ),
+    "stream: no watchdog": (STREAM, "            self._rest_wanted = True\n            log", "            log"),
+    "stream: rest follows the arm": (STREAM, "self._rest_wanted, self._holding = False, True", "self._holding = True"),
     "stream: moves a stopped arm": (STREAM, "        refuse_stopped(state)\n", ""),
-    "stream: a halt ends nothing": (
-        STREAM,
-        "self.fault = self.fault or fault\n        self._ending.set()",
-        "pass",
-    ),
+    "stream: a halt ends nothing": (STREAM, "self.fault = self.fault or fault\n        self._ending.set()", "pass"),
     "state: numbers unchecked": (STATE, "if not (whole and np.isfinite(state.robot_time_s)):", "if False:"),
     "state: force unchecked": (STATE, "if not np.isfinite(state.wrench_N).all():", "if False:"),
     "state: speed unchecked": (STATE, "if (np.abs(state.dq_rad_s) > JOINT_SPEED_rad_s).any():", "if False:"),
@@ -154,12 +130,7 @@ def main(argv: list[str] | None = None) -> int:
         found = tqdm(pool.map(notice, MUTATIONS), total=len(MUTATIONS), desc="mutations")
         table = dict(zip(MUTATIONS, found, strict=True))
     survivors = [name for name, found in table.items() if not found]
-    row = {
-        "tried": len(table),
-        "noticed": len(table) - len(survivors),
-        "survivors": survivors,
-        "table": table,
-    }
+    row = {"tried": len(table), "noticed": len(table) - len(survivors), "survivors": survivors, "table": table}
     path = update(Path(config.out), "mutations", row)
     print(f"{row['noticed']} of {row['tried']} noticed; survivors: {survivors or 'none'}; written to {path}")
     return int(bool(survivors))

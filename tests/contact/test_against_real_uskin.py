@@ -12,10 +12,7 @@ from uniforce_vtla.contracts import ContactState
 TRIALS = Path(__file__).parents[2].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"
 DROPPED = TRIALS / "data_sample_2022-02-22-15-15-00"  # ends in free air: the object fell
 
-pytestmark = [
-    pytest.mark.real,
-    pytest.mark.skipif(not DROPPED.exists(), reason=f"recordings not found at {TRIALS}"),
-]
+pytestmark = [pytest.mark.real, pytest.mark.skipif(not DROPPED.exists(), reason=f"recordings not found at {TRIALS}")]
 
 
 def recorded() -> np.ndarray:

@@ -27,11 +27,7 @@ def simulator(sensor: str) -> TactileSimulator:
 
 
 def pressed(
-    name: str,
-    force: np.ndarray,
-    torsion: float = 0.0,
-    center: tuple[float, float] = (0, 0),
-    angle: float = 0.0,
+    name: str, force: np.ndarray, torsion: float = 0.0, center: tuple[float, float] = (0, 0), angle: float = 0.0
 ) -> ContactState:
     B = len(force)
     gap = gap_maps([name], np.array([center]), np.array([angle]), np.ones(1))

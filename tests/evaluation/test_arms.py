@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from uniforce_vtla.errors import ContractError
-from uniforce_vtla.evaluation.arms import (
-    ArmReport,
-    EpisodeRow,
-    read_rows,
-    table,
-    write_row,
-)
+from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow, read_rows, table, write_row
 from uniforce_vtla.evaluation.comparison import AtMostWorse, as_good, better
 from uniforce_vtla.evaluation.pictures import draw_arms
 from uniforce_vtla.evaluation.statistics import holm, mcnemar, non_inferior, wilson

@@ -106,8 +106,7 @@ def test_swap_runs_the_same_checkpoint(make_policy, make_batch, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("site", "suffix")],
+    ("name", "value"), [("slots", {"touch0": "left"}), ("tokenizer", {"hash": "beef"}), ("site", "suffix")]
 )
 def test_touch_settings_must_be_the_checkpoints_own(checkpoint, name, value):
     config = PreTrainedConfig.from_pretrained(checkpoint)

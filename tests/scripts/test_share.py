@@ -33,10 +33,7 @@ before, after = make_pre_post_processors(config, pretrained_path=sys.argv[1])
 torch.save(after(policy.select_action(before(torch.load("raw.pt")))), "action.pt")
 """
 # two checkpoints took turns: the first one's scenes are C, s or r, the other one failed every grasp
-SCORES = {
-    "level": "easy",
-    "arms": {"V+T": {"n": 20, "clean": 16, "success": 17}},
-}
+SCORES = {"level": "easy", "arms": {"V+T": {"n": 20, "clean": 16, "success": 17}}}
 
 
 def raw_observation() -> dict[str, object]:

@@ -58,11 +58,7 @@ def test_a_torque_motion_reaches_its_target_and_ends_when_asked(fci: StandIn) ->
         goal = arm.state()["O_T_EE"][12:15] + np.array([0, 0, -0.01])
         command_id = arm.start()
         state = arm.loop(pull_to(goal, 3000.0), 400)
-        assert (state.mode, state.generator, state.controller) == (
-            p.RobotMode.MOVE,
-            p.NO_GENERATOR + 1,
-            p.EXTERNAL,
-        )
+        assert (state.mode, state.generator, state.controller) == (p.RobotMode.MOVE, p.NO_GENERATOR + 1, p.EXTERNAL)
         np.testing.assert_allclose(state["O_T_EE"][12:15], goal, atol=2e-3)
         assert arm.ask(p.ArmCommand.SET_LOAD, bytes(104)) == bytes([p.SetterStatus.NOT_POSSIBLE])
         arm.command(p.RobotCommand(state.message_id + 10, finished=True))
