@@ -1,17 +1,21 @@
 """Size and speed of our encoder and of T3-medium's, side by side in one run."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
+from torch.nn import functional as F  # noqa: N812
 from torch.utils.flop_counter import FlopCounterMode
+from transformers import ViTConfig, ViTModel
 
-from benchmarks.baselines.t3 import T3Encoder
+from benchmarks.probes.zero_shot import POOL
+from benchmarks.timing import in_turns, ratio
+from uniforce_cli.boundary import one_thread
 from uniforce_vtla.contact.pairs import equilibrium_pairs
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -19,6 +23,7 @@ from uniforce_vtla.tokenizer.model import Encoder
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 OURS = "UniForce"
+RESIZE = 256 / 224  # T3's pictures: shorter edge before the centre crop, over the side after it
 
 
 @dataclass(frozen=True)
@@ -29,12 +34,32 @@ class SpeedConfig:
     ours_per_round: int = 10  # ours is so much faster that one call is too short to time
 
 
-@dataclass(frozen=True)
-class Taken:
-    """Time per frame of one turn: by the clock, and of the processor alone (which no other job lengthens)."""
+class T3Encoder(nn.Module):
+    """T3-medium (Transferable Tactile Transformer, alanzjl/t3, MIT) by its published sizes, those of ViT-B/16.
 
-    ms: float
-    cpu_ms: float
+    A sensor's encoder has 3 plain ViT blocks, the shared trunk 9. For its speed alone, with random weights: the
+    official ones were never at hand, and time depends on shapes alone.
+    """
+
+    def __init__(self, config: ViTConfig | None = None) -> None:
+        super().__init__()
+        self.vit = ViTModel(config or ViTConfig(), add_pooling_layer=False)
+        self.config = self.vit.config
+
+    def token_map(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Return the trunk's patch tokens (B, D, 14, 14), at full size, of (B, 3, 224, 224)."""
+        tokens = self.vit(inputs).last_hidden_state[:, 1:]  # (B, P, D)
+        side = self.config.image_size // self.config.patch_size
+        return tokens.transpose(1, 2).unflatten(2, (side, side))
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Return (B, POOL², D) of grey images (B, S, S) in [0, 1]: resized, cropped, the tokens pooled as ours are."""
+        side = self.config.image_size
+        larger = round(RESIZE * side)
+        rgb = F.interpolate(images[:, None], (larger, larger), mode="bilinear", antialias=True).expand(-1, 3, -1, -1)
+        start = (larger - side) // 2
+        inner = slice(start, start + side)
+        return F.adaptive_avg_pool2d(self.token_map(rgb[..., inner, inner]), POOL).flatten(2).transpose(1, 2)
 
 
 @torch.no_grad()
@@ -53,11 +78,11 @@ def speed_report(
     if config.repeats < 1 or config.ours_per_round < 1:
         raise ContractError(expected("speed rounds", "at least 1", config, "Raise them."))
     published = {"T3-medium": T3Encoder()} if published is None else published
+    one_thread()
     reference, current = _images()
     turns = {OURS: _ours(tokenizer, reference, current, config.ours_per_round)}
     turns |= {name: _turn(encoder.eval(), current) for name, encoder in published.items()}
-    with one_thread():
-        taken = interleaved(turns, config.repeats)
+    taken = in_turns(turns, config.repeats, per_frame_ms)
     facts = {OURS: our_size(tokenizer)} | {name: size_facts(encoder) for name, encoder in published.items()}
     encoders = {name: facts[name] | _timing(taken, name) for name in turns}
     return {"what": "one marker image, one CPU thread, medians", "repeats": config.repeats, "encoders": encoders}
@@ -87,9 +112,9 @@ def size_facts(encoder: T3Encoder) -> dict[str, Any]:
 
     Counted on the meta device: the counter has no entry for the CPU's fused attention and would leave it out.
     """
+    side = encoder.config.image_size
     with torch.device("meta"):
-        shadow, side = T3Encoder(encoder.config), encoder.config.image
-        image = torch.empty(1, 3, side, side)
+        shadow, image = T3Encoder(encoder.config), torch.empty(1, 3, side, side)
     with torch.no_grad(), FlopCounterMode(display=False) as counter:
         shadow.token_map(image)
     return {
@@ -99,62 +124,36 @@ def size_facts(encoder: T3Encoder) -> dict[str, Any]:
     }
 
 
-def interleaved(turns: dict[str, Callable[[], int]], repeats: int) -> dict[str, list[Taken]]:
-    """Return the times of every turn, round by round; a turn returns how many frames it took."""
-    for turn in turns.values():
-        turn()  # caches, memory
-    taken: dict[str, list[Taken]] = {name: [] for name in turns}
-    for _ in range(repeats):
-        for name, turn in turns.items():
-            start, cpu_start = time.perf_counter(), time.process_time()
-            frames = turn()
-            clock, cpu = time.perf_counter() - start, time.process_time() - cpu_start
-            taken[name].append(Taken(1000 * clock / frames, 1000 * cpu / frames))
-    return taken
+def per_frame_ms(turn: Callable[[], int]) -> tuple[float, float]:
+    """Return the time per frame of a turn, which says how many it took: by the clock, and of the processor alone.
+
+    No other job lengthens the second one.
+    """
+    start, cpu_start = time.perf_counter(), time.process_time()
+    frames = turn()
+    clock, cpu = time.perf_counter() - start, time.process_time() - cpu_start
+    return 1000 * clock / frames, 1000 * cpu / frames
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Run torch on one thread within the block."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-def _timing(taken: dict[str, list[Taken]], name: str) -> dict[str, float]:
+def _timing(taken: dict[str, list[tuple[float, float]]], name: str) -> dict[str, float]:
     """Return median times and the medians over rounds of their ratios to ours."""
-    rounds = list(zip(taken[name], taken[OURS], strict=True))
+    (clock, cpu), (our_clock, our_cpu) = (tuple(zip(*taken[n], strict=True)) for n in (name, OURS))
     return {
-        "ms_per_frame": median(theirs.ms for theirs, _ in rounds),
-        "cpu_ms_per_frame": median(theirs.cpu_ms for theirs, _ in rounds),
-        "times_ours": median(theirs.ms / ours.ms for theirs, ours in rounds),
-        "cpu_times_ours": median(theirs.cpu_ms / ours.cpu_ms for theirs, ours in rounds),
+        "ms_per_frame": median(clock),
+        "cpu_ms_per_frame": median(cpu),
+        "times_ours": ratio(clock, our_clock),
+        "cpu_times_ours": ratio(cpu, our_cpu),
     }
 
 
 def _ours(tokenizer: Tokenizer, reference: np.ndarray, current: np.ndarray, frames: int) -> Callable[[], int]:
-    def turn() -> int:
-        for _ in range(frames):
-            tokenizer.encode(reference, current)
-        return frames
-
-    return turn
+    return lambda: len([tokenizer.encode(reference, current) for _ in range(frames)])
 
 
 def _turn(encoder: T3Encoder, current: np.ndarray) -> Callable[[], int]:
     images = torch.from_numpy(current)
-    side = images.shape[-1]
-    bar = (side - images.shape[-2]) // 2
-
-    def turn() -> int:
-        square = torch.nn.functional.pad(images.float() / 255, (0, 0, bar, bar))  # (1, 640, 640)
-        encoder(square)
-        return 1
-
-    return turn
+    bar = (images.shape[-1] - images.shape[-2]) // 2  # to a square, (1, 640, 640)
+    return lambda: len(encoder(F.pad(images.float() / 255, (0, 0, bar, bar))))
 
 
 def _images() -> tuple[np.ndarray, np.ndarray]:

@@ -18,6 +18,7 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.pi05 import modeling_pi05 as stock
 
 from benchmarks.policy.counts import count_flops, count_operations
+from benchmarks.timing import ratio
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import (
     PI05UniforceConfig,
     SamplerSettings,
@@ -164,7 +165,7 @@ def bench_case(case: BenchCase, device: str, rounds: int, steps: int) -> dict[st
     for name, values in times.items():
         report[f"{name}_ms"] = statistics.median(values)
         report[f"{name}_p95_ms"] = sorted(values)[min(len(values) - 1, round(0.95 * len(values)))]
-    report["ratio"] = statistics.median(a / b for a, b in zip(times["stock"], times["fast"], strict=True))
+    report["ratio"] = ratio(times["stock"], times["fast"])
     return report
 
 

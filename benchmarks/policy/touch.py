@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from benchmarks.policy.latency import BenchCase, Given, build, lerobots_layers, milliseconds, observe
+from benchmarks.timing import in_turns, ratio
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TouchSettings
 from lerobot_policy_pi05_uniforce.network import PI05UniforcePytorch
 
@@ -88,15 +89,9 @@ def _training(network: PI05UniforcePytorch, given: Given, noise: torch.Tensor) -
 
 
 def _in_turns(calls: dict[str, Call], device: str, rounds: int, what: str) -> dict[str, Any]:
-    for call in calls.values():
-        call()  # warm
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            times[name].append(milliseconds(call, device))
-    ratios = {
-        name: statistics.median(a / b for a, b in zip(values, times["none"], strict=True))
-        for name, values in times.items()
-    }
+    times = in_turns(calls, rounds, lambda call: milliseconds(call, device))
     medians = {name: statistics.median(values) for name, values in times.items()}
-    return {f"{what}_ms": medians, f"{what}_ratio_to_none": ratios}
+    return {
+        f"{what}_ms": medians,
+        f"{what}_ratio_to_none": {name: ratio(values, times["none"]) for name, values in times.items()},
+    }

@@ -1,13 +1,14 @@
 """Marker images per second of the contact model, one thread."""
 
-import time
 from collections.abc import Callable
+from itertools import cycle
 from statistics import median
 from typing import Any
 
 import cv2
 import numpy as np
 
+from benchmarks.timing import repeated
 from uniforce_vtla.contact.indenters import SEEN
 from uniforce_vtla.contact.sampling import ForceRange, sample_loads, sample_objects
 from uniforce_vtla.contact.simulator import TactileSimulator
@@ -32,18 +33,10 @@ def bench_contact(seconds: float) -> dict[str, Any]:
     return {"contact_images_per_s": rates, "anchors": {"draw_127_circles_cv2_per_s": _rate(_draw_circles, 1, seconds)}}
 
 
-def _work(sensor: str, batch: int) -> Callable[[], None]:
-    simulator = TactileSimulator(sensor)
-    rng = np.random.default_rng(0)
-    contacts = [_contact(rng, batch) for _ in range(_VARIANTS)]
-    turn = 0
-
-    def draw() -> None:
-        nonlocal turn
-        simulator.marker_images(contacts[turn % _VARIANTS])
-        turn += 1
-
-    return draw
+def _work(sensor: str, batch: int) -> Callable[[], object]:
+    simulator, rng = TactileSimulator(sensor), np.random.default_rng(0)
+    contacts = cycle([_contact(rng, batch) for _ in range(_VARIANTS)])
+    return lambda: simulator.marker_images(next(contacts))
 
 
 def _contact(rng: np.random.Generator, batch: int) -> ContactState:
@@ -57,11 +50,7 @@ def _draw_circles() -> None:
         cv2.circle(image, (20 + 40 * (index % 15), 20 + 40 * (index // 15)), 7, 255, cv2.FILLED)
 
 
-def _rate(work: Callable[[], None], images: int, seconds: float) -> float:
+def _rate(work: Callable[[], object], images: int, seconds: float) -> float:
     """Return images per second of ``work``, which makes ``images`` of them."""
-    work()  # first call fills caches
-    start, done = time.perf_counter(), 0
-    while time.perf_counter() - start < seconds:
-        work()
-        done += images
-    return round(done / (time.perf_counter() - start), 1)
+    calls, spent = repeated(work, seconds)
+    return round(images * calls / spent, 1)

@@ -8,6 +8,7 @@ import numpy as np
 import psutil
 import torch
 
+from benchmarks.timing import repeated
 from uniforce_vtla.contact.pairs import PairBatch, equilibrium_pairs
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.entry import prepare
@@ -20,16 +21,15 @@ SETTLING_FRAMES = 500  # allocators fill their pools first; memory is compared w
 def bench_encode(seconds: float) -> dict[str, Any]:
     """Return ``encode_two_fingers_hz``: both fingers' 640×480 images to latents, one after the other."""
     tokenizer, pairs = Tokenizer.from_pretrained(), _pairs()
-    left, right = pairs.left_reference[:1], pairs.right_reference[:1]
-    ticks, start = 0, 0.0
-    while ticks == 0 or time.perf_counter() - start < seconds:
-        i = ticks % 8
-        tokenizer.encode(left, pairs.left_current[i : i + 1], "left")
-        tokenizer.encode(right, pairs.right_current[i : i + 1], "right")
-        if ticks == 0:  # the first tick fills the cache
-            start = time.perf_counter()
-        ticks += 1
-    return {"encode_two_fingers_hz": (ticks - 1) / (time.perf_counter() - start)}
+    turns = itertools.cycle(range(8))
+
+    def tick() -> None:
+        i = next(turns)
+        tokenizer.encode(pairs.left_reference[:1], pairs.left_current[i : i + 1], "left")
+        tokenizer.encode(pairs.right_reference[:1], pairs.right_current[i : i + 1], "right")
+
+    ticks, spent = repeated(tick, seconds)
+    return {"encode_two_fingers_hz": ticks / spent}
 
 
 @torch.no_grad()

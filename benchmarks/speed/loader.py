@@ -1,13 +1,13 @@
 """How fast demos reach the trainer: stock LeRobot and the training view on the same data, in the same run."""
 
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from torch.utils.data import DataLoader, Dataset, RandomSampler
 
+from benchmarks.timing import repeated
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.synthetic import FPS, record_synthetic
 from uniforce_datasets.training_view import TrainingView, build_view
@@ -51,9 +51,5 @@ def _rate(dataset: Dataset, seconds: float) -> float:
     """Samples per second through a DataLoader, its first batch left out."""
     loader = DataLoader(dataset, batch_size=BATCH, sampler=RandomSampler(dataset, replacement=True, num_samples=10**6))
     batches = iter(loader)
-    next(batches)
-    count, start = 0, time.perf_counter()
-    while (spent := time.perf_counter() - start) < seconds:
-        next(batches)
-        count += BATCH
-    return count / spent if count else 0.0
+    calls, spent = repeated(lambda: next(batches), seconds)
+    return BATCH * calls / spent

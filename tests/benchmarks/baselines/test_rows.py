@@ -6,15 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from transformers import ViTConfig
 
 from benchmarks.baselines.end_to_end import EndToEndConfig, train_end_to_end
 from benchmarks.baselines.finetuned import FineTuneConfig, TokenizerEncoder, finetuned_row, fit_finetuned
 from benchmarks.baselines.genforce_style import TranslationConfig, genforce_style_row, train_translator, translate
 from benchmarks.baselines.pictures import labels, pictures
 from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, resnet_row
-from benchmarks.baselines.speed import SpeedConfig, interleaved, one_thread, our_size, size_facts, speed_report
-from benchmarks.baselines.t3 import T3Config, T3Encoder
+from benchmarks.baselines.speed import SpeedConfig, T3Encoder, our_size, size_facts, speed_report
 from benchmarks.probes.zero_shot import Cells, Table, encode_set, score
+from benchmarks.timing import in_turns
 from uniforce_vtla.errors import ContractError
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
@@ -147,7 +148,8 @@ def test_fine_tuning_refuses_pictures_of_another_size(table: Table, tiny: Tokeni
 
 
 def t3(depth: int) -> T3Encoder:
-    return T3Encoder(T3Config(image=64, patch=8, width=96, heads=2, encoder_depth=1, trunk_depth=depth))
+    sizes = {"hidden_size": 96, "intermediate_size": 384, "num_attention_heads": 2, "num_hidden_layers": 1 + depth}
+    return T3Encoder(ViTConfig(image_size=64, patch_size=8, **sizes))
 
 
 def test_t3_medium_has_its_published_size() -> None:
@@ -188,19 +190,9 @@ def test_turns_alternate_after_a_warm_up() -> None:
         order.append(name)
         return 2
 
-    taken = interleaved({"a": lambda: turn("a"), "b": lambda: turn("b")}, repeats=2)
+    taken = in_turns({"a": lambda: turn("a"), "b": lambda: turn("b")}, 2, lambda call: call())
     assert order == ["a", "b"] * 3
     assert {name: len(times) for name, times in taken.items()} == {"a": 2, "b": 2}
-
-
-def test_threads_are_put_back() -> None:
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    with pytest.raises(KeyError), one_thread():
-        assert torch.get_num_threads() == 1
-        raise KeyError
-    assert torch.get_num_threads() == 2
-    torch.set_num_threads(before)
 
 
 def test_nothing_to_repeat_is_refused(tiny: TokenizerConfig) -> None:
