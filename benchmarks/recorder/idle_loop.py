@@ -1,24 +1,25 @@
-"""A 30 Hz loop that does nothing, on the recorder's own ticker: what beat this machine can keep.
-
-``python -m benchmarks.recorder.idle_loop RATE_HZ`` ticks until its standard input ends, then prints
-``{"time_s": […], "late_ms": […]}``.
-"""
+"""A loop that does nothing, on the recorder's own ticker: what beat this machine can keep."""
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-import threading
+import multiprocessing
 import time
-from types import TracebackType
+from multiprocessing.connection import Connection
 
 import numpy as np
 
-from benchmarks.recorder.session import environment
 from uniforce_robots.recorder.ticker import Ticker
 
 END_s = 60.0
+
+
+def tick(rate_hz: float, pipe: Connection) -> None:
+    """Tick until something comes through the pipe or it ends; send when each beat came, s, and how late it was, ms."""
+    ticker, time_s, late_ms = Ticker(rate_hz), [], []
+    while not pipe.poll():
+        late_ms.append(round(1e3 * ticker.wait(), 4))
+        time_s.append(round(time.monotonic(), 4))
+    pipe.send((time_s, late_ms))
 
 
 class IdleLoop:
@@ -29,50 +30,32 @@ class IdleLoop:
     """
 
     def __init__(self, rate_hz: float) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.recorder.idle_loop", str(rate_hz)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            env=environment(),
-        )
+        spawn = multiprocessing.get_context("spawn")
+        self._pipe, theirs = spawn.Pipe()
+        self._process = spawn.Process(target=tick, args=(rate_hz, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
 
     @property
     def pid(self) -> int:
         """Of the process."""
-        return self._process.pid
+        return int(self._process.pid or 0)
 
     def __enter__(self) -> IdleLoop:
         return self
 
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if self._process.poll() is None:
-            self._process.kill()
-            self._process.communicate()
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.join()
 
     def stop(self) -> tuple[np.ndarray, np.ndarray]:
-        """End it; return (when each beat came, ``time.monotonic`` s, how late it was, ms)."""
-        said, _ = self._process.communicate(timeout=END_s)
-        beats = json.loads(said)
-        return np.array(beats["time_s"]), np.array(beats["late_ms"])
+        """End it; return (when each beat came, ``time.monotonic`` s, how late it was, ms).
 
-
-def _wait_for_the_end(over: threading.Event) -> None:
-    sys.stdin.read()
-    over.set()
-
-
-def main() -> int:
-    """Tick until standard input ends."""
-    over = threading.Event()
-    threading.Thread(target=_wait_for_the_end, args=(over,), daemon=True).start()
-    ticker, time_s, late_ms = Ticker(float(sys.argv[1])), [], []
-    while not over.is_set():
-        late_ms.append(round(1e3 * ticker.wait(), 4))
-        time_s.append(round(time.monotonic(), 4))
-    sys.stdout.write(json.dumps({"time_s": time_s, "late_ms": late_ms}))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        Raises:
+            TimeoutError: it doesn't answer.
+        """
+        self._pipe.send("end")
+        if not self._pipe.poll(END_s):
+            raise TimeoutError(f"the idle loop did not end within {END_s:g} s")
+        time_s, late_ms = self._pipe.recv()
+        return np.array(time_s), np.array(late_ms)

@@ -1,10 +1,5 @@
-"""How long reading the robot takes at 30 Hz, without cameras: LeRobot's ``get_observation`` while actions are sent.
+"""How long reading the robot takes at 30 Hz, without cameras: LeRobot's ``get_observation`` while actions are sent."""
 
-``python -m benchmarks.recorder.observation_read ADDRESS SECONDS FOLDER`` prints the figures as JSON.
-"""
-
-import json
-import sys
 import time
 from pathlib import Path
 
@@ -34,14 +29,3 @@ def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
         robot.disconnect()
     p50, p95, p99 = np.percentile(took_ms, (50, 95, 99)).tolist()
     return {"reads": len(took_ms), "p50_ms": round(p50, 3), "p95_ms": round(p95, 3), "p99_ms": round(p99, 3)}
-
-
-def main() -> int:
-    """Measure and print."""
-    found = measure(sys.argv[1], float(sys.argv[2]), Path(sys.argv[3]))
-    sys.stdout.write(json.dumps(found) + "\n")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,8 +1,6 @@
 """What recording costs: the robot's read, the recorder's processes in cores, and the taxels' rate and age."""
 
-import json
-import subprocess
-import sys
+import multiprocessing
 import time
 from collections.abc import Callable
 from functools import partial
@@ -10,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.ledger import Ledger
 from benchmarks.recorder.cpu import CpuMeter, machine_facts
 from benchmarks.recorder.end_to_end import BEGUN, lateness_ms, observe_p95_ms
-from benchmarks.recorder.ledger import Ledger
+from benchmarks.recorder.observation_read import measure
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
-from benchmarks.recorder.session import TrialError, environment
+from benchmarks.recorder.session import TrialError
 from benchmarks.recorder.uskin_rate import measure_rate
 from uniforce_datasets.source import read_source
 from uniforce_vtla.errors import expected
@@ -27,34 +26,31 @@ COUNTED = "the loop with its threads and the storing process with its encoders; 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     """Measure what is missing; return the newest of each."""
-    plan.work.mkdir(parents=True, exist_ok=True)
+    plan.folder.mkdir(parents=True, exist_ok=True)
     parts: dict[str, Callable[[Plan], dict[str, Any]]] = {
         "observation_read": _read,
         "recorder": _recorder,
         "recorder_without_raw": partial(_recorder, keep_raw=False),
         "uskin": lambda plan: measure_rate(plan.uskin_s),
     }
-    for name, measure in parts.items():
+    for name, part in parts.items():
         if not ledger.read(name):
-            ledger.add(name, measure(plan) | {"machine": machine_facts()})
+            ledger.add(name, part(plan) | {"machine": machine_facts()})
     return {name: ledger.read(name)[-1] for name in parts}
 
 
 def _read(plan: Plan) -> dict[str, Any]:
-    folder = plan.work / "overhead" / "read"
-    with Rig(plan, folder) as rig:
-        program = [sys.executable, "-m", "benchmarks.recorder.observation_read"]
-        command = [*program, rig.arm.address, str(plan.overhead_s), str(folder)]
-        wait_s = (START_s + plan.overhead_s) * plan.patience
-        ended = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=wait_s, check=False)
-    if ended.returncode:
-        raise TrialError(expected("observation_read", "exit code 0", ended.returncode, ended.stderr[-500:]))
-    found: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
-    return found
+    folder, wait_s = plan.folder / "overhead" / "read", (START_s + plan.overhead_s) * plan.patience
+    with Rig(plan, folder) as rig, multiprocessing.get_context("spawn").Pool(1) as pool:
+        try:
+            return pool.apply_async(measure, (rig.arm.address, plan.overhead_s, folder)).get(wait_s)
+        except multiprocessing.TimeoutError as error:
+            do = "See what it printed."
+            raise TrialError(expected("observation_read", f"an end within {wait_s:g} s", "none", do)) from error
 
 
 def _recorder(plan: Plan, keep_raw: bool = True) -> dict[str, Any]:
-    folder = plan.work / "overhead" / ("recorder" if keep_raw else "recorder_without_raw")
+    folder = plan.folder / "overhead" / ("recorder" if keep_raw else "recorder_without_raw")
     root = folder / f"data{len(list(folder.glob('data*')))}"
     with Rig(plan, folder) as rig:
         length_s = plan.overhead_s + 2 * SETTLE_s

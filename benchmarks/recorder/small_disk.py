@@ -54,7 +54,7 @@ class SmallDisk:
     def __enter__(self) -> SmallDisk:
         return self
 
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+    def __exit__(self, *_: object) -> None:
         for path in self._ballast:
             path.unlink(missing_ok=True)
         if self.is_own:

@@ -1,24 +1,25 @@
 """One client against faults of the stand-in: ``hostile_trials.py franky|pylibfranka FAULT,… TIMES ADDRESS OUT``.
 
-A program of its own: both clients in one process fail to import. Appends one JSON line a trial to OUT, and skips what
-is there, so it can be begun again. Nothing here was ever run on hardware.
+A program of its own: both clients in one process fail to import. Adds a row per trial to the ledger in the folder
+OUT, and skips what is there, so it can be begun again. Nothing here was ever run on hardware.
 """
 
 import contextlib
 import faulthandler
-import json
 import logging
 import os
 import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.ledger import Ledger
 from benchmarks.trust.hostile_arm import HostileStandIn
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
@@ -285,18 +286,16 @@ def main() -> None:
     """Run what OUT lacks; ends early after a fault that leaves a client hanging."""
     client, faults, times, address, out = sys.argv[1:6]
     logging.disable(logging.WARNING)
-    path = Path(out)
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+    rows = Ledger(Path(out))
+    there = Counter(row["fault"] for row in rows.read(client))
     with tempfile.TemporaryDirectory() as folder:
         for fault in faults.split(","):
-            there = sum(row["client"] == client and row["fault"] == fault for row in done)
-            for _ in range(there, int(times)):
+            for _ in range(there[fault], int(times)):
                 # into the log; works also where a client keeps the GIL
                 faulthandler.dump_traceback_later(STUCK_s)
                 row = begun_trial(client, fault, address, Path(folder))
                 faulthandler.cancel_dump_traceback_later()
-                with path.open("a") as file:
-                    file.write(json.dumps(asdict(row)) + "\n")
+                rows.add(client, asdict(row))
                 if fault in AT_NEXT_ANSWER:
                     return  # the client hangs, and takes memory without end: the next trial gets a new process
 
