@@ -12,8 +12,7 @@ from tqdm import tqdm
 
 from benchmarks.policy.latency import CASES, bench_case
 from benchmarks.policy.memory import bench_memory
-from benchmarks.policy.touch import bench_touch
-from benchmarks.policy.training import bench_training
+from benchmarks.policy.touch import bench_touch, bench_training
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, expected

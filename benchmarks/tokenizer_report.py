@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal
 
 from tqdm import tqdm
 
-from benchmarks import tokenizer_questions as questions
 from benchmarks.baselines import rows as baseline_rows
 from benchmarks.baselines.speed import speed_report
 from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
+from benchmarks.probes.recorded_set import user_data
 from benchmarks.probes.report_sets import REPORT_SETS, ReportSet, get_report_set
 from benchmarks.probes.worn_sequences import WornSequences, draw_worn
 from benchmarks.probes.zero_shot import (
@@ -213,7 +213,7 @@ def _report(command: TokenizerReportCommand) -> str:
     if command.freeze:
         return f"set frozen in {freeze(command, report_set, tokenizer.config.side)}"
     if command.data:
-        return questions.user_data(tokenizer, command.data, command.seeds, results)
+        return user_data(tokenizer, command.data, command.seeds, results)
     if command.question in ("correlation", "reconstruction"):
         return _latent_or_pictures(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)

@@ -1,4 +1,4 @@
-"""Users' recordings → what the force table takes: windows at the model's size."""
+"""Users' recordings → what the force table takes, windows at the model's size, and the table on them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,19 @@ import hashlib
 import logging
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
+from uniforce_datasets.readers import read_genforce
 from uniforce_datasets.readers.recording import LabelledRecording
+from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 
@@ -140,3 +147,40 @@ def shear_agreement(labelled: LabelledSet) -> np.ndarray:
         return np.full(2, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.array([np.corrcoef(motion[sheared, axis], shear[sheared, axis])[0, 1] for axis in range(2)])
+
+
+def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
+    """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
+
+    Raises:
+        DatasetError: an unknown format, or fewer than two sensors with both kinds of indenters.
+    """
+    windows, side = WindowConfig(), tokenizer.config.side
+    sensors = sorted({recording.sensor for recording in read_genforce(folder)})
+    if len(sensors) < 2:
+        do = "A transfer needs a source and a target sensor."
+        raise DatasetError(expected(folder, "two sensors or more", sensors, do))
+
+    def sets(indenters: tuple[str, ...]) -> dict[str, LabelledSet]:
+        found = {s: of_indenters(of_sensor(read_genforce(folder), s), indenters) for s in sensors}
+        return {s: to_labelled_set(recordings, side, windows) for s, recordings in found.items()}
+
+    table = Table(sets(SEEN), sets(UNSEEN))
+    content: dict[str, Any] = {
+        "what": f"GenForce recordings in {folder}; heads trained on seen, scored on unseen indenters",
+        "tokenizer_hash": tokenizer.hash,
+        "seeds": seeds,
+        "shear_agreement": {s: shear_agreement(table.training[s]).tolist() for s in sensors},
+        "rows": {
+            "UniForce": learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL),
+            "hand descriptor": descriptor_row(table, seeds),
+            "mean": mean_row(table),
+        },
+    }
+    path = write_json(results / "force_on_data.json", content | provenance())
+    lines = [f"{name}: R² {_short(cell['r2'])}" for name, cell in content["rows"]["UniForce"].items()]
+    return "\n".join([*lines, f"written to {path}; check shear_agreement: −1 there means a wrong sign"])
+
+
+def _short(values: list[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)

@@ -4,6 +4,7 @@ import multiprocessing
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,16 @@ import numpy as np
 from benchmarks.ledger import Ledger
 from benchmarks.recorder.cpu import CpuMeter, machine_facts
 from benchmarks.recorder.end_to_end import BEGUN, lateness_ms, observe_p95_ms
-from benchmarks.recorder.observation_read import measure
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
 from benchmarks.recorder.session import TrialError
-from benchmarks.recorder.uskin_rate import measure_rate
 from uniforce_datasets.source import read_source
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.recorder.ticker import Ticker
+from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
+from uniforce_robots.sensors.uskin_slcan import SlcanUSkin
+from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import expected
 from uniforce_vtla.keys import STAMPS
 
@@ -76,3 +81,74 @@ def _beat(root: Any) -> dict[str, Any]:
         "tick_jitter_p99_ms": round(float(np.percentile(late_ms, 99)), 3),
         "ticks_missed": missed,
     }
+
+
+RATE_HZ = 30.0
+BOX = GuardLimits(low=(0.1, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
+
+
+def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
+    """Return percentiles of the time one read takes."""
+    config = UniforceFrankaConfig(id="trial", calibration_dir=folder, address=address, guards=BOX)
+    robot, ticker, took_ms = UniforceFranka(config), Ticker(RATE_HZ), []
+    robot.connect()
+    try:
+        for _ in range(round(seconds * RATE_HZ)):
+            ticker.wait()
+            begun_s = time.perf_counter()
+            seen = robot.get_observation()
+            took_ms.append(1e3 * (time.perf_counter() - begun_s))
+            robot.send_action(seen)
+    finally:
+        robot.disconnect()
+    p50, p95, p99 = np.percentile(took_ms, (50, 95, 99)).tolist()
+    return {"reads": len(took_ms), "p50_ms": round(p50, 3), "p95_ms": round(p95, 3), "p99_ms": round(p99, 3)}
+
+
+FIRST_MS = 30_000  # for the first scan, on a starved machine
+ANY_AGE_MS = 1e4
+
+
+def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
+    """Read a stand-in of its own for some time; every scan it sent is waited for.
+
+    Returns:
+        seconds: it lasted.
+        rate_hz: scans received per second at its end.
+        sent, samples, lost, bad: scans sent, received, torn, and lines not understood.
+        age_p50_ms, age_p99_ms: of the newest scan, asked for at random times.
+    """
+    with StandIn("slcan", f"rate_hz={rate_hz}") as stand_in:
+        source = SlcanUSkin(stand_in.address)
+        source.max_behind_s = 1e9
+        reader = SampleReader(source, ReaderLimits(frozen_after=50))
+        reader.start()
+        try:
+            reader.wait_newer(-1, FIRST_MS)
+            p50_ms, p99_ms = np.percentile(_ages_ms(reader, seconds), (50, 99)).tolist()
+            seen_hz = reader.rate_hz()
+            stand_in.inject("stall")
+            sent = _until_all_arrived(stand_in, reader)
+        finally:
+            reader.stop()
+    counts = reader.counts
+    numbers = {"samples": counts.samples, "lost": counts.lost, "bad": counts.bad, "sent": sent}
+    rates = {"seconds": seconds, "rate_hz": seen_hz, "age_p50_ms": p50_ms, "age_p99_ms": p99_ms}
+    return numbers | {name: round(value, 3) for name, value in rates.items()}
+
+
+def _ages_ms(reader: SampleReader, seconds: float) -> list[float]:
+    rng, end_s, ages = np.random.default_rng(0), time.monotonic() + seconds, []
+    while time.monotonic() < end_s:
+        time.sleep(rng.uniform(0.002, 0.012))  # at no fixed phase to the scans
+        ages.append(reader.newest(ANY_AGE_MS).age_ms)
+    return ages
+
+
+def _until_all_arrived(stand_in: StandIn, reader: SampleReader) -> int:
+    """Return the scans that were sent, once the last of them had time to arrive."""
+    before = -1
+    while reader.counts.samples != before:
+        before = reader.counts.samples
+        time.sleep(0.3)
+    return stand_in.stats()["sent"]

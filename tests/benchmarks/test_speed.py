@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks import policy_speed
 from benchmarks.policy.latency import CASES, BenchCase, bench_case
-from benchmarks.policy.touch import bench_touch
-from benchmarks.policy.training import bench_training
+from benchmarks.policy.touch import bench_touch, bench_training
 from benchmarks.policy_speed import main
 from benchmarks.speed import encode as bench
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings

@@ -8,8 +8,7 @@ from outside_family import outside
 
 from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV
 from benchmarks.probes.hard_sets import HETERO_HARD, HETERO_HARD_TRAINING, draw_hard, hetero_sensors
-from benchmarks.probes.labelled_cache import cached
-from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled, set_facts, within
+from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, cached, draw_labelled, set_facts, within
 from benchmarks.probes.report_sets import REPORT_SETS, get_report_set
 from benchmarks.probes.zero_shot import check_frozen, score, summary, transfer_name, transfers
 from benchmarks.probes.zero_shot_figure import draw_table
