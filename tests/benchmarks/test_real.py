@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.real.readouts import Readout, descriptor_features, labels_mm, latent_features, transfer
+from benchmarks.real.readouts import descriptor_features, fit_readout, labels_mm, latent_features, transfer
 from benchmarks.real.tactip_shear import SHEAR, marker_image, read_tactip_shear
 from uniforce_vtla.contact import TactileSimulator, free_air, gap_map
 from uniforce_vtla.contracts import ContactState
@@ -80,7 +80,7 @@ def test_what_is_missing_is_named(recording: Path, tmp_path: Path, gone: str) ->
 def test_readouts_find_depth_and_shear(recording: Path, tiny: TokenizerConfig) -> None:
     read = read_tactip_shear(recording, 40)
     for features in (latent_features(Tokenizer.random(tiny)), descriptor_features):
-        said = Readout.fit(features(read), labels_mm(read), 0.1)(features(read))
+        said = fit_readout(features(read), labels_mm(read), 0.1).predict(features(read))
         assert np.corrcoef(said[:, 0], read.depth_mm)[0, 1] > 0.9
 
 
