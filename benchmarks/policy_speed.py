@@ -10,8 +10,8 @@ import torch
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from benchmarks.policy.counts import bench_memory
 from benchmarks.policy.latency import CASES, bench_case
-from benchmarks.policy.memory import bench_memory
 from benchmarks.policy.touch import bench_touch, bench_training
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose

@@ -10,9 +10,8 @@ import numpy as np
 import psutil
 
 from benchmarks.ledger import Ledger
-from benchmarks.recorder.cpu import CpuMeter, machine_facts
-from benchmarks.recorder.idle_loop import IdleLoop
 from benchmarks.recorder.loading import load_in_stock_lerobot, train_a_little
+from benchmarks.recorder.machine import CpuMeter, IdleLoop, machine_facts
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
 from benchmarks.recorder.session import Line, Session, TrialError

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.ledger import Ledger
-from benchmarks.recorder.cpu import CpuMeter, machine_facts
 from benchmarks.recorder.end_to_end import BEGUN, lateness_ms, observe_p95_ms
+from benchmarks.recorder.machine import CpuMeter, machine_facts
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
 from benchmarks.recorder.session import TrialError

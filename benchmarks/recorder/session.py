@@ -170,8 +170,9 @@ class Program(StandIn):
 
     def exit_code(self, timeout_s: float = 0.0) -> int | None:
         """Return the session's exit code, None while it runs."""
-        is_said = self._exit is None and (self._pending or select.select([self.process.stdout], [], [], timeout_s)[0])
-        if is_said:
+        answers = self.process.stdout
+        assert answers is not None
+        if self._exit is None and (self._pending or select.select([answers], [], [], timeout_s)[0]):
             self._exit = int(self._answer("exit", END_s))
         return self._exit
 

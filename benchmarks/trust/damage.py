@@ -18,9 +18,9 @@ from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES
 from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
 from benchmarks.trust.injuries import Damage
 from benchmarks.trust.report import update
+from uniforce_cli.boundary import command
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.synthetic import record_synthetic
-from uniforce_vtla.arguments import parse
 
 EPISODES = 50
 TIMES = 3
@@ -88,9 +88,9 @@ def attack(frames: int) -> dict[str, Any]:
     return kinds | counts | {"not_named": unnamed} | timed | {"rows": rows}
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(DamageConfig)
+def main(config: DamageConfig) -> int:
     """Do all damage, write the table, print what was accepted; 1 where the full check accepted any."""
-    config = parse(DamageConfig, argv)
     logging.disable(logging.WARNING)  # copies without hashes say so
     found = attack(config.frames)
     path = update(Path(config.out), "damage", found)

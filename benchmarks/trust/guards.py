@@ -15,12 +15,12 @@ from tqdm import tqdm
 
 from benchmarks.trust.guard_cases import drive
 from benchmarks.trust.report import update
+from uniforce_cli.boundary import command
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.config import NESTED, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.limits import HARD_LIMITS, Range
 from uniforce_robots.franka.settings import HandSettings, StreamSettings
-from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError
 
 CHUNK = 100
@@ -124,9 +124,9 @@ def try_all() -> dict[str, Any]:
     return {"tried": tried, "refused": tried - len(accepted), "accepted": accepted}
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(GuardsConfig)
+def main(config: GuardsConfig) -> int:
     """Run the attack, write the row, print it; 1 where anything bad went through."""
-    config = parse(GuardsConfig, argv)
     logging.disable(logging.CRITICAL)  # each guard that acts says so, 100,000 times
     row = attack(config.episodes, config.seed)
     path = update(Path(config.out), "guards", row)

@@ -21,7 +21,8 @@ from tqdm import tqdm
 from benchmarks.ledger import Ledger
 from benchmarks.trust.hostile_trials import RIGHT_NAMES, HOLD_s, Trial, is_right
 from benchmarks.trust.report import update
-from uniforce_vtla.arguments import choose, parse
+from uniforce_cli.boundary import command
+from uniforce_vtla.arguments import choose
 
 CLIENTS = ("pylibfranka", "franky")
 HANG_s = 180.0  # without a new row; a trial takes 4 to 15 s, on a starved machine up to five times
@@ -111,9 +112,9 @@ def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
         return [row for job in jobs for row in job.result()]
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(HostileConfig)
+def main(config: HostileConfig) -> int:
     """Run the trials, write the table, print what went wrong; 1 where anything did."""
-    config = parse(HostileConfig, argv)
     rows = attack(list(choose(RIGHT_NAMES, config.only)), config.times, Path(config.rows))
     wrong = [row for row in rows if not is_right(row)]
     path = update(Path(config.out), "hostile_faults", summarise(rows))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from benchmarks.real.trials import read_uskin_csv
+from benchmarks.real.grasps import read_uskin_csv
 from benchmarks.speed.canonicalizer import bench_canonicalizer, synthetic_frame
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.virtual import as_virtual
