@@ -30,7 +30,6 @@ from benchmarks.probes.zero_shot import (
     summary,
     transfer_name,
 )
-from benchmarks.probes.zero_shot_figure import draw_table
 from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import DatasetError, expected
@@ -68,7 +67,7 @@ class TokenizerReportCommand:
     # zero_shot_v2 | hetero_hard_v2 | fe_dev_v1 (for choosing) | fe_contacts_v1 (for scoring)
     set: ReportSetName = "zero_shot_v2"
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
-    # tables and figures; of only: where the table is read
+    # tables; of only: where the table is read
     results: OutFolder = "outputs/tokenizer_report"
     facts: FolderPath = "docs/results"  # the frozen sets' recipes and hashes; freeze writes into results
     # drawn sets, kept for the next run; delete it after changing contact/
@@ -218,9 +217,8 @@ def _report(command: TokenizerReportCommand) -> str:
         return _latent_or_pictures(command, report_set, tokenizer)
     content = measure(command, report_set, tokenizer)
     path = write_json(_table_path(command, report_set), content)
-    draw_table(content, path.with_suffix(".png"))
     lines = [f"{name:16s} " + _numbers(values) for name, values in content["summary"].items()]
-    return "\n".join([*lines, f"table and figure: {path}, {path.with_suffix('.png').name}"])
+    return "\n".join([*lines, f"table: {path}"])
 
 
 def _latent_or_pictures(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: Tokenizer) -> str:
