@@ -4,7 +4,6 @@ import os
 import signal
 import time
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 from fair_clock import TRIES, Witnesses

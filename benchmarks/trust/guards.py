@@ -6,6 +6,7 @@ Tries every bad setting, then drives the whole chain with random limits, states 
 import logging
 import math
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,26 +37,6 @@ class GuardsConfig:
     episodes: int = 2000  # of 50 actions; 2,000 send some 200,000 poses
     seed: int = 0  # the first of the seeds, one for each 100 episodes
     out: str = "outputs/trust.json"  # the result file; only its key ``guards`` changes
-
-
-def attack(episodes: int, seed: int) -> dict[str, Any]:
-    """Return the table's row: settings tried and refused, poses sent, violations."""
-    settings = try_all()
-    sent, actions = 0, 0
-    violations: list[str] = []
-    faults: dict[str, int] = {}
-    for chunk in tqdm(range(0, episodes, CHUNK), desc="episodes"):
-        found = drive(min(CHUNK, episodes - chunk), seed + chunk // CHUNK)
-        sent, actions = sent + found["sent"], actions + found["actions"]
-        violations += [f"seed {seed + chunk // CHUNK}: {what}" for what in found["violations"]]
-        faults = {name: faults.get(name, 0) + found["faults"].get(name, 0) for name in faults | found["faults"]}
-    return settings | {
-        "actions": actions,
-        "sent_cases": sent,
-        "violations": len(violations),
-        "examples": violations[:10],
-        "faults": faults,
-    }
 
 
 NEEDS: dict[type, dict[str, Any]] = {
@@ -122,6 +103,18 @@ def try_all() -> dict[str, Any]:
         else:
             accepted.append(f"{kind.__name__}({settings})")
     return {"tried": tried, "refused": tried - len(accepted), "accepted": accepted}
+
+
+def attack(episodes: int, seed: int) -> dict[str, Any]:
+    """Return the table's row: settings tried and refused, poses sent, violations."""
+    counts, violations, faults = Counter[str](), list[str](), Counter[str]()
+    for chunk in tqdm(range(0, episodes, CHUNK), desc="episodes"):
+        own = seed + chunk // CHUNK
+        found = drive(min(CHUNK, episodes - chunk), own)
+        counts.update({"actions": found["actions"], "sent_cases": found["sent"]})
+        violations += [f"seed {own}: {what}" for what in found["violations"]]
+        faults.update(found["faults"])
+    return try_all() | counts | {"violations": len(violations), "examples": violations[:10], "faults": dict(faults)}
 
 
 @command(GuardsConfig)
