@@ -29,6 +29,7 @@ PRESSES_N = tuple(np.arange(0.0, 12.01, 0.5).tolist())
 DEPTHS_m = (0.008, 0.012, 0.014)  # target below first contact
 SUBSTEPS = (2, 3, 4, 8, 16, 32)  # the last one is the reference
 NOSLIP = (0, 1, 2, 3, 5, 8, 16)
+GREY, BLUE, ORANGE, RED, GREEN = "0.45", "#1f6fb2", "#d9822b", "#c23b3b", "#3f8f4f"
 
 
 @dataclass
@@ -109,9 +110,6 @@ def solvers(settings: list[SolverSettings], repeats: int) -> dict[str, Any]:
             | {"residual": [depth[0].residual for depth in runs]}
         )
     return {"depth_m": list(DEPTHS_m), "settings": found}
-
-
-GREY, BLUE, ORANGE, RED, GREEN = "0.45", "#1f6fb2", "#d9822b", "#c23b3b", "#3f8f4f"
 
 
 def draw_page(panels: dict[str, Any], path: Path) -> Path:

@@ -28,6 +28,7 @@ from uniforce_vtla.results_file import provenance, write_json
 
 SENSORS = ("gelsight", "uskin", "tactip")
 REAL_TACTIPS_N_per_mm = (3.3, 4.7)  # shared facts: six real units, as 0.1.0's head read them
+_LEAST_N = 0.2  # contacts that carry less are left out: their motion is below a camera's noise
 
 
 @dataclass
@@ -72,9 +73,6 @@ def measure(contacts: int, seed: int) -> dict[str, Any]:
         },
         "real_tactip_slopes_N_per_mm": REAL_TACTIPS_N_per_mm,
     }
-
-
-_LEAST_N = 0.2  # contacts that carry less are left out: their motion is below a camera's noise
 
 
 def compare(sensor: VirtualSensor, n: int, seed: int, friction: float = 1.0) -> dict[str, Any]:

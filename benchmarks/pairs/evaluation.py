@@ -23,6 +23,11 @@ BEYOND_THE_GOAL = "pushed"  # a lean along the closing axis: not asked for, but 
 BANDS = ((0.0, 0.05), (0.05, 0.08), (0.08, 0.10), (0.10, 0.12), (0.12, 0.20), (0.20, 0.50), (0.50, 9.0))
 THRESHOLDS = (0.06, 0.08, 0.10, 0.12, 0.14, 0.17, 0.20, 0.30)
 DRAWS = 1000  # of the bootstrap
+FLOOR = 0.003  # errors are drawn on a logarithmic axis
+COLOURS = {
+    "none": "0.6", "jerked": "tab:orange", "free": "tab:green", "slipping": "tab:purple", "one_finger": "tab:red",
+    "pushed": "tab:blue",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -150,13 +155,6 @@ def _with_interval(flagged: np.ndarray, bad: np.ndarray, grasp: np.ndarray) -> d
         "recall_95": np.quantile(hits / np.maximum(wrong, 1), (0.025, 0.975)).tolist(),
     }
     return precision_recall(flagged, bad) | intervals | {"grasps": counts.shape[1]}
-
-
-FLOOR = 0.003  # errors are drawn on a logarithmic axis
-COLOURS = {
-    "none": "0.6", "jerked": "tab:orange", "free": "tab:green", "slipping": "tab:purple", "one_finger": "tab:red",
-    "pushed": "tab:blue",
-}  # fmt: skip
 
 
 def draw_scores(scored: Sequence[ScoredPairs], content: dict[str, Any], path: Path) -> Path:

@@ -25,6 +25,8 @@ VIEWS = {  # operations that move no data
     *("alias", "as_strided", "detach", "expand", "permute", "select", "slice", "split", "split_with_sizes"),
     *("squeeze", "t", "transpose", "unbind", "unsqueeze", "view", "_unsafe_view"),
 }
+STATUS = Path("/proc/self/status")
+DTYPES = {torch.float32: "F32", torch.bfloat16: "BF16", torch.float64: "F64", torch.int64: "I64"}
 
 
 def _linear_flops(*given: Any, **_: Any) -> int:
@@ -58,10 +60,6 @@ def count_operations(call: Callable) -> int:
     with _Operations() as counter:
         call()
     return counter.count
-
-
-STATUS = Path("/proc/self/status")
-DTYPES = {torch.float32: "F32", torch.bfloat16: "BF16", torch.float64: "F64", torch.int64: "I64"}
 
 
 def bench_memory(**settings: Any) -> dict[str, float]:

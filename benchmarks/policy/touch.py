@@ -4,6 +4,9 @@ All variants are timed in turns in one process, so that a busy machine slows the
 within a round. Random weights; the gate of ``start_at_base`` is on, as for size ``base``, and training steps run
 LeRobot's own layers, as ``base`` does. (Through torch's fused attention, which ``tiny`` trains by, a gate that learns
 costs a third of a step on a CPU: a mask with a gradient sends torch to its slow path. ``tiny`` has no gate.)
+
+Training steps on one random sample ask besides: does the gradient reach touch, does the tokenizer stay? ``tiny`` and
+``mid`` are the code of ``base`` at reduced width, for a CPU; ``base_3_cameras`` is the real size, for a GPU.
 """
 
 import statistics
@@ -20,6 +23,8 @@ from uniforce_vtla.tokenizer.weights import content_hash
 
 SLOTS = {"touch0": "right", "touch1": "left"}
 Call = Callable[[], Any]
+TOUCH_MODULES = ("force_tokens", "touch_gate")
+LEARNING_RATE = 2.5e-5  # peak of base
 
 
 def variants() -> dict[str, TouchSettings]:
@@ -96,10 +101,6 @@ def _in_turns(calls: dict[str, Call], device: str, rounds: int, what: str) -> di
         f"{what}_ms": medians,
         f"{what}_ratio_to_none": {name: ratio(values, times["none"]) for name, values in times.items()},
     }
-
-
-TOUCH_MODULES = ("force_tokens", "touch_gate")
-LEARNING_RATE = 2.5e-5  # peak of base
 
 
 def bench_training(case: BenchCase, device: str, steps: int, learning_rate: float = LEARNING_RATE) -> dict[str, Any]:

@@ -25,6 +25,10 @@ from uniforce_vtla.tokenizer.pair_cache import shrink
 
 FEWEST = 4  # frames a rotation can be fitted to
 CONSTANT = 1e-9  # spread below which a latent carries nothing
+SOURCE = "tactip"  # the sensor of both pretraining rigs; its labels fit the one rotation
+RIGS = (("gelsight", "tactip"), ("uskin", "tactip"), ("gelsight_d", "tactip"))  # the last one in no pretraining
+PAIRS_SEED = 7_003
+BRANCHES = ((0, 0), (1, 1), (1, 0), (0, 1))  # (whose latent, whose picture)
 
 
 @dataclass(frozen=True)
@@ -110,12 +114,6 @@ def _paired(z: np.ndarray, force_N: np.ndarray) -> tuple[np.ndarray, np.ndarray]
             expected("latents, forces", f"finite (..., L) and (..., 3), ≥ {FEWEST} frames", came, "Check the set.")
         )
     return z.reshape(-1, z.shape[-1]), force_N.reshape(-1, 3)
-
-
-SOURCE = "tactip"  # the sensor of both pretraining rigs; its labels fit the one rotation
-RIGS = (("gelsight", "tactip"), ("uskin", "tactip"), ("gelsight_d", "tactip"))  # the last one in no pretraining
-PAIRS_SEED = 7_003
-BRANCHES = ((0, 0), (1, 1), (1, 0), (0, 1))  # (whose latent, whose picture)
 
 
 def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:

@@ -18,6 +18,9 @@ from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
 
 LOGS: dict[Finger, str] = {"left": "xela_sensor1.csv", "right": "xela_sensor2.csv"}
+COLUMNS = [f"txl{taxel}_{axis}" for taxel in range(1, TAXEL_SHAPE[0] + 1) for axis in "xyz"]
+HELD = 0.5  # of a trial's largest normal signal: the object is in the grip
+FEWEST = 30  # held frames that a correlation needs
 
 
 @dataclass(frozen=True)
@@ -97,9 +100,6 @@ def _free_air(counts: np.ndarray, config: TrialConfig) -> np.ndarray:
     return np.stack([capture_taxel_reference(scans[-config.free_scans :]) for scans in counts])
 
 
-COLUMNS = [f"txl{taxel}_{axis}" for taxel in range(1, TAXEL_SHAPE[0] + 1) for axis in "xyz"]
-
-
 def read_uskin_csv(path: Path | str) -> np.ndarray:
     """Return a trial's raw counts, (N, 16, 3) int64; extra columns are left aside.
 
@@ -127,10 +127,6 @@ def _read_table(path: Path) -> pd.DataFrame:
     except pd.errors.EmptyDataError as error:
         do = "Log the trial again."
         raise SensorError(expected(f"{path}", "a csv table", "an empty file", do)) from error
-
-
-HELD = 0.5  # of a trial's largest normal signal: the object is in the grip
-FEWEST = 30  # held frames that a correlation needs
 
 
 def is_grasps(folder: Path) -> bool:

@@ -33,6 +33,9 @@ TWICE_s = (0.02, 0.6)  # between the two Ctrl-C
 DISK_MB, RESERVE_MB, LEFT_MB = 250, 50, 30  # of the small disk; kept free; left free by what fills it up
 SHORT_s = 1.5  # time limit of an episode that ends by itself
 FEW_s = 10.0  # of one that fits on the small disk
+MB = 1_000_000
+PAGE_B = 4096
+ROOM_MB = 300  # where it can't be mounted: between what is free now and the guard's limit
 
 
 @dataclass(frozen=True)
@@ -167,11 +170,6 @@ def _held_at(root: Path, card: dict[str, Any]) -> float:
     source = read_source(root)
     last_tick_s = float(np.atleast_2d(source.columns((STAMPS,))[STAMPS])[-1, 0])
     return datetime.fromisoformat(card["begun"]).timestamp() + last_tick_s + 1 / source.fps + card["held_s"]
-
-
-MB = 1_000_000
-PAGE_B = 4096
-ROOM_MB = 300  # where it can't be mounted: between what is free now and the guard's limit
 
 
 class SmallDisk:

@@ -27,6 +27,10 @@ from uniforce_vtla.keys import STAMPS
 
 SETTLE_s = 2.0  # into the episode, before it is measured
 COUNTED = "the loop with its threads and the storing process with its encoders; stand-ins and harness are not"
+RATE_HZ = 30.0
+BOX = GuardLimits(low=(0.1, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
+FIRST_MS = 30_000  # for the first scan, on a starved machine
+ANY_AGE_MS = 1e4
 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
@@ -83,10 +87,6 @@ def _beat(root: Any) -> dict[str, Any]:
     }
 
 
-RATE_HZ = 30.0
-BOX = GuardLimits(low=(0.1, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
-
-
 def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
     """Return percentiles of the time one read takes."""
     config = UniforceFrankaConfig(id="trial", calibration_dir=folder, address=address, guards=BOX)
@@ -103,10 +103,6 @@ def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
         robot.disconnect()
     p50, p95, p99 = np.percentile(took_ms, (50, 95, 99)).tolist()
     return {"reads": len(took_ms), "p50_ms": round(p50, 3), "p95_ms": round(p95, 3), "p99_ms": round(p99, 3)}
-
-
-FIRST_MS = 30_000  # for the first scan, on a starved machine
-ANY_AGE_MS = 1e4
 
 
 def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
