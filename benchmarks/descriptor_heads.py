@@ -82,8 +82,7 @@ def _described_episode(env: WipeEnv, seed: int) -> EpisodeForces:
     for _ in walk(env, expert, seed):
         pixels, wrench = env.observe()["pixels"], env.true_wrench()
         for finger in FINGERS:
-            reference, current = pixels[tactile_name(finger, reference=True)], pixels[tactile_name(finger)]
-            described[finger].append(descriptors(reference[..., 0], current[None, ..., 0], finger)[0])
+            described[finger].append(described_now(pixels, finger))
             forces[finger].append(wrench[finger][:3])
         places.append(env.state[:3])
     return EpisodeForces(
@@ -94,6 +93,12 @@ def _described_episode(env: WipeEnv, seed: int) -> EpisodeForces:
         env.scene.pad_friction,
         env.trace,
     )
+
+
+def described_now(pixels: dict[str, np.ndarray], finger: Finger) -> np.ndarray:
+    """Return the (6,) hand descriptor of what a finger shows."""
+    reference, current = pixels[tactile_name(finger, reference=True)], pixels[tactile_name(finger)]
+    return descriptors(reference[..., 0], current[None, ..., 0], finger)[0]
 
 
 def worn(episodes: list[EpisodeForces]) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:

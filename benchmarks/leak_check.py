@@ -19,15 +19,15 @@ from sklearn.metrics import r2_score
 from torch import nn
 from tqdm import tqdm
 
+from benchmarks.descriptor_heads import described_now
 from lerobot_env_uniforce_wiping import LEVELS, WipeEnv, WipeExpert, level_hash
 from lerobot_env_uniforce_wiping.episodes import walk
 from lerobot_env_uniforce_wiping.expert import AGAINST_PULL
 from uniforce_cli.boundary import Level, command, one_thread
 from uniforce_vtla.contracts import FINGERS
-from uniforce_vtla.keys import CAMERAS, tactile_name
+from uniforce_vtla.keys import CAMERAS
 from uniforce_vtla.options import Count, OutFile, Pixels, Range, Seed
 from uniforce_vtla.results_file import provenance, write_json
-from uniforce_vtla.tokenizer.plain_touch import descriptors
 
 LEAK_LIMIT, TOUCH_FLOOR = 0.3, 0.75  # R²
 FRAMES = 3  # of history in a sample
@@ -96,19 +96,13 @@ def _episode(env: WipeEnv, config: LeakConfig, seed: int) -> Iterator[tuple[Any,
         frames = past[-1 - (FRAMES - 1) * HISTORY_STEP :: HISTORY_STEP]
         if looks and step % (EVERY * HISTORY_STEP) == 0 and all(frame[2] is not None for frame in frames):
             state, command, pictures = (np.concatenate(part) for part in zip(*frames, strict=True))
-            yield state, command, _touch(pixels), pictures, env.sim.press_N
+            touch = np.concatenate([described_now(pixels, finger) for finger in FINGERS])
+            yield state, command, touch, pictures, env.sim.press_N
 
 
 def _pictures(pixels: dict[str, np.ndarray], side: int) -> np.ndarray:
     small = [cv2.resize(pixels[name], (side, side), interpolation=cv2.INTER_AREA) for name in CAMERAS]
     return np.concatenate(small, axis=-1).transpose(2, 0, 1)  # (6, S, S)
-
-
-def _touch(pixels: dict[str, np.ndarray]) -> np.ndarray:
-    pairs = [
-        (pixels[tactile_name(f, reference=True)][..., 0], pixels[tactile_name(f)][None, ..., 0], f) for f in FINGERS
-    ]
-    return np.concatenate([descriptors(*pair)[0] for pair in pairs])
 
 
 def measure(samples: Samples, cnn_steps: int) -> dict[str, float]:

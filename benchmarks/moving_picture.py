@@ -15,11 +15,11 @@ from uniforce_cli.score_settings import Rig
 from uniforce_cli.score_worker import policy_on_rig
 from uniforce_vtla.arguments import parse
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.evaluation.rollout import Controller, Environment, Rollout, roll_out
+from uniforce_vtla.evaluation.rollout import Rollout, roll_out
 
 MOST_BYTES = 3_000_000  # a README is read on phones, too
 TARGET_N = 6.0  # the press demonstrations aim at
-PADS = {"tactile_left": "left pad", "tactile_right": "right pad"}
+PADS = ("tactile_left", "tactile_right")
 
 
 @dataclass
@@ -39,40 +39,27 @@ class MovingPictureConfig:
     out: str = "outputs/wipe.gif"  # at most 3 MB
 
 
-class Watched:
-    """A controller whose observations are kept."""
-
-    def __init__(self, controller: Controller) -> None:
-        self._controller = controller
-        self.seen: list[dict[str, np.ndarray]] = []
-        self.steps: list[int] = []
-
-    def reset(self, env: Environment) -> None:
-        """See ``Controller``."""
-        self._env, self.seen, self.steps = env, [], []
-        self._controller.reset(env)
-
-    def chunk(self, observation: dict[str, Any], task: str) -> np.ndarray:
-        """See ``Controller``."""
-        self.seen.append({name: observation["pixels"][name].copy() for name in ("front", *PADS)})
-        self.steps.append(len(self._env.trace.time_s))
-        return self._controller.chunk(observation, task)
-
-    def facts(self) -> dict[str, float]:
-        """See ``Controller``."""
-        return self._controller.facts()
-
-
-def film(config: MovingPictureConfig) -> tuple[Watched, Rollout]:
-    """Roll the scene out; return what was seen at each chunk and the scored episode."""
+def film(config: MovingPictureConfig) -> tuple[list[dict[str, np.ndarray]], list[int], Rollout]:
+    """Roll the scene out; return what was seen at each chunk, how many steps came before, and the scored episode."""
     rig = Rig(config.level, config.left_sensor, config.right_sensor, config.swap)
     env, controller = policy_on_rig(config.policy, rig)
-    watched = Watched(controller)
-    return watched, roll_out(env, watched, config.seed)
+    seen: list[dict[str, np.ndarray]] = []
+    steps: list[int] = []
+    answer = controller.chunk
+
+    def watched(observation: dict[str, Any], task: str) -> np.ndarray:
+        seen.append({name: observation["pixels"][name].copy() for name in ("front", *PADS)})
+        steps.append(len(env.trace.time_s))
+        return answer(observation, task)
+
+    controller.chunk = watched  # type: ignore[method-assign]
+    return seen, steps, roll_out(env, controller, config.seed)
 
 
-def draw_frames(watched: Watched, rollout: Rollout, every: int, titles: Sequence[str]) -> list[Image.Image]:
-    """Return one picture per kept chunk."""
+def draw_frames(config: MovingPictureConfig) -> tuple[list[Image.Image], Rollout]:
+    """Return one picture per kept chunk, and the episode."""
+    seen, steps, rollout = film(config)
+    titles = ("front camera", f"left pad: {config.left_sensor}", f"right pad: {config.right_sensor}")
     time_s, press_N = np.asarray(rollout.trace.time_s), np.asarray(rollout.trace.press_N)
     figure = Figure(figsize=(5.6, 3.5), dpi=80, layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -83,19 +70,19 @@ def draw_frames(watched: Watched, rollout: Rollout, every: int, titles: Sequence
     for name, title in zip(("front", *PADS), titles, strict=True):
         places[name].axis("off")
         places[name].set_title(title, fontsize=8)
-        pictures[name] = places[name].imshow(watched.seen[0][name], cmap="gray")
+        pictures[name] = places[name].imshow(seen[0][name], cmap="gray")
     axes = places["press"]
     axes.axhline(TARGET_N, color="#2a9d8f", lw=0.8, ls="--")
     axes.set(xlim=(0, time_s[-1]), ylim=(0, max(12.0, press_N.max())), xlabel="s", ylabel="press, N")
     (line,) = axes.plot([], [], color="k", lw=1)
     frames = []
-    for seen, step in list(zip(watched.seen, watched.steps, strict=True))[::every]:
+    for shown, step in list(zip(seen, steps, strict=True))[:: config.every]:
         for name, picture in pictures.items():
-            picture.set_data(seen[name])
+            picture.set_data(shown[name])
         line.set_data(time_s[:step], press_N[:step])
         canvas.draw()
         frames.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]))
-    return frames
+    return frames, rollout
 
 
 def write_gif(path: Path, frames: Sequence[Image.Image], frame_s: float) -> Path:
@@ -112,10 +99,8 @@ def write_gif(path: Path, frames: Sequence[Image.Image], frame_s: float) -> Path
 def main(argv: list[str] | None = None) -> int:
     """Entry of ``python -m benchmarks.moving_picture``."""
     config = parse(MovingPictureConfig, argv)
-    watched, rollout = film(config)
-    titles = ("front camera", f"left pad: {config.left_sensor}", f"right pad: {config.right_sensor}")
-    frames = draw_frames(watched, rollout, config.every, titles)
-    frame_s = config.every * float(rollout.trace.time_s[-1]) / len(watched.seen)
+    frames, rollout = draw_frames(config)
+    frame_s = float(rollout.trace.time_s[-1]) / len(frames)
     print(f"{rollout.result.outcome}: {write_gif(Path(config.out), frames, frame_s)}")
     return 0
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tqdm import tqdm
 
 from uniforce_cli.boundary import command, one_thread
-from uniforce_vtla.contact.indenters import HEIGHTS, PRETRAIN, SEEN
-from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed
+from uniforce_vtla.contact.indenters import PRETRAIN, SEEN
+from uniforce_vtla.options import Count, Names, OutFile, Pattern, Seed, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.sensors import get_sensor
 
@@ -24,7 +23,7 @@ SEEN_SEEDS = 2000  # sessions with seeds below were looked at while the score wa
 
 
 ALL_INDENTERS = ",".join(PRETRAIN)
-Indenters = Annotated[str, Names(tuple(HEIGHTS), many=True)]
+Indenters = Annotated[str, Names(SEEN, many=True)]
 Rigs = Annotated[str, Pattern("left+right sensors", r"\w+\+\w+(,\s*\w+\+\w+)*", "gelsight+tactip")]
 
 
@@ -47,19 +46,19 @@ class PairQualityConfig:
 
 def measure(config: PairQualityConfig) -> dict[str, Any]:
     """Return precision and recall over all rehearsed pairs, and by fault, rig, indenter and gate."""
-    from benchmarks.pairs.evaluation import report, score_session
-    from benchmarks.pairs.figure import draw_scores
+    from benchmarks.pairs.evaluation import draw_scores, report, score_session
     from uniforce_robots.pairs import pair_judge
     from uniforce_robots.pairs.rehearsal import Rehearsal
 
-    rigs, names = _rigs(config), _names(config)
+    rigs = [tuple(get_sensor(name.strip()).name for name in rig.split("+")) for rig in split(config.rigs)]
+    indenters = tuple(split(config.indenters))
     if config.train:
         _train(sorted({sensor for rig in rigs for sensor in rig}))
     scored: list[ScoredPairs] = []
     jobs = [(rig, k) for k in range(config.sessions) for rig in rigs]
     for number, ((left, right), _) in enumerate(tqdm(jobs, desc="sessions", unit="session")):
         rehearsal = Rehearsal(left, right, config.seed + number)
-        scored.append(score_session(rehearsal, names, config.grasps))
+        scored.append(score_session(rehearsal, indenters, config.grasps))
     settings = {"limit": pair_judge.LIMIT, "trust": pair_judge.TRUST}
     content = report(scored) | {"settings": settings, "config": asdict(config), "bar": BAR}
     draw_scores(scored, content, Path(config.out).with_suffix(".png"))
@@ -73,25 +72,6 @@ def _train(sensors: list[str]) -> None:
     for sensor in tqdm(sensors, desc="force readers", unit="sensor"):
         model = train_finger_force(*training_contacts(sensor, training), training)
         print(f"reader of {sensor} in {save_finger_force(model, sensor, training)}")
-
-
-def _rigs(config: PairQualityConfig) -> list[tuple[str, str]]:
-    rigs = []
-    for rig in config.rigs.split(","):
-        left, plus, right = rig.strip().partition("+")
-        if not plus:
-            raise ContractError(expected("rigs", "left+right, commas between", repr(rig), "Name sensors."))
-        rigs.append((get_sensor(left).name, get_sensor(right).name))
-    return rigs
-
-
-def _names(config: PairQualityConfig) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in config.indenters.split(","))
-    unknown = sorted(set(names) - set(SEEN))
-    if unknown or config.sessions < 1 or config.grasps < 1:
-        came = unknown or f"{config.sessions} sessions, {config.grasps} grasps"
-        raise ContractError(expected("indenters, sessions, grasps", f"of {SEEN}, ≥ 1, ≥ 1", came, "Correct it."))
-    return names
 
 
 def _line(row: dict[str, Any]) -> str:

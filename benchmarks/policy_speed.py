@@ -7,17 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import torch
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from benchmarks.policy.counts import bench_memory
 from benchmarks.policy.latency import CASES, bench_case
-from benchmarks.policy.memory import bench_memory
-from benchmarks.policy.touch import bench_touch
-from benchmarks.policy.training import bench_training
+from benchmarks.policy.touch import bench_touch, bench_training
 from uniforce_cli.boundary import command
 from uniforce_vtla.arguments import choose
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.options import Count, Names, OutFolder, Pattern, Range
 from uniforce_vtla.results_file import provenance, write_json
 
@@ -34,7 +31,7 @@ FlowSteps = Annotated[int, Range(1, 1000)]
 
 @dataclass
 class BenchPolicyConfig:
-    """Time a chunk with random weights, stock and fast in turns; write policy_latency.json and a figure.
+    """Time a chunk with random weights, stock and fast in turns; write policy_latency.json.
 
     Example: python -m benchmarks.policy_speed rounds=9
     With what touch costs and what loading takes: python -m benchmarks.policy_speed touch=mid_3_cameras memory=base
@@ -51,7 +48,7 @@ class BenchPolicyConfig:
     training: Case = ""  # case of which 20 training steps are timed, gradient and tokenizer checked; "" = not
     # "base" loads a synthetic checkpoint of the real size (9 GB of RAM, no disk); "" = not
     memory: Literal["", "base"] = ""
-    out: OutFolder = "outputs/bench_policy"  # policy_latency.json and .png
+    out: OutFolder = "outputs/bench_policy"  # policy_latency.json
 
 
 def measure(config: BenchPolicyConfig) -> dict[str, Any]:
@@ -83,26 +80,12 @@ def measure(config: BenchPolicyConfig) -> dict[str, Any]:
     }
 
 
-def draw(content: dict[str, Any], path: Path) -> Path:
-    """Draw stock, fast and the floor per case; return the picture's path."""
-    cases = content["cases"]
-    figure = Figure(figsize=(3.2 * len(cases), 3.6), layout="constrained")
-    for panel, (name, report) in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases.items(), strict=True):
-        values = [report["stock_ms"], report["fast_ms"], report["floor_ms"]]
-        bars = panel.bar(["LeRobot", "fast", "floor"], values, color=["0.6", "C0", "0.85"])
-        panel.bar_label(bars, fmt="%.0f")
-        panel.set_title(f"{name}\n{report['ratio']:.2f}×, {report['operations_share']:.0%} of the operations")
-        panel.set_ylabel("ms per chunk")
-    return save_figure(figure, path)
-
-
 @command(BenchPolicyConfig)
 def main(config: BenchPolicyConfig) -> None:
     """Entry of ``python -m benchmarks.policy_speed``."""
     torch.set_num_threads(1)
     content = measure(config)
     path = write_json(Path(config.out) / "policy_latency.json", content | provenance())
-    draw(content, path.with_suffix(".png"))
     for name, r in content["cases"].items():
         print(
             f"{name}: stock {r['stock_ms']:.1f} ms, fast {r['fast_ms']:.1f} ms ({r['ratio']:.2f}×), floor "

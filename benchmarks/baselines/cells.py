@@ -1,11 +1,75 @@
-"""Cells of a row whose whole network is fitted to the source sensor: ResNet, fine-tuning, translation."""
+"""Cells of a row whose whole network is fitted to the source sensor: ResNet, fine-tuning, translation.
+
+A row may look at pictures when it predicts, never at labels.
+"""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from benchmarks.baselines.pictures import Predictor, pictures
+import numpy as np
+import torch
+
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import Cells, Table, mean_cells, score, transfer_name
 from uniforce_vtla.errors import ContractError, expected
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The images of a labelled set, without its forces: a predictor can't read what it isn't given."""
+
+    reference: np.ndarray  # (n, S, S) uint8
+    frames: np.ndarray  # (n, T, S, S) uint8
+
+    def tensors(self, rows: np.ndarray | slice, frames: slice = slice(None)) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return references (B, 1, S, S) and frames (B, F, S, S), float32 in [0, 1]."""
+        return _floats(self.reference[rows][:, None]), _floats(self.frames[rows][:, frames])
+
+
+Predictor = Callable[[Pictures], np.ndarray]  # → (n, T, 3) N
+
+
+def pictures(labelled: LabelledSet) -> Pictures:
+    """Return the images of a set.
+
+    Raises:
+        ContractError: images that aren't square uint8, or references and frames that don't fit each other.
+    """
+    reference, frames = labelled.reference, labelled.frames
+    fits = (
+        reference.dtype == frames.dtype == np.uint8
+        and reference.ndim == 3
+        and frames.ndim == 4
+        and frames.shape[1] > 0
+        and len(reference) == len(frames) > 0
+        and reference.shape[1] == reference.shape[2]
+        and frames.shape[2:] == reference.shape[1:]
+    )
+    if not fits:
+        came = f"{reference.dtype} {reference.shape} and {frames.dtype} {frames.shape}"
+        raise ContractError(
+            expected("labelled set", "uint8 (n, S, S) and (n, T, S, S)", came, "Draw it with draw_labelled.")
+        )
+    return Pictures(reference, frames)
+
+
+def labels(labelled: LabelledSet) -> torch.Tensor:
+    """Return a *source* set's forces, (n, T, 3) float32 N.
+
+    Raises:
+        ContractError: another shape than the frames', or a force that isn't finite.
+    """
+    wanted = (*pictures(labelled).frames.shape[:2], 3)
+    if labelled.force_N.shape != wanted or not bool(np.isfinite(labelled.force_N).all()):
+        raise ContractError(
+            expected("forces of the source", f"finite {wanted}", labelled.force_N.shape, "Check the set.")
+        )
+    return torch.from_numpy(labelled.force_N).float()
+
+
+def _floats(images: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(images)).float() / 255
+
 
 Fit = Callable[[LabelledSet, int], Predictor]  # source set, seed → predictor
 Scores = dict[str, list[dict[str, list[float]]]]  # transfer → one score per seed

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from benchmarks.baselines.pictures import Pictures, Predictor
+from benchmarks.baselines.cells import Pictures, Predictor
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.force_head import ForceRegressor
 

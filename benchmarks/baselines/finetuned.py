@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 
 import torch
 
-from benchmarks.baselines.cells import fitted_row
+from benchmarks.baselines.cells import Predictor, fitted_row, labels, pictures
 from benchmarks.baselines.end_to_end import EndToEnd, EndToEndConfig, PairEncoder, predictor, train_end_to_end
-from benchmarks.baselines.pictures import Predictor, labels, pictures
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import POOL, Cells, Table, encode_set, sized_head
 from uniforce_vtla.errors import ContractError, expected

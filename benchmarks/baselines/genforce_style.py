@@ -13,8 +13,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from benchmarks.baselines.cells import Scores, add_score, check_seeds
-from benchmarks.baselines.pictures import Pictures, Predictor, labels, pictures
+from benchmarks.baselines.cells import Pictures, Predictor, Scores, add_score, check_seeds, labels, pictures
 from benchmarks.baselines.resnet import ResNetConfig, fit_pictures
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import Cells, Table, mean_cells

@@ -6,9 +6,8 @@ import torch
 from torch import nn
 from torch.nn import functional as F  # noqa: N812
 
-from benchmarks.baselines.cells import fitted_row
+from benchmarks.baselines.cells import Pictures, Predictor, fitted_row, labels, pictures
 from benchmarks.baselines.end_to_end import EndToEnd, EndToEndConfig, PairEncoder, predictor, train_end_to_end
-from benchmarks.baselines.pictures import Pictures, Predictor, labels, pictures
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import POOL, Cells, Table
 from uniforce_vtla.errors import ContractError, expected

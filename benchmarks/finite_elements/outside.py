@@ -65,7 +65,7 @@ def measure(config: OutsideCommand) -> dict[str, Any]:
     for source, target in table.transfers():
         head, name = ForceHead.from_pretrained(source, config.tokenizer or None), transfer_name(source, target)
         frozen = table.frozen[target]
-        each = head(_frames(tokenizer, frozen)).numpy()
+        each = head(encode_set(tokenizer, frozen).flatten(0, 1)).numpy()
         rows["zero_shot"][name] = score(frozen.force_N.reshape(-1, 3), each)
         sensors = as_virtual(target), as_virtual(source)
         rows["calibrated"][name] = calibrated_cell(tokenizer, head, sensors, grasps[target], frozen)
@@ -81,10 +81,6 @@ def _grasps(config: OutsideCommand, sensor: str) -> list[UnitGrasps]:
     worn = units(SETS[config.set], as_virtual(sensor))
     bar = tqdm(worn, desc=f"grasps of {sensor}")
     return [grasp(unit, number, config.pairs) for number, unit in enumerate(bar)]
-
-
-def _frames(tokenizer: Tokenizer, frozen: Any) -> torch.Tensor:
-    return encode_set(tokenizer, frozen).flatten(0, 1)
 
 
 def summary(row: Cells) -> str:

@@ -1,6 +1,5 @@
 """Gates of a level: what must wipe it, what must not, each on the same fresh scenes."""
 
-import json
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -16,6 +15,7 @@ from benchmarks.gates.fitting import PRESSES_N, STYLES, Fitted, fit
 from benchmarks.gates.observer import Observed
 from benchmarks.gates.readings import EverySixth, Frozen, PlaneKnown, ReadingExpert, scaled, shifted
 from benchmarks.gates.scripts import HarderEachLook, KeepingExpert, LagIdentifying
+from benchmarks.ledger import Ledger
 from benchmarks.scene_blocks import BLOCKS
 from lerobot_env_uniforce_wiping.env import WipeEnv
 from lerobot_env_uniforce_wiping.episodes import Script, run_script
@@ -120,18 +120,14 @@ def _episode(level: str, name: str, seed: int, fitted: Fitted, folder: Path) -> 
 def run_all(config: GatesCommand, fitted: Fitted) -> list[dict[str, Any]]:
     """Return a row per script and scene; those of an earlier run are kept."""
     folder = Path(config.work)
-    path = folder / f"{config.level}_{level_hash(get_level(config.level))}_{config.first_seed}.jsonl"
-    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-    done = {(row["script"], row["seed"]) for row in rows}
+    ledger, own = Ledger(folder), f"{config.level}_{level_hash(get_level(config.level))}_{config.first_seed}"
+    done = {(row["script"], row["seed"]) for row in ledger.read(own)}
     seeds = range(config.first_seed, config.first_seed + config.episodes)
     wanted = [(name, seed) for seed in seeds for name in choose(GATES, config.only) if (name, seed) not in done]
     jobs = [delayed(_episode)(config.level, name, seed, fitted, folder) for name, seed in wanted]
-    with path.open("a") as file:
-        for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            rows.append(row)
-    return [row for row in rows if row["seed"] in seeds]
+    for row in tqdm(Parallel(config.workers, return_as="generator")(jobs), total=len(jobs), desc="episodes"):
+        ledger.add(own, row)
+    return [row for row in ledger.read(own) if row["seed"] in seeds]
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:

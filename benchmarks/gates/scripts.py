@@ -88,9 +88,6 @@ class LagIdentifying(MeasuredRelative):
 class HarderEachLook(BlindScript):
     """Presses harder each time it sees ink that is left."""
 
-    def __init__(self, settings: BlindSettings, style: Callable[[Layout, BlindSettings], Regulator]) -> None:
-        super().__init__(settings, style)
-
     def reset(self, env: WipeEnv) -> None:
         """Start a new episode with the first press."""
         regulator = self._style(env.level.layout, self._settings)

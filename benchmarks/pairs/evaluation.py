@@ -6,19 +6,28 @@ respect that frames of one grasp are alike.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from uniforce_robots.pairs.pair_judge import PairJudge
 from uniforce_robots.pairs.rehearsal import LIMIT, Rehearsal, SimulatedRig
 from uniforce_robots.pairs.rig import RigFrame
 from uniforce_robots.pairs.track import FingerReaders, GraspTrack, MotionLimits
+from uniforce_vtla.figure_file import save_figure
 
 BEYOND_THE_GOAL = "pushed"  # a lean along the closing axis: not asked for, but real, and the hardest to find
 BANDS = ((0.0, 0.05), (0.05, 0.08), (0.08, 0.10), (0.10, 0.12), (0.12, 0.20), (0.20, 0.50), (0.50, 9.0))
 THRESHOLDS = (0.06, 0.08, 0.10, 0.12, 0.14, 0.17, 0.20, 0.30)
 DRAWS = 1000  # of the bootstrap
+FLOOR = 0.003  # errors are drawn on a logarithmic axis
+COLOURS = {
+    "none": "0.6", "jerked": "tab:orange", "free": "tab:green", "slipping": "tab:purple", "one_finger": "tab:red",
+    "pushed": "tab:blue",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -146,3 +155,41 @@ def _with_interval(flagged: np.ndarray, bad: np.ndarray, grasp: np.ndarray) -> d
         "recall_95": np.quantile(hits / np.maximum(wrong, 1), (0.025, 0.975)).tolist(),
     }
     return precision_recall(flagged, bad) | intervals | {"grasps": counts.shape[1]}
+
+
+def draw_scores(scored: Sequence[ScoredPairs], content: dict[str, Any], path: Path) -> Path:
+    """Write the figure."""
+    figure = Figure(figsize=(10.5, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    _draw_errors(left, scored, content["settings"]["limit"])
+    _draw_thresholds(right, content)
+    figure.suptitle("Pair quality against the simulator's truth, sessions the score was not tuned on")
+    return save_figure(figure, path)
+
+
+def _draw_errors(axis: Axes, scored: Sequence[ScoredPairs], limit: float) -> None:
+    fault = np.concatenate([s.fault for s in scored])
+    error = np.maximum(np.concatenate([s.error for s in scored]), FLOOR)
+    estimated = np.maximum(np.concatenate([s.estimated for s in scored]), FLOOR)
+    for name, colour in COLOURS.items():
+        here = fault == name
+        axis.plot(error[here], estimated[here], ".", color=colour, markersize=2, label=name)
+    axis.axvline(LIMIT, color="black", linewidth=0.8)
+    axis.axhline(limit, color="black", linewidth=0.8, linestyle="--")
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.set_xlabel("true equilibrium error")
+    axis.set_ylabel("estimated")
+    axis.legend(markerscale=5, fontsize=8, title="what went wrong in the grasp", title_fontsize=8)
+
+
+def _draw_thresholds(axis: Axes, content: dict[str, Any]) -> None:
+    limits = [float(limit) for limit in content["by_threshold"]]
+    for key in ("precision", "recall"):
+        axis.plot(limits, [row[key] for row in content["by_threshold"].values()], "o-", label=key)
+    axis.axhline(content["bar"], color="black", linewidth=0.8, linestyle="--", label="bar")
+    axis.axvline(content["settings"]["limit"], color="0.7", linewidth=0.8)
+    axis.set_ylim(0.7, 1.005)
+    axis.set_xlabel("threshold on the estimated error")
+    axis.set_title("without leaning along the closing axis", fontsize=9)
+    axis.legend(fontsize=8)

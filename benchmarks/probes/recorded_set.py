@@ -1,73 +1,46 @@
-"""Users' recordings → what the force table takes: windows at the model's size."""
+"""Users' recordings → what the force table takes, windows at the model's size, and the table on them."""
 
 from __future__ import annotations
 
 import hashlib
 import logging
 from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.probes.labelled_set import LabelledSet
+from benchmarks.probes.zero_shot import POOL, Table, descriptor_row, encode_set, learnt_row, mean_row
+from uniforce_datasets.readers import read_genforce
 from uniforce_datasets.readers.recording import LabelledRecording
+from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 
 log = logging.getLogger(__name__)
+LENGTH = 12  # frames of a window, as in the simulated sets
 MIN_SHEAR_N = 0.2  # frames with less say nothing about the direction of shear
 
 
-@dataclass(frozen=True)
-class WindowConfig:
-    """How recordings of any length are cut into sequences of one length."""
-
-    length: int = 12  # frames per sequence, as in the simulated sets
-    stride: int = 1  # recorded frames per frame kept: 3 turns 30 fps into 10
-    hop: int = 0  # frames kept between the starts of two windows; 0 = ``length``: they touch, none overlaps
-    per_recording: int = 0  # at most so many windows of a recording, evenly spread; 0 = all
-
-    def __post_init__(self) -> None:
-        """Raise ContractError for lengths that make no window."""
-        if min(self.length, self.stride) < 1 or min(self.hop, self.per_recording) < 0:
-            raise ContractError(expected("windows", "length, stride ≥ 1; hop ≥ 0", self, "Choose others."))
-
-    def starts(self, frames: int) -> list[int]:
-        """Return the first frames of all windows that fit into ``frames``."""
-        span = (self.length - 1) * self.stride + 1
-        fitting = list(range(0, frames - span + 1, (self.hop or self.length) * self.stride))
-        if not self.per_recording or len(fitting) <= self.per_recording:
-            return fitting
-        return [fitting[i] for i in np.linspace(0, len(fitting) - 1, self.per_recording).round().astype(int)]
-
-
-@dataclass
-class _Collected:
-    reference: list[np.ndarray] = field(default_factory=list)
-    frames: list[np.ndarray] = field(default_factory=list)
-    descriptor: list[np.ndarray] = field(default_factory=list)
-    force_N: list[np.ndarray] = field(default_factory=list)
-    too_short: int = 0
-
-
-def to_labelled_set(
-    recordings: Iterable[LabelledRecording], side: int, windows: WindowConfig | None = None
-) -> LabelledSet:
-    """Return one sensor's recordings as a labelled set: n windows of T frames at the model's size.
+def to_labelled_set(recordings: Iterable[LabelledRecording], side: int, length: int = LENGTH) -> LabelledSet:
+    """Return one sensor's recordings as a labelled set: n windows of T frames, end to end, at the model's size.
 
     Full-size images are dropped recording by recording; what stays is (T + 1) · side² bytes per window.
 
     Args:
         recordings: of one sensor, e.g. ``of_sensor(read_genforce(folder), "gelsight")``.
         side: pixels per side of the model, ``tokenizer.config.side``.
-        windows: how to cut.
+        length: frames of a window.
 
     Raises:
         DatasetError: recordings of several sensors, no window at all, or a reference with too few markers.
     """
-    windows = windows or WindowConfig()
-    kept, digest, sensor = _Collected(), hashlib.sha256(), ""
+    digest, sensor, too_short = hashlib.sha256(), "", 0
+    rows: list[tuple[np.ndarray, ...]] = []
     for recording in recordings:
         if sensor not in ("", recording.sensor):
             came = f"{sensor} and {recording.sensor}"
@@ -75,37 +48,30 @@ def to_labelled_set(
         if not sensor:
             sensor = recording.sensor
             digest.update(sensor.encode())
-        _collect(kept, recording, side, windows, digest)
-    if not kept.frames:
-        came = f"none; {kept.too_short} recordings are shorter"
-        wanted = f"a window of {windows.length} frames, stride {windows.stride}"
-        raise DatasetError(expected("labelled set", wanted, came, "Is the folder right? Or shorten them."))
-    if kept.too_short:
-        log.warning("%s: %d recordings shorter than a window left out", sensor, kept.too_short)
-    force_N = np.stack(kept.force_N)
+        too_short += len(recording.frames) < length
+        rows += _windows(recording, side, length, digest)
+    if not rows:
+        came = f"none; {too_short} recordings are shorter"
+        do = "Is the folder right? Or shorten them."
+        raise DatasetError(expected("labelled set", f"a window of {length} frames", came, do))
+    if too_short:
+        log.warning("%s: %d recordings shorter than a window left out", sensor, too_short)
+    reference, frames, descriptor, force_N = (np.stack(column) for column in zip(*rows, strict=True))
     digest.update(np.ascontiguousarray(force_N).tobytes())
-    return LabelledSet(
-        np.stack(kept.reference), np.stack(kept.frames), np.stack(kept.descriptor), force_N, digest.hexdigest()
-    )
+    return LabelledSet(reference, frames, descriptor, force_N, digest.hexdigest())
 
 
-def _collect(
-    kept: _Collected, recording: LabelledRecording, side: int, windows: WindowConfig, digest: hashlib._Hash
-) -> None:
-    starts = windows.starts(len(recording.frames))
-    if not starts:
-        kept.too_short += 1
-        return
+def _windows(
+    recording: LabelledRecording, side: int, length: int, digest: hashlib._Hash
+) -> Iterator[tuple[np.ndarray, ...]]:
+    """Yield reference, frames, descriptors and forces of each window that fits; the digest is of full-size images."""
     small = shrink(recording.reference[None], side)[0]
     packed = np.packbits(recording.reference > 0).tobytes()
-    for start in starts:
-        rows = slice(start, start + (windows.length - 1) * windows.stride + 1, windows.stride)
+    for start in range(0, len(recording.frames) - length + 1, length):
+        rows = slice(start, start + length)
         frames = recording.frames[rows]  # (T, H, W)
         digest.update(packed + np.packbits(frames > 0).tobytes())
-        kept.reference.append(small)
-        kept.frames.append(shrink(frames, side))
-        kept.descriptor.append(_described(recording, frames))
-        kept.force_N.append(recording.force_N[rows])
+        yield small, shrink(frames, side), _described(recording, frames), recording.force_N[rows]
 
 
 def _described(recording: LabelledRecording, frames: np.ndarray) -> np.ndarray:
@@ -140,3 +106,40 @@ def shear_agreement(labelled: LabelledSet) -> np.ndarray:
         return np.full(2, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.array([np.corrcoef(motion[sheared, axis], shear[sheared, axis])[0, 1] for axis in range(2)])
+
+
+def user_data(tokenizer: Tokenizer, folder: str, seeds: int, results: Path) -> str:
+    """Write the force table on a user's force-labelled recordings (GenForce layout: seen → unseen indenters).
+
+    Raises:
+        DatasetError: an unknown format, or fewer than two sensors with both kinds of indenters.
+    """
+    side = tokenizer.config.side
+    sensors = sorted({recording.sensor for recording in read_genforce(folder)})
+    if len(sensors) < 2:
+        do = "A transfer needs a source and a target sensor."
+        raise DatasetError(expected(folder, "two sensors or more", sensors, do))
+
+    def sets(indenters: tuple[str, ...]) -> dict[str, LabelledSet]:
+        found = {s: of_indenters(of_sensor(read_genforce(folder), s), indenters) for s in sensors}
+        return {s: to_labelled_set(recordings, side) for s, recordings in found.items()}
+
+    table = Table(sets(SEEN), sets(UNSEEN))
+    content: dict[str, Any] = {
+        "what": f"GenForce recordings in {folder}; heads trained on seen, scored on unseen indenters",
+        "tokenizer_hash": tokenizer.hash,
+        "seeds": seeds,
+        "shear_agreement": {s: shear_agreement(table.training[s]).tolist() for s in sensors},
+        "rows": {
+            "UniForce": learnt_row(table, lambda s: encode_set(tokenizer, s), seeds, POOL),
+            "hand descriptor": descriptor_row(table, seeds),
+            "mean": mean_row(table),
+        },
+    }
+    path = write_json(results / "force_on_data.json", content | provenance())
+    lines = [f"{name}: R² {_short(cell['r2'])}" for name, cell in content["rows"]["UniForce"].items()]
+    return "\n".join([*lines, f"written to {path}; check shear_agreement: −1 there means a wrong sign"])
+
+
+def _short(values: list[float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in values)

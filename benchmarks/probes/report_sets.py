@@ -8,8 +8,7 @@ from tqdm import tqdm
 
 from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV, ElementSettings, draw_elements
 from benchmarks.probes.hard_sets import HETERO_HARD, HETERO_HARD_TRAINING, HardSettings, draw_hard, hetero_sensors
-from benchmarks.probes.labelled_cache import cached
-from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, LabelledSet, SetConfig, draw_labelled
+from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, LabelledSet, SetConfig, cached, draw_labelled
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.nominal_scale import nominal_zoom

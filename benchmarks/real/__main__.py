@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.real.grasps import balance, is_grasps
-from benchmarks.real.pictures import is_pictures, marker_counts
 from benchmarks.real.readouts import (
     RIDGES,
     Features,
@@ -19,7 +18,7 @@ from benchmarks.real.readouts import (
     transfer,
 )
 from benchmarks.real.tactip_shear import TactipSet, is_tactip_shear, read_tactip_shear
-from uniforce_cli.boundary import Sensor, command
+from uniforce_cli.boundary import command
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.options import Count, FolderPaths, OutFile, TokenizerFolder, split
 from uniforce_vtla.results_file import provenance, write_json
@@ -35,15 +34,13 @@ class RealCommand:
 
     TacTips with depth and shear labels: the first folder fits a linear readout, every other one is read with it.
     Example: python -m benchmarks.real data=cr_tactip/…/train_data,cr_tactip/…/val_data
-    A folder of uSkin grasps (*/xela_sensor1.csv) gives the balance of both fingers, one of pictures or films the
-    markers found. The recordings stay where they are.
+    A folder of uSkin grasps (*/xela_sensor1.csv) gives the balance of both fingers. The recordings stay where they are.
     """
 
     data: FolderPaths = ""  # folders, comma between them
     tokenizer: TokenizerFolder = ""  # empty = the shipped one
     seeds: Count = 3  # untrained tokenizers
     frames: Count = 1000  # of each recording, at most
-    sensor: Sensor = "gelsight"  # of pictures and films
     out: OutFile = "outputs/real.json"
 
 
@@ -101,9 +98,7 @@ def _unlabelled(config: RealCommand, tokenizer: Tokenizer, folder: Path) -> dict
     if is_grasps(folder):
         head = ForceHead.from_pretrained(HEAD_SOURCES["grasps"], config.tokenizer or None)
         return balance(tokenizer, head, folder)
-    if is_pictures(folder):
-        return marker_counts(folder, config.sensor, config.frames)
-    wanted = "targets_images.csv, */xela_sensor1.csv, pictures or films"
+    wanted = "targets_images.csv or */xela_sensor1.csv"
     raise DatasetError(expected(str(folder), wanted, "none of them", "Name the folder that holds them."))
 
 

@@ -1,11 +1,13 @@
 """Linear readouts of depth and shear: fitted on one sensor, read on another, as it is or after ten frames of it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.stats import spearmanr
+from sklearn.linear_model import Ridge
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import StandardScaler
 from tqdm import tqdm
 
 from benchmarks.real.tactip_shear import TactipSet
@@ -22,26 +24,9 @@ LAST, FIRST = (1, 2, 0), (2, 0, 1)  # depth, shear → shear, depth as forces ar
 Features = Callable[[TactipSet], np.ndarray]  # → (n, F)
 
 
-@dataclass(frozen=True)
-class Readout:
-    """Ridge regression of (n, F) features on depth and shear, (n, 3) mm."""
-
-    mean: np.ndarray
-    spread: np.ndarray
-    weight: np.ndarray  # (F + 1, 3)
-
-    @classmethod
-    def fit(cls, features: np.ndarray, label_mm: np.ndarray, ridge: float) -> "Readout":
-        """Return the readout; the offset is not held down."""
-        mean, spread = features.mean(axis=0), np.maximum(features.std(axis=0), 1e-6)
-        x = np.column_stack([(features - mean) / spread, np.ones(len(features))])
-        held = ridge * np.eye(x.shape[1])
-        held[-1, -1] = 0
-        return cls(mean, spread, np.linalg.solve(x.T @ x + held, x.T @ label_mm))
-
-    def __call__(self, features: np.ndarray) -> np.ndarray:
-        """Return (n, 3) depth, shear x and y in mm."""
-        return np.column_stack([(features - self.mean) / self.spread, np.ones(len(features))]) @ self.weight
+def fit_readout(features: np.ndarray, label_mm: np.ndarray, ridge: float) -> Pipeline:
+    """Return ridge regression of (n, F) standardised features on (n, 3) depth, shear x and y in mm."""
+    return make_pipeline(StandardScaler(), Ridge(ridge)).fit(features, label_mm)
 
 
 def labels_mm(recording: TactipSet) -> np.ndarray:
@@ -79,7 +64,7 @@ def transfer(source: tuple[np.ndarray, np.ndarray], target: tuple[np.ndarray, np
     ``as_is``; ``one_angle``, turned by the angle that fits all of the target's labels best: what a known mount angle
     gives; ``few_frames``, turned, scaled and shifted by what ten labelled frames say, mean over draws of them.
     """
-    read, label = Readout.fit(*source, ridge)(target[0]), target[1]
+    read, label = fit_readout(*source, ridge).predict(target[0]), target[1]
     turn = in_plane_turn_rad(read[:, 1:], label[:, 1:])
     rng = np.random.default_rng(0)
     few = []

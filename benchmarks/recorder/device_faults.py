@@ -7,16 +7,18 @@ import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.ledger import Ledger
 from benchmarks.recorder.end_to_end import BEGUN
-from benchmarks.recorder.ledger import Ledger
 from benchmarks.recorder.plan import EPISODES, LONG_s, NOTICE_s, START_s
 from benchmarks.recorder.rig import Rig
 from benchmarks.recorder.session import Line, Session, TrialError
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.source import read_source
+from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import UniForceError
 
 WAITING, STORED, REFUSED = r"is next: ", r"^(not )?stored", r"^can't begin"
@@ -43,14 +45,13 @@ class Breakage:
     clears: bool = False
 
 
-def _camera(fault: str, *labels: str) -> Breakage:
-    breaks, mends = (lambda rig, what=what: rig.cameras["front"].inject(what) for what in (fault, "none"))
+def _injected(stand_in: Callable[[Rig], StandIn], fault: str, *labels: str) -> Breakage:
+    breaks, mends = (lambda rig, what=what: stand_in(rig).inject(what) for what in (fault, "none"))
     return Breakage(breaks, mends, tuple(f"aborted:{label}" for label in labels))
 
 
-def _uskin(fault: str, *labels: str) -> Breakage:
-    breaks, mends = (lambda rig, what=what: rig.uskin.inject(what) for what in (fault, "none"))
-    return Breakage(breaks, mends, tuple(f"aborted:{label}" for label in labels))
+_camera = partial(_injected, lambda rig: rig.cameras["front"])
+_uskin = partial(_injected, lambda rig: rig.uskin)
 
 
 BREAKAGES: dict[str, Breakage] = {
@@ -140,7 +141,7 @@ def finding(fault: Breakage, root: Path, said: Line, broken_s: float, held: dict
 
 def unattended(name: str, fault: Breakage, rig: Rig) -> dict[str, Any]:
     """Inject it once and leave it: the session gives up, and its exit code says why."""
-    root = rig.plan.work / "faults" / f"{name}_unattended{time.time_ns()}"
+    root = rig.plan.folder / "faults" / f"{name}_unattended{time.time_ns()}"
     rig.new_arm()
     with rig.session(root, episodes=1, episode_s=LONG_s, unwell_s=UNWELL_s) as session:
         at, _ = session.wait_for(BEGUN, START_s + NOTICE_s)

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import psutil
 
-from benchmarks.recorder.cpu import CpuMeter, machine_facts
-from benchmarks.recorder.idle_loop import IdleLoop
-from benchmarks.recorder.ledger import Ledger
+from benchmarks.ledger import Ledger
 from benchmarks.recorder.loading import load_in_stock_lerobot, train_a_little
+from benchmarks.recorder.machine import CpuMeter, IdleLoop, machine_facts
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
 from benchmarks.recorder.session import Line, Session, TrialError
@@ -34,9 +33,9 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     Raises:
         TrialError: every session ends before its time.
     """
-    root = plan.work / "end_to_end" / "data"
+    root = plan.folder / "end_to_end" / "data"
     if _judged(root) < plan.episodes:
-        with Rig(plan, plan.work / "end_to_end") as rig:
+        with Rig(plan, plan.folder / "end_to_end") as rig:
             for _ in range(SESSIONS):
                 ledger.add("end_to_end", record(rig, root))
                 if _judged(root) >= plan.episodes:
@@ -44,7 +43,7 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
                 rig.new_arm()
     if _judged(root) < plan.episodes:
         came = f"{_judged(root)} after {SESSIONS} sessions"
-        do = f"See {plan.work}/sessions.log."
+        do = f"See {plan.folder}/sessions.log."
         raise TrialError(expected("end to end", f"{plan.episodes} episodes", came, do))
     sessions = ledger.read("end_to_end")
     found = rate_and_jitter(root, sessions) | {
@@ -52,7 +51,7 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
         "cores_used": [session["cores_used"] for session in sessions],
         "machine": [session["machine"] for session in sessions],
     }
-    return found | load_in_stock_lerobot(root) | train_a_little(root, plan.work / "end_to_end" / "train")
+    return found | load_in_stock_lerobot(root) | train_a_little(root, plan.folder / "end_to_end" / "train")
 
 
 def _judged(root: Path) -> int:

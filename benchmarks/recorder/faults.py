@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.ledger import Ledger
 from benchmarks.recorder.device_faults import BREAKAGES, Breakage, attended, unattended
 from benchmarks.recorder.ending_faults import ENDINGS, Bench
-from benchmarks.recorder.ledger import Ledger
 from benchmarks.recorder.plan import Plan
 from benchmarks.recorder.rig import Rig
 from uniforce_vtla.errors import UniForceError
@@ -21,7 +21,7 @@ def run(plan: Plan, ledger: Ledger, names: tuple[str, ...] = NAMES) -> dict[str,
     """Inject what is missing of each fault; return the findings of all."""
     left = [name for name in names if len(ledger.read(name)) < plan.times]
     if left:
-        with Rig(plan, plan.work / "faults" / "rig") as rig:
+        with Rig(plan, plan.folder / "faults" / "rig") as rig:
             _break_devices({n: BREAKAGES[n] for n in left if n in BREAKAGES}, ledger, rig)
             for name in (n for n in left if n in ENDINGS):
                 while (done := len(ledger.read(name))) < plan.times:
@@ -31,7 +31,7 @@ def run(plan: Plan, ledger: Ledger, names: tuple[str, ...] = NAMES) -> dict[str,
 
 def _break_devices(faults: dict[str, Breakage], ledger: Ledger, rig: Rig) -> None:
     """All but the last injection of each in one session, the last one in an unattended session."""
-    root, by_hand = rig.plan.work / "faults" / "attended", max(rig.plan.times - 1, 1)
+    root, by_hand = rig.plan.folder / "faults" / "attended", max(rig.plan.times - 1, 1)
     while any(len(ledger.read(name)) < by_hand for name in faults):
         rig.new_arm()
         attended(faults, rig, ledger, root, by_hand)
@@ -45,9 +45,9 @@ def _break_devices(faults: dict[str, Breakage], ledger: Ledger, rig: Rig) -> Non
 
 def bench_of(name: str, number: int, rig: Rig) -> Bench:
     """Return what the trial of a number needs, its folder empty."""
-    root = rig.plan.work / "faults" / name / str(number)
+    root = rig.plan.folder / "faults" / name / str(number)
     shutil.rmtree(root, ignore_errors=True)  # of a trial that was cut short
-    return Bench(rig, root, random.Random(f"{name}{number}{rig.plan.seed}"))
+    return Bench(rig, root, random.Random(f"{name}{number}"))
 
 
 def _noted(name: str, ledger: Ledger, trial: Callable[[], dict[str, Any]]) -> None:

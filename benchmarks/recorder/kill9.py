@@ -8,8 +8,8 @@ from typing import Any
 
 import psutil
 
+from benchmarks.ledger import Ledger
 from benchmarks.recorder.end_to_end import BEGUN
-from benchmarks.recorder.ledger import Ledger
 from benchmarks.recorder.loading import load_in_stock_lerobot
 from benchmarks.recorder.plan import EPISODES, Plan, START_s
 from benchmarks.recorder.rig import Rig
@@ -30,10 +30,10 @@ RANDOM_s = {  # after the line that says: episode begun, or stored
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     """Kill as often as is still missing, then let a last session go on and end by itself."""
-    root = plan.work / "kill9" / "data"
+    root = plan.folder / "kill9" / "data"
     left = plan.kills - len(ledger.read("kill9"))
     if left > 0 or not ledger.read("kill9_last"):
-        with Rig(plan, plan.work / "kill9") as rig:
+        with Rig(plan, plan.folder / "kill9") as rig:
             for _ in range(left):
                 ledger.add("kill9", kill_once(rig, root, len(ledger.read("kill9"))))
             ledger.add("kill9_last", finish(rig, root))
@@ -42,7 +42,7 @@ def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
 
 def kill_once(rig: Rig, root: Path, number: int) -> dict[str, Any]:
     """Resume, let one episode be stored, kill at a random moment of the next, and look at what is left."""
-    rng = random.Random(rig.plan.seed * 1000 + number)
+    rng = random.Random(number)
     moment, victim = MOMENTS[number % 3], VICTIMS[number // 3 % 3]
     before = _episodes(root)
     rig.new_arm()

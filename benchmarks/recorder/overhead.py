@@ -1,60 +1,65 @@
 """What recording costs: the robot's read, the recorder's processes in cores, and the taxels' rate and age."""
 
-import json
-import subprocess
-import sys
+import multiprocessing
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.recorder.cpu import CpuMeter, machine_facts
+from benchmarks.ledger import Ledger
 from benchmarks.recorder.end_to_end import BEGUN, lateness_ms, observe_p95_ms
-from benchmarks.recorder.ledger import Ledger
+from benchmarks.recorder.machine import CpuMeter, machine_facts
 from benchmarks.recorder.plan import Plan, START_s
 from benchmarks.recorder.rig import Rig
-from benchmarks.recorder.session import TrialError, environment
-from benchmarks.recorder.uskin_rate import measure_rate
+from benchmarks.recorder.session import TrialError
 from uniforce_datasets.source import read_source
+from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.recorder.ticker import Ticker
+from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
+from uniforce_robots.sensors.uskin_slcan import SlcanUSkin
+from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import expected
 from uniforce_vtla.keys import STAMPS
 
 SETTLE_s = 2.0  # into the episode, before it is measured
 COUNTED = "the loop with its threads and the storing process with its encoders; stand-ins and harness are not"
+RATE_HZ = 30.0
+BOX = GuardLimits(low=(0.1, -0.3, 0.1, -np.pi, 0.0), high=(0.7, 0.3, 0.6, np.pi, 0.08))
+FIRST_MS = 30_000  # for the first scan, on a starved machine
+ANY_AGE_MS = 1e4
 
 
 def run(plan: Plan, ledger: Ledger) -> dict[str, Any]:
     """Measure what is missing; return the newest of each."""
-    plan.work.mkdir(parents=True, exist_ok=True)
+    plan.folder.mkdir(parents=True, exist_ok=True)
     parts: dict[str, Callable[[Plan], dict[str, Any]]] = {
         "observation_read": _read,
         "recorder": _recorder,
         "recorder_without_raw": partial(_recorder, keep_raw=False),
         "uskin": lambda plan: measure_rate(plan.uskin_s),
     }
-    for name, measure in parts.items():
+    for name, part in parts.items():
         if not ledger.read(name):
-            ledger.add(name, measure(plan) | {"machine": machine_facts()})
+            ledger.add(name, part(plan) | {"machine": machine_facts()})
     return {name: ledger.read(name)[-1] for name in parts}
 
 
 def _read(plan: Plan) -> dict[str, Any]:
-    folder = plan.work / "overhead" / "read"
-    with Rig(plan, folder) as rig:
-        program = [sys.executable, "-m", "benchmarks.recorder.observation_read"]
-        command = [*program, rig.arm.address, str(plan.overhead_s), str(folder)]
-        wait_s = (START_s + plan.overhead_s) * plan.patience
-        ended = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=wait_s, check=False)
-    if ended.returncode:
-        raise TrialError(expected("observation_read", "exit code 0", ended.returncode, ended.stderr[-500:]))
-    found: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
-    return found
+    folder, wait_s = plan.folder / "overhead" / "read", (START_s + plan.overhead_s) * plan.patience
+    with Rig(plan, folder) as rig, multiprocessing.get_context("spawn").Pool(1) as pool:
+        try:
+            return pool.apply_async(measure, (rig.arm.address, plan.overhead_s, folder)).get(wait_s)
+        except multiprocessing.TimeoutError as error:
+            do = "See what it printed."
+            raise TrialError(expected("observation_read", f"an end within {wait_s:g} s", "none", do)) from error
 
 
 def _recorder(plan: Plan, keep_raw: bool = True) -> dict[str, Any]:
-    folder = plan.work / "overhead" / ("recorder" if keep_raw else "recorder_without_raw")
+    folder = plan.folder / "overhead" / ("recorder" if keep_raw else "recorder_without_raw")
     root = folder / f"data{len(list(folder.glob('data*')))}"
     with Rig(plan, folder) as rig:
         length_s = plan.overhead_s + 2 * SETTLE_s
@@ -80,3 +85,66 @@ def _beat(root: Any) -> dict[str, Any]:
         "tick_jitter_p99_ms": round(float(np.percentile(late_ms, 99)), 3),
         "ticks_missed": missed,
     }
+
+
+def measure(address: str, seconds: float, folder: Path) -> dict[str, float]:
+    """Return percentiles of the time one read takes."""
+    config = UniforceFrankaConfig(id="trial", calibration_dir=folder, address=address, guards=BOX)
+    robot, ticker, took_ms = UniforceFranka(config), Ticker(RATE_HZ), []
+    robot.connect()
+    try:
+        for _ in range(round(seconds * RATE_HZ)):
+            ticker.wait()
+            begun_s = time.perf_counter()
+            seen = robot.get_observation()
+            took_ms.append(1e3 * (time.perf_counter() - begun_s))
+            robot.send_action(seen)
+    finally:
+        robot.disconnect()
+    p50, p95, p99 = np.percentile(took_ms, (50, 95, 99)).tolist()
+    return {"reads": len(took_ms), "p50_ms": round(p50, 3), "p95_ms": round(p95, 3), "p99_ms": round(p99, 3)}
+
+
+def measure_rate(seconds: float, rate_hz: float = 500.0) -> dict[str, float]:
+    """Read a stand-in of its own for some time; every scan it sent is waited for.
+
+    Returns:
+        seconds: it lasted.
+        rate_hz: scans received per second at its end.
+        sent, samples, lost, bad: scans sent, received, torn, and lines not understood.
+        age_p50_ms, age_p99_ms: of the newest scan, asked for at random times.
+    """
+    with StandIn("slcan", f"rate_hz={rate_hz}") as stand_in:
+        source = SlcanUSkin(stand_in.address)
+        source.max_behind_s = 1e9
+        reader = SampleReader(source, ReaderLimits(frozen_after=50))
+        reader.start()
+        try:
+            reader.wait_newer(-1, FIRST_MS)
+            p50_ms, p99_ms = np.percentile(_ages_ms(reader, seconds), (50, 99)).tolist()
+            seen_hz = reader.rate_hz()
+            stand_in.inject("stall")
+            sent = _until_all_arrived(stand_in, reader)
+        finally:
+            reader.stop()
+    counts = reader.counts
+    numbers = {"samples": counts.samples, "lost": counts.lost, "bad": counts.bad, "sent": sent}
+    rates = {"seconds": seconds, "rate_hz": seen_hz, "age_p50_ms": p50_ms, "age_p99_ms": p99_ms}
+    return numbers | {name: round(value, 3) for name, value in rates.items()}
+
+
+def _ages_ms(reader: SampleReader, seconds: float) -> list[float]:
+    rng, end_s, ages = np.random.default_rng(0), time.monotonic() + seconds, []
+    while time.monotonic() < end_s:
+        time.sleep(rng.uniform(0.002, 0.012))  # at no fixed phase to the scans
+        ages.append(reader.newest(ANY_AGE_MS).age_ms)
+    return ages
+
+
+def _until_all_arrived(stand_in: StandIn, reader: SampleReader) -> int:
+    """Return the scans that were sent, once the last of them had time to arrive."""
+    before = -1
+    while reader.counts.samples != before:
+        before = reader.counts.samples
+        time.sleep(0.3)
+    return stand_in.stats()["sent"]

@@ -1,15 +1,14 @@
 """``uniforce record`` as a program that starts at once: imported here, forked for every session.
 
-``python -m benchmarks.recorder.program FD``: FD is a socket; a line in is ``{"argv": […], "tty": PATH}``, lines
-out are ``{"ready": …}``, ``{"pid": …}`` and ``{"exit": …}``. A session runs on that terminal as its own leader, so
-that Ctrl-C reaches it as it would a person's; it is the command itself, with one more teleoperator registered.
+A line in is ``{"argv": […], "tty": PATH}``, lines out are ``ready``, ``pid N`` and ``exit N``. A session runs on that
+terminal as its own leader, so that Ctrl-C reaches it as it would a person's; it is the command itself, with one more
+teleoperator registered.
 """
 
 import importlib
 import json
 import logging
 import os
-import socket
 import sys
 import warnings
 from pathlib import Path
@@ -27,25 +26,21 @@ ARROWS_THREAD = "jemalloc_bg_thd"  # pyarrow's allocator starts it at import and
 
 
 def main() -> int:
-    """Fork a session for each order until the socket ends; in a session, return its exit code."""
-    wire = socket.socket(fileno=int(sys.argv[1])).makefile("rw")
+    """Fork a session for each order until the orders end; in a session, return its exit code."""
+    said = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)  # what imports print is no answer
     _import_all()
-    _say(wire, ready=os.getpid())
-    for line in wire:
+    print("ready", os.getpid(), file=said)
+    for line in sys.stdin:
         order = json.loads(line)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # the one other thread has been looked at
             pid = os.fork()
         if not pid:
             return record_on(order["tty"], order["argv"])
-        _say(wire, pid=pid)
-        _say(wire, exit=os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+        print("pid", pid, file=said)
+        print("exit", os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), file=said)
     return 0
-
-
-def _say(wire: object, **words: int) -> None:
-    wire.write(json.dumps(words) + "\n")  # type: ignore[attr-defined]
-    wire.flush()  # type: ignore[attr-defined]
 
 
 def _import_all() -> None:
@@ -67,7 +62,7 @@ def record_on(tty: str, argv: list[str]) -> int:
     terminal = os.open(tty, os.O_RDWR)  # a session leader's first one becomes its controlling terminal
     for standard in (0, 1, 2):
         os.dup2(terminal, standard)
-    os.closerange(3, 1024)  # the orders' socket too: a killed session must leave no one listening
+    os.closerange(3, 1024)  # the answers' pipe too: a killed session must leave no one listening
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     form = "%(levelname)s %(name)s: %(message)s"
     # over what imports set up

@@ -8,7 +8,6 @@ import os
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import psutil
@@ -66,7 +65,7 @@ class Rig:
     def session(self, root: Path, **settings: object) -> Session:
         """Begin ``uniforce record`` into a folder; the program it is forked from is loaded at the first."""
         if self._program is None:
-            log = self.plan.work / "sessions.log"
+            log = self.plan.folder / "sessions.log"
             self._program = self._closing.enter_context(Program(log, self.plan.patience))
         self._write_file()
         plain = {
@@ -129,7 +128,7 @@ class Rig:
     def __enter__(self) -> Rig:
         return self
 
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self._closing.close()
 
     def _write_file(self) -> None:

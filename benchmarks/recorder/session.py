@@ -5,18 +5,17 @@ from __future__ import annotations
 import json
 import os
 import re
-import socket
-import subprocess
+import select
 import sys
 import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any
+from unittest import mock
 
 import psutil
 
+from uniforce_robots.standins.process import StandIn
 from uniforce_vtla.errors import UniForceError, expected
 
 OVERWRITE = "\r\x1b[K"  # what the live view begins a line with
@@ -124,7 +123,7 @@ class Session:
     def __enter__(self) -> Session:
         return self
 
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _kill(self) -> None:
@@ -148,7 +147,7 @@ class Session:
                 self._new.notify_all()
 
 
-class Program:
+class Program(StandIn):
     """The warm program that sessions are forked from; one session at a time.
 
     Args:
@@ -160,28 +159,21 @@ class Program:
         self.patience = patience
         log.parent.mkdir(parents=True, exist_ok=True)
         self._log = log.open("a")
-        ours, theirs = socket.socketpair()
-        command = [sys.executable, "-m", "benchmarks.recorder.program", str(theirs.fileno())]
-        self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], env=environment())
-        theirs.close()
-        self._socket = ours
         self._exit: int | None = 0
-        self._pending = b""
-        self._receive("ready", LOAD_s)
+        with mock.patch.dict(os.environ, environment()):
+            super().__init__("benchmarks.recorder.program")
 
     def fork(self, tty: str, argv: list[str]) -> int:
         """Start a session; return its pid."""
         self._exit = None
-        self._socket.sendall(json.dumps({"tty": tty, "argv": argv}).encode() + b"\n")
-        return self._receive("pid", END_s)
+        return int(self._ask(json.dumps({"tty": tty, "argv": argv}), "pid"))
 
     def exit_code(self, timeout_s: float = 0.0) -> int | None:
         """Return the session's exit code, None while it runs."""
-        if self._exit is None:
-            try:
-                self._exit = self._receive("exit", timeout_s)
-            except TimeoutError:
-                return None
+        answers = self.process.stdout
+        assert answers is not None
+        if self._exit is None and (self._pending or select.select([answers], [], [], timeout_s)[0]):
+            self._exit = int(self._answer("exit", END_s))
         return self._exit
 
     def write_down(self, lines: list[Line]) -> None:
@@ -192,23 +184,7 @@ class Program:
     def close(self) -> None:
         """End it."""
         self._log.close()
-        self._socket.close()
-        self._process.terminate()  # it holds nothing; a big program's own end takes long
-        self._process.wait(END_s)
+        super().close()
 
-    def __enter__(self) -> Program:
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.close()
-
-    def _receive(self, word: str, timeout_s: float) -> int:
-        while b"\n" not in self._pending:
-            self._socket.settimeout(max(timeout_s, 1e-3))
-            chunk = self._socket.recv(4096)
-            if not chunk:
-                raise TrialError(expected("warm program", f"'{word}'", "its end", "See its errors."))
-            self._pending += chunk
-        line, _, self._pending = self._pending.partition(b"\n")
-        said: dict[str, Any] = json.loads(line)
-        return int(said[word])
+    def _answer(self, word: str, timeout_s: float) -> str:
+        return super()._answer(word, LOAD_s if word == "ready" else timeout_s)

@@ -176,8 +176,7 @@ def _how(ended: Ended) -> str:
 
 def hashes(folder: Path) -> dict[str, str]:
     """Return the hash of every file below a folder."""
-    files = sorted(file for file in folder.rglob("*") if file.is_file())
-    return {str(file): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    return {str(f): hashlib.sha256(f.read_bytes()).hexdigest() for f in sorted(folder.rglob("*")) if f.is_file()}
 
 
 def prepare(folder: Path) -> Room:

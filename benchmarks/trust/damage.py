@@ -15,11 +15,12 @@ import numpy as np
 from tqdm import tqdm
 
 from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES
-from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, Damage, record_whole
+from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
+from benchmarks.trust.injuries import Damage
 from benchmarks.trust.report import update
+from uniforce_cli.boundary import command
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.synthetic import record_synthetic
-from uniforce_vtla.arguments import parse
 
 EPISODES = 50
 TIMES = 3
@@ -36,38 +37,22 @@ class DamageConfig:
     out: str = "outputs/trust.json"  # the result file; only its key ``damage`` changes
 
 
-def try_damage(damage: Damage, whole: dict[str, Path], folder: Path) -> dict[str, Any]:
-    """Return the table's row of one kind."""
-    lines = {verify: damage.refused(whole[damage.of], folder / verify, verify) for verify in ("full", "quick")}
+def try_damage(damage: Damage, whole: Path, folder: Path) -> dict[str, Any]:
+    """Return the table's row of one kind; checkpoints are always checked in full."""
+    depths = ("full",) if damage.of == "checkpoint" else ("full", "quick")
+    lines = {verify: damage.refused(whole, folder / verify, verify) for verify in depths}
     for verify in lines:
         shutil.rmtree(folder / verify)
-    said = {verify: _verdict(line, damage.said) for verify, line in lines.items()}
-    return {"kind": damage.name, "of": damage.of, **said, "message": _short(lines["full"], folder)}
+    said = {verify: _verdict(lines.get(verify, lines["full"]), damage.said) for verify in ("full", "quick")}
+    copy = str(folder / "full" / whole.name)  # of this run, so no part of a message
+    message = (lines["full"] or "").replace(f"{copy}{os.sep}", "").replace(copy, "ROOT")
+    return {"kind": damage.name, "of": damage.of, **said, "message": message}
 
 
 def _verdict(line: str | None, said: str) -> str:
     if line is None:
         return "accepted"
     return "refused" if said in line and "\n" not in line else "refused, not named"
-
-
-def _short(line: str | None, folder: Path) -> str:
-    """Leave the folder of this run out of a message."""
-    return (line or "").replace(f"{folder / 'full'}{os.sep}", "").replace(str(folder / "full"), "ROOT")
-
-
-def try_checkpoints(folder: Path) -> list[dict[str, Any]]:
-    """Return the rows of checkpoints, which are always checked in full."""
-    rows = []
-    for number, damage in enumerate(tqdm(CHECKPOINT_DAMAGES, desc="checkpoints")):
-        work = folder / f"checkpoint_{number}"
-        work.mkdir()
-        line = damage.refused(work)
-        verdict = _verdict(line, "")
-        row = {"kind": damage.name, "of": "checkpoint", "full": verdict, "quick": verdict}
-        rows.append(row | {"message": (line or "").replace(f"{work}{os.sep}", "")})
-        shutil.rmtree(work)
-    return rows
 
 
 def seconds(folder: Path, frames: int) -> dict[str, Any]:
@@ -94,8 +79,8 @@ def attack(frames: int) -> dict[str, Any]:
         folder = Path(work)
         whole = record_whole(folder)
         check_dataset(whole["dataset"], "full")
-        rows = [try_damage(damage, whole, folder) for damage in tqdm(DATASET_DAMAGES, desc="datasets")]
-        rows += try_checkpoints(folder)
+        every = tqdm((*DATASET_DAMAGES, *CHECKPOINT_DAMAGES), desc="damages")
+        rows = [try_damage(damage, whole.get(damage.of, damage.sound), folder) for damage in every]
         timed = seconds(folder, frames)
     counts = {f"accepted_{v}": sum(row[v] == "accepted" for row in rows) for v in ("full", "quick")}
     unnamed = sum("refused, not named" in row.values() for row in rows)
@@ -103,9 +88,9 @@ def attack(frames: int) -> dict[str, Any]:
     return kinds | counts | {"not_named": unnamed} | timed | {"rows": rows}
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(DamageConfig)
+def main(config: DamageConfig) -> int:
     """Do all damage, write the table, print what was accepted; 1 where the full check accepted any."""
-    config = parse(DamageConfig, argv)
     logging.disable(logging.WARNING)  # copies without hashes say so
     found = attack(config.frames)
     path = update(Path(config.out), "damage", found)

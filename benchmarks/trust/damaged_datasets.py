@@ -1,9 +1,8 @@
 """Kinds of damage to a recorded dataset and to a training view, each a small function on a copy."""
 
-import json
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from benchmarks.speed.loader import BlockMeans
+from benchmarks.trust.injuries import Damage, cut, edit_json, flip_bit, overwrite, swap
 from uniforce_datasets.cards import card_path
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.raw_video import raw_path
@@ -31,30 +31,6 @@ HIT = 1  # the episode that is damaged
 SECTION = range(5, 8)  # of its frames
 LEFT, REFERENCE = tactile_key("left"), tactile_key("left", reference=True)
 Change = Callable[[int, np.ndarray], np.ndarray | None]
-
-
-@dataclass(frozen=True)
-class Damage:
-    """One kind."""
-
-    name: str  # in words
-    do: Callable[[Path], object]  # injures the copy in a folder
-    # what the error has to name: the episode, or a file that belongs to none alone
-    said: str = f"episode {HIT}"
-    hashed: bool = True  # whether the copy still has its hashes; without them its content has to give it away
-    of: str = "dataset"  # "dataset" or "view"
-
-    def refused(self, whole: Path, copy: Path, verify: str) -> str | None:
-        """Return the error's line after damaging a copy of a whole dataset or view; None where it was accepted."""
-        shutil.copytree(whole, copy)
-        if not self.hashed:
-            (copy / HASHES).unlink()
-        self.do(copy)
-        try:
-            check_dataset(copy, verify) if self.of == "dataset" else TrainingView(copy, verify=verify)
-        except DatasetError as error:
-            return str(error)
-        return None
 
 
 def record_whole(folder: Path) -> dict[str, Path]:
@@ -91,33 +67,6 @@ def video(root: Path, key: str = LEFT, episode: int = HIT) -> Path:
 def data(root: Path, episode: int = HIT) -> Path:
     """Return an episode's table of numbers."""
     return root / "data" / "chunk-000" / f"file-{episode:03d}.parquet"
-
-
-def overwrite(file: Path, at: float, content: bytes) -> None:
-    """Overwrite bytes of a file from a share of its length on."""
-    with file.open("r+b") as handle:
-        handle.seek(int(file.stat().st_size * at))
-        handle.write(content)
-
-
-def cut(file: Path) -> None:
-    """Cut a file in the middle."""
-    content = file.read_bytes()
-    file.write_bytes(content[: len(content) // 2])
-
-
-def flip_bit(file: Path) -> None:
-    """Flip one bit in the middle of a file."""
-    content = bytearray(file.read_bytes())
-    content[len(content) // 2] ^= 1
-    file.write_bytes(content)
-
-
-def swap(one: Path, other: Path) -> None:
-    """Exchange two files."""
-    kept = one.read_bytes()
-    shutil.copy(other, one)
-    other.write_bytes(kept)
 
 
 def encode_again(file: Path, change: Change) -> None:
@@ -165,13 +114,6 @@ def shorten(file: Path) -> None:
     pq.write_table(table.slice(0, len(table) - 1), file)
 
 
-def edit_json(file: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Change what a JSON file says."""
-    content = json.loads(file.read_text())
-    change(content)
-    file.write_text(json.dumps(content))
-
-
 def edit_array(file: Path) -> None:
     """Change one number of an array."""
     values = np.load(file)
@@ -184,70 +126,74 @@ def stats(root: Path) -> Path:
     return root / "meta" / "stats.json"
 
 
+_dataset = partial(Damage, load=check_dataset, of="dataset", said=f"episode {HIT}", error=DatasetError)
+_view = partial(Damage, load=lambda copy, verify: TrainingView(copy, verify=verify), of="view", error=DatasetError)
+
 VIDEO_DAMAGES = (
-    Damage("bytes of a tactile video overwritten", lambda r: overwrite(video(r), 0.8, bytes(64))),
-    Damage("one bit of a camera video flipped", lambda r: flip_bit(video(r, camera_key("front")))),
-    Damage("tactile video truncated", lambda r: cut(video(r))),
-    Damage("tactile video missing", lambda r: video(r).unlink()),
-    Damage(
+    _dataset("bytes of a tactile video overwritten", lambda r: overwrite(video(r), 0.8, bytes(64))),
+    _dataset("one bit of a camera video flipped", lambda r: flip_bit(video(r, camera_key("front")))),
+    _dataset("tactile video truncated", lambda r: cut(video(r))),
+    _dataset("tactile video missing", lambda r: video(r).unlink()),
+    _dataset(
         "another finger's reference",
         lambda r: shutil.copy(video(r, tactile_key("right", reference=True)), video(r, REFERENCE)),
     ),
-    Damage("reference of another episode", lambda r: shutil.copy(video(r, REFERENCE, 2), video(r, REFERENCE))),
-    Damage("tactile videos of two episodes exchanged", lambda r: swap(video(r), video(r, LEFT, 2))),
-    Damage("left and right exchanged", lambda r: swap(video(r), video(r, tactile_key("right")))),
-    Damage("lossy section in the middle", lambda r: encode_again(video(r), blurred)),
-    Damage("lossy section, no hashes", lambda r: encode_again(video(r), blurred), hashed=False),
-    Damage("coloured section, no hashes", lambda r: encode_again(video(r), coloured), hashed=False),
-    Damage("reference moves, no hashes", lambda r: encode_again(video(r, REFERENCE), moved), hashed=False),
-    Damage(
+    _dataset("reference of another episode", lambda r: shutil.copy(video(r, REFERENCE, 2), video(r, REFERENCE))),
+    _dataset("tactile videos of two episodes exchanged", lambda r: swap(video(r), video(r, LEFT, 2))),
+    _dataset("left and right exchanged", lambda r: swap(video(r), video(r, tactile_key("right")))),
+    _dataset("lossy section in the middle", lambda r: encode_again(video(r), blurred)),
+    _dataset("lossy section, no hashes", lambda r: encode_again(video(r), blurred), hashed=False),
+    _dataset("coloured section, no hashes", lambda r: encode_again(video(r), coloured), hashed=False),
+    _dataset("reference moves, no hashes", lambda r: encode_again(video(r, REFERENCE), moved), hashed=False),
+    _dataset(
         "a frame missing, no hashes",
         lambda r: encode_again(video(r), lambda n, frame: None if n == 3 else frame),
         hashed=False,
     ),
-    Damage("raw frames of another episode", lambda r: shutil.copy(raw_path(r, "left", 2), raw_path(r, "left", HIT))),
-    Damage("raw frames missing", lambda r: raw_path(r, "right", HIT).unlink()),
+    _dataset("raw frames of another episode", lambda r: shutil.copy(raw_path(r, "left", 2), raw_path(r, "left", HIT))),
+    _dataset("raw frames missing", lambda r: raw_path(r, "right", HIT).unlink()),
 )
 TABLE_DAMAGES = (
-    Damage("NaN in the state", lambda r: set_value(data(r), STATE, np.nan)),
-    Damage("NaN in the state, no hashes", lambda r: set_value(data(r), STATE, np.nan), hashed=False),
-    Damage("infinite action, no hashes", lambda r: set_value(data(r), ACTION, np.inf), hashed=False),
-    Damage("an action changed", lambda r: set_value(data(r), ACTION, 0.25)),
-    Damage("a time changed, no hashes", lambda r: set_value(data(r), "timestamp", 0.1), hashed=False),
-    Damage("frame of another episode, no hashes", lambda r: set_value(data(r), "episode_index", 2), hashed=False),
-    Damage("an aborted episode called a success", lambda r: set_value(data(r), SUCCESS, 0.0)),
-    Damage("another sensor named", lambda r: set_value(data(r), sensor_key("left"), 2)),
-    Damage("a row missing", lambda r: shorten(data(r))),
-    Damage("data files exchanged", lambda r: swap(data(r), data(r, 2))),
-    Damage("bytes of a data file overwritten", lambda r: overwrite(data(r), 0.3, bytes(64))),
+    _dataset("NaN in the state", lambda r: set_value(data(r), STATE, np.nan)),
+    _dataset("NaN in the state, no hashes", lambda r: set_value(data(r), STATE, np.nan), hashed=False),
+    _dataset("infinite action, no hashes", lambda r: set_value(data(r), ACTION, np.inf), hashed=False),
+    _dataset("an action changed", lambda r: set_value(data(r), ACTION, 0.25)),
+    _dataset("a time changed, no hashes", lambda r: set_value(data(r), "timestamp", 0.1), hashed=False),
+    _dataset("frame of another episode, no hashes", lambda r: set_value(data(r), "episode_index", 2), hashed=False),
+    _dataset("an aborted episode called a success", lambda r: set_value(data(r), SUCCESS, 0.0)),
+    _dataset("another sensor named", lambda r: set_value(data(r), sensor_key("left"), 2)),
+    _dataset("a row missing", lambda r: shorten(data(r))),
+    _dataset("data files exchanged", lambda r: swap(data(r), data(r, 2))),
+    _dataset("bytes of a data file overwritten", lambda r: overwrite(data(r), 0.3, bytes(64))),
 )
 META_DAMAGES = (
-    Damage("statistics changed", lambda r: edit_json(stats(r), lambda s: s[STATE].update(q01=[0] * 5)), "stats"),
-    Damage("statistics missing", lambda r: stats(r).unlink(), "stats.json"),
-    Damage("another rate", lambda r: edit_json(r / "meta/info.json", lambda i: i.update(fps=60)), "info"),
-    Damage("tasks cut", lambda r: cut(r / "meta/tasks.parquet"), "tasks"),
-    Damage(
+    _dataset("statistics changed", lambda r: edit_json(stats(r), lambda s: s[STATE].update(q01=[0] * 5)), said="stats"),
+    _dataset("statistics missing", lambda r: stats(r).unlink(), said="stats.json"),
+    _dataset("another rate", lambda r: edit_json(r / "meta/info.json", lambda i: i.update(fps=60)), said="info"),
+    _dataset("tasks cut", lambda r: cut(r / "meta/tasks.parquet"), said="tasks"),
+    _dataset(
         "length of an episode changed",
         lambda r: set_value(r / "meta/episodes/chunk-000/file-001.parquet", "length", FRAMES - 1, 0),
     ),
-    Damage("card changed", lambda r: edit_json(card_path(r, HIT), lambda card: card.update(label="failed"))),
-    Damage("card missing", lambda r: card_path(r, HIT).unlink()),
-    Damage("a file added", lambda r: shutil.copy(data(r), data(r, 7)), "file-007.parquet"),
-    Damage("hashes cut", lambda r: cut(r / HASHES), HASHES),
-    Damage(
-        "a hash removed", lambda r: edit_json(r / HASHES, lambda h: h.pop(str(video(r).relative_to(r)))), "file-001.mp4"
+    _dataset("card changed", lambda r: edit_json(card_path(r, HIT), lambda card: card.update(label="failed"))),
+    _dataset("card missing", lambda r: card_path(r, HIT).unlink()),
+    _dataset("a file added", lambda r: shutil.copy(data(r), data(r, 7)), said="file-007.parquet"),
+    _dataset("hashes cut", lambda r: cut(r / HASHES), said=HASHES),
+    _dataset(
+        "a hash removed",
+        lambda r: edit_json(r / HASHES, lambda h: h.pop(str(video(r).relative_to(r)))),
+        said="file-001.mp4",
     ),
 )
 VIEW_DAMAGES = (
-    Damage("a latent changed", lambda r: edit_array(r / "latent_left.npy"), "latent_left.npy", of="view"),
-    Damage("an action changed", lambda r: edit_array(r / f"{ACTION}.npy"), f"{ACTION}.npy", of="view"),
-    Damage("a picture overwritten", lambda r: overwrite(r / "front.npy", 0.5, b"x"), "front.npy", of="view"),
-    Damage("fingers exchanged", lambda r: swap(r / "latent_left.npy", r / "latent_right.npy"), "latent_", of="view"),
-    Damage(
+    _view("a latent changed", lambda r: edit_array(r / "latent_left.npy"), said="latent_left.npy"),
+    _view("an action changed", lambda r: edit_array(r / f"{ACTION}.npy"), said=f"{ACTION}.npy"),
+    _view("a picture overwritten", lambda r: overwrite(r / "front.npy", 0.5, b"x"), said="front.npy"),
+    _view("fingers exchanged", lambda r: swap(r / "latent_left.npy", r / "latent_right.npy"), said="latent_"),
+    _view(
         "another tokenizer named",
         lambda r: edit_json(r / "uniforce_view.json", lambda v: v.update(tokenizer_hash="0" * 64)),
-        "uniforce_view.json",
-        of="view",
+        said="uniforce_view.json",
     ),
 )
 DATASET_DAMAGES = (*VIDEO_DAMAGES, *TABLE_DAMAGES, *META_DAMAGES, *VIEW_DAMAGES)

@@ -7,6 +7,7 @@ number, so that the last check stands alone.
 """
 
 import tempfile
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,11 +48,11 @@ LIE_SHARE, SABOTAGE_SHARE = 0.004, 0.3
 GARBAGE: tuple[Any, ...] = (*(None, "0.4", "nan", [], [1.0, 2.0], {}, True, b"0", object()), *(np.nan, np.inf, -np.inf))
 
 
+@dataclass
 class Clock:
     """A clock that is set."""
 
-    def __init__(self) -> None:
-        self.now_s = 100.0
+    now_s: float = 100.0
 
     def __call__(self) -> float:
         """Return the time, s."""
@@ -319,16 +320,14 @@ class Episode:
 
 def drive(episodes: int, seed: int = 0) -> dict[str, Any]:
     """Run episodes of ``STEPS`` actions; return how many actions, poses and faults there were, and each violation."""
-    rng, faults = np.random.default_rng(seed), dict[str, int]()
-    counts: dict[str, Any] = {"actions": 0, "sent": 0, "violations": []}
+    rng, faults = np.random.default_rng(seed), Counter[str]()
+    counts: dict[str, Any] = {"actions": episodes * STEPS, "sent": 0, "violations": []}
     with tempfile.TemporaryDirectory() as folder, mock.patch.object(robot_module, "ArmStream", TickedStream):
         for _ in range(episodes):
             episode = Episode(rng, Path(folder))
             for _ in range(STEPS):
                 episode.step()
-            counts["actions"] += STEPS
             counts["sent"] += len(episode.arm.sent)
             counts["violations"] += episode.wrong
-            for fault in episode.faults:
-                faults[fault] = faults.get(fault, 0) + 1
+            faults.update(episode.faults)
     return counts | {"faults": dict(sorted(faults.items()))}

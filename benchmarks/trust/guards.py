@@ -4,17 +4,25 @@ Tries every bad setting, then drives the whole chain with random limits, states 
 """
 
 import logging
+import math
 import sys
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
-from benchmarks.trust.bad_settings import try_all
 from benchmarks.trust.guard_cases import drive
 from benchmarks.trust.report import update
-from uniforce_vtla.arguments import parse
+from uniforce_cli.boundary import command
+from uniforce_robots.franka.arm import Gains
+from uniforce_robots.franka.config import NESTED, UniforceFrankaConfig
+from uniforce_robots.franka.guards import GuardLimits
+from uniforce_robots.franka.limits import HARD_LIMITS, Range
+from uniforce_robots.franka.settings import HandSettings, StreamSettings
+from uniforce_vtla.errors import ContractError
 
 CHUNK = 100
 
@@ -31,29 +39,87 @@ class GuardsConfig:
     out: str = "outputs/trust.json"  # the result file; only its key ``guards`` changes
 
 
+NEEDS: dict[type, dict[str, Any]] = {
+    GuardLimits: {},
+    StreamSettings: {},
+    HandSettings: {},
+    Gains: {"stiffness_N_m": (800.0, 800.0, 800.0)},
+    UniforceFrankaConfig: {},
+}
+
+
+def bad_values(allowed: Range) -> list[Any]:
+    """Return values outside a range, and values that are no numbers."""
+    outside = [allowed.low - 1.0, allowed.low - 1e-6, allowed.high * 1.01 + 1e-6, -abs(allowed.high) - 1.0, 1e9]
+    edge = [allowed.low] if allowed.above else []
+    return [math.nan, math.inf, -math.inf, "0.1", None, True, *outside, *edge]
+
+
+def bad_settings() -> Iterator[tuple[type, dict[str, Any], str]]:
+    """Yield (class, keyword arguments, the field that is wrong)."""
+    for kind, needed in NEEDS.items():
+        for name, allowed in HARD_LIMITS[kind.__name__].items():
+            sound = getattr(kind(**needed), name)
+            for place, row in enumerate(allowed if isinstance(allowed, tuple) else (allowed,)):
+                for value in bad_values(row):
+                    wrong = _placed(sound, value, place) if isinstance(sound, tuple) else value
+                    yield kind, needed | {name: wrong}, name
+            if isinstance(sound, tuple):
+                yield kind, needed | {name: sound[1:]}, name
+    yield GuardLimits, {"low": (0.5, 0, 0, 0, 0), "high": (0.4, 0.1, 0.1, 0.1, 0.05)}, "box"
+    yield Gains, {"stiffness_N_m": (3000.0,) * 3, "clip_m": (0.05,) * 3}, "gains"
+    # each product is 60 N, but with the hand turned by a right angle 3000 N/m meet 0.05 m
+    yield Gains, {"stiffness_N_m": (1200.0, 3000.0, 0.0), "clip_m": (0.05, 0.02, 0.01)}, "gains"
+    yield Gains, {"stiffness_N_m": (100.0,) * 3, "rotation_Nm_rad": (300.0,) * 3, "clip_rad": 0.5}, "gains"
+    for name, kind in NESTED.items():
+        for value in (None, {}, _unchecked(kind)):
+            yield UniforceFrankaConfig, {name: value}, name
+    yield UniforceFrankaConfig, {"backend": "ros"}, "backend"
+    yield UniforceFrankaConfig, {"realtime": "please"}, "realtime"
+
+
+def _placed(sound: tuple[Any, ...], value: Any, place: int) -> tuple[Any, ...]:
+    """Return a tuple with the value in that place."""
+    return (*sound[:place], value, *sound[place + 1 :])
+
+
+def _unchecked(kind: type) -> object:
+    """Return settings of a subclass that leaves the check out."""
+    loose = type("Loose", (kind,), {"__post_init__": lambda self: None})
+    return loose(**NEEDS[kind])
+
+
+def try_all() -> dict[str, Any]:
+    """Return how many were tried and refused, and those that were accepted."""
+    tried, accepted = 0, []
+    for kind, settings, field in bad_settings():
+        tried += 1
+        try:
+            kind(**settings)
+        except ContractError as error:
+            if field in str(error):
+                continue
+            accepted.append(f"{kind.__name__}({settings}): refused without its name: {error}")
+        else:
+            accepted.append(f"{kind.__name__}({settings})")
+    return {"tried": tried, "refused": tried - len(accepted), "accepted": accepted}
+
+
 def attack(episodes: int, seed: int) -> dict[str, Any]:
     """Return the table's row: settings tried and refused, poses sent, violations."""
-    settings = try_all()
-    sent, actions = 0, 0
-    violations: list[str] = []
-    faults: dict[str, int] = {}
+    counts, violations, faults = Counter[str](), list[str](), Counter[str]()
     for chunk in tqdm(range(0, episodes, CHUNK), desc="episodes"):
-        found = drive(min(CHUNK, episodes - chunk), seed + chunk // CHUNK)
-        sent, actions = sent + found["sent"], actions + found["actions"]
-        violations += [f"seed {seed + chunk // CHUNK}: {what}" for what in found["violations"]]
-        faults = {name: faults.get(name, 0) + found["faults"].get(name, 0) for name in faults | found["faults"]}
-    return settings | {
-        "actions": actions,
-        "sent_cases": sent,
-        "violations": len(violations),
-        "examples": violations[:10],
-        "faults": faults,
-    }
+        own = seed + chunk // CHUNK
+        found = drive(min(CHUNK, episodes - chunk), own)
+        counts.update({"actions": found["actions"], "sent_cases": found["sent"]})
+        violations += [f"seed {own}: {what}" for what in found["violations"]]
+        faults.update(found["faults"])
+    return try_all() | counts | {"violations": len(violations), "examples": violations[:10], "faults": dict(faults)}
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(GuardsConfig)
+def main(config: GuardsConfig) -> int:
     """Run the attack, write the row, print it; 1 where anything bad went through."""
-    config = parse(GuardsConfig, argv)
     logging.disable(logging.CRITICAL)  # each guard that acts says so, 100,000 times
     row = attack(config.episodes, config.seed)
     path = update(Path(config.out), "guards", row)

@@ -3,22 +3,26 @@
 Each client is a program of its own, the two side by side. What is there already isn't tried again.
 """
 
-import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter, defaultdict
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
 
+from benchmarks.ledger import Ledger
 from benchmarks.trust.hostile_trials import RIGHT_NAMES, HOLD_s, Trial, is_right
 from benchmarks.trust.report import update
-from uniforce_vtla.arguments import choose, parse
+from uniforce_cli.boundary import command
+from uniforce_vtla.arguments import choose
 
 CLIENTS = ("pylibfranka", "franky")
 HANG_s = 180.0  # without a new row; a trial takes 4 to 15 s, on a starved machine up to five times
@@ -38,89 +42,79 @@ class HostileConfig:
     out: str = "outputs/trust.json"  # the result file; only its key ``hostile_faults`` changes
 
 
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Return the trials of a file, none where there is no file."""
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
-
-
-def try_client(client: str, faults: list[str], times: int, path: Path, bar: tqdm) -> list[dict[str, Any]]:
+def try_client(client: str, faults: list[str], times: int, folder: Path, bar: tqdm) -> list[dict[str, Any]]:
     """Run what a client lacks; a trial that hangs is a row too, and the next one gets a new process."""
     address = f"127.{os.getpid() % 250 + 1}.{os.getpid() // 250 % 250}.{CLIENTS.index(client) + 2}"
-    while lacks := _lacking(path, faults, times):
-        flags = [client, ",".join(lacks), str(times), address, str(path)]
+    rows, log = Ledger(folder), folder / f"{client}.log"
+    while lacks := _lacking(rows.read(client), faults, times):
+        flags = [client, ",".join(lacks), str(times), address, str(folder)]
         program = [sys.executable, "-m", "benchmarks.trust.hostile_trials", *flags]
-        log = path.with_suffix(".log")
         # a group of its own: a trial that is killed must not leave its stand-in holding the address
         with (
             log.open("a") as said,
             subprocess.Popen(program, stdout=said, stderr=said, start_new_session=True) as child,
         ):
-            if not _watch(child, path, bar):
-                _note_hang(path, client, _lacking(path, faults, times)[0])
+            if not _watch(child, partial(rows.read, client), bar):
+                hung = _lacking(rows.read(client), faults, times)[0]
+                what = f"no end within {HANG_s} s"
+                rows.add(client, asdict(Trial(client, hung, "hang", what, float("inf"), HANG_s, 0, time.time())))
         if child.returncode > 0:
             last = log.read_text().rstrip().rpartition("\n")[2]
             raise RuntimeError(f"{client}: expected trials, got exit code {child.returncode}: {last} Read {log}.")
-    return read_rows(path)
+    return rows.read(client)
 
 
-def _lacking(path: Path, faults: list[str], times: int) -> list[str]:
-    done = [row["fault"] for row in read_rows(path)]
-    return [fault for fault in faults if done.count(fault) < times]
+def _lacking(rows: list[dict[str, Any]], faults: list[str], times: int) -> list[str]:
+    done = Counter(row["fault"] for row in rows)
+    return [fault for fault in faults if done[fault] < times]
 
 
-def _watch(child: subprocess.Popen, path: Path, bar: tqdm) -> bool:
+def _watch(child: subprocess.Popen, rows: Callable[[], list[dict[str, Any]]], bar: tqdm) -> bool:
     """Return True when the child has ended, False when it hung and was killed."""
-    seen, since_s = len(read_rows(path)), time.monotonic()
+    seen, since_s = len(rows()), time.monotonic()
     while child.poll() is None:
         time.sleep(POLL_s)
-        if (now := len(read_rows(path))) > seen:
+        if (now := len(rows())) > seen:
             bar.update(now - seen)
             seen, since_s = now, time.monotonic()
         if time.monotonic() - since_s > HANG_s:
             os.killpg(child.pid, signal.SIGKILL)
             return False
-    bar.update(len(read_rows(path)) - seen)
+    bar.update(len(rows()) - seen)
     return True
-
-
-def _note_hang(path: Path, client: str, fault: str) -> None:
-    row = Trial(client, fault, "hang", f"no end within {HANG_s} s", float("inf"), HANG_s, 0, time.time())
-    with path.open("a") as file:
-        file.write(json.dumps(asdict(row)) + "\n")
 
 
 def summarise(rows: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return a line for each fault and client."""
-    table: dict[str, dict[str, Any]] = {}
+    groups = defaultdict[str, list[dict[str, Any]]](list)
     for row in rows:
-        line = table.setdefault(
-            f"{row['fault']} {row['client']}",
-            dict.fromkeys(("trials", "named_right", "held"), 0)
-            | {"worst_hold_s": 0.0, "worst_learnt_s": 0.0, "sent_after": 0, "starved": 0},
-        )
-        line["trials"] += 1
-        line["named_right"] += row["named"] in RIGHT_NAMES[row["fault"]]
-        line["held"] += row["hold_s"] <= HOLD_s
-        line["worst_hold_s"] = max(line["worst_hold_s"], row["hold_s"])
-        line["worst_learnt_s"] = max(line["worst_learnt_s"], row["learnt_s"])
-        line["sent_after"] += row["sent_after"]
-        line["starved"] += row.get("starved", 0)
-    return dict(sorted(table.items()))
+        groups[f"{row['fault']} {row['client']}"].append(row)
+    return {
+        name: {
+            "trials": len(own),
+            "named_right": sum(row["named"] in RIGHT_NAMES[row["fault"]] for row in own),
+            "held": sum(row["hold_s"] <= HOLD_s for row in own),
+            "worst_hold_s": max(row["hold_s"] for row in own),
+            "worst_learnt_s": max(row["learnt_s"] for row in own),
+            "sent_after": sum(row["sent_after"] for row in own),
+            "starved": sum(row.get("starved", 0) for row in own),
+        }
+        for name, own in sorted(groups.items())
+    }
 
 
 def attack(faults: list[str], times: int, folder: Path) -> list[dict[str, Any]]:
     """Return every trial of both clients."""
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = {client: folder / f"{client}.jsonl" for client in CLIENTS}
-    left = sum(times - min(times, [r["fault"] for r in read_rows(p)].count(f)) for p in paths.values() for f in faults)
+    done = {client: Counter(row["fault"] for row in Ledger(folder).read(client)) for client in CLIENTS}
+    left = sum(max(times - done[client][fault], 0) for client in CLIENTS for fault in faults)
     with tqdm(total=left, desc="trials") as bar, ThreadPoolExecutor(len(CLIENTS)) as pool:
-        jobs = [pool.submit(try_client, client, faults, times, path, bar) for client, path in paths.items()]
+        jobs = [pool.submit(try_client, client, faults, times, folder, bar) for client in CLIENTS]
         return [row for job in jobs for row in job.result()]
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(HostileConfig)
+def main(config: HostileConfig) -> int:
     """Run the trials, write the table, print what went wrong; 1 where anything did."""
-    config = parse(HostileConfig, argv)
     rows = attack(list(choose(RIGHT_NAMES, config.only)), config.times, Path(config.rows))
     wrong = [row for row in rows if not is_right(row)]
     path = update(Path(config.out), "hostile_faults", summarise(rows))

@@ -1,24 +1,26 @@
 """One client against faults of the stand-in: ``hostile_trials.py franky|pylibfranka FAULT,… TIMES ADDRESS OUT``.
 
-A program of its own: both clients in one process fail to import. Appends one JSON line a trial to OUT, and skips what
-is there, so it can be begun again. Nothing here was ever run on hardware.
+A program of its own: both clients in one process fail to import. Adds a row per trial to the ledger in the folder
+OUT, and skips what is there, so it can be begun again. Nothing here was ever run on hardware.
 """
 
 import contextlib
 import faulthandler
-import json
 import logging
 import os
 import sys
 import tempfile
 import threading
 import time
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.ledger import Ledger
 from benchmarks.trust.hostile_arm import HostileStandIn
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
@@ -122,14 +124,8 @@ class Sleeper(threading.Thread):
 
 def connect(client: str, fci: HostileStandIn, folder: Path) -> UniforceFranka:
     """Return a robot whose arm moves and whose hand is still."""
-    config = UniforceFrankaConfig(
-        id="hostile",
-        calibration_dir=folder,
-        address=fci.address,
-        backend=client,  # type: ignore[arg-type]
-        guards=BOX,  # type: ignore[arg-type]
-    )
-    robot = UniforceFranka(config)
+    settings: dict[str, Any] = {"address": fci.address, "backend": client, "guards": BOX}
+    robot = UniforceFranka(UniforceFrankaConfig(id="hostile", calibration_dir=folder, **settings))
     robot.connect()
     return robot
 
@@ -202,11 +198,8 @@ def _break(
 ) -> Trial:
     ordered_s = time.monotonic()
     _order(fci, fault)
-    named = message = ""
-    try:
-        drive(robot, start, begun_s, 0.05 if fault in MIDWAY else width_m, NOTICE_s)
-    except RobotError as error:
-        named, message = error.fault, str(error)
+    width_m = 0.05 if fault in MIDWAY else width_m
+    named, message = _told(lambda: drive(robot, start, begun_s, width_m, NOTICE_s))
     learnt_s = time.monotonic()
     sent_after = _sends(robot, start)
     if fault == "server_death":
@@ -225,13 +218,19 @@ def _stop_and_recover(robot: UniforceFranka, fci: HostileStandIn, client: str, f
     with contextlib.suppress(RobotError):
         robot.send_action({})  # an action that is none stops the arm
     hold_s, _ = _hold_s(fci, stopped_s)
-    named, message, begun_s = "", "", time.monotonic()
-    try:
-        robot.recover()
-    except RobotError as error:
-        named, message = error.fault, str(error)
+    begun_s = time.monotonic()
+    named, message = _told(robot.recover)
     learnt_s = time.monotonic() - begun_s
     return Trial(client, fault, named, message, round(hold_s, 4), round(learnt_s, 4), _sends(robot, start), time.time())
+
+
+def _told(call: Callable[[], object]) -> tuple[str, str]:
+    """Return the name of the fault that a call ends with, and its message."""
+    try:
+        call()
+    except RobotError as error:
+        return error.fault, str(error)
+    return "", ""
 
 
 def _order(fci: HostileStandIn, fault: str) -> None:
@@ -258,14 +257,7 @@ def knowable_s(robot: UniforceFranka, fci: HostileStandIn, fault: str, ordered_s
 
 def _sends(robot: UniforceFranka, start: dict[str, float]) -> int:
     """Return how many of five good actions were taken though the robot has a fault."""
-    taken = 0
-    for _ in range(5):
-        try:
-            robot.send_action({axis: start[axis] for axis in AXES})
-        except RobotError:
-            continue
-        taken += 1
-    return taken
+    return sum(not _told(lambda: robot.send_action({axis: start[axis] for axis in AXES}))[0] for _ in range(5))
 
 
 def _hold_s(fci: HostileStandIn, known_s: float) -> tuple[float, float]:
@@ -285,18 +277,16 @@ def main() -> None:
     """Run what OUT lacks; ends early after a fault that leaves a client hanging."""
     client, faults, times, address, out = sys.argv[1:6]
     logging.disable(logging.WARNING)
-    path = Path(out)
-    done = [json.loads(line) for line in path.read_text().splitlines()] if path.is_file() else []
+    rows = Ledger(Path(out))
+    there = Counter(row["fault"] for row in rows.read(client))
     with tempfile.TemporaryDirectory() as folder:
         for fault in faults.split(","):
-            there = sum(row["client"] == client and row["fault"] == fault for row in done)
-            for _ in range(there, int(times)):
+            for _ in range(there[fault], int(times)):
                 # into the log; works also where a client keeps the GIL
                 faulthandler.dump_traceback_later(STUCK_s)
                 row = begun_trial(client, fault, address, Path(folder))
                 faulthandler.cancel_dump_traceback_later()
-                with path.open("a") as file:
-                    file.write(json.dumps(asdict(row)) + "\n")
+                rows.add(client, asdict(row))
                 if fault in AT_NEXT_ANSWER:
                     return  # the client hangs, and takes memory without end: the next trial gets a new process
 

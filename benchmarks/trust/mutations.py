@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 import uniforce_robots
 from benchmarks.trust.report import update
-from uniforce_vtla.arguments import parse
+from uniforce_cli.boundary import command
 from uniforce_vtla.errors import ContractError, expected
 
 PACKAGE = Path(str(importlib.util.find_spec("uniforce_robots.franka").origin)).parent  # type: ignore[union-attr]
@@ -121,9 +121,9 @@ def notice(name: str) -> str:
         return next((found[0] for seed in range(SEEDS) if (found := drive(EPISODES, seed)["violations"])), "")
 
 
-def main(argv: list[str] | None = None) -> int:
+@command(MutationsConfig)
+def main(config: MutationsConfig) -> int:
     """Try all, write the table, print the survivors; 1 where there are any."""
-    config = parse(MutationsConfig, argv)
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(PRELOAD)
     with ProcessPoolExecutor(2, mp_context=context, max_tasks_per_child=1) as pool:

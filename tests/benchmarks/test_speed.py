@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks import policy_speed
 from benchmarks.policy.latency import CASES, BenchCase, bench_case
-from benchmarks.policy.touch import bench_touch
-from benchmarks.policy.training import bench_training
+from benchmarks.policy.touch import bench_touch, bench_training
 from benchmarks.policy_speed import main
 from benchmarks.speed import encode as bench
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings
@@ -25,13 +24,12 @@ def test_a_tiny_call_takes_at_most_two_fifths_of_the_operations() -> None:
     assert min(report["floor_ms"], report["fast_ms"], *report["parts_ms"].values()) > 0
 
 
-def test_the_command_writes_its_table_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_writes_its_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(policy_speed.CASES, "tiny", BenchCase("tiny", missing=1, prompt=12, settings=SMALL))
     assert main(["only=tiny", "rounds=2", "steps=2", f"out={tmp_path}"]) == 0
     table = json.loads((tmp_path / "policy_latency.json").read_text())
     assert table["gpu"] == "not run" and table["cpu"]["stock_ms"] > 0
     assert table["cases"]["tiny"]["cameras"] == 2
-    assert (tmp_path / "policy_latency.png").stat().st_size > 5_000
 
 
 def test_twenty_steps_of_bases_code_learn_touch_and_leave_the_tokenizer() -> None:

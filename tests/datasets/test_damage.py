@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from lerobot.datasets.dataset_tools import delete_episodes, merge_datasets, modify_tasks
 
-from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, Damage, record_whole
+from benchmarks.trust.damaged_datasets import DATASET_DAMAGES, record_whole
+from benchmarks.trust.injuries import Damage
 from uniforce_cli import share, verify
 from uniforce_datasets.hashes import PARTS, files_of
 from uniforce_datasets.lossless import check_dataset, open_dataset

@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from benchmarks.real.uskin_csv import read_uskin_csv
-from benchmarks.speed.canonicalizer import bench_canonicalizer, synthetic_frame
+from benchmarks.real.grasps import read_uskin_csv
+from benchmarks.speed.canonicalizer import bench_canonicalizer
+from uniforce_robots.standins.scene import Scene, frame_cycle
 from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.contracts import check_marker_image
@@ -29,8 +30,8 @@ def raw_pair(sensor: str) -> tuple[np.ndarray, np.ndarray]:
     if get_sensor(sensor).signal == "taxel":
         free = COUNTS if sensor == "uskin" else np.zeros(get_sensor(sensor).raw_shape, int)
         return free, free + (np.array([50, -30, 800]) / get_sensor(sensor).taxels.worth).round().astype(int)
-    rng = np.random.default_rng(0)
-    return tuple(synthetic_frame(get_sensor(sensor), rng, shift_px=shift) for shift in (0.0, 3.0))
+    free, _, pressed = frame_cycle(sensor, Scene(rest_s=0.1, press_s=0.2), 10.0)
+    return free, pressed
 
 
 @pytest.mark.parametrize("sensor", list_sensors())

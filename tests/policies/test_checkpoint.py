@@ -13,7 +13,7 @@ from torch import nn
 from transformers import AutoTokenizer
 
 from benchmarks.policy import text_tokenizer
-from benchmarks.policy.memory import bench_memory
+from benchmarks.policy.counts import bench_memory
 from lerobot_policy_pi05_uniforce import PI05UniforceConfig, PI05UniforcePolicy, weights
 from lerobot_policy_pi05_uniforce.checkpoint import check_sensors
 from lerobot_policy_pi05_uniforce.configuration_pi05_uniforce import TinySettings

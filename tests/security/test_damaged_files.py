@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES, CheckpointDamage
+from benchmarks.trust.damaged_checkpoints import CHECKPOINT_DAMAGES
+from benchmarks.trust.injuries import Damage
 from lerobot_policy_pi05_uniforce.controller import PolicyController
 from uniforce_datasets.pooled_quantiles import write_pooled_stats
 from uniforce_datasets.source import read_source, stored_frames
@@ -128,18 +129,18 @@ def test_a_damaged_training_state_is_named(tmp_path: Path) -> None:
 ROOT = Path(__file__).parents[2]
 OURS = ("policies", "robots", "uniforce_vtla")
 SHIPPED = sorted(path.parent for folder in OURS for path in (ROOT / folder).rglob("model.safetensors"))
-SOUND = {damage.sound: replace(damage, damage=lambda _: None) for damage in CHECKPOINT_DAMAGES}
+SOUND = {damage.sound: replace(damage, do=lambda _: None) for damage in CHECKPOINT_DAMAGES}
 
 
 @pytest.mark.parametrize("damage", CHECKPOINT_DAMAGES, ids=lambda damage: damage.name)
-def test_a_damaged_checkpoint_is_refused(damage: CheckpointDamage, tmp_path: Path) -> None:
-    said = damage.refused(tmp_path)
+def test_a_damaged_checkpoint_is_refused(damage: Damage, tmp_path: Path) -> None:
+    said = damage.refused(damage.sound, tmp_path)
     assert said is not None and "expected" in said
 
 
 @pytest.mark.parametrize("sound", SOUND.values(), ids=lambda damage: damage.sound.name)
-def test_what_is_not_damaged_is_accepted(sound: CheckpointDamage, tmp_path: Path) -> None:
-    assert sound.refused(tmp_path) is None
+def test_what_is_not_damaged_is_accepted(sound: Damage, tmp_path: Path) -> None:
+    assert sound.refused(sound.sound, tmp_path) is None
 
 
 def test_every_shipped_checkpoint_is_as_it_was_saved() -> None:

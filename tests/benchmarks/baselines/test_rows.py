@@ -8,10 +8,10 @@ import pytest
 import torch
 from transformers import ViTConfig
 
+from benchmarks.baselines.cells import labels, pictures
 from benchmarks.baselines.end_to_end import EndToEndConfig, train_end_to_end
 from benchmarks.baselines.finetuned import FineTuneConfig, TokenizerEncoder, finetuned_row, fit_finetuned
 from benchmarks.baselines.genforce_style import TranslationConfig, genforce_style_row, train_translator, translate
-from benchmarks.baselines.pictures import labels, pictures
 from benchmarks.baselines.resnet import ResNetConfig, build_resnet, fit_resnet, resnet_row
 from benchmarks.baselines.speed import SpeedConfig, T3Encoder, our_size, size_facts, speed_report
 from benchmarks.probes.zero_shot import Cells, Table, encode_set, score

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.probes.latent_rotation import fit_rotation
+from benchmarks.probes.latent_and_pictures import fit_rotation
 from uniforce_vtla.errors import ContractError
 
 

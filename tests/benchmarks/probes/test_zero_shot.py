@@ -8,11 +8,9 @@ from outside_family import outside
 
 from benchmarks.finite_elements.sets import FE_CONTACTS, FE_DEV
 from benchmarks.probes.hard_sets import HETERO_HARD, HETERO_HARD_TRAINING, draw_hard, hetero_sensors
-from benchmarks.probes.labelled_cache import cached
-from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, draw_labelled, set_facts, within
+from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, cached, draw_labelled, set_facts, within
 from benchmarks.probes.report_sets import REPORT_SETS, get_report_set
 from benchmarks.probes.zero_shot import check_frozen, score, summary, transfer_name, transfers
-from benchmarks.probes.zero_shot_figure import draw_table
 from uniforce_vtla.contact.indenters import SEEN, UNSEEN
 from uniforce_vtla.contact.virtual import as_virtual, hidden_sensors
 from uniforce_vtla.errors import ContractError, DatasetError
@@ -69,13 +67,6 @@ def test_committed_table_belongs_to_the_frozen_set_and_meets_its_form(name: str)
         for source, target in transfers():
             assert len(row[transfer_name(source, target)]["r2"]) == 3
     assert summary(table["rows"]["UniForce"])["mean"] == pytest.approx(table["summary"]["UniForce"]["mean"])
-
-
-def test_any_rows_make_a_picture(tmp_path: Path) -> None:
-    cell = {"r2": [0.9, -157.0, 0.1], "mae_N_paper_range": [0.1, 0.2, 3.0]}
-    rows = {"ResNet": {"G->G": cell, "G->T": cell, "T->G": cell}, "UniForce": {"G->T": cell, "T->G": cell}}
-    path = draw_table({"rows": rows, "set": "some_set"}, tmp_path / "deep" / "table.png")
-    assert path.stat().st_size > 10_000
 
 
 BRIEF = replace(HETERO_HARD, sequences=2, length=4)

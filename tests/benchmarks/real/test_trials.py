@@ -5,8 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.real.trials import TrialConfig, changes_load, read_trials
-from benchmarks.real.uskin_csv import COLUMNS, read_uskin_csv
+from benchmarks.real.grasps import COLUMNS, TrialConfig, changes_load, read_trials, read_uskin_csv
 from uniforce_vtla.errors import DatasetError, SensorError
 
 FOLDER = Path(__file__).parents[3].parent / "shared" / "real" / "uskin_bilateral_slip" / "data_set"

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.recorded_set import WindowConfig, of_indenters, of_sensor, shear_agreement, to_labelled_set
+from benchmarks.probes.recorded_set import of_indenters, of_sensor, shear_agreement, to_labelled_set
 from benchmarks.probes.zero_shot import POOL, encode_set, predict
 from uniforce_datasets.readers import LabelledRecording, read_genforce
 from uniforce_vtla.contact import UNSEEN
-from uniforce_vtla.errors import ContractError, DatasetError
+from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
@@ -28,7 +28,7 @@ def recording(trial: Any, frames: int | None = None) -> LabelledRecording:
 
 def test_windows_of_recordings_of_different_length(marker_trials: Any) -> None:
     long, short = recording(marker_trials[0]), recording(marker_trials[1], 3)
-    labelled = to_labelled_set([long, short], SIDE, WindowConfig(length=2))
+    labelled = to_labelled_set([long, short], SIDE, 2)
     assert labelled.reference.shape == (4, SIDE, SIDE) and labelled.frames.shape == (4, 2, SIDE, SIDE)
     assert labelled.descriptor.shape == (4, 2, 6) and labelled.force_N.shape == (4, 2, 3)
     assert labelled.frames.dtype == labelled.reference.dtype == np.uint8
@@ -40,45 +40,22 @@ def test_windows_of_recordings_of_different_length(marker_trials: Any) -> None:
         assert np.array_equal(labelled.force_N[row], source.force_N[window])
 
 
-@pytest.mark.parametrize(
-    ("windows", "frames", "starts"),
-    [
-        (WindowConfig(4), 12, [0, 4, 8]),
-        (WindowConfig(4), 3, []),
-        (WindowConfig(4, hop=2), 9, [0, 2, 4]),
-        (WindowConfig(4, stride=3), 22, [0, 12]),
-        (WindowConfig(4, stride=3), 21, [0]),
-        (WindowConfig(1), 3, [0, 1, 2]),
-        (WindowConfig(1, per_recording=3), 101, [0, 50, 100]),
-        (WindowConfig(1, per_recording=1), 9, [0]),
-    ],
-)
-def test_where_windows_start(windows: WindowConfig, frames: int, starts: list[int]) -> None:
-    assert windows.starts(frames) == starts
-
-
-@pytest.mark.parametrize("bad", [{"length": 0}, {"stride": 0}, {"hop": -1}, {"per_recording": -1}])
-def test_windows_that_are_none_are_refused(bad: dict[str, int]) -> None:
-    with pytest.raises(ContractError, match="windows"):
-        WindowConfig(**bad)
-
-
 def test_the_digest_names_the_content(marker_trials: Any) -> None:
     whole = recording(marker_trials[0])
-    windows = WindowConfig(length=3)
-    digest = to_labelled_set([whole], SIDE, windows).digest
-    assert to_labelled_set([whole], 16, windows).digest == digest  # of full-size images, as simulated sets
+    length = 3
+    digest = to_labelled_set([whole], SIDE, length).digest
+    assert to_labelled_set([whole], 16, length).digest == digest  # of full-size images, as simulated sets
     image = whole.frames.copy()
     image[1, 100, 100] ^= 255
     other_force = whole.force_N + np.float32(1e-6)
     for other in (replace(whole, frames=image), replace(whole, force_N=other_force), replace(whole, sensor="g2")):
-        assert to_labelled_set([other], SIDE, windows).digest != digest
+        assert to_labelled_set([other], SIDE, length).digest != digest
 
 
 def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials: Any) -> None:
     one, other = recording(marker_trials[0]), recording(marker_trials[2])
     with pytest.raises(DatasetError, match="gelsight and tactip"):
-        to_labelled_set([one, other], SIDE, WindowConfig(length=2))
+        to_labelled_set([one, other], SIDE, 2)
     with pytest.raises(DatasetError, match="1 recordings are shorter"):
         to_labelled_set([one], SIDE)
     with pytest.raises(DatasetError, match="none; 0 recordings"):
@@ -88,14 +65,14 @@ def test_sets_of_several_sensors_or_of_nothing_are_refused(marker_trials: Any) -
 def test_a_reference_without_markers_is_named(marker_trials: Any) -> None:
     blank = replace(recording(marker_trials[0]), reference=np.zeros((480, 640), np.uint8))
     with pytest.raises(DatasetError, match=r"gelsight/sphere/1: reference: expected at least 3 markers"):
-        to_labelled_set([blank], SIDE, WindowConfig(length=2))
+        to_labelled_set([blank], SIDE, 2)
 
 
 def test_a_read_set_goes_through_tokenizer_and_head(genforce: Path, tiny: TokenizerConfig) -> None:
     assert {r.indenter for r in of_indenters(read_genforce(genforce), UNSEEN)} == {"wave"}
     tokenizer = Tokenizer.random(tiny)
     for sensor in ("gelsight", "tactip", "uskin"):
-        read = to_labelled_set(of_sensor(read_genforce(genforce), sensor), tokenizer.config.side, WindowConfig(3))
+        read = to_labelled_set(of_sensor(read_genforce(genforce), sensor), tokenizer.config.side, 3)
         z = encode_set(tokenizer, read)
         assert z.shape == (4, 3, POOL**2, tiny.latent)
     head = train_head(z, read.force_N, HeadTrainingConfig(steps=2), seed=0)
@@ -129,4 +106,4 @@ def test_simulated_markers_agree_with_our_axes(sensor: str) -> None:
         LabelledRecording(sensor, "sphere", str(k), *parts)
         for k, parts in enumerate(zip(batch.reference, batch.frames, batch.force_N, strict=True))
     ]
-    assert (shear_agreement(to_labelled_set(recordings, SIDE, WindowConfig(length=5))) > 0.5).all()
+    assert (shear_agreement(to_labelled_set(recordings, SIDE, 5)) > 0.5).all()

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.trust.bad_settings import NEEDS, bad_settings, try_all
+from benchmarks.trust.guards import NEEDS, bad_settings, try_all
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.guards import GuardLimits

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 
 import pytest
 
+from benchmarks.ledger import Ledger
 from benchmarks.recorder import kill9
 from benchmarks.recorder.device_faults import BREAKAGES, attended
 from benchmarks.recorder.end_to_end import rate_and_jitter, record
 from benchmarks.recorder.ending_faults import server_death
 from benchmarks.recorder.faults import bench_of
-from benchmarks.recorder.ledger import Ledger
 from benchmarks.recorder.loading import load_in_stock_lerobot
 from benchmarks.recorder.plan import Plan
 from benchmarks.recorder.rig import Rig
@@ -33,13 +33,13 @@ INJECTED = ("arm_reflex", "camera_stops", "uskin_garbage", "uskin_unplugged")  #
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     work = tmp_path_factory.mktemp("trials")
     # any machine keeps up with it
-    gentle = Plan(work, episodes=2, episode_s=2.0, fps=5, patience=20.0, uskin_hz=50.0)
+    gentle = Plan(work=str(work), episodes=2, episode_s=2.0, fps=5, patience=20.0, uskin_hz=50.0)
     with Rig(gentle, work / "rig") as rig:
         yield rig
 
 
 def test_two_episodes_end_to_end(rig: Rig) -> None:
-    root = rig.plan.work / "two"
+    root = rig.plan.folder / "two"
     found = record(rig, root)
     assert found["exit_code"] == 0
     seen = rate_and_jitter(root, [found])
@@ -50,16 +50,16 @@ def test_two_episodes_end_to_end(rig: Rig) -> None:
 
 def test_three_kills_cost_no_saved_episode(rig: Rig) -> None:
     for number in (0, 4, 8):  # all of it mid-tick, the loop mid-save, the storing process in between
-        seen = kill9.kill_once(rig, rig.plan.work / "killed", number)
+        seen = kill9.kill_once(rig, rig.plan.folder / "killed", number)
         assert seen["said_stored"] and not seen["saved_lost"] and not seen["processes_left"], seen
-    assert kill9.finish(rig, rig.plan.work / "killed")["exit_code"] == 0
+    assert kill9.finish(rig, rig.plan.folder / "killed")["exit_code"] == 0
 
 
 def test_faults_hold_the_arm_and_are_labelled(rig: Rig) -> None:
     """One session: a person goes on after each fault."""
-    ledger = Ledger(rig.plan.work / "found")
+    ledger = Ledger(rig.plan.folder / "found")
     rig.new_arm()
-    attended({name: BREAKAGES[name] for name in INJECTED}, rig, ledger, rig.plan.work / "broken", times=1)
+    attended({name: BREAKAGES[name] for name in INJECTED}, rig, ledger, rig.plan.folder / "broken", times=1)
     for name in INJECTED:
         assert ledger.read(name)[0]["right_outcome"], (name, ledger.read(name))
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from benchmarks.recorder.uskin_rate import measure_rate
+from benchmarks.recorder.overhead import measure_rate
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, ProtocolError, StaleSensorError
 from uniforce_robots.sensors.reader import ReaderLimits, SampleReader
 from uniforce_robots.sensors.uskin_slcan import MAX_TAIL_BYTES, SlcanScans, SlcanUSkin

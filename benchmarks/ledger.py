@@ -19,14 +19,19 @@ class Ledger:
         folder.mkdir(parents=True, exist_ok=True)
 
     def add(self, name: str, finding: dict[str, Any]) -> None:
-        """Add one."""
-        with (self._folder / f"{name}.jsonl").open("a") as file:
+        """Add one; half a line that a kill has left goes before."""
+        path = self._folder / f"{name}.jsonl"
+        with path.open("a") as file:
+            file.truncate(len(self._whole(path).encode()))
             file.write(json.dumps(finding) + "\n")
         if self._shows is not None:
             self._shows(name, len(self.read(name)), finding)
 
     def read(self, name: str) -> list[dict[str, Any]]:
         """Return all of a name; half a line at the end is none."""
-        path = self._folder / f"{name}.jsonl"
+        return [json.loads(line) for line in self._whole(self._folder / f"{name}.jsonl").splitlines()]
+
+    @staticmethod
+    def _whole(path: Path) -> str:
         text = path.read_text() if path.exists() else ""
-        return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
+        return text[: text.rfind("\n") + 1]
