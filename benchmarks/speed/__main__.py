@@ -10,29 +10,31 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.options import Names, OutFolder, Positive
 from uniforce_vtla.results_file import provenance, write_json
 
-Stage = Annotated[str, Names(("canonicalize", "encode", "cached", "stream", "env", "loader"))]
+Stage = Annotated[str, Names(("canonicalize", "contact", "encode", "cached", "stream", "env", "loader"))]
 
 
 @dataclass
 class BenchConfig:
     """Measure every stage on one core and write ``bench.json``.
 
-    Example: python -m benchmarks.speed seconds=2 only=encode
+    Example: python -m benchmarks.speed seconds=2 only=contact
     """
 
     seconds: Positive = 2.0  # per measurement; timings on shared machines are noisy, longer is steadier
-    only: Stage = ""  # canonicalize | encode | cached | stream | env | loader; empty = all
+    only: Stage = ""  # canonicalize | contact | encode | cached | stream | env | loader; empty = all
     out: OutFolder = "outputs/bench"  # bench.json goes here
 
 
 def _benches() -> dict[str, Callable[[float], dict[str, Any]]]:
     from benchmarks.speed.canonicalizer import bench_canonicalizer
+    from benchmarks.speed.contact import bench_contact
     from benchmarks.speed.encode import bench_cached, bench_encode, bench_stream
     from benchmarks.speed.env import bench_env
     from benchmarks.speed.loader import bench_loader
 
     return {
         "canonicalize": bench_canonicalizer,
+        "contact": bench_contact,
         "encode": bench_encode,
         "cached": bench_cached,
         "stream": bench_stream,
