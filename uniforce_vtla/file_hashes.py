@@ -65,8 +65,7 @@ def drop_hashes(folder: str | Path) -> None:
 def read_hashes(folder: Path, error: type[UniForceError]) -> Entries | None:
     """Return what ``hashes.json`` says; None where there is none.
 
-    Raises:
-        error: ``hashes.json`` is damaged, or names a file outside the folder.
+    Raises error: ``hashes.json`` is damaged, or names a file outside the folder.
     """
     if not (folder / HASHES).exists():
         return None
@@ -91,8 +90,7 @@ def check_hashes(folder: Path, error: type[UniForceError], verify: str = "full")
         error: what to raise.
         verify: "full", or "quick": files of 16 MB and more by size alone, or "off".
 
-    Raises:
-        error: a file that is missing, changed or without a hash; every one is named.
+    Raises error: a file that is missing, changed or without a hash; every one is named.
     """
     if verify == "off":
         return

@@ -134,16 +134,11 @@ def named_path(name: str, wanted: str) -> Iterator[None]:
     except (OSError, ValueError) as error:  # ValueError: a zero byte in a path
         reason = shortened(getattr(error, "strerror", None) or str(error))
         path = shortened(str(getattr(error, "filename", None) or ""))
-        do = "Name one that can be used."
-        raise ContractError(expected(name, wanted, f"{reason} ({path})", do)) from error
+        raise ContractError(expected(name, wanted, f"{reason} ({path})", "Name one that can be used.")) from error
 
 
 def try_to_write(folder: Path) -> None:
-    """Make a folder and a file in it, then remove what is new.
-
-    Raises:
-        OSError: it can't be done.
-    """
+    """Make a folder and a file in it, then remove what is new; OSError: it can't be done."""
     missing = [part for part in (folder, *folder.parents) if not part.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -172,8 +167,7 @@ def check_text(name: str, value: str) -> None:
         came = f"{len(value):,} characters"
         raise ContractError(expected(name, f"at most {LONGEST:,} characters", came, "Shorten it."))
     if not all(letter.isprintable() for letter in value):
-        do = "Leave out control characters."
-        raise ContractError(expected(name, "printable text", shortened(repr(value)), do))
+        raise ContractError(expected(name, "printable text", shortened(repr(value)), "Leave out control characters."))
 
 
 Count = Annotated[int, Range(1, 10_000_000)]

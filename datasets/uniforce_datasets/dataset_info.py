@@ -19,13 +19,11 @@ def read_info(root: Path, within: Path | None = None) -> dict[str, Any]:
         root: the dataset's folder.
         within: folder that its links may lead into; None is the dataset's own.
 
-    Raises:
-        DatasetError: none there, broken, without episodes, or naming a path or holding a link that leads outside.
+    Raises DatasetError: none there, broken, without episodes, or naming a path or holding a link that leads outside.
     """
     file = root / INFO
     if not file.is_file():
-        do = "Give the folder that uniforce record wrote."
-        raise DatasetError(expected(str(root), str(INFO), "none", do))
+        raise DatasetError(expected(str(root), str(INFO), "none", "Give the folder that uniforce record wrote."))
     check_links(root, within or root)
     info = read_object(file, DatasetError)
     _check_version(file, info)

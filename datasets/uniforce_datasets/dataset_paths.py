@@ -14,8 +14,7 @@ FORMAT = re.compile(r"(0?\d)?d?")  # 03d at most: a width of a billion would fil
 def inside(root: Path, path: Path) -> Path:
     """Return ``path`` if it lies in ``root`` once links and ".." are followed.
 
-    Raises:
-        DatasetError: it leads outside.
+    Raises DatasetError: it leads outside.
     """
     if not path.resolve().is_relative_to(root.resolve()):
         do = "Copy the files into the folder (huggingface-cli: --local-dir), or give the folder that holds both."
@@ -35,8 +34,7 @@ def check_links(root: Path, within: Path) -> None:
 def check_template(where: str, template: object) -> str:
     """Return a path like ``videos/{video_key}/file-{file_index:03d}.mp4`` if whatever it becomes stays inside.
 
-    Raises:
-        DatasetError: no text, absolute, with ``..``, or with a placeholder LeRobot doesn't have.
+    Raises DatasetError: no text, absolute, with ``..``, or with a placeholder LeRobot doesn't have.
     """
     if not isinstance(template, str):
         raise DatasetError(_strange(where, template))

@@ -88,8 +88,7 @@ def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, 
         fps: to record at.
         features: to record.
 
-    Raises:
-        DatasetError: a column is missing, too many, or of another form; another rate.
+    Raises DatasetError: a column is missing, too many, or of another form; another rate.
     """
     wanted = {key: (f["dtype"], tuple(f["shape"])) for key, f in features.items()}
     stored = {key: f for key, f in meta.features.items() if key not in DEFAULT_FEATURES}
@@ -97,8 +96,7 @@ def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, 
     if came == wanted and meta.fps == fps:
         return
     odd = sorted(k for k in wanted | came if came.get(k) != wanted.get(k)) or f"{meta.fps} fps"
-    do = "Record into another root."
-    raise DatasetError(expected("dataset", "the features to record", f"others: {odd}", do))
+    raise DatasetError(expected("dataset", "the features to record", f"others: {odd}", "Record into another root."))
 
 
 def sensor_index(name: str) -> int:

@@ -70,8 +70,7 @@ def check_hashes(root: Path, verify: Verify = "full") -> None:
         root: its folder.
         verify: "full" reads every file; "quick" compares the sizes of videos only; "off" does nothing.
 
-    Raises:
-        DatasetError: a file is missing, changed, or none of the dataset's; names its episode.
+    Raises DatasetError: a file is missing, changed, or none of the dataset's; names its episode.
     """
     if verify == "off":
         return

@@ -25,8 +25,7 @@ def open_dataset(
         verify: see ``check_dataset``.
         options: passed on to ``LeRobotDataset``.
 
-    Raises:
-        DatasetError: see ``check_dataset``.
+    Raises DatasetError: see ``check_dataset``.
     """
     source = check_dataset(root, verify)
     return LeRobotDataset(repo_id, **({"root": source.root, "revision": LOCAL, "video_backend": "pyav"} | options))

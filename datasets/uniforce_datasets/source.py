@@ -83,8 +83,7 @@ class Source:
 def read_source(root: str | Path, within: Path | None = None) -> Source:
     """Open the dataset at ``root``; its links may lead into ``within``, by default the dataset itself.
 
-    Raises:
-        DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
+    Raises DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
     """
     root = Path(root)
     info = read_info(root, within)
@@ -136,8 +135,7 @@ def _episode(root: Path, info: dict[str, Any], row: dict[str, Any], keys: list[s
 def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Read (N, D) or (N,) columns of every data file, in file order.
 
-    Raises:
-        DatasetError: no data file, or one that can't be read.
+    Raises DatasetError: no data file, or one that can't be read.
     """
     files = sorted((root / "data").rglob("*.parquet"))
     if not files:
@@ -184,8 +182,7 @@ def read_table(file: Path, keys: list[str]) -> pa.Table:
 def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> Iterator[np.ndarray]:
     """Yield (H, W, 3) uint8 RGB frames ``first`` … ``length − 1`` of an episode.
 
-    Raises:
-        DatasetError: the video is missing, truncated, or shorter than the episode.
+    Raises DatasetError: the video is missing, truncated, or shorter than the episode.
     """
     start_s = span.from_s + (first - 0.5) / fps
     missing = length - first

@@ -84,8 +84,7 @@ class TrainingView(Dataset):
         image_transforms: applied to each camera image.
         verify: "full" and "quick" compare the SHA-256 of every array; "off" doesn't.
 
-    Raises:
-        DatasetError: not a whole view, an array that changed, or no true wrench though one is asked for.
+    Raises DatasetError: not a whole view, an array that changed, or no true wrench though one is asked for.
     """
 
     def __init__(

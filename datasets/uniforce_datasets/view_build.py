@@ -62,8 +62,7 @@ def build_view(
         workers: processes that decode and encode, an episode each at a time.
         verify: how the datasets are checked, see ``check_dataset``.
 
-    Raises:
-        DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
+    Raises DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
     """
     encoder = encoder or PooledTokenizer(tokenizer, latent_grid)
     settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)

@@ -179,8 +179,7 @@ TOUCH = tuple(touch_stream(name, finger) for name in TOUCH_STREAMS for finger in
 def read_marker(root: Path) -> dict[str, Any]:
     """Return a view's facts.
 
-    Raises:
-        DatasetError: not a whole view of this format, damaged facts, or a link that leads out of the folder.
+    Raises DatasetError: not a whole view of this format, damaged facts, or a link that leads out of the folder.
     """
     file = root / VIEW_MARKER
     if not file.is_file():

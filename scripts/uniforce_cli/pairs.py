@@ -121,8 +121,7 @@ def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
 
     Never run on hardware. The fingers' references are taken while connecting: keep them in free air.
 
-    Raises:
-        SensorError, RobotError, TeleoperatorError: whatever is not there.
+    Raises SensorError, RobotError, TeleoperatorError: whatever is not there.
     """
     from uniforce_cli.touch import TouchConfig, opened
     from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
@@ -183,8 +182,7 @@ def _check(config: RecordPairsConfig) -> tuple[str, ...]:
     names = tuple(split(config.indenters)) or PRETRAIN
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
     if unknown or len(set(names)) < len(names):
-        do = "Name each once."
-        raise ContractError(expected("indenters", " | ".join(HEIGHTS), unknown or config.indenters, do))
+        raise ContractError(expected("indenters", " | ".join(HEIGHTS), unknown or config.indenters, "Name each once."))
     return names
 
 

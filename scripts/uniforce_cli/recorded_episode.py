@@ -43,8 +43,7 @@ class EpisodeForces:
     def judge(self, pad_friction: tuple[float, float]) -> tuple[FingerEstimate, FingerEstimate | None]:
         """Return the estimate from the fingers, and the same from true forces where there are any.
 
-        Raises:
-            ContractError, DatasetError: see ``estimate_events``.
+        Raises ContractError, DatasetError: see ``estimate_events``.
         """
 
         def judged(force_N: np.ndarray) -> FingerEstimate:

@@ -89,8 +89,7 @@ def _load(source: Path) -> PI05UniforcePolicy:
 
 def _merged(source: Path, base: str) -> PI05UniforcePolicy:
     if find_spec("peft") is None:
-        do = "pip install 'lerobot[peft]'"
-        raise CheckpointError(expected(str(source), "the package peft", "none", do))
+        raise CheckpointError(expected(str(source), "the package peft", "none", "pip install 'lerobot[peft]'"))
     from lerobot.configs import PreTrainedConfig
     from peft import PeftModel  # an extra, for those who train adapters
 

@@ -55,12 +55,7 @@ class PairSettings:
     def objects(self, rng: np.random.Generator, n: int, indenters: Sequence[str]) -> Objects:
         """Return ``n`` random objects, flat faces as these settings say."""
         return sample_objects(
-            rng,
-            n,
-            indenters,
-            self.flat_share,
-            flat_side_mm=self.flat_side_mm,
-            flat_tilt_rad=self.flat_tilt_rad,
+            rng, n, indenters, self.flat_share, flat_side_mm=self.flat_side_mm, flat_tilt_rad=self.flat_tilt_rad
         )
 
 

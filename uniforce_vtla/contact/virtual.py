@@ -43,11 +43,7 @@ GELSIGHT_D = VirtualSensor(
 
 
 def as_virtual(sensor: str | VirtualSensor) -> VirtualSensor:
-    """Return a registry sensor with its material, or the virtual sensor itself.
-
-    Raises:
-        SensorError: an unknown name.
-    """
+    """Return a registry sensor with its material, or the virtual sensor itself; SensorError: an unknown name."""
     if isinstance(sensor, VirtualSensor):
         return sensor
     if sensor == GELSIGHT_D.name:

@@ -75,8 +75,7 @@ class WornView:
         seed: draws the noise.
         pixel_noise: of raw frames, see ``ContactOptions``.
 
-    Raises:
-        SensorError: the canonicalizer refuses the reference.
+    Raises SensorError: the canonicalizer refuses the reference.
     """
 
     def __init__(self, worn: WornSensor, seed: int = 0, pixel_noise: PixelNoise = "sheet") -> None:
@@ -100,8 +99,7 @@ class WornView:
     def images(self, contact: ContactState) -> np.ndarray:
         """Return (B, 480, 640) uint8 marker images in the sensor's own frame.
 
-        Raises:
-            SensorError: the canonicalizer refuses a frame.
+        Raises SensorError: the canonicalizer refuses a frame.
         """
         if self.worn.direct:
             return self.simulator.marker_images(contact)
@@ -140,8 +138,7 @@ Wear = Callable[[int], WornSensor]  # a scene's seed → what is worn there
 def wear(sensor: str | WornSensor) -> Wear:
     """Return what a finger wears in each scene.
 
-    Raises:
-        SensorError: an unknown name, neither a number nor ``any`` nor ``drawing`` behind it, or an unknown fault.
+    Raises SensorError: an unknown name, neither a number nor ``any`` nor ``drawing`` behind it, or an unknown fault.
     """
     if isinstance(sensor, WornSensor):
         return lambda seed: sensor
@@ -160,8 +157,7 @@ def wear(sensor: str | WornSensor) -> Wear:
 def with_faults(worn: WornSensor, faults: Sequence[str]) -> WornSensor:
     """Return a worn unit with faults in words, ``flicker=0.2``.
 
-    Raises:
-        SensorError: an unknown fault, one that this kind of sensor can't have, or no number behind it.
+    Raises SensorError: an unknown fault, one that this kind of sensor can't have, or no number behind it.
     """
     for words in faults:
         name, _, dose = words.partition("=")

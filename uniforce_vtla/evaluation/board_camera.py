@@ -72,8 +72,7 @@ def _on_the_way(view: np.ndarray, bare: np.ndarray, ink: np.ndarray) -> tuple[np
 
 def _checked(first: np.ndarray, last: np.ndarray, corners_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if first.shape != last.shape or first.ndim != 3 or first.shape[2] != 3:
-        came = f"{first.shape}, {last.shape}"
-        raise ContractError(expected("pictures", "two (H, W, 3)", came, "Use one camera."))
+        raise ContractError(expected("pictures", "two (H, W, 3)", f"{first.shape}, {last.shape}", "Use one camera."))
     area = abs(cv2.contourArea(corners_px.astype(np.float32))) if corners_px.shape == (4, 2) else 0.0
     if area < 100 or not cv2.isContourConvex(corners_px.astype(np.float32)):
         do = "Name the board's corners in order around it."

@@ -109,8 +109,7 @@ def _check(time_s: np.ndarray, force_N: np.ndarray, tool_m: np.ndarray, pad_fric
     n = len(time_s)
     if n < 2 or force_N.shape != (n, 2, 3) or tool_m.shape != (n, 3):
         came = f"{time_s.shape}, {force_N.shape}, {tool_m.shape}"
-        do = "Align them."
-        raise ContractError(expected("time, forces, place", "(n,), (n, 2, 3), (n, 3), n ≥ 2", came, do))
+        raise ContractError(expected("time, forces, place", "(n,), (n, 2, 3), (n, 3), n ≥ 2", came, "Align them."))
     if not all(np.isfinite(values).all() for values in (time_s, force_N, tool_m)):
         do = "Check the sensors of this episode."
         raise ContractError(expected("time, forces, place", "finite numbers", "NaN or inf", do))

@@ -57,8 +57,7 @@ def segment(working: np.ndarray, dome: bool, plan: MarkerPlan | None = None, rim
         plan: how to look; None finds it in this frame.
         rim: where the rim is; None looks for it in this frame.
 
-    Raises:
-        SensorError: no markers.
+    Raises SensorError: no markers.
     """
     plan = plan or choose_plan(working)
     blobs = find_blobs(channel_image(working, plan.channel), plan)

@@ -141,8 +141,7 @@ class Canonicalizer:
         reference, view = self._references.get("", free, lambda: self._remember(free))
         shapes = np.shape(free), np.shape(current)
         if shapes[0] != shapes[1]:
-            do = "Use one camera setting for both."
-            raise ContractError(expected("current frame", shapes[0], shapes[1], do))
+            raise ContractError(expected("current frame", shapes[0], shapes[1], "Use one camera setting for both."))
         return self._placed(reference.image, view), self._camera_image(current, reference, view)
 
     def _taxel_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

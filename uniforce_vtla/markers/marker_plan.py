@@ -46,8 +46,7 @@ def choose_plan(frame: np.ndarray) -> MarkerPlan:
 
     All plans are ranked at half resolution; the first few must hold at full resolution too.
 
-    Raises:
-        SensorError: no plan shows anything like a marker pattern.
+    Raises SensorError: no plan shows anything like a marker pattern.
     """
     half = cv2.resize(frame, (frame.shape[1] // 2, frame.shape[0] // 2), interpolation=cv2.INTER_AREA)
     views = {channel: channel_image(half, channel) for channel in CHANNELS}

@@ -107,8 +107,7 @@ class Calibration:
     def load(cls, path: str | Path, tokenizer_hash: str) -> Calibration:
         """Load a calibration made for the tokenizer with this hash.
 
-        Raises:
-            CheckpointError: damaged, or made for another tokenizer.
+        Raises CheckpointError: damaged, or made for another tokenizer.
         """
         folder = Path(path)
         facts = read_config(folder)

@@ -30,8 +30,7 @@ def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
     Mean motion in px, divergence and curl of an affine fit to it, mean log growth of markers' areas, share of
     markers found again.
 
-    Raises:
-        ContractError: no marker images, or a reference with too few markers.
+    Raises ContractError: no marker images, or a reference with too few markers.
     """
     before = find_blobs(check_marker_image(reference, "reference"))
     if len(before.area_px) < MIN_MATCHES:

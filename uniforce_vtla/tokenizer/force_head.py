@@ -119,8 +119,7 @@ class ForceHead:
 
         A head reads the latents of one tokenizer alone: pass ``"nano"`` for the smaller shipped one's.
 
-        Raises:
-            CheckpointError: no head for that source, or a checkpoint that doesn't fit.
+        Raises CheckpointError: no head for that source, or a checkpoint that doesn't fit.
         """
         folder = checkpoint_folder(path, f"force_head_{source}")
         facts = read_config(folder)

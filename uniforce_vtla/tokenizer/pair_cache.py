@@ -164,5 +164,4 @@ def _check_or_write_config(path: Path, config: PairCacheConfig) -> None:
     known = set(asdict(config)) >= set(stored)
     # options added after the cache was drawn stand at their defaults
     if not known or replace(PairCacheConfig(), **stored) != config:
-        do = "Choose another folder."
-        raise DatasetError(expected(f"cache in {path.parent}", asdict(config), stored, do))
+        raise DatasetError(expected(f"cache in {path.parent}", asdict(config), stored, "Choose another folder."))

@@ -31,8 +31,7 @@ def save_state(folder: Path, step: int, model: dict[str, Any], optimizer: dict[s
 def load_state(folder: Path) -> tuple[int, dict[str, Any], dict[str, Any]]:
     """Return step, the model's state dict and the optimiser's.
 
-    Raises:
-        CheckpointError: truncated, damaged, not a training state, or with NaN or inf.
+    Raises CheckpointError: truncated, damaged, not a training state, or with NaN or inf.
     """
     path = folder / STATE
     try:

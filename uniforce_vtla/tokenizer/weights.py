@@ -46,13 +46,11 @@ def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> P
 def read_config(folder: Path) -> dict[str, Any]:
     """Return the checkpoint's config, its files compared with their hashes.
 
-    Raises:
-        CheckpointError: no such checkpoint, a file that was changed, or a config that isn't JSON.
+    Raises CheckpointError: no such checkpoint, a file that was changed, or a config that isn't JSON.
     """
     path = folder / CONFIG
     if not path.is_file() or not (folder / WEIGHTS).is_file():
-        do = "Check the path."
-        raise CheckpointError(expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", do))
+        raise CheckpointError(expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", "Check the path."))
     check_hashes(folder, CheckpointError)
     return read_object(path, CheckpointError)
 

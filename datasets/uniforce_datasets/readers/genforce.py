@@ -174,8 +174,7 @@ def _free_air(force_N: np.ndarray, where: str, options: ReadOptions) -> int | No
 def read_forces(path: Path) -> np.ndarray:
     """Return (T, 3) float64 of the first three columns of ft.csv, in the rig's own axes.
 
-    Raises:
-        DatasetError: no such file, fewer columns, no rows, or cells that are no finite number.
+    Raises DatasetError: no such file, fewer columns, no rows, or cells that are no finite number.
     """
     table = read_table(path)
     values = table.iloc[:, :3]
@@ -194,8 +193,7 @@ def _image(path: Path) -> np.ndarray:
 def read_packed(path: Path) -> np.ndarray:
     """Return the (480, 640) uint8 marker image of a .npy file: packed bits, or a plain 0/1 or 0/255 array.
 
-    Raises:
-        DatasetError: truncated, pickled, or of another size or content.
+    Raises DatasetError: truncated, pickled, or of another size or content.
     """
     array = read_array(path)
     if array.dtype == np.uint8 and array.shape == (PACKED_BYTES,):

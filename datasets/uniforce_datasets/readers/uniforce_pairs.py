@@ -60,8 +60,7 @@ def read_uniforce_pairs(folder: str | Path, config: PairConfig | None = None) ->
 def pair_sensors(folder: Path, root: Path) -> tuple[str, str]:
     """Return (left, right) of a ``<left>_<right>`` folder: names may hold "_", so its marker/ folders decide.
 
-    Raises:
-        DatasetError: its name isn't made of two of the sensors in marker/.
+    Raises DatasetError: its name isn't made of two of the sensors in marker/.
     """
     names = [path.name for path in subfolders(folder / "marker", root)]
     fitting = [(a, b) for a in names for b in names if a != b and f"{a}_{b}" == folder.name]

@@ -51,8 +51,7 @@ def refuse_stopped(state: ArmState) -> None:
     if state.mode in STOPPED_MODES:
         fault = fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
         came = f"{state.mode} {', '.join(state.errors)}".strip()
-        do = "See to the robot, then call recover()."
-        raise RobotError(expected("arm mode", "idle or move", came, do), fault)
+        raise RobotError(expected("arm mode", "idle or move", came, "See to the robot, then call recover()."), fault)
 
 
 def fault_of_errors(errors: Iterable[str]) -> str:

@@ -67,8 +67,7 @@ class Hand:
         self._client.connect()
         self._take_reading()
         if self._reading is None:
-            came = "hand: expected a first reading, got none. Is the hand initialised?"
-            raise RobotError(came, "hand_connection")
+            raise RobotError("hand: expected a first reading, got none. Is the hand initialised?", "hand_connection")
 
     @property
     def reading(self) -> HandReading:

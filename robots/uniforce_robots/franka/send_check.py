@@ -48,8 +48,7 @@ class SendCheck:
         limits = self._limits
         slow = _distance(target, last) <= limits.speed_m_s * elapsed_s + ROUNDING
         if not (slow and _turn(target, last) <= limits.speed_rad_s * elapsed_s + ROUNDING):
-            wanted = f"at most {limits.speed_m_s} m/s from {last.round(4).tolist()} in {elapsed_s:.3f} s"
-            raise _refused(wanted, target)
+            raise _refused(f"at most {limits.speed_m_s} m/s from {last.round(4).tolist()} in {elapsed_s:.3f} s", target)
 
     def _require_near(self, target: np.ndarray, here: np.ndarray) -> None:
         """A target was within a step of the arm when it was chosen; since then the arm may have moved a little."""

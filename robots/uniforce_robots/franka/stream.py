@@ -123,8 +123,7 @@ class ArmStream:
 
     def _read_before(self) -> ArmState:
         if self._state is None:
-            text = "arm stream: expected start() first, got no reading. Connect the robot."
-            raise RobotError(text, "ended")
+            raise RobotError("arm stream: expected start() first, got no reading. Connect the robot.", "ended")
         return self._state
 
     def submit(self, target: ToolPose) -> None:
@@ -134,8 +133,7 @@ class ArmStream:
         """
         self._check()
         if self._ending.is_set():
-            text = "arm: expected a running stream, got one that has ended. Connect again."
-            raise RobotError(text, "ended")
+            raise RobotError("arm: expected a running stream, got one that has ended. Connect again.", "ended")
         with self._lock:
             now = self._clock()
             self._ramp = Ramp(self._sent or self._measured(), target, now, self.settings.action_period_s)

@@ -33,8 +33,7 @@ def read_devices(
     """
     names = teleoperator_names()
     if teleop not in names:
-        known = " | ".join(["expert", *sorted(names)])
-        raise ContractError(expected("teleop", known, repr(teleop), "Name one."))
+        raise ContractError(expected("teleop", " | ".join(["expert", *sorted(names)]), repr(teleop), "Name one."))
     settings = _read_file(file) if file else {}
     settings.setdefault("teleop", {})["type"] = names[teleop]
     options = options_of(TeleoperatorConfig.get_choice_class(names[teleop]), "teleop.")
@@ -51,8 +50,7 @@ def _read_file(file: str) -> dict[str, Any]:
         raise ContractError(expected("rig", "a config file", file, "Give the file of robot and teleop."))
     content = yaml.safe_load(Path(file).read_text())  # JSON is YAML
     if not isinstance(content, dict):
-        came = type(content).__name__
-        raise ContractError(expected(file, "robot: {…} and teleop: {…}", came, "Look at it."))
+        raise ContractError(expected(file, "robot: {…} and teleop: {…}", type(content).__name__, "Look at it."))
     return content
 
 

@@ -164,8 +164,7 @@ class GarbageWatch:
         came = bad - self._seen[0][1]
         if came > GARBAGE_MOST:
             wanted = f"≤ {GARBAGE_MOST} bad pieces in {GARBAGE_OVER_s:g} s"
-            do = "Check cable, power and what else is on the bus."
-            raise SensorError(expected(self._name, wanted, came, do))
+            raise SensorError(expected(self._name, wanted, came, "Check cable, power and what else is on the bus."))
 
 
 def _finger(cameras: Mapping[str, Camera], finger: Finger) -> TactileFinger:

@@ -211,8 +211,7 @@ class SampleReader:
         Raises ContractError: a size outside 1 … capacity; SensorError: as ``newest``.
         """
         if not 1 <= size <= self._limits.capacity:
-            do = "Ask for fewer."
-            raise ContractError(expected("window", f"1 … {self._limits.capacity} samples", size, do))
+            raise ContractError(expected("window", f"1 … {self._limits.capacity} samples", size, "Ask for fewer."))
         self.newest(max_age_ms)
         with self._changed:
             kept = list(self._kept)[-size:]

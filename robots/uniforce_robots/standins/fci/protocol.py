@@ -118,8 +118,7 @@ class Header:
             return None, buffer
         command, command_id, size = self.layout.unpack_from(buffer)
         if not self.layout.size <= size <= MAX_MESSAGE_BYTES:
-            wanted = f"{self.layout.size} to {MAX_MESSAGE_BYTES} bytes"
-            raise ProtocolError(f"{self.device} message size", wanted, size)
+            raise ProtocolError(f"{self.device} message size", f"{self.layout.size} to {MAX_MESSAGE_BYTES} bytes", size)
         if len(buffer) < size:
             return None, buffer
         return Message(command, command_id, buffer[self.layout.size : size]), buffer[size:]
