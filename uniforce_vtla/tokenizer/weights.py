@@ -3,7 +3,7 @@
 import hashlib
 import json
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -55,24 +55,20 @@ def read_config(folder: Path) -> dict[str, Any]:
     return read_object(path, CheckpointError)
 
 
-def load_model[Model: nn.Module](
-    folder: Path, build: Callable[[], Model], renamed: Mapping[str, str] | None = None
-) -> Model:
+def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Model:
     """Return what ``build`` makes, with the checkpoint's tensors.
 
-    It is built without memory first: sizes that don't fit the file cost nothing. ``renamed`` says what tensors of
-    earlier versions are called today.
+    It is built without memory first: sizes that don't fit the file cost nothing.
 
     Raises:
         CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type, or not finite; all are
             listed.
     """
     try:
-        stored = load_file(folder / WEIGHTS)
+        tensors = load_file(folder / WEIGHTS)
     except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:
         do = "Copy the checkpoint again."
         raise CheckpointError(expected(str(folder / WEIGHTS), "readable weights", str(error), do)) from error
-    tensors = {(renamed or {}).get(name, name): tensor for name, tensor in stored.items()}
     with torch.device("meta"):
         wanted = build().state_dict()
     wrong = mismatches(wanted, tensors)
