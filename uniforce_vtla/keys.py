@@ -8,7 +8,6 @@ from uniforce_vtla.contracts import FINGERS, Finger
 
 STATE = "observation.state"
 ACTION = "action"
-TASK = "task"
 
 CAMERAS = ("front", "wrist")
 AXES = ("x.pos", "y.pos", "z.pos", "yaw.pos", "width.pos")  # m, m, m, rad, m in the robot base frame
@@ -17,11 +16,6 @@ SLOTS = ("touch0", "touch1")
 VIEW_MARKER = "uniforce_view.json"  # written last: a folder with it is a whole training view
 
 OUTCOME_NAMES = ("aborted", "failed_grasp", "residual", "success")  # in order of precedence
-
-
-def camera_key(camera: str) -> str:
-    """Key of a scene camera's video, e.g. ``observation.images.front``."""
-    return f"observation.images.{camera}"
 
 
 def tactile_name(finger: Finger, reference: bool = False) -> str:
@@ -34,72 +28,32 @@ def tactile_key(finger: Finger, reference: bool = False) -> str:
     return f"observation.images.{tactile_name(finger, reference)}"
 
 
-def latent_key(slot: str) -> str:
-    """Key of a slot's cached pooled latents, (K·latent,) float32."""
-    return f"observation.latent.{slot}"
+# What has a key of its own for each camera, slot, finger, source or name, with which these are called.
+camera_key = "observation.images.{}".format  # a scene camera's video
+latent_key = "observation.latent.{}".format  # a slot's cached pooled latents, (K·latent,) float32
+# a slot's true pad wrench (ceiling control only), (4,) float32: fx, fy, fz N, torsion Nmm
+wrench_key = "observation.wrench.{}".format
+descriptor_key = "observation.descriptor.{}".format  # a slot's hand descriptor (control), (6,) float32
+# a slot's small reference and current image (control), (2, S, S) uint8
+marker_pair_key = "observation.marker_pair.{}".format
 
+# Likewise, per-frame columns.
+# a finger's true pad wrench, canonical frame, (4,) float32: fx, fy, fz in N, torsion in Nmm
+truth_wrench_key = "truth.wrench.{}".format
+sensor_key = "provenance.sensor.{}".format  # registry index of the sensor on a finger
+# when a finger's or camera's frame was captured, float64 s on the episode's clock
+time_key = "provenance.time.{}".format
+age_key = "provenance.age.{}".format  # how old that frame was when the observation was taken, float32 seconds
+# number of that frame since its sensor connected, int64; gaps tell what was left out
+index_key = "provenance.index.{}".format
+# what a robot measures besides the state, e.g. ``measured.wrench``; no policy reads it
+measured_key = "measured.{}".format
+counts_key = "raw.counts.{}".format  # newest raw scan of a finger's taxels, upright, (48,) int32
+# the newest scans of a finger's taxels, oldest first, upright, (size · 48,) int32
+window_key = "raw.window.{}".format
+window_time_key = "raw.window_time.{}".format  # when those were taken, (size,) float64 s on the episode's clock
 
-def wrench_key(slot: str) -> str:
-    """Key of a slot's true pad wrench (ceiling control only), (4,) float32: fx, fy, fz N, torsion Nmm."""
-    return f"observation.wrench.{slot}"
-
-
-def descriptor_key(slot: str) -> str:
-    """Key of a slot's hand descriptor (control), (6,) float32."""
-    return f"observation.descriptor.{slot}"
-
-
-def marker_pair_key(slot: str) -> str:
-    """Key of a slot's small reference and current image (control), (2, S, S) uint8."""
-    return f"observation.marker_pair.{slot}"
-
-
-def truth_wrench_key(finger: Finger) -> str:
-    """Per-frame truth column, canonical frame, (4,) float32: fx, fy, fz in N, torsion in Nmm."""
-    return f"truth.wrench.{finger}"
-
-
-def sensor_key(finger: Finger) -> str:
-    """Per-frame column holding the registry index of the sensor on a finger."""
-    return f"provenance.sensor.{finger}"
-
-
-def time_key(source: str) -> str:
-    """Per-frame column: when a finger's or camera's frame was captured, float64 s on the episode's clock."""
-    return f"provenance.time.{source}"
-
-
-def age_key(source: str) -> str:
-    """Per-frame column: how old that frame was when the observation was taken, float32 seconds."""
-    return f"provenance.age.{source}"
-
-
-def index_key(source: str) -> str:
-    """Per-frame column: number of that frame since its sensor connected, int64; gaps tell what was left out."""
-    return f"provenance.index.{source}"
-
-
-def measured_key(name: str) -> str:
-    """Per-frame column a robot measures besides the state, e.g. ``measured.wrench``; no policy reads it."""
-    return f"measured.{name}"
-
-
-def counts_key(finger: Finger) -> str:
-    """Per-frame column: newest raw scan of a finger's taxels, upright, (48,) int32."""
-    return f"raw.counts.{finger}"
-
-
-def window_key(finger: Finger) -> str:
-    """Per-frame column: the newest scans of a finger's taxels, oldest first, upright, (size · 48,) int32."""
-    return f"raw.window.{finger}"
-
-
-def window_time_key(finger: Finger) -> str:
-    """Per-frame column: when those scans were taken, (size,) float64 s on the episode's clock."""
-    return f"raw.window_time.{finger}"
-
-
-# Per-frame columns of recorded equilibrium pairs; everything in them is measured or estimated, nothing is truth.
+# Columns of recorded equilibrium pairs; everything in them is measured or estimated, nothing is truth.
 PAIR_ERROR = "pair.error"  # estimated ‖F_left − F_right‖ over their mean
 PAIR_VELOCITY = "pair.velocity"  # (3,) m/s of the hand in its own frame, x = closing axis
 PAIR_ACCELERATION = "pair.acceleration"  # (3,) m/s² likewise
@@ -107,12 +61,7 @@ PAIR_GRIP = "pair.grip"  # N, the gripper's own estimate
 PAIR_PLACE = "pair.place"  # (2,) estimated place of the contact, x right and y down, −1 … 1 over the image
 PAIR_INDENTER = "pair.indenter"  # index into the recording's indenters
 PAIR_SESSION = "pair.session"  # counts reference captures: pairs of one number share their references
-
-
-def pair_force_key(finger: Finger) -> str:
-    """Per-frame column: estimated force on a pad, canonical frame, (3,) float32 N."""
-    return f"pair.force.{finger}"
-
+pair_force_key = "pair.force.{}".format  # estimated force on a pad, canonical frame, (3,) float32 N
 
 TACTILE_NAMES = tuple(tactile_name(f, r) for f in FINGERS for r in (False, True))
 TACTILE_KEYS = tuple(tactile_key(f, r) for f in FINGERS for r in (False, True))

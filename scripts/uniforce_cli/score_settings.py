@@ -1,7 +1,5 @@
 """What is scored, and on which rig: the options of ``uniforce score``, which its processes read too."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field, fields
 from pathlib import Path

@@ -5,8 +5,6 @@ in every scene, and ``tactip:drawing`` the fast path: the marker image as the co
 ``tactip:7+flicker=0.2+lag=100`` is unit 7 with two faults (``faults.FAULTS``).
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

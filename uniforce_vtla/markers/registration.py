@@ -6,8 +6,6 @@ scatter, and with the pattern in its place with 7 % (docs/experiments/tokenizer.
 reference, by matching its markers to the drawing's. A pattern that isn't the drawing's is left where it is.
 """
 
-from __future__ import annotations
-
 import logging
 
 import cv2
