@@ -19,8 +19,7 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.options import Count, FolderPath, FolderPaths, OutFile, OutFolder, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import POOL
 from uniforce_vtla.tokenizer.pair_cache import PairCache
 from uniforce_vtla.tokenizer.pretrain import Pretraining

@@ -14,10 +14,9 @@ from benchmarks.finite_elements import theory
 from benchmarks.finite_elements.compare import compare
 from uniforce_cli.boundary import command
 from uniforce_vtla.contact.indenters import flat_face_gap
-from uniforce_vtla.contact.materials import gel_of
 from uniforce_vtla.contact.pads import build_pad
 from uniforce_vtla.contact.pressure import solve_pressure
-from uniforce_vtla.contact.virtual import as_virtual
+from uniforce_vtla.contact.virtual import as_virtual, gel_of
 from uniforce_vtla.options import Count, OutFolder, Seed
 from uniforce_vtla.results_file import provenance, write_json
 

@@ -19,7 +19,7 @@ from benchmarks.probes.labelled_set import (
 )
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.markers.nominal_scale import nominal_zoom
+from uniforce_vtla.markers.registration import nominal_zoom
 
 Sensors = dict[str, VirtualSensor]
 Recipe = SetConfig | HardSettings | ElementSettings

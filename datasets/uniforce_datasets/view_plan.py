@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_datasets.dataset_paths import check_links
+from uniforce_datasets.dataset_info import check_links
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.source import Episode, Source
 from uniforce_vtla import keys

@@ -17,7 +17,7 @@ from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Sha
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
-    from uniforce_robots.franka.settings import HandSettings
+    from uniforce_robots.franka.limits import HandSettings
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
     from uniforce_robots.pairs.rig import PairRig, RobotRig

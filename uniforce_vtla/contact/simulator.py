@@ -4,14 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uniforce_vtla.contact.materials import gel_of
 from uniforce_vtla.contact.pads import CELL_MM, GRID_CELLS, build_pad, has_object
 from uniforce_vtla.contact.pressure import Pressure, solve_pressure
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
 from uniforce_vtla.contact.responses import CameraResponse, ContactOptions, ForceTaxelResponse, TaxelResponse
 from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
 from uniforce_vtla.contact.units import Look, UnitVariation
-from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, gel_of
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs, fill_squares

@@ -13,12 +13,11 @@ import numpy as np
 
 from uniforce_vtla.contact.faults import FAULTS
 from uniforce_vtla.contact.indenters import flat_face_gap
-from uniforce_vtla.contact.materials import get_material
 from uniforce_vtla.contact.raw_look import PixelNoise
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.simulator import TactileSimulator, free_air
 from uniforce_vtla.contact.units import Look, UnitVariation
-from uniforce_vtla.contact.virtual import VirtualSensor, any_virtual
+from uniforce_vtla.contact.virtual import VirtualSensor, any_virtual, get_material
 from uniforce_vtla.contact.wear import Creep, Light
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError, expected

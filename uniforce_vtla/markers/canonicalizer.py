@@ -6,9 +6,8 @@ from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, chec
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
 from uniforce_vtla.markers.marker_reference import MarkerMatch, MarkerReference
-from uniforce_vtla.markers.nominal_scale import points_to_nominal_scale, to_nominal_scale
 from uniforce_vtla.markers.reference import ReferenceMemory, refuse_pressed_reference
-from uniforce_vtla.markers.registration import find_view, seen_from
+from uniforce_vtla.markers.registration import find_view, points_to_nominal_scale, seen_from, to_nominal_scale
 from uniforce_vtla.markers.taxel_render import (
     Saturation,
     TaxelDiscs,

@@ -15,8 +15,7 @@ import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES, NATURAL_UNITS
-from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
 
 SHIPPED = Path(__file__).parent / "assets"

@@ -24,7 +24,7 @@ from uniforce_vtla.tokenizer.losses import Side, objective
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, Posterior, build_model
 from uniforce_vtla.tokenizer.pair_cache import PairCache, Pairs
 from uniforce_vtla.tokenizer.settings import LossConfig, PretrainSettings
-from uniforce_vtla.tokenizer.training_state import STATE, load_state, save_state
+from uniforce_vtla.tokenizer.weights import STATE, load_state, save_state
 
 RECIPE = "recipe.json"  # every setting of the run, beside its state
 MAY_CHANGE = ("steps", "save_every", "strips_every")  # between a run and its continuation

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from uniforce_datasets.dataset_paths import inside
+from uniforce_datasets.dataset_info import inside
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import DatasetError, expected
 

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from uniforce_datasets.dataset_paths import inside
+from uniforce_datasets.dataset_info import inside
 from uniforce_datasets.readers.files import (
     existing_folder,
     numbered_images,

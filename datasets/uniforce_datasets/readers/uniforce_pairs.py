@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from uniforce_datasets.dataset_paths import inside
+from uniforce_datasets.dataset_info import inside
 from uniforce_datasets.readers.files import existing_folder, find, numbered_images, read_marker_picture, subfolders
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
 from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
+from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.poses import ToolPose, between
-from uniforce_robots.franka.send_check import SendCheck
-from uniforce_robots.franka.settings import StreamSettings
-from uniforce_robots.franka.state_check import StateCheck
+from uniforce_robots.franka.state_check import SendCheck, StateCheck
 from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)

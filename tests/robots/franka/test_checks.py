@@ -16,8 +16,7 @@ from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture
 from uniforce_robots.franka.arm import HAND_GUIDED, ArmState, Gains
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import ToolPose, between, shortest_turn
-from uniforce_robots.franka.send_check import SendCheck
-from uniforce_robots.franka.state_check import StateCheck
+from uniforce_robots.franka.state_check import SendCheck, StateCheck
 from uniforce_vtla.errors import ContractError, RobotError
 
 LIMITS = GuardLimits()

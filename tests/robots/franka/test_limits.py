@@ -13,9 +13,8 @@ from benchmarks.trust.bad_settings import NEEDS, bad_settings, try_all
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.limits import FORCE_N, HARD_LIMITS
+from uniforce_robots.franka.limits import FORCE_N, HARD_LIMITS, HandSettings, StreamSettings
 from uniforce_robots.franka.poses import ToolPose
-from uniforce_robots.franka.settings import HandSettings, StreamSettings
 from uniforce_vtla.errors import ContractError
 
 
