@@ -19,7 +19,7 @@ from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, f
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
 from uniforce_vtla.keys import AXES, STATE, TACTILE_KEYS, counts_key, sensor_key, tactile_key, truth_wrench_key
 from uniforce_vtla.markers.mirror import to_canonical
-from uniforce_vtla.markers.overlay import overlay
+from uniforce_vtla.markers.raster import overlay
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
