@@ -97,9 +97,8 @@ def parse[ConfigT](
     ``--help`` prints the class's docstring (give an example there) and every field with its comment.  Where a
     command has ``presets``, ``preset=NAME`` reads ``NAME.yaml`` there first; what else is given overrides it.
 
-    Raises:
-        ContractError: no such option or preset, a wrong type, a value out of range, a path that can't be used.
-        SystemExit: after ``--help``.
+    Raises ContractError: no such option or preset, a wrong type, a value out of range, a path that can't be used;
+    SystemExit: after ``--help``.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(words):

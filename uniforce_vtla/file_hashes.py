@@ -16,7 +16,6 @@ from uniforce_vtla.errors import UniForceError, expected
 from uniforce_vtla.json_file import read_object
 
 logger = logging.getLogger(__name__)
-
 HASHES = "hashes.json"
 CARD = "README.md"  # of a card only the header that programs read is hashed: people may edit the text
 HEADER = re.compile(rb"---\r?\n.*?\n---", re.DOTALL)

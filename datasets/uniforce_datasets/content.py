@@ -37,9 +37,8 @@ def check_content(source: Source, verify: Verify = "full") -> None:
         verify: "full" decodes every frame of every video; "quick" one frame of each finger's marker video and two of
             its reference in every episode; "off" does nothing.
 
-    Raises:
-        DatasetError: NaN, a wrong time or count, a marker image with loss or colour, a reference that changes, a video
-            that can't be decoded; names the episode.
+    Raises DatasetError: NaN, a wrong time or count, a marker image with loss or colour, a reference that changes, a
+    video that can't be decoded; names the episode.
     """
     if verify == "off":
         return

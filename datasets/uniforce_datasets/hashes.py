@@ -13,7 +13,6 @@ from uniforce_vtla.file_hashes import HASHES, Entries, differences, hash_files, 
 from uniforce_vtla.keys import VIEW_MARKER
 
 logger = logging.getLogger(__name__)
-
 Verify = Literal["full", "quick", "off"]
 PARTS = ("data", "videos", "raw", "cards", "meta")  # folders of a dataset; whatever else lies there isn't its
 VIDEO = ".mp4"  # quick compares the sizes of these only

@@ -38,7 +38,6 @@ from uniforce_vtla.errors import ContractError, DatasetError, DiskFullError, Dro
 from uniforce_vtla.keys import ABORT_CAUSES, CAUSE, OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KEYS, sensor_key
 
 logger = logging.getLogger(__name__)
-
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
 AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)  # columns known only when the episode is over
 

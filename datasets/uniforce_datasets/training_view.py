@@ -26,7 +26,6 @@ from uniforce_vtla.errors import ContractError, DatasetError, expected
 __all__ = ["TrainingView", "ViewMetadata", "build_view", "make_training_dataset"]
 
 logger = logging.getLogger(__name__)
-
 LOCAL_NAMES = "local/"  # begin of repo ids of datasets that never were on the hub
 SNAPSHOTS = "snapshots"  # of the hub's cache: links into the folder beside it
 TOUCH = ("latent", "wrench", "descriptor", "marker_pair", "none")
@@ -244,9 +243,8 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], ve
         stock_make_dataset: LeRobot's own function.
         verify: see ``check_dataset``; "" is "quick" for a dataset of this machine (``local/…``), else "full".
 
-    Raises:
-        DatasetError: a dataset or view that isn't what was saved, a path or link that leads out of it, the policy pools
-            latents to another grid, or asks for observation histories.
+    Raises DatasetError: a dataset or view that isn't what was saved, a path or link that leads out of it, the policy
+    pools latents to another grid, or asks for observation histories.
     """
     root = cfg.dataset.root
     if root is None or not (Path(root) / keys.VIEW_MARKER).is_file():

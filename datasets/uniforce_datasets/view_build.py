@@ -60,7 +60,6 @@ class PooledTokenizer:
 
 
 logger = logging.getLogger(__name__)
-
 PROGRESS = "progress.json"
 BATCH = 32  # frames encoded at once: 10 MB of marker images
 DEFAULT_SLOTS = {"touch0": "right", "touch1": "left"}

@@ -103,9 +103,8 @@ def plan_view(
 ) -> ViewPlan:
     """Check the datasets and choose their episodes.
 
-    Raises:
-        DatasetError: a broken dataset, different frame rates, a stream missing, no episode chosen.
-        ContractError: unknown slots or fingers.
+    Raises DatasetError: a broken dataset, different frame rates, a stream missing, no episode chosen; ContractError:
+    unknown slots or fingers.
     """
     for slot, finger in settings.slots.items():
         if slot not in keys.SLOTS:

@@ -60,9 +60,8 @@ class RecordPairsConfig:
 def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
     """Record what is missing and return the session's report.
 
-    Raises:
-        ContractError: an unknown robot or indenter, or impossible numbers.
-        DatasetError: see ``PairStore`` and ``PairRecorder``.
+    Raises ContractError: an unknown robot or indenter, or impossible numbers; DatasetError: see ``PairStore`` and
+    ``PairRecorder``.
     """
     from uniforce_robots.pairs.coverage import draw_coverage
     from uniforce_robots.pairs.storage import PairStore

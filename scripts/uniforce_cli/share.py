@@ -45,9 +45,7 @@ class ShareConfig:
 def share(config: ShareConfig) -> Path:
     """Load the checkpoint strictly, write it whole, and return the folder.
 
-    Raises:
-        CheckpointError: files that are missing, damaged or don't fit.
-        ContractError: scores that aren't.
+    Raises CheckpointError: files that are missing, damaged or don't fit; ContractError: scores that aren't.
     """
     from lerobot.policies.factory import make_pre_post_processors
 

@@ -38,9 +38,8 @@ def estimate_residual(first: np.ndarray, last: np.ndarray, corners_px: np.ndarra
         last: the same camera after it.
         corners_px: (4, 2) image points x, y of the board's corners, in order around it.
 
-    Raises:
-        ContractError: pictures of different shape, or corners that are no quadrilateral.
-        DatasetError: no writing in the first picture, or too little of it in view in the last.
+    Raises ContractError: pictures of different shape, or corners that are no quadrilateral; DatasetError: no writing in
+    the first picture, or too little of it in view in the last.
     """
     before, after = (_top_view(image, corners_px) for image in _checked(first, last, corners_px))
     bare = np.median(before.reshape(-1, 3), axis=0)  # most of a board is bare

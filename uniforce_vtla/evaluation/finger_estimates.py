@@ -53,9 +53,8 @@ def estimate_events(
         tool_m: (n, 3) measured x, y, z of the tool, robot base frame.
         pad_friction: left, right; from a slow pull until the object slides.
 
-    Raises:
-        ContractError: shapes that don't fit, numbers that aren't finite, friction that isn't positive.
-        DatasetError: nothing was lifted for long enough to weigh it.
+    Raises ContractError: shapes that don't fit, numbers that aren't finite, friction that isn't positive; DatasetError:
+    nothing was lifted for long enough to weigh it.
     """
     limits = ScoreLimits()
     _check(time_s, force_N, tool_m, pad_friction)

@@ -80,9 +80,7 @@ def segment(working: np.ndarray, dome: bool, plan: MarkerPlan | None = None, rim
 def fit_canonical(frame: np.ndarray) -> np.ndarray:
     """Return an (H, W, 3) uint8 frame scaled to the largest size inside 640×480 with its aspect kept.
 
-    Raises:
-        ContractError: wrong type, rank, dtype or size.
-        SensorError: an all-black or completely even frame.
+    Raises ContractError: wrong type, rank, dtype or size; SensorError: an all-black or completely even frame.
     """
     shape, dtype = getattr(frame, "shape", None), getattr(frame, "dtype", type(frame).__name__)
     if not isinstance(frame, np.ndarray) or frame.ndim != 3 or frame.shape[2] != 3 or frame.dtype != np.uint8:

@@ -64,7 +64,6 @@ def points_to_nominal_scale(points_px: np.ndarray, spec: SensorSpec, size_px: tu
 
 
 logger = logging.getLogger(__name__)
-
 TURNS_rad = np.arange(-3, 4) * 0.06  # starts of the search: ±.18
 # a camera turned further was mounted so (`rotation_deg`): its pattern stands at an angle and stays
 MOST_TURN_rad = 0.20

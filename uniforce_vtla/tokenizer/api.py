@@ -105,9 +105,8 @@ class Tokenizer:
     def decode(self, reference: np.ndarray, z: torch.Tensor, finger: Finger = "left") -> torch.Tensor:
         """Return the (B, side, side) canonical image that latents z would show on that reference's sensor.
 
-        Raises:
-            ContractError: a reference of the wrong form or count, or latents of another shape or without an origin.
-            CheckpointError: latents of another tokenizer.
+        Raises ContractError: a reference of the wrong form or count, or latents of another shape or without an origin;
+        CheckpointError: latents of another tokenizer.
         """
         z = own_latent(z, self.hash, "decode")
         wanted = (self.num_patches, self.config.latent)

@@ -147,10 +147,8 @@ def calibrate(
         anchor: name of the known one.
         config: share held out, fewest grasps, seed.
 
-    Raises:
-        ContractError: too few grasps of a class, different shapes, NaN, no origin, or grasps that never load the
-            sensors.
-        CheckpointError: latents of another tokenizer than the head's.
+    Raises ContractError: too few grasps of a class, different shapes, NaN, no origin, or grasps that never load the
+    sensors; CheckpointError: latents of another tokenizer than the head's.
     """
     config = config or CalibrationConfig()
     origin = head.tokenizer_hash

@@ -54,9 +54,7 @@ class Latent(torch.Tensor):
 def own_latent(z: torch.Tensor, tokenizer_hash: str, reader: str) -> torch.Tensor:
     """Return ``z`` as a plain tensor if it comes from the tokenizer that ``reader`` belongs to.
 
-    Raises:
-        ContractError: a tensor that doesn't say where it comes from.
-        CheckpointError: latents of another tokenizer.
+    Raises ContractError: a tensor that doesn't say where it comes from; CheckpointError: latents of another tokenizer.
     """
     if not isinstance(z, Latent):
         do = "Pass what Tokenizer.encode returned; stored latents become Latent.of(z, tokenizer's hash)."

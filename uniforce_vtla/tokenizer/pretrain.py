@@ -41,9 +41,7 @@ def learning_rate(step: int, settings: PretrainSettings) -> float:
 def starting_model(settings: PretrainSettings) -> ForceAutoencoder:
     """Return the model before its first step: new, or with the weights of another run.
 
-    Raises:
-        ContractError: that run's model has other sizes.
-        CheckpointError: no tokenizer there.
+    Raises ContractError: that run's model has other sizes; CheckpointError: no tokenizer there.
     """
     model = build_model(settings.model, settings.seed)
     if settings.init:

@@ -33,9 +33,7 @@ class StreamingEncoder:
         finger: who wears the sensor; the right finger's images are mirrored.
         head: reads newtons from latents, remembering the frames before; None for latents only.
 
-    Raises:
-        ContractError: unknown finger.
-        CheckpointError: a head that was trained on another tokenizer's latents.
+    Raises ContractError: unknown finger; CheckpointError: a head that was trained on another tokenizer's latents.
     """
 
     def __init__(self, tokenizer: Tokenizer, finger: Finger, head: ForceHead | None = None) -> None:

@@ -63,9 +63,8 @@ def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Mo
 
     It is built without memory first: sizes that don't fit the file cost nothing.
 
-    Raises:
-        CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type, or not finite; all are
-            listed.
+    Raises CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type, or not finite; all
+    are listed.
     """
     try:
         tensors = load_file(folder / WEIGHTS)

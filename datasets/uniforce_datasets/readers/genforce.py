@@ -28,7 +28,6 @@ from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 
 log = logging.getLogger(__name__)
-
 PACKED_BYTES = MARKER_IMAGE_SHAPE[0] * MARKER_IMAGE_SHAPE[1] // 8
 LAYOUTS = (".", "hetero", "training/hetero", "dataset/training/hetero")  # where img/ and force/ may be
 SPLITS = ("all", "seen", "unseen")
@@ -104,9 +103,8 @@ def genforce_root(folder: str | Path) -> Path | None:
 def read_genforce(folder: str | Path, config: GenForceConfig | None = None) -> Iterator[LabelledRecording]:
     """Yield every trial of a GenForce folder, sensor by sensor; about one trial is in memory at a time.
 
-    Raises:
-        DatasetError: another layout, an asked sensor that isn't there, a trial without forces or with another
-            number of them, a broken image, NaN, a pressed reference, or a path that leads outside.
+    Raises DatasetError: another layout, an asked sensor that isn't there, a trial without forces or with another number
+    of them, a broken image, NaN, a pressed reference, or a path that leads outside.
     """
     config = config or GenForceConfig()
     if config.split not in SPLITS:

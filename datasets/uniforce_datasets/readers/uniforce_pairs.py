@@ -41,9 +41,8 @@ def pair_folders(folder: str | Path) -> list[Path]:
 def read_uniforce_pairs(folder: str | Path, config: PairConfig | None = None) -> Iterator[PairRecording]:
     """Yield the pairs of every indenter, at most ``config.max_frames`` at a time.
 
-    Raises:
-        DatasetError: no collection_log.txt, folders that don't name two sensors, indices on one side only, no
-            reference, a broken image, or a path that leads outside.
+    Raises DatasetError: no collection_log.txt, folders that don't name two sensors, indices on one side only, no
+    reference, a broken image, or a path that leads outside.
     """
     config = config or PairConfig()
     root = existing_folder(folder)
@@ -129,9 +128,8 @@ def write_uniforce_pairs(root: str | Path, recording: PairRecording, pattern: st
         pattern: marker pattern, the first level below ``root``.
         date: second level, e.g. "20260131"; None for today (UTC).
 
-    Raises:
-        ContractError: names that are no plain folder names, sensors of one name, or another image size.
-        DatasetError: the indenter is there with another reference.
+    Raises ContractError: names that are no plain folder names, sensors of one name, or another image size;
+    DatasetError: the indenter is there with another reference.
     """
     _check_writable(recording, pattern, date)
     date = date or datetime.now(UTC).strftime("%Y%m%d")

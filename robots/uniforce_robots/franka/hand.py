@@ -111,9 +111,8 @@ class Hand:
     def check(self) -> None:
         """Raise what is wrong with the hand now.
 
-        Raises:
-            RobotError: the hand's fault; ``hand_connection``: it has hung up; ``hand_deadline``: a command takes too
-                long; ``hand_stale``: no new reading; ``grasp_lost``: it let go of what it held without being asked to.
+        Raises RobotError: the hand's fault; ``hand_connection``: it has hung up; ``hand_deadline``: a command takes too
+        long; ``hand_stale``: no new reading; ``grasp_lost``: it let go of what it held without being asked to.
         """
         if self._fault is not None:
             raise self._fault

@@ -23,7 +23,6 @@ from uniforce_robots.sensors import faults
 from uniforce_vtla.errors import ContractError, SensorError, expected
 
 log = logging.getLogger(__name__)
-
 NS_PER_MS = 1e6
 NS_PER_S = 1e9
 JOIN_S = 3.0  # a driver may sit in a blocking read that long; see the capture's read time-outs
