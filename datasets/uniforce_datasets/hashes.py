@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 from uniforce_datasets.dataset_info import INFO
 from uniforce_datasets.staging import COMMIT, STAGING
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected, require_one_of
 from uniforce_vtla.file_hashes import HASHES, Entries, differences, hash_files, read_hashes, store_hashes
 from uniforce_vtla.keys import VIEW_MARKER
 
@@ -20,8 +20,7 @@ VIDEO = ".mp4"  # quick compares the sizes of these only
 
 def check_verify(verify: str) -> Verify:
     """Return ``verify`` if it names a depth of checking; raise ContractError otherwise."""
-    if verify not in get_args(Verify):
-        raise ContractError(expected("verify", " | ".join(get_args(Verify)), repr(verify), "Name one."))
+    require_one_of("verify", verify, get_args(Verify))
     return verify  # type: ignore[return-value]
 
 

@@ -21,7 +21,7 @@ from uniforce_datasets.view_plan import read_marker, touch_stream
 from uniforce_vtla import keys
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import FINGERS, check_finger
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected, require_one_of
 
 __all__ = ["TrainingView", "ViewMetadata", "build_view", "make_training_dataset"]
 
@@ -162,8 +162,7 @@ class TrainingView(Dataset):
         return {name: value for name, value in self.__dict__.items() if name != "_arrays"}
 
     def _touch_columns(self, slots: Mapping[str, str], touch: str) -> dict[str, str]:
-        if touch not in TOUCH:
-            raise ContractError(expected("touch", " | ".join(TOUCH), repr(touch), "Name one."))
+        require_one_of("touch", touch, TOUCH)
         if touch == "wrench" and not self.marker["wrench"]:
             do = "Only simulated demos know it: use touch latents."
             raise DatasetError(expected(str(self.root), "the true wrench", "none", do))

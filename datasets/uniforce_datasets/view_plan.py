@@ -17,7 +17,7 @@ from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.source import Episode, Source
 from uniforce_vtla import keys
 from uniforce_vtla.contracts import FINGERS, Finger, check_finger
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected, require_one_of
 from uniforce_vtla.json_file import read_object
 from uniforce_vtla.sensors import list_sensors
 
@@ -107,8 +107,7 @@ def plan_view(
     unknown slots or fingers.
     """
     for slot, finger in settings.slots.items():
-        if slot not in keys.SLOTS:
-            raise ContractError(expected("slot", " or ".join(keys.SLOTS), repr(slot), "Write touch0:right."))
+        require_one_of("slot", slot, keys.SLOTS, "Write touch0:right.")
         check_finger(finger)
     sources = [check_dataset(root, verify) for root in roots]
     for source in sources:

@@ -25,7 +25,7 @@ from uniforce_datasets.readers.recording import LabelledRecording
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contact import UNSEEN
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected, require_one_of
 
 log = logging.getLogger(__name__)
 PACKED_BYTES = MARKER_IMAGE_SHAPE[0] * MARKER_IMAGE_SHAPE[1] // 8
@@ -107,8 +107,7 @@ def read_genforce(folder: str | Path, config: GenForceConfig | None = None) -> I
     of them, a broken image, NaN, a pressed reference, or a path that leads outside.
     """
     config = config or GenForceConfig()
-    if config.split not in SPLITS:
-        raise ContractError(expected("split", " | ".join(SPLITS), repr(config.split), "Choose one."))
+    require_one_of("split", config.split, SPLITS)
     root = genforce_root(existing_folder(folder))
     if root is None:
         wanted = f"img/ and force/ in one of {', '.join(LAYOUTS)}"

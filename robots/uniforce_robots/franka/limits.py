@@ -106,12 +106,6 @@ def require_kind(what: str, value: object, kind: type) -> None:
         raise ContractError(expected(what, kind.__name__, repr(value), "Give one."))
 
 
-def require_one_of(what: str, value: object, choices: tuple[str, ...]) -> None:
-    """Check a choice; raise ContractError for none of them."""
-    if value not in choices:
-        raise ContractError(expected(what, " or ".join(choices), repr(value), "Choose one."))
-
-
 def _require(what: str, value: object, allowed: Range) -> None:
     if not allowed.holds(value):
         raise ContractError(expected(what, f"a number {allowed}", repr(value), "Mend the setting."))

@@ -11,7 +11,7 @@ import numpy as np
 
 from uniforce_robots.recorder.rig import Observation
 from uniforce_robots.teleop.keyboard import TerminalKeys
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, expected, require_one_of
 from uniforce_vtla.evaluation.episode import ScoreLimits
 
 
@@ -74,8 +74,7 @@ class Unattended(Operator):
     is_attended = False
 
     def __init__(self, verdict: str) -> None:
-        if verdict not in VERDICTS.values():
-            raise ContractError(expected("verdict", " | ".join(VERDICTS.values()), verdict, "Name one."))
+        require_one_of("verdict", verdict, VERDICTS.values())
         self._orders = {phase: Command.GO for phase in (Phase.WAITING, Phase.PAUSED)}
         self._orders[Phase.JUDGING] = Command[verdict.upper()]
 

@@ -12,7 +12,7 @@ import numpy as np
 from lerobot.cameras.configs import CameraConfig
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, TAXEL_SHAPE, check_finger
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, expected, require_one_of
 from uniforce_vtla.sensors import get_sensor
 
 TURNS = (0, 90, 180, 270)
@@ -90,10 +90,6 @@ class SampledCameraConfig(CameraConfig):
         """How it is turned on its mount."""
         return Orientation(self.rotation_deg, getattr(self, "flip", False))
 
-    def _one_of(self, setting: str, *names: str) -> None:
-        if (came := getattr(self, setting)) not in names:
-            raise ContractError(expected(setting, " | ".join(names), came, "Choose one."))
-
 
 @dataclass(kw_only=True)
 class CapturedCameraConfig(SampledCameraConfig):
@@ -165,7 +161,7 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
         super().__post_init__()
         if self.spec.signal != "camera":
             raise ContractError(expected("sensor", "a camera sensor", self.sensor, "Use uniforce_uskin."))
-        self._one_of("delivers", "markers", "raw")
+        require_one_of("delivers", self.delivers, ("markers", "raw"))
         if self.delivers == "raw":
             self.height, self.width, _ = self.raw_shape
 
@@ -205,10 +201,8 @@ class UniforceUskinConfig(TactileFingerConfig):
         if self.spec.raw_shape != TAXEL_SHAPE:
             do = "No driver of it is here: give its counts to Canonicalizer."
             raise ContractError(expected("sensor", "a patch of 4×4 taxels", self.sensor, do))
-        self._one_of("link", "slcan", "server")
-        if self.rotation_deg not in TURNS:
-            do = "A grid of taxels turns by quarters."
-            raise ContractError(expected("rotation_deg", TURNS, self.rotation_deg, do))
+        require_one_of("link", self.link, ("slcan", "server"))
+        require_one_of("rotation_deg", self.rotation_deg, TURNS, "A grid of taxels turns by quarters.")
 
 
 @CameraConfig.register_subclass("uniforce_scene")
