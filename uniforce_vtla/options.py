@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,7 @@ LONGEST = 4000  # characters of any text
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from ``low`` to ``high``; ``above``: low itself is outside. Holds for every number of a list."""
+    """Finite numbers, ``low`` ≤ number ≤ ``high``; ``above`` excludes ``low`` itself."""
 
     low: float
     high: float
@@ -26,10 +27,16 @@ class Range:
         high = f"{self.high:,.12g}"
         return f"above {self.low:,.12g}, at most {high}" if self.above else f"{self.low:,.12g} … {high}"
 
+    def holds(self, value: Any) -> bool:
+        """Return whether a value is a finite number inside."""
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        # a NaN is not between two numbers, either
+        return is_number and bool(self.low <= value <= self.high) and not (self.above and value == self.low)
+
     def check(self, name: str, value: Any) -> None:
-        """Raise ContractError for a number outside; NaN is."""
+        """Raise ContractError for a number outside; of a list, for each."""
         for number in value if isinstance(value, list | tuple) else [value]:
-            if not self.low <= number <= self.high or (self.above and number == self.low):
+            if not self.holds(number):
                 raise ContractError(expected(name, str(self), number, "Give a number of this range."))
 
 

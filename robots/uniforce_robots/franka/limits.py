@@ -6,29 +6,9 @@ hardware.
 """
 
 from dataclasses import dataclass
-from numbers import Real
 
 from uniforce_vtla.errors import ContractError, expected
-
-
-@dataclass(frozen=True)
-class Range:
-    """Allowed values: ``low`` ≤ value ≤ ``high``; ``above`` excludes ``low`` itself."""
-
-    low: float
-    high: float
-    above: bool = False
-
-    def holds(self, value: object) -> bool:
-        """Return whether a value is a finite number inside."""
-        if not isinstance(value, Real) or isinstance(value, bool):
-            return False
-        number = float(value)  # a NaN is not between two numbers, either
-        return self.low <= number <= self.high and not (self.above and number == self.low)
-
-    def __str__(self) -> str:
-        return f"{'above' if self.above else 'from'} {self.low:g} to {self.high:g}"
-
+from uniforce_vtla.options import Range
 
 BOX = (  # x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), width m (the hand opens to 0.08)
     Range(-0.9, 0.9),
@@ -108,7 +88,7 @@ def require_kind(what: str, value: object, kind: type) -> None:
 
 def _require(what: str, value: object, allowed: Range) -> None:
     if not allowed.holds(value):
-        raise ContractError(expected(what, f"a number {allowed}", repr(value), "Mend the setting."))
+        raise ContractError(expected(what, f"one number, {allowed}", repr(value), "Mend the setting."))
 
 
 @dataclass(frozen=True)

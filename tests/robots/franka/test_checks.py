@@ -137,7 +137,7 @@ def test_the_closing_axis_is_the_stiff_one_however_the_hand_is_turned(yaw: float
 
 
 def test_gains_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ContractError, match="from 0 to 3000"):
+    with pytest.raises(ContractError, match="0 … 3,000"):
         Gains((-1.0, 0.0, 0.0))
 
 

@@ -31,7 +31,7 @@ def test_every_number_has_a_hard_limit(kind: type) -> None:
 
 
 def test_the_two_settings_that_once_moved_the_arm_out_of_its_box() -> None:
-    with pytest.raises(ContractError, match=r"GuardLimits\.step_m.*above 0 to 0\.1.*-0\.05"):
+    with pytest.raises(ContractError, match=r"GuardLimits\.step_m.*above 0, at most 0\.1.*-0\.05"):
         GuardLimits(step_m=-0.05)
     with pytest.raises(ContractError, match=r"GuardLimits\.longest_gap_s.*-1"):
         GuardLimits(longest_gap_s=-1)
