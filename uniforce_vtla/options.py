@@ -202,7 +202,6 @@ Dataset = Annotated[str, Existing("a recorded dataset's folder", "meta/info.json
 Datasets = Annotated[str, Existing("recorded datasets' folders", "meta/info.json", many=True)]
 View = Annotated[str, Existing("a training view's folder", VIEW_MARKER)]
 TokenizerFolder = Annotated[str, Existing("a tokenizer's folder", "config.json", words=("small", "nano"))]
-PolicyFolder = Annotated[str, Existing("a checkpoint's folder", "config.json", words=("shipped",))]
 Policies = Annotated[str, Existing("checkpoints' folders", "config.json", words=("shipped", "expert"), many=True)]
 OutFolder = Annotated[str, Writable()]
 OutFile = Annotated[str, Writable(folder=False)]

@@ -60,9 +60,8 @@ def check_template(where: str, template: object) -> str:
 def check_key(where: str, key: str) -> str:
     """Return a feature's name if it is one plain word of a path; raise DatasetError otherwise."""
     if not key or not _stays(key) or len(Path(key).parts) != 1:
-        raise DatasetError(
-            expected(where, "names of features", repr(key), "Leave out slashes, backslashes and dots alone.")
-        )
+        do = "Leave out slashes, backslashes and dots alone."
+        raise DatasetError(expected(where, "names of features", repr(key), do))
     return key
 
 

@@ -231,9 +231,8 @@ class EpisodeRecorder:
         dropped = self._writer._streaming_encoder.dropped | self._raw.dropped
         if dropped:
             self.discard()
-            raise DroppedFrameError(
-                expected("video", "every frame stored", f"{dropped} dropped", "Episode discarded; record it again.")
-            )
+            do = "Episode discarded; record it again."
+            raise DroppedFrameError(expected("video", "every frame stored", f"{dropped} dropped", do))
 
     def _write_at_the_end(self, ends: Mapping[str, float]) -> None:
         buffer = self._writer.episode_buffer

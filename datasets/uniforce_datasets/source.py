@@ -74,9 +74,8 @@ class Source:
         order = np.argsort(columns["index"], kind="stable")
         order = order[columns["index"][order] < self.num_frames]
         if len(order) != self.num_frames or (columns["index"][order] != np.arange(self.num_frames)).any():
-            raise DatasetError(
-                expected(str(self.root / "data"), f"{self.num_frames} frames", len(order), "Files are missing.")
-            )
+            do = "Files are missing."
+            raise DatasetError(expected(str(self.root / "data"), f"{self.num_frames} frames", len(order), do))
         return {key: columns[key][order] for key in keys}
 
 
@@ -174,9 +173,8 @@ def read_table(file: Path, keys: list[str]) -> pa.Table:
     except KeyError as error:
         raise DatasetError(expected(str(file), f"columns {keys}", error, "Record it with this version.")) from error
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise DatasetError(
-            expected(str(file), "a whole parquet file", error, "It is truncated: restore it from a copy.")
-        ) from error
+        do = "It is truncated: restore it from a copy."
+        raise DatasetError(expected(str(file), "a whole parquet file", error, do)) from error
 
 
 def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> Iterator[np.ndarray]:
@@ -200,12 +198,10 @@ def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> It
                 if not missing:
                     return
     except BROKEN_VIDEO as error:
-        raise DatasetError(
-            expected(str(span.file), "a whole video", error, "Restore it from a copy or delete the episode.")
-        ) from error
-    raise DatasetError(
-        expected(str(span.file), f"{length} frames", length - missing, "The video is truncated: restore it.")
-    )
+        do = "Restore it from a copy or delete the episode."
+        raise DatasetError(expected(str(span.file), "a whole video", error, do)) from error
+    do = "The video is truncated: restore it."
+    raise DatasetError(expected(str(span.file), f"{length} frames", length - missing, do))
 
 
 def stored_frames(file: Path) -> int:
@@ -215,7 +211,6 @@ def stored_frames(file: Path) -> int:
         with av.open(str(file)) as video:
             frames = video.streams.video[0].frames
     except BROKEN_VIDEO as error:
-        raise DatasetError(
-            expected(str(file), "a whole video", error, "Restore it from a copy or delete the episode.")
-        ) from error
+        do = "Restore it from a copy or delete the episode."
+        raise DatasetError(expected(str(file), "a whole video", error, do)) from error
     return frames

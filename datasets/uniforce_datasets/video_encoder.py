@@ -178,9 +178,8 @@ class PerKeyEncoder(StreamingVideoEncoder):
         deadline = time.monotonic() + PATIENCE_s
         while self._frame_queues[key].full() and self._threads[key].is_alive():
             if time.monotonic() > deadline:
-                raise DatasetError(
-                    expected(key, "a video encoder that moves", f"none in {PATIENCE_s} s", "Free the machine.")
-                )
+                do = "Free the machine."
+                raise DatasetError(expected(key, "a video encoder that moves", f"none in {PATIENCE_s} s", do))
             time.sleep(POLL_s)
 
     @property
