@@ -12,7 +12,7 @@ from uniforce_vtla import ForceHead, Tokenizer, list_sensors
 from uniforce_vtla.contact import ContactOptions, TactileSimulator, gap_map
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.figure_file import save_figure
-from uniforce_vtla.markers.overlay import overlay
+from uniforce_vtla.markers.raster import overlay
 
 OUT = Path(__file__).parents[1] / "docs" / "pictures"
 FORCE_N = (3.0, -1.5, 8.0)  # fx, fy, fz of the object on the pad: strong enough for markers to move visibly

@@ -19,10 +19,10 @@ from uniforce_cli.boundary import command, one_thread
 from uniforce_vtla.options import Count, FolderPath, FolderPaths, OutFile, OutFolder, split
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import POOL
-from uniforce_vtla.tokenizer.pretrain import Pretraining, open_source
+from uniforce_vtla.tokenizer.pair_cache import PairCache
+from uniforce_vtla.tokenizer.pretrain import Pretraining
 from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings, TokenizerConfig
 
 SET = "fe_dev_v1"
@@ -67,7 +67,7 @@ def pretrained(config: PretrainingChoicesCommand, name: str, seed: int) -> Token
     pairs = f"pairs_{data.family_share}_{data.flat_share}"  # shared by choices that draw alike
     model = TokenizerConfig(width=64, embed_hidden=128, warp=True)
     settings = PretrainSettings(model, loss, data, steps=config.steps, seed=seed, strips_every=0)
-    return Pretraining(settings, work / f"{slug}_{seed}", open_source(settings, work / pairs)).run()
+    return Pretraining(settings, work / f"{slug}_{seed}", PairCache(work / pairs, settings.data)).run()
 
 
 def measure(config: PretrainingChoicesCommand, tokenizer: Tokenizer, seed: int, real: list[TactipSet]) -> dict:

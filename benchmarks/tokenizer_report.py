@@ -37,8 +37,7 @@ from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.options import CountOrZero, FileName, FolderPath, Names, OutFolder, Range, Text, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.force_head import ForceHead
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceHead, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.weights import checkpoint_folder
 
 PICTURED = 64  # pairs per rig that are redrawn

@@ -97,9 +97,8 @@ def parse[ConfigT](
     ``--help`` prints the class's docstring (give an example there) and every field with its comment.  Where a
     command has ``presets``, ``preset=NAME`` reads ``NAME.yaml`` there first; what else is given overrides it.
 
-    Raises:
-        ContractError: no such option or preset, a wrong type, a value out of range, a path that can't be used.
-        SystemExit: after ``--help``.
+    Raises ContractError: no such option or preset, a wrong type, a value out of range, a path that can't be used;
+    SystemExit: after ``--help``.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if {"-h", "--help"} & set(words):
@@ -116,8 +115,7 @@ def read[ConfigT](
 ) -> tuple[ConfigT, dict[str, str]]:
     """Return the config and option → text of what was given; ranges and paths are not checked.
 
-    Raises:
-        ContractError: no such option or preset, a wrong type.
+    Raises ContractError: no such option or preset, a wrong type.
     """
     given, options = split_words(words), options_of(config_class)
     refuse_unknown(given, options)
@@ -134,8 +132,7 @@ def read[ConfigT](
 def split_words(words: Iterable[str]) -> dict[str, str]:
     """Return option → text of a command line.
 
-    Raises:
-        ContractError: a word that is no ``key=value``, or an option that comes twice.
+    Raises ContractError: a word that is no ``key=value``, or an option that comes twice.
     """
     given = dict[str, str]()
     for word in words:
@@ -160,8 +157,7 @@ def refuse_unknown(names: Iterable[str], known: Iterable[str]) -> None:
 def read_value(option: Option, text: str) -> Any:
     """Return what the text says, before draccus makes it the field's type; a text stays as it is.
 
-    Raises:
-        ContractError: it can't be of the option's type.
+    Raises ContractError: it can't be of the option's type.
     """
     check_text(option.name, text)
     if not text and option.default != "":
@@ -221,8 +217,7 @@ def _decode[ConfigT](config_class: type[ConfigT], nested: dict[str, Any]) -> Con
         options, name = options_of(config_class), ".".join(error.key_path)
         option = next((o for o in options.values() if name == o.name or name.startswith(f"{o.name}.")), None)
         if option is None:
-            do = "Correct it."
-            raise ContractError(expected(name or "settings", "known ones", error.message, do)) from error
+            raise ContractError(expected(name or "settings", "known ones", error.message, "Correct it.")) from error
         raise _wrong(option, reduce(getitem, option.name.split("."), nested)) from error
 
 
@@ -237,8 +232,7 @@ def own_cause(error: BaseException) -> UniForceError | None:
 def check(option: Option, value: Any) -> None:
     """Check a value against what its option declares.
 
-    Raises:
-        ContractError: a number that isn't finite, or whatever the option's type refuses.
+    Raises ContractError: a number that isn't finite, or whatever the option's type refuses.
     """
     for part in value if isinstance(value, list | tuple) else [value]:
         if isinstance(part, float) and not math.isfinite(part):
@@ -262,8 +256,7 @@ def help_text(config_class: type) -> str:
 def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
     """Return the entries named in ``only`` (comma between them); all of them when empty.
 
-    Raises:
-        ContractError: an unknown name.
+    Raises ContractError: an unknown name.
     """
     names = split(only) or list(known)
     unknown = sorted(set(names) - set(known))
@@ -273,11 +266,7 @@ def choose[T](known: dict[str, T], only: str) -> dict[str, T]:
 
 
 def numbers(name: str, text: str, count: int) -> np.ndarray:
-    """Return (count,) float64 from a setting like ``0.6,0.7``.
-
-    Raises:
-        ContractError: anything but so many numbers.
-    """
+    """Return (count,) float64 from a setting like ``0.6,0.7``; ContractError: anything but so many numbers."""
     parts = split(text)
     try:
         if len(parts) != count:

@@ -25,8 +25,7 @@ def read_array(path: Path, mapped: bool = False) -> np.ndarray:
         path: of the file.
         mapped: leave it on disk, read only.
 
-    Raises:
-        DatasetError: truncated, pickled, empty, or no single array.
+    Raises DatasetError: truncated, pickled, empty, or no single array.
     """
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -41,8 +40,7 @@ def read_array(path: Path, mapped: bool = False) -> np.ndarray:
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Return arrays of a .npz file by name.
 
-    Raises:
-        DatasetError: truncated, pickled, compressed (ours never are), or one is missing.
+    Raises DatasetError: truncated, pickled, compressed (ours never are), or one is missing.
     """
     try:
         with zipfile.ZipFile(path) as archive:

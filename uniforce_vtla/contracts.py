@@ -31,16 +31,14 @@ def check_count(name: str, value: object, most: int, least: int = 1) -> int:
     Sizes come from files too: without a limit a damaged one asks for terabytes, or for layers without end.
     """
     if type(value) is not int or not least <= value <= most:
-        do = "Change it."
-        raise ContractError(expected(name, f"a whole number from {least} to {most}", repr(value)[:80], do))
+        raise ContractError(expected(name, f"a whole number from {least} to {most}", repr(value)[:80], "Change it."))
     return value
 
 
 def check_marker_image(image: np.ndarray, name: str = "marker image") -> np.ndarray:
     """Return ``image`` if it is an (H, W) uint8 array holding only {0, 255}.
 
-    Raises:
-        ContractError: wrong rank, dtype, or a value other than 0 and 255.
+    Raises ContractError: wrong rank, dtype, or a value other than 0 and 255.
     """
     if not isinstance(image, np.ndarray) or image.ndim != 2 or image.dtype != np.uint8:
         came = f"{getattr(image, 'dtype', type(image).__name__)} {getattr(image, 'shape', '')}"
@@ -96,8 +94,6 @@ class ContactState:
             came, do = f"{self.force_N.shape} and {self.torsion_Nmm.shape}", "One row per contact."
             raise ContractError(expected("force_N, torsion_Nmm", f"({B}, 3) and ({B},)", came, do))
         if not (np.isfinite(self.force_N).all() and np.isfinite(self.torsion_Nmm).all()):
-            do = "Check the simulation."
-            raise ContractError(expected("contact force", "finite numbers", "NaN or inf", do))
+            raise ContractError(expected("contact force", "finite numbers", "NaN or inf", "Check the simulation."))
         if np.any(self.force_N[:, 2] < 0):
-            do = "Flip its sign."
-            raise ContractError(expected("fz", "≥ 0 N (compression)", self.force_N[:, 2].min(), do))
+            raise ContractError(expected("fz", "≥ 0 N (compression)", self.force_N[:, 2].min(), "Flip its sign."))

@@ -1,6 +1,7 @@
 """Every error a user can meet: what was expected, what came, what to do."""
 
 import re
+from collections.abc import Collection
 
 
 class UniForceError(Exception):
@@ -77,3 +78,9 @@ def without_credentials(text: str) -> str:
 def expected(what: str, wanted: object, came: object, do: str) -> str:
     """Compose a message in the one form all our errors share; credentials of an address never get into one."""
     return without_credentials(f"{what}: expected {wanted}, got {came}. {do}")
+
+
+def require_one_of(what: str, value: object, known: Collection[object], do: str = "Name one.") -> None:
+    """Check a choice; raise ContractError, which names all there are, for none of them."""
+    if value not in known:
+        raise ContractError(expected(what, " | ".join(map(str, known)), repr(value), do))

@@ -16,7 +16,6 @@ from uniforce_vtla.errors import UniForceError, expected
 from uniforce_vtla.json_file import read_object
 
 logger = logging.getLogger(__name__)
-
 HASHES = "hashes.json"
 CARD = "README.md"  # of a card only the header that programs read is hashed: people may edit the text
 HEADER = re.compile(rb"---\r?\n.*?\n---", re.DOTALL)
@@ -65,8 +64,7 @@ def drop_hashes(folder: str | Path) -> None:
 def read_hashes(folder: Path, error: type[UniForceError]) -> Entries | None:
     """Return what ``hashes.json`` says; None where there is none.
 
-    Raises:
-        error: ``hashes.json`` is damaged, or names a file outside the folder.
+    Raises error: ``hashes.json`` is damaged, or names a file outside the folder.
     """
     if not (folder / HASHES).exists():
         return None
@@ -91,8 +89,7 @@ def check_hashes(folder: Path, error: type[UniForceError], verify: str = "full")
         error: what to raise.
         verify: "full", or "quick": files of 16 MB and more by size alone, or "off".
 
-    Raises:
-        error: a file that is missing, changed or without a hash; every one is named.
+    Raises error: a file that is missing, changed or without a hash; every one is named.
     """
     if verify == "off":
         return

@@ -12,13 +12,11 @@ MAX_BYTES = 64 << 20  # a dataset's statistics with pictures in it stay far belo
 def read_object(path: Path, failure: type[UniForceError]) -> dict[str, Any]:
     """Return the object in a JSON file.
 
-    Raises:
-        failure: unreadable, larger than any of ours, no JSON, nested without end, or no object.
+    Raises failure: unreadable, larger than any of ours, no JSON, nested without end, or no object.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
-            do = "Is this the right file?"
-            raise failure(expected(str(path), f"at most {MAX_BYTES} bytes", "more", do))
+            raise failure(expected(str(path), f"at most {MAX_BYTES} bytes", "more", "Is this the right file?"))
         content = json.loads(path.read_bytes())
     except (ValueError, RecursionError, OSError) as error:
         do = "It is cut or damaged: restore it from a copy."

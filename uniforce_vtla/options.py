@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +17,7 @@ LONGEST = 4000  # characters of any text
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers from ``low`` to ``high``; ``above``: low itself is outside. Holds for every number of a list."""
+    """Finite numbers, ``low`` ≤ number ≤ ``high``; ``above`` excludes ``low`` itself."""
 
     low: float
     high: float
@@ -26,10 +27,16 @@ class Range:
         high = f"{self.high:,.12g}"
         return f"above {self.low:,.12g}, at most {high}" if self.above else f"{self.low:,.12g} … {high}"
 
+    def holds(self, value: Any) -> bool:
+        """Return whether a value is a finite number inside."""
+        is_number = isinstance(value, Real) and not isinstance(value, bool)
+        # a NaN is not between two numbers, either
+        return is_number and bool(self.low <= value <= self.high) and not (self.above and value == self.low)
+
     def check(self, name: str, value: Any) -> None:
-        """Raise ContractError for a number outside; NaN is."""
+        """Raise ContractError for a number outside; of a list, for each."""
         for number in value if isinstance(value, list | tuple) else [value]:
-            if not self.low <= number <= self.high or (self.above and number == self.low):
+            if not self.holds(number):
                 raise ContractError(expected(name, str(self), number, "Give a number of this range."))
 
 
@@ -134,16 +141,11 @@ def named_path(name: str, wanted: str) -> Iterator[None]:
     except (OSError, ValueError) as error:  # ValueError: a zero byte in a path
         reason = shortened(getattr(error, "strerror", None) or str(error))
         path = shortened(str(getattr(error, "filename", None) or ""))
-        do = "Name one that can be used."
-        raise ContractError(expected(name, wanted, f"{reason} ({path})", do)) from error
+        raise ContractError(expected(name, wanted, f"{reason} ({path})", "Name one that can be used.")) from error
 
 
 def try_to_write(folder: Path) -> None:
-    """Make a folder and a file in it, then remove what is new.
-
-    Raises:
-        OSError: it can't be done.
-    """
+    """Make a folder and a file in it, then remove what is new; OSError: it can't be done."""
     missing = [part for part in (folder, *folder.parents) if not part.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -172,8 +174,7 @@ def check_text(name: str, value: str) -> None:
         came = f"{len(value):,} characters"
         raise ContractError(expected(name, f"at most {LONGEST:,} characters", came, "Shorten it."))
     if not all(letter.isprintable() for letter in value):
-        do = "Leave out control characters."
-        raise ContractError(expected(name, "printable text", shortened(repr(value)), do))
+        raise ContractError(expected(name, "printable text", shortened(repr(value)), "Leave out control characters."))
 
 
 Count = Annotated[int, Range(1, 10_000_000)]
@@ -201,7 +202,6 @@ Dataset = Annotated[str, Existing("a recorded dataset's folder", "meta/info.json
 Datasets = Annotated[str, Existing("recorded datasets' folders", "meta/info.json", many=True)]
 View = Annotated[str, Existing("a training view's folder", VIEW_MARKER)]
 TokenizerFolder = Annotated[str, Existing("a tokenizer's folder", "config.json", words=("small", "nano"))]
-PolicyFolder = Annotated[str, Existing("a checkpoint's folder", "config.json", words=("shipped",))]
 Policies = Annotated[str, Existing("checkpoints' folders", "config.json", words=("shipped", "expert"), many=True)]
 OutFolder = Annotated[str, Writable()]
 OutFile = Annotated[str, Writable(folder=False)]

@@ -11,7 +11,7 @@ from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import POOL, Cells, Table, encode_set, sized_head
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import pool_latent
 from uniforce_vtla.tokenizer.model import Encoder
 

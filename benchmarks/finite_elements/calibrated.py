@@ -19,7 +19,7 @@ from uniforce_vtla.contact.simulator import TactileSimulator, images_of
 from uniforce_vtla.contact.virtual import VirtualSensor
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.markers.mirror import mirrored
-from uniforce_vtla.markers.nominal_scale import to_nominal_scale
+from uniforce_vtla.markers.registration import to_nominal_scale
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.calibration import Calibration, calibrate
 from uniforce_vtla.tokenizer.force_head import ForceHead

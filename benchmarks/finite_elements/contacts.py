@@ -11,11 +11,10 @@ from benchmarks.finite_elements.friction import CellForces, FrictionContact, Mot
 from benchmarks.finite_elements.theory import cell_centres_mm
 from uniforce_vtla.contact.elastic import Gel, influence, sagitta_mm
 from uniforce_vtla.contact.indenters import HEIGHTS, flat_gap, indenter_gap
-from uniforce_vtla.contact.materials import gel_of
 from uniforce_vtla.contact.pads import cell_positions_mm
 from uniforce_vtla.contact.pressure import share_load
 from uniforce_vtla.contact.sampling import FLAT, FLAT_SIDE_mm, FLAT_TILT_rad
-from uniforce_vtla.contact.virtual import VirtualSensor
+from uniforce_vtla.contact.virtual import VirtualSensor, gel_of
 
 CELL_MM = {"gelsight": 0.8, "tactip": 1.25, "uskin": 0.95}  # about two thirds of the simulator's
 PRESS_STEPS, SLIDE_STEPS = 5, 3

@@ -17,7 +17,7 @@ from uniforce_vtla.contact.simulator import TactileSimulator
 from uniforce_vtla.contact.traction import Traction
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor
-from uniforce_vtla.markers.nominal_scale import to_nominal_scale
+from uniforce_vtla.markers.registration import to_nominal_scale
 from uniforce_vtla.sensors.material import Layer, Material
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink

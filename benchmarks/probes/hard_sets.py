@@ -20,7 +20,7 @@ from uniforce_vtla.contact.virtual import GELSIGHT_D, VirtualSensor, as_virtual
 from uniforce_vtla.contact.wear import Creep, Light, lagging_force
 from uniforce_vtla.contact.worn import WornSensor, WornView
 from uniforce_vtla.contracts import ContactState
-from uniforce_vtla.markers.nominal_scale import to_nominal_scale
+from uniforce_vtla.markers.registration import to_nominal_scale
 from uniforce_vtla.tokenizer.descriptor import describe
 from uniforce_vtla.tokenizer.pair_cache import shrink
 

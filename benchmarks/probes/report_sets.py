@@ -11,7 +11,7 @@ from benchmarks.probes.hard_sets import HETERO_HARD, HETERO_HARD_TRAINING, HardS
 from benchmarks.probes.labelled_set import FROZEN, HEAD_TRAINING, SENSORS, LabelledSet, SetConfig, cached, draw_labelled
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.markers.nominal_scale import nominal_zoom
+from uniforce_vtla.markers.registration import nominal_zoom
 
 Sensors = dict[str, VirtualSensor]
 Recipe = SetConfig | HardSettings | ElementSettings

@@ -14,8 +14,7 @@ from benchmarks.probes.labelled_set import SENSORS, LabelledSet, set_facts, set_
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import NATURAL_UNITS
-from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 
 LETTER = {"gelsight": "G", "gelsight_d": "G", "tactip": "T", "uskin": "U"}  # as in the paper's table

@@ -21,8 +21,8 @@ from uniforce_robots.franka import robot as robot_module
 from uniforce_robots.franka.arm import ArmState, Gains
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.hand_command import HandReading
+from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.poses import ToolPose
-from uniforce_robots.franka.settings import StreamSettings
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_vtla.errors import RobotError
 from uniforce_vtla.keys import AXES

@@ -20,8 +20,7 @@ from uniforce_cli.boundary import command
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.config import NESTED, UniforceFrankaConfig
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.limits import HARD_LIMITS, Range
-from uniforce_robots.franka.settings import HandSettings, StreamSettings
+from uniforce_robots.franka.limits import HARD_LIMITS, HandSettings, Range, StreamSettings
 from uniforce_vtla.errors import ContractError
 
 CHUNK = 100

@@ -23,7 +23,7 @@ from uniforce_vtla.errors import ContractError, expected
 
 PACKAGE = Path(str(importlib.util.find_spec("uniforce_robots.franka").origin)).parent  # type: ignore[union-attr]
 SEEDS, EPISODES = 8, 25
-SEND, GUARDS, STREAM, STATE, ROBOT = "send_check.py", "guards.py", "stream.py", "state_check.py", "robot.py"
+SEND, GUARDS, STREAM, STATE, ROBOT = "state_check.py", "guards.py", "stream.py", "state_check.py", "robot.py"
 # A last check without its look at NaN is none of these: its box refuses NaN, too.
 MUTATIONS: dict[str, tuple[str, str, str]] = {  # name: file, what stands there, what is put in its place
     "sent: box unchecked": (SEND, "self._require_box(target, last, here)", "pass"),

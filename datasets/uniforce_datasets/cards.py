@@ -24,11 +24,7 @@ def write_card(staged: Path, episode: int, card: Mapping[str, Any] | None) -> No
 
 
 def read_card(root: str | Path, episode: int) -> dict[str, Any]:
-    """Return an episode's card.
-
-    Raises:
-        DatasetError: it has none.
-    """
+    """Return an episode's card; DatasetError: it has none."""
     path = card_path(Path(root), episode)
     if not path.is_file():
         do = "Simulated demos of the expert have none; LeRobot's edit tools leave cards behind."

@@ -37,9 +37,8 @@ def check_content(source: Source, verify: Verify = "full") -> None:
         verify: "full" decodes every frame of every video; "quick" one frame of each finger's marker video and two of
             its reference in every episode; "off" does nothing.
 
-    Raises:
-        DatasetError: NaN, a wrong time or count, a marker image with loss or colour, a reference that changes, a video
-            that can't be decoded; names the episode.
+    Raises DatasetError: NaN, a wrong time or count, a marker image with loss or colour, a reference that changes, a
+    video that can't be decoded; names the episode.
     """
     if verify == "off":
         return
@@ -61,8 +60,7 @@ def check_stored(staged: Path, frames: int, fps: int, ends: Mapping[str, tuple[n
         fps: frames per second.
         ends: first and last recorded (H, W, 3) image by marker key.
 
-    Raises:
-        DatasetError: a frame is missing, or a decoded marker image differs from the recorded one.
+    Raises DatasetError: a frame is missing, or a decoded marker image differs from the recorded one.
     """
     do = "Episode discarded; record it again."
     raw = {file: f"raw {file.parts[-2]}" for file in sorted((staged / FOLDER).rglob("*.mp4"))}
@@ -104,8 +102,7 @@ def _check_columns(source: Source) -> None:
         if rows.any():
             row = int(rows.argmax())
             where = f"{key} in {source.root / 'data'}, episode {indices[row]}"
-            came = f"another in frame {frames[row]}"
-            raise DatasetError(expected(where, wanted, came, "Restore it from a copy."))
+            raise DatasetError(expected(where, wanted, f"another in frame {frames[row]}", "Restore it from a copy."))
 
 
 def _numbers(source: Source) -> list[str]:

@@ -1,12 +1,79 @@
-"""``meta/info.json`` of a LeRobot dataset: whole, of the right types, and naming no path outside."""
+"""``meta/info.json`` of a LeRobot dataset: whole, of the right types; and no path or link leads out of the folder.
+
+Checked before anything else is opened.
+"""
 
 import math
+import os
+import re
+import string
 from pathlib import Path
 from typing import Any
 
-from uniforce_datasets.dataset_paths import check_key, check_links, check_template
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
+
+PLACEHOLDERS = ("video_key", "chunk_index", "file_index")
+FORMAT = re.compile(r"(0?\d)?d?")  # 03d at most: a width of a billion would fill the memory
+
+
+def inside(root: Path, path: Path) -> Path:
+    """Return ``path`` if it lies in ``root`` once links and ".." are followed.
+
+    Raises DatasetError: it leads outside.
+    """
+    if not path.resolve().is_relative_to(root.resolve()):
+        do = "Copy the files into the folder (huggingface-cli: --local-dir), or give the folder that holds both."
+        raise DatasetError(expected(str(path), f"a path inside {root}", f"{path.resolve()}", do))
+    return path
+
+
+def check_links(root: Path, within: Path) -> None:
+    """Raise DatasetError if a file or folder in ``root`` is a link that leads out of ``within``; nothing is opened."""
+    for folder, folders, files in os.walk(root):  # links to folders are named, not entered
+        for name in (*folders, *files):
+            path = Path(folder) / name
+            if path.is_symlink():
+                inside(within, path)
+
+
+def check_template(where: str, template: object) -> str:
+    """Return a path like ``videos/{video_key}/file-{file_index:03d}.mp4`` if whatever it becomes stays inside.
+
+    Raises DatasetError: no text, absolute, with ``..``, or with a placeholder LeRobot doesn't have.
+    """
+    if not isinstance(template, str):
+        raise DatasetError(_strange(where, template))
+    try:
+        parts = list(string.Formatter().parse(template))
+    except ValueError as error:
+        raise DatasetError(_strange(where, template)) from error
+    known = all(
+        field is None or (field in PLACEHOLDERS and FORMAT.fullmatch(form or "") and not turn)
+        for _, field, form, turn in parts
+    )
+    if not known or not _stays(template):
+        raise DatasetError(_strange(where, template))
+    return template
+
+
+def check_key(where: str, key: str) -> str:
+    """Return a feature's name if it is one plain word of a path; raise DatasetError otherwise."""
+    if not key or not _stays(key) or len(Path(key).parts) != 1:
+        do = "Leave out slashes, backslashes and dots alone."
+        raise DatasetError(expected(where, "names of features", repr(key), do))
+    return key
+
+
+def _stays(path: str) -> bool:
+    plain = "\\" not in path and "\0" not in path
+    return plain and not path.startswith(("/", "~")) and not {"..", "."} & set(path.split("/"))
+
+
+def _strange(where: str, template: object) -> str:
+    wanted = f"a path inside the dataset, made of {', '.join(PLACEHOLDERS)}"
+    return expected(where, wanted, repr(template), "Who wrote this dataset? Don't open it.")
+
 
 INFO = Path("meta") / "info.json"
 TEMPLATES = ("data_path", "video_path")  # LeRobot opens both
@@ -19,13 +86,11 @@ def read_info(root: Path, within: Path | None = None) -> dict[str, Any]:
         root: the dataset's folder.
         within: folder that its links may lead into; None is the dataset's own.
 
-    Raises:
-        DatasetError: none there, broken, without episodes, or naming a path or holding a link that leads outside.
+    Raises DatasetError: none there, broken, without episodes, or naming a path or holding a link that leads outside.
     """
     file = root / INFO
     if not file.is_file():
-        do = "Give the folder that uniforce record wrote."
-        raise DatasetError(expected(str(root), str(INFO), "none", do))
+        raise DatasetError(expected(str(root), str(INFO), "none", "Give the folder that uniforce record wrote."))
     check_links(root, within or root)
     info = read_object(file, DatasetError)
     _check_version(file, info)

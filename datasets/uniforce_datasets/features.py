@@ -10,23 +10,9 @@ from typing import Any
 import numpy as np
 from lerobot.utils.constants import DEFAULT_FEATURES
 
+from uniforce_vtla import keys
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, check_marker_image
 from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.keys import (
-    ACTION,
-    AXES,
-    CAMERAS,
-    OUTCOME,
-    SEED,
-    STATE,
-    SUCCESS,
-    TACTILE_KEYS,
-    age_key,
-    camera_key,
-    sensor_key,
-    time_key,
-    truth_wrench_key,
-)
 from uniforce_vtla.sensors import get_sensor, list_sensors
 
 CAMERA_SHAPE = (224, 224, 3)  # rows, columns, RGB
@@ -35,7 +21,8 @@ WRENCH_AXES = ("fx_N", "fy_N", "fz_N", "torsion_Nmm")
 Shape = tuple[int, int, int]
 
 
-def _video(shape: Shape) -> dict[str, Any]:
+def video_column(shape: Shape) -> dict[str, Any]:
+    """Return the feature of a video of (rows, columns, 3) frames."""
     return {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"]}
 
 
@@ -66,17 +53,18 @@ def dataset_features(
         truth: whether the true pad wrench is known (simulation) and stored.
         further: columns a robot stores beside these, by key.
     """
-    shapes = cameras if isinstance(cameras, Mapping) else dict.fromkeys(CAMERAS, cameras)
-    features = {camera_key(camera): _video(shape) for camera, shape in shapes.items()}
-    features |= {key: _video(MARKER_VIDEO_SHAPE) for key in TACTILE_KEYS}
-    features |= {STATE: vector_column(AXES), ACTION: vector_column(AXES)}
+    shapes = cameras if isinstance(cameras, Mapping) else dict.fromkeys(keys.CAMERAS, cameras)
+    features = {keys.camera_key(camera): video_column(shape) for camera, shape in shapes.items()}
+    features |= {key: video_column(MARKER_VIDEO_SHAPE) for key in keys.TACTILE_KEYS}
+    features |= {keys.STATE: vector_column(keys.AXES), keys.ACTION: vector_column(keys.AXES)}
     if truth:
-        features |= {truth_wrench_key(finger): vector_column(WRENCH_AXES) for finger in FINGERS}
+        features |= {keys.truth_wrench_key(finger): vector_column(WRENCH_AXES) for finger in FINGERS}
     for finger in FINGERS:
-        features[sensor_key(finger)] = scalar_column("int64")  # index into sensors.list_sensors()
-        features[time_key(finger)] = scalar_column("float64")
-        features[age_key(finger)] = scalar_column("float32")
-    features |= {SUCCESS: scalar_column("float32"), OUTCOME: scalar_column("int64"), SEED: scalar_column("int64")}
+        features[keys.sensor_key(finger)] = scalar_column("int64")  # index into sensors.list_sensors()
+        features[keys.time_key(finger)] = scalar_column("float64")
+        features[keys.age_key(finger)] = scalar_column("float32")
+    features[keys.SUCCESS] = scalar_column("float32")
+    features |= {key: scalar_column("int64") for key in (keys.OUTCOME, keys.SEED)}
     return features | dict(further or {})
 
 
@@ -88,8 +76,7 @@ def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, 
         fps: to record at.
         features: to record.
 
-    Raises:
-        DatasetError: a column is missing, too many, or of another form; another rate.
+    Raises DatasetError: a column is missing, too many, or of another form; another rate.
     """
     wanted = {key: (f["dtype"], tuple(f["shape"])) for key, f in features.items()}
     stored = {key: f for key, f in meta.features.items() if key not in DEFAULT_FEATURES}
@@ -97,8 +84,7 @@ def refuse_other_features(meta: Any, fps: int, features: Mapping[str, dict[str, 
     if came == wanted and meta.fps == fps:
         return
     odd = sorted(k for k in wanted | came if came.get(k) != wanted.get(k)) or f"{meta.fps} fps"
-    do = "Record into another root."
-    raise DatasetError(expected("dataset", "the features to record", f"others: {odd}", do))
+    raise DatasetError(expected("dataset", "the features to record", f"others: {odd}", "Record into another root."))
 
 
 def sensor_index(name: str) -> int:
@@ -117,7 +103,7 @@ class ColumnMaker:
 
         An array that was passed must not be written to afterwards.
         """
-        if key not in TACTILE_KEYS:
+        if key not in keys.TACTILE_KEYS:
             return np.asarray(value)
         if key not in self._last or self._last[key][0] is not value:
             self._last[key] = value, _marker_column(key, np.asarray(value))

@@ -8,12 +8,11 @@ from typing import Literal, get_args
 
 from uniforce_datasets.dataset_info import INFO
 from uniforce_datasets.staging import COMMIT, STAGING
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected, require_one_of
 from uniforce_vtla.file_hashes import HASHES, Entries, differences, hash_files, read_hashes, store_hashes
 from uniforce_vtla.keys import VIEW_MARKER
 
 logger = logging.getLogger(__name__)
-
 Verify = Literal["full", "quick", "off"]
 PARTS = ("data", "videos", "raw", "cards", "meta")  # folders of a dataset; whatever else lies there isn't its
 VIDEO = ".mp4"  # quick compares the sizes of these only
@@ -21,8 +20,7 @@ VIDEO = ".mp4"  # quick compares the sizes of these only
 
 def check_verify(verify: str) -> Verify:
     """Return ``verify`` if it names a depth of checking; raise ContractError otherwise."""
-    if verify not in get_args(Verify):
-        raise ContractError(expected("verify", " | ".join(get_args(Verify)), repr(verify), "Name one."))
+    require_one_of("verify", verify, get_args(Verify))
     return verify  # type: ignore[return-value]
 
 
@@ -70,8 +68,7 @@ def check_hashes(root: Path, verify: Verify = "full") -> None:
         root: its folder.
         verify: "full" reads every file; "quick" compares the sizes of videos only; "off" does nothing.
 
-    Raises:
-        DatasetError: a file is missing, changed, or none of the dataset's; names its episode.
+    Raises DatasetError: a file is missing, changed, or none of the dataset's; names its episode.
     """
     if verify == "off":
         return

@@ -40,8 +40,7 @@ def write_pooled_stats(root: str | Path) -> None:
 
     Statistics and hashes change in one step; no other program may write to the dataset meanwhile.
 
-    Raises:
-        DatasetError: the statistics or the columns are damaged.
+    Raises DatasetError: the statistics or the columns are damaged.
     """
     root = Path(root)
     stats = read_object(root / "meta" / "stats.json", DatasetError)

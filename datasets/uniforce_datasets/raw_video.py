@@ -42,11 +42,7 @@ class RawVideo:
         return self._encoder.dropped
 
     def add(self, frames: Mapping[Finger, np.ndarray]) -> None:
-        """Queue one frame of each finger.
-
-        Raises:
-            ContractError: other fingers or shapes than announced.
-        """
+        """Queue one frame of each finger; ContractError: other fingers or shapes than announced."""
         shapes = {finger: frame.shape for finger, frame in frames.items()}
         if shapes != self._shapes:
             do = "Announce every raw stream when the recorder is made."

@@ -34,11 +34,10 @@ from uniforce_datasets.staged_writer import open_writer
 from uniforce_datasets.staging import STAGING, claim, commit, lock, recover
 from uniforce_datasets.video_encoder import PerKeyEncoder, codec_of
 from uniforce_vtla.contracts import FINGERS, Finger
-from uniforce_vtla.errors import ContractError, DatasetError, DiskFullError, DroppedFrameError, expected
+from uniforce_vtla.errors import DatasetError, DiskFullError, DroppedFrameError, expected, require_one_of
 from uniforce_vtla.keys import ABORT_CAUSES, CAUSE, OUTCOME, OUTCOME_NAMES, SEED, SUCCESS, TACTILE_KEYS, sensor_key
 
 logger = logging.getLogger(__name__)
-
 MIN_FRAMES = 2  # LeRobot computes no video statistics for fewer
 AT_THE_END = (SUCCESS, OUTCOME, SEED, CAUSE)  # columns known only when the episode is over
 
@@ -155,12 +154,8 @@ class EpisodeRecorder:
             cause: one of ``keys.ABORT_CAUSES``, stored where the dataset has the column.
             card: whatever else is to be known of the episode, kept as ``cards/episode_000017.json``.
         """
-        if outcome not in OUTCOME_NAMES:
-            raise ContractError(
-                expected("outcome", " | ".join(OUTCOME_NAMES), repr(outcome), "Take evaluation's outcome.")
-            )
-        if cause not in ABORT_CAUSES:
-            raise ContractError(expected("cause", " | ".join(ABORT_CAUSES), repr(cause), "Name one."))
+        require_one_of("outcome", outcome, OUTCOME_NAMES, "Take evaluation's outcome.")
+        require_one_of("cause", cause, ABORT_CAUSES)
         if self.num_frames < MIN_FRAMES:
             came = self.num_frames
             self.discard()
@@ -236,9 +231,8 @@ class EpisodeRecorder:
         dropped = self._writer._streaming_encoder.dropped | self._raw.dropped
         if dropped:
             self.discard()
-            raise DroppedFrameError(
-                expected("video", "every frame stored", f"{dropped} dropped", "Episode discarded; record it again.")
-            )
+            do = "Episode discarded; record it again."
+            raise DroppedFrameError(expected("video", "every frame stored", f"{dropped} dropped", do))
 
     def _write_at_the_end(self, ends: Mapping[str, float]) -> None:
         buffer = self._writer.episode_buffer

@@ -74,17 +74,15 @@ class Source:
         order = np.argsort(columns["index"], kind="stable")
         order = order[columns["index"][order] < self.num_frames]
         if len(order) != self.num_frames or (columns["index"][order] != np.arange(self.num_frames)).any():
-            raise DatasetError(
-                expected(str(self.root / "data"), f"{self.num_frames} frames", len(order), "Files are missing.")
-            )
+            do = "Files are missing."
+            raise DatasetError(expected(str(self.root / "data"), f"{self.num_frames} frames", len(order), do))
         return {key: columns[key][order] for key in keys}
 
 
 def read_source(root: str | Path, within: Path | None = None) -> Source:
     """Open the dataset at ``root``; its links may lead into ``within``, by default the dataset itself.
 
-    Raises:
-        DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
+    Raises DatasetError: no dataset there, no episode, broken metadata, or a path or link that leads out of it.
     """
     root = Path(root)
     info = read_info(root, within)
@@ -136,8 +134,7 @@ def _episode(root: Path, info: dict[str, Any], row: dict[str, Any], keys: list[s
 def read_columns(root: Path, keys: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Read (N, D) or (N,) columns of every data file, in file order.
 
-    Raises:
-        DatasetError: no data file, or one that can't be read.
+    Raises DatasetError: no data file, or one that can't be read.
     """
     files = sorted((root / "data").rglob("*.parquet"))
     if not files:
@@ -176,16 +173,14 @@ def read_table(file: Path, keys: list[str]) -> pa.Table:
     except KeyError as error:
         raise DatasetError(expected(str(file), f"columns {keys}", error, "Record it with this version.")) from error
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise DatasetError(
-            expected(str(file), "a whole parquet file", error, "It is truncated: restore it from a copy.")
-        ) from error
+        do = "It is truncated: restore it from a copy."
+        raise DatasetError(expected(str(file), "a whole parquet file", error, do)) from error
 
 
 def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> Iterator[np.ndarray]:
     """Yield (H, W, 3) uint8 RGB frames ``first`` … ``length − 1`` of an episode.
 
-    Raises:
-        DatasetError: the video is missing, truncated, or shorter than the episode.
+    Raises DatasetError: the video is missing, truncated, or shorter than the episode.
     """
     start_s = span.from_s + (first - 0.5) / fps
     missing = length - first
@@ -203,12 +198,10 @@ def episode_frames(span: VideoSpan, length: int, fps: int, first: int = 0) -> It
                 if not missing:
                     return
     except BROKEN_VIDEO as error:
-        raise DatasetError(
-            expected(str(span.file), "a whole video", error, "Restore it from a copy or delete the episode.")
-        ) from error
-    raise DatasetError(
-        expected(str(span.file), f"{length} frames", length - missing, "The video is truncated: restore it.")
-    )
+        do = "Restore it from a copy or delete the episode."
+        raise DatasetError(expected(str(span.file), "a whole video", error, do)) from error
+    do = "The video is truncated: restore it."
+    raise DatasetError(expected(str(span.file), f"{length} frames", length - missing, do))
 
 
 def stored_frames(file: Path) -> int:
@@ -218,7 +211,6 @@ def stored_frames(file: Path) -> int:
         with av.open(str(file)) as video:
             frames = video.streams.video[0].frames
     except BROKEN_VIDEO as error:
-        raise DatasetError(
-            expected(str(file), "a whole video", error, "Restore it from a copy or delete the episode.")
-        ) from error
+        do = "Restore it from a copy or delete the episode."
+        raise DatasetError(expected(str(file), "a whole video", error, do)) from error
     return frames

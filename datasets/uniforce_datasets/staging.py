@@ -27,8 +27,7 @@ ORDER = (
 def claim(root: str | Path) -> Path:
     """Return the folder of a dataset, made where there is none. Nothing is left in a folder that is refused.
 
-    Raises:
-        DatasetError: no name, nothing can be written there, or it holds something else.
+    Raises DatasetError: no name, nothing can be written there, or it holds something else.
     """
     do = "Give root=… a folder you may write to."
     if not str(root).strip():
@@ -41,8 +40,7 @@ def claim(root: str | Path) -> Path:
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise DatasetError(expected(f"root={root}", "a folder to write to", error, do)) from error
     if foreign and not any((folder / name).exists() for name in (COMMIT, "meta/info.json")):
-        do = "Choose another root."
-        raise DatasetError(expected(str(folder), "an empty folder or a dataset", foreign[:3], do))
+        raise DatasetError(expected(str(folder), "an empty folder or a dataset", foreign[:3], "Choose another root."))
     return folder
 
 

@@ -8,18 +8,8 @@ import numpy as np
 
 from uniforce_datasets.features import CAMERA_SHAPE
 from uniforce_datasets.recorder import EpisodeRecorder
+from uniforce_vtla import keys
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE
-from uniforce_vtla.keys import (
-    ACTION,
-    AXES,
-    CAMERAS,
-    STATE,
-    age_key,
-    camera_key,
-    tactile_key,
-    time_key,
-    truth_wrench_key,
-)
 
 FPS = 30
 DOT_PX = 12  # radius
@@ -39,15 +29,15 @@ def synthetic_frame(step: int, rng: np.random.Generator) -> dict[str, Any]:
     """Return one recordable frame; every number differs from frame to frame."""
     ramp = np.linspace(0, 200, CAMERA_SHAPE[1], dtype=np.uint8)
     picture = np.broadcast_to(np.roll(ramp, 3 * step)[None, :, None], CAMERA_SHAPE).copy()
-    frame: dict[str, Any] = {camera_key(camera): picture for camera in CAMERAS}
+    frame: dict[str, Any] = {keys.camera_key(camera): picture for camera in keys.CAMERAS}
     for finger in FINGERS:
-        frame[tactile_key(finger)] = dots(20 * np.sin(step / 5))
-        frame[tactile_key(finger, reference=True)] = dots(0)
-        frame[truth_wrench_key(finger)] = rng.normal(size=4).astype(np.float32)
-        frame[time_key(finger)] = np.array([step / FPS])
-        frame[age_key(finger)] = np.zeros(1, dtype=np.float32)
-    frame[STATE] = rng.normal(size=len(AXES)).astype(np.float32)
-    frame[ACTION] = rng.normal(size=len(AXES)).astype(np.float32)
+        frame[keys.tactile_key(finger)] = dots(20 * np.sin(step / 5))
+        frame[keys.tactile_key(finger, reference=True)] = dots(0)
+        frame[keys.truth_wrench_key(finger)] = rng.normal(size=4).astype(np.float32)
+        frame[keys.time_key(finger)] = np.array([step / FPS])
+        frame[keys.age_key(finger)] = np.zeros(1, dtype=np.float32)
+    frame[keys.STATE] = rng.normal(size=len(keys.AXES)).astype(np.float32)
+    frame[keys.ACTION] = rng.normal(size=len(keys.AXES)).astype(np.float32)
     return frame
 
 

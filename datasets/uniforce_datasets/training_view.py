@@ -12,37 +12,24 @@ import torch
 from torch.utils.data import Dataset
 
 from uniforce_datasets.dataset_info import INFO
-from uniforce_datasets.features import WRENCH_AXES
+from uniforce_datasets.features import WRENCH_AXES, vector_column
 from uniforce_datasets.hashes import check_hashes, check_verify
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.pooled_quantiles import pooled_stats
 from uniforce_datasets.view_build import build_view
 from uniforce_datasets.view_plan import read_marker, touch_stream
+from uniforce_vtla import keys
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contracts import FINGERS, check_finger
-from uniforce_vtla.errors import ContractError, DatasetError, expected
-from uniforce_vtla.keys import (
-    ACTION,
-    AXES,
-    CAMERAS,
-    STATE,
-    VIEW_MARKER,
-    camera_key,
-    descriptor_key,
-    latent_key,
-    marker_pair_key,
-    truth_wrench_key,
-    wrench_key,
-)
+from uniforce_vtla.errors import DatasetError, expected, require_one_of
 
-__all__ = ["VIEW_MARKER", "TrainingView", "ViewMetadata", "build_view", "make_training_dataset"]
+__all__ = ["TrainingView", "ViewMetadata", "build_view", "make_training_dataset"]
 
 logger = logging.getLogger(__name__)
-
 LOCAL_NAMES = "local/"  # begin of repo ids of datasets that never were on the hub
 SNAPSHOTS = "snapshots"  # of the hub's cache: links into the folder beside it
 TOUCH = ("latent", "wrench", "descriptor", "marker_pair", "none")
-STREAM_KEYS = {"latent": latent_key, "descriptor": descriptor_key, "marker_pair": marker_pair_key}
+STREAM_KEYS = {"latent": keys.latent_key, "descriptor": keys.descriptor_key, "marker_pair": keys.marker_pair_key}
 
 
 @dataclass(frozen=True)
@@ -84,8 +71,7 @@ class TrainingView(Dataset):
         image_transforms: applied to each camera image.
         verify: "full" and "quick" compare the SHA-256 of every array; "off" doesn't.
 
-    Raises:
-        DatasetError: not a whole view, an array that changed, or no true wrench though one is asked for.
+    Raises DatasetError: not a whole view, an array that changed, or no true wrench though one is asked for.
     """
 
     def __init__(
@@ -138,11 +124,11 @@ class TrainingView(Dataset):
         """Return one sample as LeRobotDataset would, images as uint8."""
         episode = int(np.searchsorted(self._starts, index, side="right")) - 1
         start, end = self._starts[episode], self._starts[episode + 1]
-        sample: dict[str, Any] = {camera_key(camera): self._image(camera, index) for camera in CAMERAS}
-        sample[STATE] = torch.from_numpy(self._arrays[STATE][index].copy())
+        sample: dict[str, Any] = {keys.camera_key(camera): self._image(camera, index) for camera in keys.CAMERAS}
+        sample[keys.STATE] = torch.from_numpy(self._arrays[keys.STATE][index].copy())
         wanted = index + self._deltas  # (T,)
-        sample[ACTION] = torch.from_numpy(self._arrays[ACTION][wanted.clip(start, end - 1)])  # (T, 5)
-        sample[f"{ACTION}_is_pad"] = torch.from_numpy((wanted < start) | (wanted >= end))  # (T,)
+        sample[keys.ACTION] = torch.from_numpy(self._arrays[keys.ACTION][wanted.clip(start, end - 1)])  # (T, 5)
+        sample[f"{keys.ACTION}_is_pad"] = torch.from_numpy((wanted < start) | (wanted >= end))  # (T,)
         for key, name in self._touch.items():
             sample[key] = torch.from_numpy(self._arrays[name][index].copy())
         return sample | self._place(index, episode, int(index - start))
@@ -164,10 +150,11 @@ class TrainingView(Dataset):
     @cached_property
     def _arrays(self) -> dict[str, np.ndarray]:
         """Images stay on disk, mapped; numbers are read."""
-        files = {name: self.root / f"{name}.npy" for name in (*CAMERAS, STATE, ACTION, *self._touch.values())}
-        arrays = {name: read_array(file, mapped=name in CAMERAS) for name, file in files.items()}
+        names = (*keys.CAMERAS, keys.STATE, keys.ACTION, *self._touch.values())
+        files = {name: self.root / f"{name}.npy" for name in names}
+        arrays = {name: read_array(file, mapped=name in keys.CAMERAS) for name, file in files.items()}
         for name, array in arrays.items():
-            _check_array(files[name], array, self.marker, picture=name in CAMERAS)
+            _check_array(files[name], array, self.marker, picture=name in keys.CAMERAS)
         return arrays
 
     def __getstate__(self) -> dict[str, Any]:
@@ -175,8 +162,7 @@ class TrainingView(Dataset):
         return {name: value for name, value in self.__dict__.items() if name != "_arrays"}
 
     def _touch_columns(self, slots: Mapping[str, str], touch: str) -> dict[str, str]:
-        if touch not in TOUCH:
-            raise ContractError(expected("touch", " | ".join(TOUCH), repr(touch), "Name one."))
+        require_one_of("touch", touch, TOUCH)
         if touch == "wrench" and not self.marker["wrench"]:
             do = "Only simulated demos know it: use touch latents."
             raise DatasetError(expected(str(self.root), "the true wrench", "none", do))
@@ -184,11 +170,11 @@ class TrainingView(Dataset):
             key = STREAM_KEYS[touch]
             return {key(slot): touch_stream(touch, check_finger(finger)) for slot, finger in slots.items()}
         if touch == "wrench":
-            return {wrench_key(slot): truth_wrench_key(check_finger(finger)) for slot, finger in slots.items()}
+            return {keys.wrench_key(s): keys.truth_wrench_key(check_finger(finger)) for s, finger in slots.items()}
         return {}
 
     def _metadata(self) -> ViewMetadata:
-        vectors = {STATE: STATE, ACTION: ACTION, **self._touch}  # feature key → array name
+        vectors = {keys.STATE: keys.STATE, keys.ACTION: keys.ACTION, **self._touch}  # feature key → array name
         used = self._used_frames()
         vectors = {key: name for key, name in vectors.items() if self._arrays[name].ndim == 2}  # no pictures
         stats = {key: pooled_stats(self._arrays[name][used]) for key, name in vectors.items()}
@@ -200,7 +186,7 @@ class TrainingView(Dataset):
             stats=stats,
             episodes={"dataset_from_index": starts, "dataset_to_index": ends, "tasks": [[t] for t in self._tasks]},
             sensors=self._sensors(),
-            camera_keys=[camera_key(camera) for camera in CAMERAS],
+            camera_keys=[keys.camera_key(camera) for camera in keys.CAMERAS],
             total_episodes=len(self._tasks),
             total_frames=len(self),
             used_episodes=self.num_episodes,
@@ -225,15 +211,15 @@ class TrainingView(Dataset):
     def _features(self) -> dict[str, dict]:
         side = self.marker["image_side"]
         picture = {"dtype": "image", "shape": (side, side, 3), "names": ["height", "width", "channels"]}
-        features: dict[str, dict] = {camera_key(camera): dict(picture) for camera in CAMERAS}
-        features |= {key: _vector(AXES) for key in (STATE, ACTION)}
+        features: dict[str, dict] = {keys.camera_key(camera): dict(picture) for camera in keys.CAMERAS}
+        features |= {key: vector_column(keys.AXES) for key in (keys.STATE, keys.ACTION)}
         for key, name in self._touch.items():
             size = self._arrays[name].shape[1]
             if self._arrays[name].ndim > 2:
                 shape = self._arrays[name].shape[1:]
                 features[key] = {"dtype": "uint8", "shape": shape, "names": ["pair", "height", "width"]}
                 continue
-            features[key] = _vector(WRENCH_AXES if size == len(WRENCH_AXES) else [f"z{i}" for i in range(size)])
+            features[key] = vector_column(WRENCH_AXES if size == len(WRENCH_AXES) else [f"z{i}" for i in range(size)])
         return features
 
 
@@ -243,10 +229,6 @@ def _check_array(file: Path, array: np.ndarray, marker: dict[str, Any], picture:
     if array.shape[:1] != (marker["num_frames"],) or not fits or (picture and array.dtype != np.uint8):
         came = f"{array.shape} {array.dtype}"
         raise DatasetError(expected(str(file), f"{marker['num_frames']} frames of it", came, "Build the view again."))
-
-
-def _vector(names: Sequence[str]) -> dict[str, Any]:
-    return {"dtype": "float32", "shape": (len(names),), "names": list(names)}
 
 
 def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], verify: str = "") -> Any:
@@ -260,12 +242,11 @@ def make_training_dataset(cfg: Any, stock_make_dataset: Callable[[Any], Any], ve
         stock_make_dataset: LeRobot's own function.
         verify: see ``check_dataset``; "" is "quick" for a dataset of this machine (``local/…``), else "full".
 
-    Raises:
-        DatasetError: a dataset or view that isn't what was saved, a path or link that leads out of it, the policy pools
-            latents to another grid, or asks for observation histories.
+    Raises DatasetError: a dataset or view that isn't what was saved, a path or link that leads out of it, the policy
+    pools latents to another grid, or asks for observation histories.
     """
     root = cfg.dataset.root
-    if root is None or not (Path(root) / VIEW_MARKER).is_file():
+    if root is None or not (Path(root) / keys.VIEW_MARKER).is_file():
         return _stock_dataset(cfg, stock_make_dataset, verify)
     policy = cfg.trainable_config
     if getattr(policy, "observation_delta_indices", None) is not None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import batched
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -19,18 +20,46 @@ import torch
 from tqdm import tqdm
 
 from uniforce_datasets.hashes import check_hashes, write_hashes
-from uniforce_datasets.latent_encoder import LatentEncoder, PooledTokenizer
 from uniforce_datasets.source import Episode, episode_frames
 from uniforce_datasets.view_plan import TOUCH_STREAMS, EpisodeFacts, ViewPlan, ViewSettings, plan_view, touch_stream
 from uniforce_vtla.contracts import FINGERS, Finger, check_marker_image
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.keys import CAMERAS, VIEW_MARKER, camera_key, tactile_key
 from uniforce_vtla.results_file import write_json
-from uniforce_vtla.tokenizer import Tokenizer
+from uniforce_vtla.tokenizer import Tokenizer, pool_latent
 from uniforce_vtla.tokenizer.plain_touch import descriptors, marker_pairs
 
-logger = logging.getLogger(__name__)
 
+class LatentEncoder(Protocol):
+    """What a training view asks of an encoder."""
+
+    @property
+    def hash(self) -> str:
+        """Identity of the weights; policies refuse latents of another one."""
+
+    def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        """Return (B, K·latent) float32 from a (H, W) reference and (B, H, W) images as the sensor saw them."""
+
+
+class PooledTokenizer:
+    """A frozen tokenizer with its latents pooled to grid × grid.
+
+    Args:
+        tokenizer: it, the folder it is in, or None for the shipped one.
+        grid: cells per side.
+    """
+
+    def __init__(self, tokenizer: Tokenizer | str | Path | None, grid: int) -> None:
+        found = tokenizer if isinstance(tokenizer, Tokenizer) else Tokenizer.from_pretrained(tokenizer or None)
+        self._tokenizer, self._grid, self.hash = found, grid, found.hash
+
+    def __call__(self, reference: np.ndarray, current: np.ndarray, finger: Finger) -> np.ndarray:
+        """See ``LatentEncoder``."""
+        latent = self._tokenizer.encode(reference[None], current, finger)  # (B, P, latent)
+        return pool_latent(latent, self._grid).flatten(1).numpy()  # (B, K·latent)
+
+
+logger = logging.getLogger(__name__)
 PROGRESS = "progress.json"
 BATCH = 32  # frames encoded at once: 10 MB of marker images
 DEFAULT_SLOTS = {"touch0": "right", "touch1": "left"}
@@ -62,8 +91,7 @@ def build_view(
         workers: processes that decode and encode, an episode each at a time.
         verify: how the datasets are checked, see ``check_dataset``.
 
-    Raises:
-        DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
+    Raises DatasetError: a dataset can't be trusted, no episode is left, or ``out`` holds something else.
     """
     encoder = encoder or PooledTokenizer(tokenizer, latent_grid)
     settings = ViewSettings(image_side, latent_grid, dict(slots or DEFAULT_SLOTS), encoder.hash)

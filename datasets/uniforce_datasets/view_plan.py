@@ -12,27 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_datasets.dataset_paths import check_links
+from uniforce_datasets.dataset_info import check_links
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.source import Episode, Source
+from uniforce_vtla import keys
 from uniforce_vtla.contracts import FINGERS, Finger, check_finger
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import DatasetError, expected, require_one_of
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.keys import (
-    ACTION,
-    CAMERAS,
-    OUTCOME,
-    OUTCOME_NAMES,
-    SEED,
-    SLOTS,
-    STATE,
-    SUCCESS,
-    VIEW_MARKER,
-    camera_key,
-    sensor_key,
-    tactile_key,
-    truth_wrench_key,
-)
 from uniforce_vtla.sensors import list_sensors
 
 FORMAT = 2  # of the view folder; a view of another format is built anew
@@ -99,7 +85,7 @@ class ViewPlan:
             "num_frames": self.num_frames,
             "sources": sorted({fact.source for fact in self.facts}),
             "sensors": sensors,
-            "wrench": truth_wrench_key(FINGERS[0]) in self.columns,
+            "wrench": keys.truth_wrench_key(FINGERS[0]) in self.columns,
             "episodes": [asdict(fact) for fact in self.facts],
             "content": self._content(),
         }
@@ -117,18 +103,16 @@ def plan_view(
 ) -> ViewPlan:
     """Check the datasets and choose their episodes.
 
-    Raises:
-        DatasetError: a broken dataset, different frame rates, a stream missing, no episode chosen.
-        ContractError: unknown slots or fingers.
+    Raises DatasetError: a broken dataset, different frame rates, a stream missing, no episode chosen; ContractError:
+    unknown slots or fingers.
     """
     for slot, finger in settings.slots.items():
-        if slot not in SLOTS:
-            raise ContractError(expected("slot", " or ".join(SLOTS), repr(slot), "Write touch0:right."))
+        require_one_of("slot", slot, keys.SLOTS, "Write touch0:right.")
         check_finger(finger)
     sources = [check_dataset(root, verify) for root in roots]
     for source in sources:
         _check_streams(source, sources[0].fps)
-    truth = all(truth_wrench_key(f) in s.features for s in sources for f in FINGERS)
+    truth = all(keys.truth_wrench_key(f) in s.features for s in sources for f in FINGERS)
     chosen = [(s, e, f) for s in sources for e, f in _facts(s) if wanted(f)]
     if not chosen:
         do = "Record successful demos, or keep failures."
@@ -138,7 +122,7 @@ def plan_view(
 
 
 def _check_streams(source: Source, fps: int) -> None:
-    needed = [camera_key(c) for c in CAMERAS] + [tactile_key(f) for f in FINGERS]
+    needed = [keys.camera_key(c) for c in keys.CAMERAS] + [keys.tactile_key(f) for f in FINGERS]
     missing = [key for key in needed if key not in source.features]
     if missing or source.fps != fps:
         came = f"{source.fps} Hz, without {missing}" if missing else f"{source.fps} Hz"
@@ -146,28 +130,28 @@ def _check_streams(source: Source, fps: int) -> None:
 
 
 def _facts(source: Source) -> list[tuple[Episode, EpisodeFacts]]:
-    left, right = (sensor_key(f) for f in FINGERS)
-    columns = source.columns((SUCCESS, OUTCOME, SEED, left, right))
+    left, right = (keys.sensor_key(f) for f in FINGERS)
+    columns = source.columns((keys.SUCCESS, keys.OUTCOME, keys.SEED, left, right))
 
     def fact(episode: Episode) -> EpisodeFacts:
         first = {key: column[episode.start] for key, column in columns.items()}
         sensors = (list_sensors()[int(first[key])] for key in (left, right))
-        success, outcome = bool(first[SUCCESS]), OUTCOME_NAMES[int(first[OUTCOME])]
+        success, outcome = bool(first[keys.SUCCESS]), keys.OUTCOME_NAMES[int(first[keys.OUTCOME])]
         head = (str(source.root), episode.index, episode.length, episode.task)
-        return EpisodeFacts(*head, success, outcome, int(first[SEED]), *sensors)
+        return EpisodeFacts(*head, success, outcome, int(first[keys.SEED]), *sensors)
 
     return [(episode, fact(episode)) for episode in source.episodes]
 
 
 def _columns(episodes: Sequence[tuple[Source, Episode]], truth: bool) -> dict[str, np.ndarray]:
-    keys = (STATE, ACTION, *(truth_wrench_key(f) for f in FINGERS if truth))
-    by_root = {source.root: source.columns(keys) for source, _ in episodes}
+    wanted = (keys.STATE, keys.ACTION, *(keys.truth_wrench_key(f) for f in FINGERS if truth))
+    by_root = {source.root: source.columns(wanted) for source, _ in episodes}
 
     def gather(key: str) -> np.ndarray:
         parts = [by_root[s.root][key][e.start : e.start + e.length] for s, e in episodes]
         return np.concatenate(parts).astype(np.float32)
 
-    return {key: gather(key) for key in keys}
+    return {key: gather(key) for key in wanted}
 
 
 # --- the facts of a view that was built, checked before any of its arrays is opened
@@ -179,15 +163,15 @@ TOUCH = tuple(touch_stream(name, finger) for name in TOUCH_STREAMS for finger in
 def read_marker(root: Path) -> dict[str, Any]:
     """Return a view's facts.
 
-    Raises:
-        DatasetError: not a whole view of this format, damaged facts, or a link that leads out of the folder.
+    Raises DatasetError: not a whole view of this format, damaged facts, or a link that leads out of the folder.
     """
-    file = root / VIEW_MARKER
+    file = root / keys.VIEW_MARKER
     if not file.is_file():
-        raise DatasetError(expected(str(root), VIEW_MARKER, "none", "Build the view with uniforce view."))
+        raise DatasetError(expected(str(root), keys.VIEW_MARKER, "none", "Build the view with uniforce view."))
     check_links(root, root)
     marker = read_object(file, DatasetError)
-    missing = [name for name in (*CAMERAS, STATE, ACTION, *TOUCH) if not (root / f"{name}.npy").is_file()]
+    arrays = (*keys.CAMERAS, keys.STATE, keys.ACTION, *TOUCH)
+    missing = [name for name in arrays if not (root / f"{name}.npy").is_file()]
     if marker.get("format") != FORMAT or missing:
         came = f"format {marker.get('format')}, missing {missing}"
         raise DatasetError(expected(str(root), f"a whole view of format {FORMAT}", came, "Build it again."))

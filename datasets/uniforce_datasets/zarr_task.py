@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_datasets.dataset_paths import check_links
+from uniforce_datasets.dataset_info import check_links
 from uniforce_vtla.errors import DatasetError, expected
 from uniforce_vtla.json_file import read_object
 

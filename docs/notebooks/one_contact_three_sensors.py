@@ -31,7 +31,7 @@ from uniforce_vtla.contact import TactileSimulator, gap_map
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.evaluation.episode import ScoreLimits
 from uniforce_vtla.evaluation.rollout import roll_out
-from uniforce_vtla.markers.overlay import overlay
+from uniforce_vtla.markers.raster import overlay
 
 torch.set_num_threads(1)
 np.set_printoptions(precision=2, suppress=True)

@@ -115,8 +115,7 @@ def seen(view: WornView, contact: ContactState, finger: Finger, encode: Encode) 
 def recorded_grasps(config: CalibrateCommand, tokenizer: Tokenizer) -> Grasps:
     """Read recorded pairs of the two sensors; either finger may wear the new one, of one kind it is the left.
 
-    Raises:
-        DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
+    Raises DatasetError: as ``read_uniforce_pairs``, or pairs of other sensors.
     """
     import torch
 
@@ -145,11 +144,7 @@ def _pooled(z: Latent) -> Latent:
 
 
 def check_agreement(found: Calibration, config: CalibrateCommand) -> str:
-    """Return which class the task needs agrees least, in words.
-
-    Raises:
-        ContractError: it agrees too little to be of use.
-    """
+    """Return which class the task needs agrees least, in words; ContractError: it agrees too little to be of use."""
     classes = OBJECT_CLASSES if config.task == "both" else (config.task,)
     name, r2 = found.worst(classes)
     if r2 < config.fit.refuse_below:

@@ -87,10 +87,7 @@ def convert(config: ConvertConfig) -> Path:
 
 
 def _settings(source: dict[str, Any], config: ConvertConfig, slots: dict[str, str]) -> PI05UniforceConfig:
-    """Return the source's sizes and flow with this project's touch.
-
-    Raises CheckpointError: a checkpoint of another policy.
-    """
+    """Return the source's sizes and flow with this project's touch; CheckpointError: a checkpoint of another policy."""
     from lerobot_policy_pi05_uniforce import PI05UniforceConfig
     from lerobot_policy_pi05_uniforce import configuration_pi05_uniforce as groups
 

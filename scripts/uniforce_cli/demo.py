@@ -36,11 +36,7 @@ class DemoConfig:
 
 
 # arm → (left, right sensor): the shipped policy learnt to feel with a TacTip on the right finger, never retrained
-ARMS = {
-    "V+T": ("gelsight", "tactip"),
-    "V+G": ("gelsight", "gelsight"),
-    "V+U": ("gelsight", "uskin"),
-}
+ARMS = {"V+T": ("gelsight", "tactip"), "V+G": ("gelsight", "gelsight"), "V+U": ("gelsight", "uskin")}
 
 
 class ProgressBars:

@@ -14,7 +14,7 @@ from uniforce_vtla.evaluation.arms import ArmReport
 from uniforce_vtla.evaluation.pictures import PICTURE_DPI, draw_outcomes
 from uniforce_vtla.figure_file import save_figure
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
-from uniforce_vtla.markers.overlay import overlay
+from uniforce_vtla.markers.raster import overlay
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 

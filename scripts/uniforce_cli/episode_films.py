@@ -11,7 +11,7 @@ from uniforce_cli.recorded_episode import cameras, frames, marker_images, raw_to
 from uniforce_datasets.source import Episode, Source
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.evaluation.episode_summary import EpisodeSummary
-from uniforce_vtla.markers.overlay import overlay
+from uniforce_vtla.markers.raster import overlay
 
 MOMENTS = 120  # pictures of each stream on a page: 4 MB of them
 WIDTH_PX = 320  # of the largest of them

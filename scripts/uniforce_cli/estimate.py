@@ -41,9 +41,8 @@ class ScoreRecordingConfig:
 def score_recording(config: ScoreRecordingConfig) -> dict[str, Any]:
     """Return one row per episode; every number is an estimate.
 
-    Raises:
-        ContractError: friction or corners of the wrong form.
-        DatasetError: a dataset that can't be read, lacks a finger, or is truncated.
+    Raises ContractError: friction or corners of the wrong form; DatasetError: a dataset that can't be read, lacks a
+    finger, or is truncated.
     """
     from tqdm import tqdm
 

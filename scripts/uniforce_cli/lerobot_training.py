@@ -122,8 +122,7 @@ def training_views(verify: str = "") -> Iterator[None]:
             return make_training_dataset(cfg, partial(_stock_dataset, stock), verify)
         if cfg.dataset.eval_split:
             do = "Make a view of the held-out episodes instead."
-            came = cfg.dataset.eval_split
-            raise ContractError(expected("dataset.eval_split", "0 with a training view", came, do))
+            raise ContractError(expected("dataset.eval_split", "0 with a training view", cfg.dataset.eval_split, do))
         return make_training_dataset(cfg, stock, verify)
 
     with replaced(factory, "make_dataset", make_dataset):
@@ -174,8 +173,7 @@ def read_settings(flags: Sequence[str]) -> TrainPipelineConfig:
     except SystemExit as error:  # LeRobot's way to end after a wrong type; it printed why
         raise ContractError(f"settings: {_said(said.getvalue())} See --help.") from error
     except LEROBOTS_ERRORS as error:
-        came = _said(error)
-        raise ContractError(expected("settings", "what LeRobot takes", came, "See --help.")) from error
+        raise ContractError(expected("settings", "what LeRobot takes", _said(error), "See --help.")) from error
     finally:
         logging.disable(logging.NOTSET)
     return settings

@@ -17,7 +17,7 @@ from uniforce_vtla.options import OutFolder, Pattern, Positive, Range, Seed, Sha
 from uniforce_vtla.results_file import provenance, write_json
 
 if TYPE_CHECKING:
-    from uniforce_robots.franka.settings import HandSettings
+    from uniforce_robots.franka.limits import HandSettings
     from uniforce_robots.pairs.recorder import SessionReport, Status
     from uniforce_robots.pairs.rehearsal import SimulatedRig
     from uniforce_robots.pairs.rig import PairRig, RobotRig
@@ -60,9 +60,8 @@ class RecordPairsConfig:
 def record_pairs(config: RecordPairsConfig) -> dict[str, Any]:
     """Record what is missing and return the session's report.
 
-    Raises:
-        ContractError: an unknown robot or indenter, or impossible numbers.
-        DatasetError: see ``PairStore`` and ``PairRecorder``.
+    Raises ContractError: an unknown robot or indenter, or impossible numbers; DatasetError: see ``PairStore`` and
+    ``PairRecorder``.
     """
     from uniforce_robots.pairs.coverage import draw_coverage
     from uniforce_robots.pairs.storage import PairStore
@@ -121,8 +120,7 @@ def _robot_rig(config: RecordPairsConfig, rate_hz: float) -> Iterator[RobotRig]:
 
     Never run on hardware. The fingers' references are taken while connecting: keep them in free air.
 
-    Raises:
-        SensorError, RobotError, TeleoperatorError: whatever is not there.
+    Raises SensorError, RobotError, TeleoperatorError: whatever is not there.
     """
     from uniforce_cli.touch import TouchConfig, opened
     from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
@@ -183,8 +181,7 @@ def _check(config: RecordPairsConfig) -> tuple[str, ...]:
     names = tuple(split(config.indenters)) or PRETRAIN
     unknown = sorted(set(names) - set(HEIGHTS)) if config.robot == "sim" else []
     if unknown or len(set(names)) < len(names):
-        do = "Name each once."
-        raise ContractError(expected("indenters", " | ".join(HEIGHTS), unknown or config.indenters, do))
+        raise ContractError(expected("indenters", " | ".join(HEIGHTS), unknown or config.indenters, "Name each once."))
     return names
 
 

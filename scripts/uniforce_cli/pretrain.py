@@ -33,12 +33,13 @@ class PretrainCommand:
 def main(settings: PretrainCommand) -> None:
     import torch
 
-    from uniforce_vtla.tokenizer.pretrain import Pretraining, open_source, starting_model
+    from uniforce_vtla.tokenizer.pair_cache import PairCache
+    from uniforce_vtla.tokenizer.pretrain import Pretraining, starting_model
 
     logging.basicConfig(level=logging.INFO)
     torch.set_num_threads(settings.threads)
     starting_model(settings.run)  # refuses what does not fit before pairs are drawn
-    data = open_source(settings.run, Path(settings.cache))
+    data = PairCache(Path(settings.cache), settings.run.data)  # drawn where it isn't yet
     tokenizer = Pretraining(settings.run, Path(settings.out), data).run()
     peak_GB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6  # Linux counts in kB
     where = f"in {settings.out}/tokenizer, log in {settings.out}/log.csv"

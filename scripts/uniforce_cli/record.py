@@ -11,21 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from uniforce_cli.boundary import Level, Worn, command, one_thread
+from uniforce_vtla import options
 from uniforce_vtla.errors import ContractError, DatasetError, expected
 from uniforce_vtla.json_file import read_object
-from uniforce_vtla.options import (
-    Count,
-    Dataset,
-    FileName,
-    FilePath,
-    HubName,
-    NotNegative,
-    OutFolder,
-    Range,
-    Seed,
-    Share,
-    Texts,
-)
 
 if TYPE_CHECKING:
     from lerobot.robots import RobotConfig
@@ -36,7 +24,7 @@ if TYPE_CHECKING:
     from uniforce_robots.recorder.session import SessionEnd
 
 INTERRUPTED = 130  # exit code of a program that Ctrl-C ended
-EpisodeSeconds = Annotated[float, Range(0, 3600, above=True)]
+EpisodeSeconds = Annotated[float, options.Range(0, 3600, above=True)]
 
 
 @dataclass
@@ -51,30 +39,30 @@ class RecordConfig:
     """
 
     robot: Literal["sim", "franka"] = "sim"  # what records
-    teleop: FileName = "expert"  # expert (simulation) | keyboard | spacemouse | gello | hand_guide
-    rig: FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
-    episodes: Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
+    teleop: options.FileName = "expert"  # expert (simulation) | keyboard | spacemouse | gello | hand_guide
+    rig: options.FilePath = ""  # YAML or JSON file with `robot: {type: …, cameras: …}` and, if wanted, `teleop: {…}`
+    episodes: options.Count = 50  # wanted in the dataset, earlier sessions included; aborted ones don't count
     level: Level = "touch"  # simulation: locked in the environment package
     # simulation, a robot's own config says it there: unit 1 of it, or uskin:7 | uskin:any | uskin:drawing
     left_sensor: Worn = "gelsight"
     right_sensor: Worn = "tactip"  # likewise
-    root: OutFolder = "outputs/demos"  # the dataset's folder
-    resume: Dataset = ""  # the same as root, but refuses a folder without a dataset
-    repo_id: HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
-    seed: Seed = 0  # scene of the first episode; the next ones count up
+    root: options.OutFolder = "outputs/demos"  # the dataset's folder
+    resume: options.Dataset = ""  # the same as root, but refuses a folder without a dataset
+    repo_id: options.HubName = "local/uniforce_wiping"  # LeRobot's name for it; nothing is uploaded
+    seed: options.Seed = 0  # scene of the first episode; the next ones count up
     keep_failures: bool = True  # expert: failed demos are kept, labelled; training views leave them out
-    prompts: Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
+    prompts: options.Texts = field(default_factory=list)  # instructions, in turn; none = the scene's own
     episode_s: EpisodeSeconds = 60.0  # s, time limit of an episode
     operator: Literal["keys", "unattended"] = "keys"  # what begins and judges an episode
     verdict: Literal["success", "residual", "failed_grasp"] = "success"  # of every unattended episode
-    quick_notes: Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
+    quick_notes: options.Texts = field(default_factory=list)  # notes that the digits 1, 2, … add
     drive_between: bool = True  # whether the teleoperator moves the robot between episodes
     keep_aborted: bool = True  # whether what came before a fault is stored, labelled
-    late_share: Share = 0.1  # of its ticks that an episode may miss; one that missed more is aborted:late
+    late_share: options.Share = 0.1  # of its ticks that an episode may miss; one that missed more is aborted:late
     keep_raw: bool = True  # robot: raw tactile frames beside the dataset
-    window: Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
-    reserve_MB: NotNegative = 500.0  # MB that have to stay free on the disk
-    unwell_s: NotNegative = 10.0  # s, operator=unattended: how long to wait for a sensor to become well
+    window: options.Count = 17  # robot: taxel scans per tick; 17 are one tick at 500 Hz
+    reserve_MB: options.NotNegative = 500.0  # MB that have to stay free on the disk
+    unwell_s: options.NotNegative = 10.0  # s, operator=unattended: how long to wait for a sensor to become well
     real_time: bool = True  # simulation by hand: keep to the wall clock
 
 

@@ -19,7 +19,7 @@ from uniforce_vtla.evaluation.episode_summary import EpisodeSummary, KeyFrame, f
 from uniforce_vtla.evaluation.finger_estimates import FingerEstimate, estimate_events
 from uniforce_vtla.keys import AXES, STATE, TACTILE_KEYS, counts_key, sensor_key, tactile_key, truth_wrench_key
 from uniforce_vtla.markers.mirror import to_canonical
-from uniforce_vtla.markers.overlay import overlay
+from uniforce_vtla.markers.raster import overlay
 from uniforce_vtla.sensors import list_sensors
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
@@ -43,8 +43,7 @@ class EpisodeForces:
     def judge(self, pad_friction: tuple[float, float]) -> tuple[FingerEstimate, FingerEstimate | None]:
         """Return the estimate from the fingers, and the same from true forces where there are any.
 
-        Raises:
-            ContractError, DatasetError: see ``estimate_events``.
+        Raises ContractError, DatasetError: see ``estimate_events``.
         """
 
         def judged(force_N: np.ndarray) -> FingerEstimate:

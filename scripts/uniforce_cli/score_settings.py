@@ -1,30 +1,16 @@
 """What is scored, and on which rig: the options of ``uniforce score``, which its processes read too."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Literal
 
 from uniforce_cli.boundary import Level, Worn
+from uniforce_vtla import options
 from uniforce_vtla.contracts import Finger
-from uniforce_vtla.options import (
-    Count,
-    CountOrZero,
-    FolderPath,
-    OutFolder,
-    Pattern,
-    Policies,
-    Seed,
-    Seeds,
-    Slots,
-    Workers,
-    split,
-)
 
 SCRIPTS = ("expert",)  # the scene's own, who regulates by both pads' true wrench
-ArmName = Annotated[str, Pattern("a name", r"[^/\\]{1,100}", "V+T")]
+ArmName = Annotated[str, options.Pattern("a name", r"[^/\\]{1,100}", "V+T")]
 
 
 @dataclass(frozen=True)
@@ -65,7 +51,7 @@ class ScoreConfig:
     Example: uniforce score policy=outputs/train/checkpoints/last/pretrained_model swap=touch0:left
     """
 
-    policy: Policies = "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
+    policy: options.Policies = "shipped"  # checkpoint folders (several, e.g. training seeds, take turns scene by scene)
     arm: ArmName = ""  # name of this arm in the table; "" = V+T or the script, and what it wears
     level: Level = "touch"
     # "" = gelsight, and it must be what the policy knows. Naming a sensor allows it to differ from training: unit 1 of
@@ -73,20 +59,20 @@ class ScoreConfig:
     # behind it: tactip:1+flicker=0.2 (uniforce_vtla/contact/faults.py)
     left_sensor: Worn = ""
     right_sensor: Worn = ""  # likewise; "" = tactip
-    left_calibration: FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
-    right_calibration: FolderPath = ""  # likewise
+    left_calibration: options.FolderPath = ""  # of `uniforce calibrate`: what the left finger's sensor wears
+    right_calibration: options.FolderPath = ""  # likewise
     # stop: where a sensor gives what no healthy one of its kind does the episode is aborted | off: go on
     monitor: Literal["stop", "off"] = "stop"
-    swap: Slots = ""  # e.g. touch0:left — which finger fills which slot
+    swap: options.Slots = ""  # e.g. touch0:left — which finger fills which slot
     # touch taken away | another scene's touch of the same phase | frozen half a second into the wipe
     control: Literal["", "masked", "shuffled", "frozen"] = ""
-    rollouts: Count = 20  # 20 for parity with the paper, ≥ 200 for claims
-    first_seed: Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
-    workers: Workers = 2  # processes, one torch thread each
-    videos: CountOrZero = 1  # episodes filmed, the first ones
-    film: Seeds = field(default_factory=list)  # seeds filmed besides; rolled out again where scored unfilmed
+    rollouts: options.Count = 20  # 20 for parity with the paper, ≥ 200 for claims
+    first_seed: options.Seed = 10_000  # demos are recorded from seed 0 on: scored scenes are never trained on
+    workers: options.Workers = 2  # processes, one torch thread each
+    videos: options.CountOrZero = 1  # episodes filmed, the first ones
+    film: options.Seeds = field(default_factory=list)  # seeds filmed besides; rolled out again where scored unfilmed
     resume: bool = True  # keep episodes already scored in `out`
-    out: OutFolder = "outputs/score"  # rows, table, picture and videos go here
+    out: options.OutFolder = "outputs/score"  # rows, table, picture and videos go here
 
     def __post_init__(self) -> None:
         """Name the arm, after what differs from the usual rig: arms of one folder need different names."""
@@ -100,7 +86,7 @@ class ScoreConfig:
     @property
     def policies(self) -> list[str]:
         """Policies that take turns."""
-        return split(self.policy) or [self.policy]
+        return options.split(self.policy) or [self.policy]
 
     def policy_of(self, seed: int) -> str:
         """Return which policy acts in the scene of that seed."""

@@ -49,9 +49,7 @@ class ShareConfig:
 def share(config: ShareConfig) -> Path:
     """Load the checkpoint strictly, write it whole, and return the folder.
 
-    Raises:
-        CheckpointError: files that are missing, damaged or don't fit.
-        ContractError: scores that aren't.
+    Raises CheckpointError: files that are missing, damaged or don't fit; ContractError: scores that aren't.
     """
     from lerobot.policies.factory import make_pre_post_processors
 
@@ -93,8 +91,7 @@ def _load(source: Path) -> PI05UniforcePolicy:
 
 def _merged(source: Path, base: str) -> PI05UniforcePolicy:
     if find_spec("peft") is None:
-        do = "pip install 'lerobot[peft]'"
-        raise CheckpointError(expected(str(source), "the package peft", "none", do))
+        raise CheckpointError(expected(str(source), "the package peft", "none", "pip install 'lerobot[peft]'"))
     from lerobot.configs import PreTrainedConfig
     from peft import PeftModel  # an extra, for those who train adapters
 

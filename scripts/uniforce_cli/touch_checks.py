@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
+from uniforce_robots.sensors.config_uniforce import TURNS, Orientation
 from uniforce_robots.sensors.finger import TactileFinger
-from uniforce_robots.sensors.orientation import TURNS, Orientation
 from uniforce_vtla.contracts import QUARTERS
 from uniforce_vtla.sensors import get_sensor
 from uniforce_vtla.tokenizer.descriptor import describe

@@ -30,8 +30,7 @@ def verify(config: VerifyConfig) -> str:
         ContractError: another ``verify``; a view, which is built again instead of hashed again.
     """
     from uniforce_datasets.hashes import check_hashes
-    from uniforce_datasets.lossless import check_dataset
-    from uniforce_datasets.rehash import rehash
+    from uniforce_datasets.lossless import check_dataset, rehash
     from uniforce_datasets.view_plan import read_marker
 
     root = Path(config.root)

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from properties import examples
 
-from uniforce_datasets import encoder_thread, staging
+from uniforce_datasets import staging, video_encoder
 from uniforce_datasets.cards import read_card
 from uniforce_datasets.features import vector_column
 from uniforce_datasets.lossless import check_dataset, open_dataset
@@ -134,13 +134,13 @@ def test_a_kill_between_any_two_steps_leaves_a_dataset_that_opens_verifies_and_g
 def test_dropped_frame_fails_the_episode_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_recorder(tmp_path / "data", realtime=True, queue_frames=1) as recorder:
         save_one_slowly(recorder)
-        real = encoder_thread.auto_downsample_height_width
+        real = video_encoder.auto_downsample_height_width
 
         def slow(image: np.ndarray) -> np.ndarray:
             time.sleep(0.4)
             return real(image)
 
-        monkeypatch.setattr(encoder_thread, "auto_downsample_height_width", slow)
+        monkeypatch.setattr(video_encoder, "auto_downsample_height_width", slow)
         with pytest.raises(DatasetError, match="dropped"):
             add_frames(recorder, 5)
         monkeypatch.undo()

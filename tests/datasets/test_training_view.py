@@ -11,7 +11,7 @@ import torch
 from benchmarks.speed.loader import BlockMeans, bench_loader
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.synthetic import FPS, dots
-from uniforce_datasets.training_view import VIEW_MARKER, TrainingView, build_view, make_training_dataset
+from uniforce_datasets.training_view import TrainingView, build_view, make_training_dataset
 from uniforce_datasets.view_build import PROGRESS, resize
 from uniforce_datasets.view_plan import EpisodeFacts
 from uniforce_vtla.contracts import Finger
@@ -19,6 +19,7 @@ from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.keys import (
     ACTION,
     STATE,
+    VIEW_MARKER,
     camera_key,
     descriptor_key,
     latent_key,

@@ -31,7 +31,7 @@ from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMa
 from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES
 from uniforce_vtla.tokenizer.descriptor_head import DescriptorHead
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.training_state import load_state, save_state
+from uniforce_vtla.tokenizer.weights import load_state, save_state
 
 TYPED = (UniForceError,)
 SMALL = TokenizerConfig(side=32, patch=8, width=16, depth=1, decoder_depth=1, heads=2, embed_hidden=0)

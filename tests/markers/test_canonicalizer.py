@@ -19,8 +19,8 @@ from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.markers import Canonicalizer
 from uniforce_vtla.markers.identity import outline, why_not
-from uniforce_vtla.markers.nominal_scale import is_nominal, nominal_zoom, points_to_nominal_scale, to_nominal_scale
 from uniforce_vtla.markers.reference import capture_taxel_reference
+from uniforce_vtla.markers.registration import is_nominal, nominal_zoom, points_to_nominal_scale, to_nominal_scale
 from uniforce_vtla.sensors import get_sensor, list_sensors
 
 COUNTS = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))

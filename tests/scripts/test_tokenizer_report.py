@@ -15,7 +15,7 @@ from benchmarks.tokenizer_report import TokenizerReportCommand, main, measure
 from uniforce_vtla.arguments import choose, parse
 from uniforce_vtla.contact.virtual import as_virtual
 from uniforce_vtla.tokenizer.api import Tokenizer
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
+from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 

@@ -15,7 +15,7 @@ from uniforce_cli.touch import TouchConfig, main
 from uniforce_cli.touch_checks import advice, check_angle, quarter_response
 from uniforce_cli.touch_view import OUTPUTS, TouchView, as_text, panel, save_panel
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
-from uniforce_robots.sensors.orientation import TURNS, Orientation
+from uniforce_robots.sensors.config_uniforce import TURNS, Orientation
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, frame_cycle, taxel_cycle
 from uniforce_vtla.contact import ContactOptions, TactileSimulator, flat_face_gap

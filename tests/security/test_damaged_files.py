@@ -21,7 +21,7 @@ from uniforce_vtla.file_hashes import HASHES, check_hashes, drop_hashes
 from uniforce_vtla.tokenizer import ForceHead, Tokenizer, TokenizerConfig
 from uniforce_vtla.tokenizer.calibration import Agreement, Calibration, LatentMap
 from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.training_state import load_state
+from uniforce_vtla.tokenizer.weights import load_state
 
 
 @pytest.fixture

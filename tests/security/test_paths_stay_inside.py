@@ -15,7 +15,7 @@ import pytest
 from benchmarks.speed.loader import BlockMeans
 from uniforce_cli.pretrain import PRESETS, PretrainCommand
 from uniforce_cli.show import ShowDatasetConfig, show_dataset
-from uniforce_datasets import dataset_paths
+from uniforce_datasets import dataset_info
 from uniforce_datasets.lossless import open_dataset
 from uniforce_datasets.source import read_source
 from uniforce_datasets.synthetic import record_synthetic
@@ -140,5 +140,5 @@ def test_a_preset_is_one_of_the_packages_own(tmp_path: Path) -> None:
 
 def test_plain_paths_pass() -> None:
     template = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-    assert dataset_paths.check_template("here", template) == template
-    assert dataset_paths.check_key("here", "observation.images.front") == "observation.images.front"
+    assert dataset_info.check_template("here", template) == template
+    assert dataset_info.check_key("here", "observation.images.front") == "observation.images.front"

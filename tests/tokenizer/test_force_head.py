@@ -3,8 +3,7 @@ import pytest
 import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError
-from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceHead, ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.latent import Latent
 
 

@@ -13,20 +13,18 @@ from accelerate.state import AcceleratorState
 from uniforce_cli.pretrain import PRESETS, PretrainCommand, main
 from uniforce_vtla.arguments import parse, read
 from uniforce_vtla.contact.virtual import VirtualSensor
-from uniforce_vtla.errors import CheckpointError, ContractError, DatasetError
+from uniforce_vtla.errors import ContractError, DatasetError
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import (
     Side,
     equilibrium,
     gradient_pyramid,
     kl,
-    perceptual,
-    quality_weights,
     reconstruction,
 )
 from uniforce_vtla.tokenizer.model import Posterior, build_model
-from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, build_cache, draw_finger, rigs
-from uniforce_vtla.tokenizer.pretrain import Pretraining, learning_rate, open_source, pair_loss
+from uniforce_vtla.tokenizer.pair_cache import PairCache, build_cache, draw_finger, rigs
+from uniforce_vtla.tokenizer.pretrain import Pretraining, learning_rate, pair_loss
 from uniforce_vtla.tokenizer.settings import LossConfig, PairCacheConfig, PretrainSettings, TokenizerConfig
 
 SMALL_DATA = PairCacheConfig(side=32, units=2, pairs_per_unit=4, units_per_shard=1)
@@ -159,27 +157,12 @@ def test_gradient_pyramid_sees_edges_only() -> None:
     assert gradient_pyramid(image.flip(-1), image, 3) > 0.05
 
 
-def test_absent_or_unknown_perceptual_terms_raise() -> None:
-    with pytest.raises(CheckpointError, match="lpips"):
-        perceptual(LossConfig(perceptual="lpips"))
-    with pytest.raises(ContractError, match="gradient_pyramid"):
-        perceptual(LossConfig(perceptual="else"))  # type: ignore[arg-type]
-
-
-def test_live_pairs_train_and_the_log_says_what_data_cost(settings: PretrainSettings, tmp_path: Path) -> None:
-    live = replace(settings, source="live", strips_every=2, steps=2)
-    run = Pretraining(live, tmp_path, open_source(live, tmp_path / "unused"))
-    run.run()
-    header = (tmp_path / "log.csv").read_text().splitlines()[0]
-    assert "data_share" in header and not (tmp_path / "unused").exists()
+def test_the_log_says_what_data_cost_and_strips_are_drawn(
+    data: PairCache, settings: PretrainSettings, tmp_path: Path
+) -> None:
+    Pretraining(replace(settings, strips_every=2, steps=2), tmp_path, data).run()
+    assert "data_share" in (tmp_path / "log.csv").read_text().splitlines()[0]
     assert [p.name for p in (tmp_path / "strips").iterdir()] == ["step_000002.png"]
-
-
-def test_quality_weights_let_go_of_a_broken_pair() -> None:
-    error = torch.tensor([1.0, 1.1, 0.9, 1.0, 50.0])
-    weights = quality_weights(error, 3.0)
-    assert weights[:4].min() > 0.7 and weights[4] < 0.02
-    assert torch.equal(quality_weights(error, 0.0), torch.ones(5))
 
 
 @pytest.fixture
@@ -212,19 +195,6 @@ def test_command_trains_continues_and_leaves_a_loadable_tokenizer(tmp_path: Path
     assert run_command(tmp_path, "run.steps=3") == 0
     assert Tokenizer.from_pretrained(tmp_path / "out" / "tokenizer").hash != first
     assert len((tmp_path / "out" / "log.csv").read_text().splitlines()) == 4
-
-
-FREE_LOOK = PairCacheConfig(side=32, family_share=0.5, free_look=True, marker_loss=0.02)
-
-
-def test_live_pairs_have_the_shapes_and_repeat_with_the_generator() -> None:
-    def draw(config: PairCacheConfig):
-        return LivePairs(config).draw(np.random.default_rng(3), units=2, pairs=3)
-
-    one, two = draw(FREE_LOOK), draw(FREE_LOOK)
-    assert one.left_reference.shape == (2, 1, 32, 32) and one.right_current.shape == (6, 1, 32, 32)
-    assert bool((one.left_current == two.left_current).all())
-    assert not bool((one.left_current == draw(replace(FREE_LOOK, free_look=False)).left_current).all())
 
 
 def test_the_family_replaces_cameras_only_and_only_its_share() -> None:

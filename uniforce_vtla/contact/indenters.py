@@ -82,8 +82,7 @@ def gap_map(name: str, center_mm: Sequence[float], angle_rad: float, scale: floa
 def gap_maps(names: Sequence[str], center_mm: np.ndarray, angle_rad: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return (B, G, G) float32 gaps of ``names`` at (B, 2) centres, turned by (B,) angles, sized by (B,) scales.
 
-    Raises:
-        ContractError: unknown indenter.
+    Raises ContractError: unknown indenter.
     """
     return _map(indenter_gap(names, center_mm, angle_rad, scale, cell_positions_mm()))
 

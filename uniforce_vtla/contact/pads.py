@@ -35,8 +35,7 @@ class Pad:
     def total_gap_mm(self, gap_mm: np.ndarray) -> np.ndarray:
         """Return (B, C) distance from skin to object, given (B, G, G) gaps to the tangent plane.
 
-        Raises:
-            ContractError: a gap map of another grid, or NaN in it.
+        Raises ContractError: a gap map of another grid, or NaN in it.
         """
         if gap_mm.shape[1:] != (GRID_CELLS, GRID_CELLS) or np.isnan(gap_mm).any():
             came = "NaN" if gap_mm.shape[1:] == (GRID_CELLS, GRID_CELLS) else gap_mm.shape

@@ -5,16 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from uniforce_vtla.contact import sampling
 from uniforce_vtla.contact.indenters import PRETRAIN
 from uniforce_vtla.contact.responses import ContactOptions
-from uniforce_vtla.contact.sampling import (
-    FLAT_SIDE_mm,
-    FLAT_TILT_rad,
-    ForceRange,
-    Objects,
-    sample_loads,
-    sample_objects,
-)
 from uniforce_vtla.contact.simulator import Transform, draw_simulator, images_of, rows_of, slices
 from uniforce_vtla.contact.units import Look
 from uniforce_vtla.contact.virtual import VirtualSensor
@@ -41,10 +34,10 @@ class PairBatch:
 class PairSettings:
     """How pairs are drawn."""
 
-    force_range: ForceRange = field(default_factory=ForceRange)  # bounds of the loads
+    force_range: sampling.ForceRange = field(default_factory=sampling.ForceRange)  # bounds of the loads
     flat_share: float = 0.15  # of flat faces: the wiping eraser's side, which no indenter resembles
-    flat_side_mm: tuple[float, float] = FLAT_SIDE_mm  # their shortest and longest side
-    flat_tilt_rad: float = FLAT_TILT_rad  # how far they lean at most, along either axis of the pad
+    flat_side_mm: tuple[float, float] = sampling.FLAT_SIDE_mm  # their shortest and longest side
+    flat_tilt_rad: float = sampling.FLAT_TILT_rad  # how far they lean at most, along either axis of the pad
     unit_strength: float = 1.0  # unit-to-unit variation; 0 for drawings only
     pairs_per_unit: int = 64  # of the same two units; building one takes as long as some twenty images
     options: ContactOptions = field(default_factory=ContactOptions)  # friction and randomness
@@ -52,15 +45,10 @@ class PairSettings:
     misaligned_cells: int = 0  # fingers not facing each other: the right contact moves by up to so many mm
     imbalance: float = 0.0  # broken equilibrium: the right force is off by up to this share of the normal force
 
-    def objects(self, rng: np.random.Generator, n: int, indenters: Sequence[str]) -> Objects:
+    def objects(self, rng: np.random.Generator, n: int, indenters: Sequence[str]) -> sampling.Objects:
         """Return ``n`` random objects, flat faces as these settings say."""
-        return sample_objects(
-            rng,
-            n,
-            indenters,
-            self.flat_share,
-            flat_side_mm=self.flat_side_mm,
-            flat_tilt_rad=self.flat_tilt_rad,
+        return sampling.sample_objects(
+            rng, n, indenters, self.flat_share, flat_side_mm=self.flat_side_mm, flat_tilt_rad=self.flat_tilt_rad
         )
 
 
@@ -86,7 +74,7 @@ def equilibrium_pairs(
     """
     settings = settings or PairSettings()
     objects = settings.objects(rng, n, indenters)
-    force, torsion = sample_loads(rng, n, settings.force_range, objects.names)
+    force, torsion = sampling.sample_loads(rng, n, settings.force_range, objects.names)
     contact = ContactState(objects.gap_mm, force, torsion)
     left = finger_views(rng, left_sensor, contact, settings, transform)
     right = finger_views(rng, right_sensor, mirrored(_disturbed(rng, contact, settings)), settings, transform)

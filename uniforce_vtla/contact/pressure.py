@@ -35,8 +35,7 @@ def solve_pressure(pad: Pad, gap_mm: np.ndarray, fz_N: np.ndarray, stiffness: fl
         fz_N: (B,) normal force.
         stiffness: factor on Young's modulus of all layers.
 
-    Raises:
-        ContractError: force on a pad that faces no object.
+    Raises ContractError: force on a pad that faces no object.
     """
     gap = pad.total_gap_mm(gap_mm)  # (B, C)
     if np.any(~has_object(gap) & (fz_N > 0)):

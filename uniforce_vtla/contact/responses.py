@@ -105,12 +105,7 @@ class TaxelResponse:
     """
 
     def __init__(
-        self,
-        influence: Influence,
-        taxel_mm: np.ndarray,
-        material: TaxelMaterial,
-        gain: np.ndarray,
-        scale: float = 1.0,
+        self, influence: Influence, taxel_mm: np.ndarray, material: TaxelMaterial, gain: np.ndarray, scale: float = 1.0
     ) -> None:
         self._motion = PointMotion(influence, taxel_mm, scale, material.magnet_mm / 2)
         self._apart_mm = (taxel_mm[None] - taxel_mm[:, None]).astype(np.float32)  # (sensor, magnet, 2)

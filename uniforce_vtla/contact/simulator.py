@@ -4,19 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from uniforce_vtla.contact.materials import gel_of
 from uniforce_vtla.contact.pads import CELL_MM, GRID_CELLS, build_pad, has_object
 from uniforce_vtla.contact.pressure import Pressure, solve_pressure
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
-from uniforce_vtla.contact.responses import (
-    CameraResponse,
-    ContactOptions,
-    ForceTaxelResponse,
-    TaxelResponse,
-)
+from uniforce_vtla.contact.responses import CameraResponse, ContactOptions, ForceTaxelResponse, TaxelResponse
 from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
 from uniforce_vtla.contact.units import Look, UnitVariation
-from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual
+from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, gel_of
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs, fill_squares
@@ -93,12 +87,10 @@ class TactileSimulator:
     def counts(self, contact: ContactState) -> np.ndarray:
         """Return (B, M, 3) float32 counts above the baseline, in the sensor's own unit.
 
-        Raises:
-            ContractError: the sensor is a camera.
+        Raises ContractError: the sensor is a camera.
         """
         if not isinstance(self._respond, Taxels):
-            do = "Use raw_frames for a camera."
-            raise ContractError(expected("counts", "a taxel sensor", self.spec.name, do))
+            raise ContractError(expected("counts", "a taxel sensor", self.spec.name, "Use raw_frames for a camera."))
         return self._counts(self.traction(contact), self.options.noise)
 
     def raw_reference(self) -> np.ndarray:

@@ -101,12 +101,7 @@ def _share(weight: np.ndarray, arm: np.ndarray, shear_N: np.ndarray, torsion_Nmm
 
 
 def _cap(
-    ratio: np.ndarray,
-    p: np.ndarray,
-    arm: np.ndarray,
-    shear_N: np.ndarray,
-    torsion_Nmm: np.ndarray,
-    friction: float,
+    ratio: np.ndarray, p: np.ndarray, arm: np.ndarray, shear_N: np.ndarray, torsion_Nmm: np.ndarray, friction: float
 ) -> np.ndarray:
     """Return ``ratio`` with every cell's length ≤ friction, the excess handed to cells that still stick."""
     for _ in range(_PASSES):

@@ -1,4 +1,4 @@
-"""Sensors that exist only here: any layout, marker and view with any material.
+"""Sensors that exist only here: any layout, marker and view with any material; and a real one's material.
 
 The three real sensors are the registry's; a *virtual* one shows what the tokenizer does on a sensor that was never
 pretrained on.  GelSight-D (diamonds on a staggered lattice) is the one the paper tests with.
@@ -6,10 +6,25 @@ pretrained on.  GelSight-D (diamonds on a staggered lattice) is the one the pape
 
 from dataclasses import dataclass, replace
 
-from uniforce_vtla.contact.materials import get_material
+from uniforce_vtla.contact.elastic import Gel
+from uniforce_vtla.errors import SensorError, expected
 from uniforce_vtla.sensors import SensorSpec, get_sensor
 from uniforce_vtla.sensors.layouts import staggered
 from uniforce_vtla.sensors.material import Material, TaxelMaterial
+
+
+def gel_of(spec: SensorSpec, material: Material) -> Gel:
+    """Return the body that finite elements are solved for."""
+    return Gel(spec.pad_size_mm, material.layers, material.readout_mm, spec.dome_radius_mm, material.cell_mm)
+
+
+def get_material(sensor: str) -> Material:
+    """Return the material of ``sensor``; raise SensorError where its file says none."""
+    material = get_sensor(sensor).material
+    if material is None:
+        do = "Say `material` in the sensor's file."
+        raise SensorError(expected(f"{sensor}, simulated", "a material", "none", do))
+    return material
 
 
 @dataclass(frozen=True)
@@ -43,11 +58,7 @@ GELSIGHT_D = VirtualSensor(
 
 
 def as_virtual(sensor: str | VirtualSensor) -> VirtualSensor:
-    """Return a registry sensor with its material, or the virtual sensor itself.
-
-    Raises:
-        SensorError: an unknown name.
-    """
+    """Return a registry sensor with its material, or the virtual sensor itself; SensorError: an unknown name."""
     if isinstance(sensor, VirtualSensor):
         return sensor
     if sensor == GELSIGHT_D.name:

@@ -5,8 +5,6 @@ in every scene, and ``tactip:drawing`` the fast path: the marker image as the co
 ``tactip:7+flicker=0.2+lag=100`` is unit 7 with two faults (``faults.FAULTS``).
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -15,12 +13,11 @@ import numpy as np
 
 from uniforce_vtla.contact.faults import FAULTS
 from uniforce_vtla.contact.indenters import flat_face_gap
-from uniforce_vtla.contact.materials import get_material
 from uniforce_vtla.contact.raw_look import PixelNoise
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.simulator import TactileSimulator, free_air
 from uniforce_vtla.contact.units import Look, UnitVariation
-from uniforce_vtla.contact.virtual import VirtualSensor, any_virtual
+from uniforce_vtla.contact.virtual import VirtualSensor, any_virtual, get_material
 from uniforce_vtla.contact.wear import Creep, Light
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError, expected
@@ -75,8 +72,7 @@ class WornView:
         seed: draws the noise.
         pixel_noise: of raw frames, see ``ContactOptions``.
 
-    Raises:
-        SensorError: the canonicalizer refuses the reference.
+    Raises SensorError: the canonicalizer refuses the reference.
     """
 
     def __init__(self, worn: WornSensor, seed: int = 0, pixel_noise: PixelNoise = "sheet") -> None:
@@ -100,8 +96,7 @@ class WornView:
     def images(self, contact: ContactState) -> np.ndarray:
         """Return (B, 480, 640) uint8 marker images in the sensor's own frame.
 
-        Raises:
-            SensorError: the canonicalizer refuses a frame.
+        Raises SensorError: the canonicalizer refuses a frame.
         """
         if self.worn.direct:
             return self.simulator.marker_images(contact)
@@ -140,8 +135,7 @@ Wear = Callable[[int], WornSensor]  # a scene's seed → what is worn there
 def wear(sensor: str | WornSensor) -> Wear:
     """Return what a finger wears in each scene.
 
-    Raises:
-        SensorError: an unknown name, neither a number nor ``any`` nor ``drawing`` behind it, or an unknown fault.
+    Raises SensorError: an unknown name, neither a number nor ``any`` nor ``drawing`` behind it, or an unknown fault.
     """
     if isinstance(sensor, WornSensor):
         return lambda seed: sensor
@@ -160,8 +154,7 @@ def wear(sensor: str | WornSensor) -> Wear:
 def with_faults(worn: WornSensor, faults: Sequence[str]) -> WornSensor:
     """Return a worn unit with faults in words, ``flicker=0.2``.
 
-    Raises:
-        SensorError: an unknown fault, one that this kind of sensor can't have, or no number behind it.
+    Raises SensorError: an unknown fault, one that this kind of sensor can't have, or no number behind it.
     """
     for words in faults:
         name, _, dose = words.partition("=")

@@ -38,9 +38,8 @@ def estimate_residual(first: np.ndarray, last: np.ndarray, corners_px: np.ndarra
         last: the same camera after it.
         corners_px: (4, 2) image points x, y of the board's corners, in order around it.
 
-    Raises:
-        ContractError: pictures of different shape, or corners that are no quadrilateral.
-        DatasetError: no writing in the first picture, or too little of it in view in the last.
+    Raises ContractError: pictures of different shape, or corners that are no quadrilateral; DatasetError: no writing in
+    the first picture, or too little of it in view in the last.
     """
     before, after = (_top_view(image, corners_px) for image in _checked(first, last, corners_px))
     bare = np.median(before.reshape(-1, 3), axis=0)  # most of a board is bare
@@ -72,8 +71,7 @@ def _on_the_way(view: np.ndarray, bare: np.ndarray, ink: np.ndarray) -> tuple[np
 
 def _checked(first: np.ndarray, last: np.ndarray, corners_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if first.shape != last.shape or first.ndim != 3 or first.shape[2] != 3:
-        came = f"{first.shape}, {last.shape}"
-        raise ContractError(expected("pictures", "two (H, W, 3)", came, "Use one camera."))
+        raise ContractError(expected("pictures", "two (H, W, 3)", f"{first.shape}, {last.shape}", "Use one camera."))
     area = abs(cv2.contourArea(corners_px.astype(np.float32))) if corners_px.shape == (4, 2) else 0.0
     if area < 100 or not cv2.isContourConvex(corners_px.astype(np.float32)):
         do = "Name the board's corners in order around it."

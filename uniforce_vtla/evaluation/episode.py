@@ -54,11 +54,9 @@ class EpisodeTrace:
         for name in STEP_FIELDS:
             values = getattr(self, name)
             if values.shape != self.time_s.shape or values.ndim != 1:
-                do = "One value per step."
-                raise ContractError(expected(f"trace.{name}", self.time_s.shape, values.shape, do))
+                raise ContractError(expected(f"trace.{name}", self.time_s.shape, values.shape, "One value per step."))
             if not np.isfinite(values).all():
-                do = "Check the simulation."
-                raise ContractError(expected(f"trace.{name}", "finite numbers", "NaN or inf", do))
+                raise ContractError(expected(f"trace.{name}", "finite numbers", "NaN or inf", "Check the simulation."))
 
 
 STEP_FIELDS = tuple(f.name for f in fields(EpisodeTrace) if f.name != "rated_depth_mm")

@@ -53,9 +53,8 @@ def estimate_events(
         tool_m: (n, 3) measured x, y, z of the tool, robot base frame.
         pad_friction: left, right; from a slow pull until the object slides.
 
-    Raises:
-        ContractError: shapes that don't fit, numbers that aren't finite, friction that isn't positive.
-        DatasetError: nothing was lifted for long enough to weigh it.
+    Raises ContractError: shapes that don't fit, numbers that aren't finite, friction that isn't positive; DatasetError:
+    nothing was lifted for long enough to weigh it.
     """
     limits = ScoreLimits()
     _check(time_s, force_N, tool_m, pad_friction)
@@ -109,8 +108,7 @@ def _check(time_s: np.ndarray, force_N: np.ndarray, tool_m: np.ndarray, pad_fric
     n = len(time_s)
     if n < 2 or force_N.shape != (n, 2, 3) or tool_m.shape != (n, 3):
         came = f"{time_s.shape}, {force_N.shape}, {tool_m.shape}"
-        do = "Align them."
-        raise ContractError(expected("time, forces, place", "(n,), (n, 2, 3), (n, 3), n ≥ 2", came, do))
+        raise ContractError(expected("time, forces, place", "(n,), (n, 2, 3), (n, 3), n ≥ 2", came, "Align them."))
     if not all(np.isfinite(values).all() for values in (time_s, force_N, tool_m)):
         do = "Check the sensors of this episode."
         raise ContractError(expected("time, forces, place", "finite numbers", "NaN or inf", do))

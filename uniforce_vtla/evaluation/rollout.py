@@ -62,8 +62,7 @@ class Rollout:
 def roll_out(env: Environment, controller: Controller, seed: int, keep_frames: bool = False) -> Rollout:
     """Run one episode to its end. Where a sensor is lost or not healthy the robot stops, and the episode is aborted.
 
-    Raises:
-        RolloutError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
+    Raises RolloutError: the controller returned a non-finite or misshapen chunk; the robot is not moved by it.
     """
     observation, _ = env.reset(seed=seed)
     controller.reset(env)

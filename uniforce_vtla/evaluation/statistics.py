@@ -27,8 +27,7 @@ class Proportion:
 def wilson(k: int, n: int, confidence: float = 0.95) -> Proportion:
     """Return the Wilson score interval of k successes in n trials (Wilson 1927).
 
-    Raises:
-        ContractError: n < 1, or k outside 0…n.
+    Raises ContractError: n < 1, or k outside 0…n.
     """
     if n < 1 or not 0 <= k <= n:
         raise ContractError(expected("k, n", "0 ≤ k ≤ n, n ≥ 1", f"{k}, {n}", "Roll out at least once."))
@@ -48,8 +47,7 @@ class PairedTest:
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> PairedTest:
     """Return the exact two-sided McNemar test of paired successes (McNemar 1947).
 
-    Raises:
-        ContractError: the two arms do not have the same number of seeds.
+    Raises ContractError: the two arms do not have the same number of seeds.
     """
     only_first, only_second = discordant(first, second)
     total = only_first + only_second
@@ -60,8 +58,7 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> PairedTest:
 def discordant(first: Sequence[bool], second: Sequence[bool]) -> tuple[int, int]:
     """Return on how many seeds only the first, and only the second, succeeded.
 
-    Raises:
-        ContractError: the two arms do not have the same number of seeds.
+    Raises ContractError: the two arms do not have the same number of seeds.
     """
     if len(first) != len(second):
         do = "Use the same seeds."
@@ -103,8 +100,7 @@ def non_inferior(
 ) -> NonInferiority:
     """Return the paired score test of non-inferiority and its one-sided bound (Tango 1998).
 
-    Raises:
-        ContractError: no seed, unequal numbers of seeds, or a margin outside (0, 1).
+    Raises ContractError: no seed, unequal numbers of seeds, or a margin outside (0, 1).
     """
     only_new, only_reference = discordant(new, reference)
     n = len(new)

@@ -6,9 +6,8 @@ from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, chec
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
 from uniforce_vtla.markers.marker_reference import MarkerMatch, MarkerReference
-from uniforce_vtla.markers.nominal_scale import points_to_nominal_scale, to_nominal_scale
 from uniforce_vtla.markers.reference import ReferenceMemory, refuse_pressed_reference
-from uniforce_vtla.markers.registration import find_view, seen_from
+from uniforce_vtla.markers.registration import find_view, points_to_nominal_scale, seen_from, to_nominal_scale
 from uniforce_vtla.markers.taxel_render import (
     Saturation,
     TaxelDiscs,
@@ -52,10 +51,8 @@ class Canonicalizer:
     def set_reference(self, raw: np.ndarray) -> None:
         """Take ``raw`` as the free-air state: counts to subtract, or the frame to learn from how markers look.
 
-        Raises:
-            ContractError: wrong shape or dtype.
-            SensorError: a camera frame without markers or with an unlikely number of them, or a dead sensor: a tared
-                one still reads noise.
+        Raises ContractError: wrong shape or dtype; SensorError: a camera frame without markers or with an unlikely
+        number of them, or a dead sensor: a tared one still reads noise.
         """
         if self._is_taxel:
             self._reference_counts = self._checked(raw, "reference")
@@ -73,9 +70,8 @@ class Canonicalizer:
             finger: the finger that wears the sensor.
             reference_from: "own", or where a borrowed reference came from.
 
-        Raises:
-            ContractError: shape, dtype or finger outside the contract, or frames of different size.
-            SensorError: no markers, too few of the reference's, dark, dead, or a reference that was pressed.
+        Raises ContractError: shape, dtype or finger outside the contract, or frames of different size; SensorError: no
+        markers, too few of the reference's, dark, dead, or a reference that was pressed.
         """
         check_finger(finger)
         images = self._taxel_pair if self._is_taxel else self._camera_pair
@@ -85,9 +81,8 @@ class Canonicalizer:
     def marker_image(self, raw: np.ndarray) -> np.ndarray:
         """Return the (480, 640) uint8 image in {0, 255} of a frame (H, W, 3) uint8 RGB or counts (M, 3).
 
-        Raises:
-            ContractError: wrong shape or dtype, or taxels without a reference.
-            SensorError: no markers, too few of the reference's, dark or dead.
+        Raises ContractError: wrong shape or dtype, or taxels without a reference; SensorError: no markers, too few of
+        the reference's, dark or dead.
         """
         if not self._is_taxel:
             return self._camera_image(raw, self._reference, self._view)
@@ -100,9 +95,7 @@ class Canonicalizer:
 
         Of a camera all that the frame shows, since references are chosen by them: they are held to none.
 
-        Raises:
-            ContractError: as ``marker_image``.
-            SensorError: no markers, dark or dead.
+        Raises ContractError: as ``marker_image``; SensorError: no markers, dark or dead.
         """
         if not self._is_taxel:
             return points_to_nominal_scale(self._segment(raw).centres_px, self.spec, MARKER_IMAGE_SHAPE)
@@ -141,8 +134,7 @@ class Canonicalizer:
         reference, view = self._references.get("", free, lambda: self._remember(free))
         shapes = np.shape(free), np.shape(current)
         if shapes[0] != shapes[1]:
-            do = "Use one camera setting for both."
-            raise ContractError(expected("current frame", shapes[0], shapes[1], do))
+            raise ContractError(expected("current frame", shapes[0], shapes[1], "Use one camera setting for both."))
         return self._placed(reference.image, view), self._camera_image(current, reference, view)
 
     def _taxel_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -43,9 +43,8 @@ class MarkerReference:
         dome: see ``segment``.
         counts: fewest and most markers the sensor may have.
 
-    Raises:
-        ContractError: wrong shape or dtype.
-        SensorError: a dark frame, no markers, or a number of them that isn't this sensor's.
+    Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, or a number of them that isn't
+    this sensor's.
     """
 
     def __init__(self, frame: np.ndarray, dome: bool, counts: tuple[int, int]) -> None:
@@ -69,9 +68,8 @@ class MarkerReference:
 
         Other channels are tried where 20 % of the markers are lost. Warns once at 5 %.
 
-        Raises:
-            ContractError: wrong shape or dtype.
-            SensorError: a dark frame, no markers, 25 % of the reference's lost, or more extras than those.
+        Raises ContractError: wrong shape or dtype; SensorError: a dark frame, no markers, 25 % of the reference's lost,
+        or more extras than those.
         """
         found, match = self._best(fit_canonical(frame))
         wanted = f"the {self._tree.n} markers of the reference"

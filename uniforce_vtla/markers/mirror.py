@@ -26,8 +26,7 @@ def to_canonical[Array: (np.ndarray, "torch.Tensor")](image: Array, finger: Fing
     The left finger's image comes back as it is; the right finger's is flipped along its last axis. Applied twice it
     is the identity.
 
-    Raises:
-        ContractError: unknown finger, or fewer than two axes.
+    Raises ContractError: unknown finger, or fewer than two axes.
     """
     if image.ndim < 2:
         raise ContractError(expected("image", "(..., H, W)", tuple(image.shape), "Pass whole images."))
@@ -41,8 +40,7 @@ def to_canonical[Array: (np.ndarray, "torch.Tensor")](image: Array, finger: Fing
 def to_finger_frame[Array: (np.ndarray, "torch.Tensor")](force_N: Array, finger: Finger) -> Array:
     """Return force (..., 3) N from the canonical frame to the finger's own; its own inverse.
 
-    Raises:
-        ContractError: unknown finger, a last axis other than 3, or anything but finite numbers.
+    Raises ContractError: unknown finger, a last axis other than 3, or anything but finite numbers.
     """
     shape, kind = getattr(force_N, "shape", ()), str(getattr(force_N, "dtype", type(force_N).__name__))
     numbers = ("float", "int") if isinstance(force_N, np.ndarray) else ("torch.float",)

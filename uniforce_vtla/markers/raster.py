@@ -1,4 +1,4 @@
-"""Fill many squares and discs into a batch of binary images, exactly mirror-symmetric and without loops.
+"""Fill many squares and discs into a batch of binary images, exactly mirror-symmetric and without loops; overlay two.
 
 Each shape is cut into row spans; the pixels of all spans are listed and set in one go.
 """
@@ -69,3 +69,8 @@ def _fill(y: np.ndarray, low: np.ndarray, high: np.ndarray, inside: np.ndarray) 
     filled = np.zeros(B * H * W, dtype=np.uint8)
     filled[pixels] = 255
     return filled.reshape(B, H, W)
+
+
+def overlay(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
+    """Return (H, W, 3) uint8: markers where they were cyan, where they are red, where both white; on black."""
+    return np.stack([current, reference, reference], axis=-1)

@@ -37,9 +37,8 @@ def capture_taxel_reference(scans: Sequence[np.ndarray], resting_level: np.ndarr
         scans: consecutive raw scans, at least three.
         resting_level: (16, 3) counts known to be free air, if any; without it a steady touch can't be seen.
 
-    Raises:
-        ContractError: too few scans, or one that isn't (16, 3) integers.
-        SensorError: dead, moving between scans, or far from the resting level.
+    Raises ContractError: too few scans, or one that isn't (16, 3) integers; SensorError: dead, moving between scans, or
+    far from the resting level.
     """
     _check_enough(len(scans))
     counts = np.stack([check_counts(np.asarray(scan), "uSkin reference") for scan in scans])  # (N, 16, 3)
@@ -65,9 +64,7 @@ def capture_camera_reference(frames: Sequence[np.ndarray], centres_px: Sequence[
         frames: consecutive camera frames of one size.
         centres_px: their marker centres, from ``Canonicalizer.markers``.
 
-    Raises:
-        ContractError: too few frames, or of different sizes.
-        SensorError: markers move between the frames.
+    Raises ContractError: too few frames, or of different sizes; SensorError: markers move between the frames.
     """
     _check_enough(min(len(frames), len(centres_px)))
     if len({frame.shape for frame in frames}) > 1:

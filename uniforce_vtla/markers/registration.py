@@ -1,12 +1,15 @@
-"""Where a camera looks: its marker images are moved so that the free-air pattern lies as in the sensor's drawing.
+"""One scale and one place for every camera: its lens is taken out of its marker images, then how it is mounted.
 
-Units of one kind differ by how the pattern was moulded and how the camera was mounted: shifted by 1 mm, turned by 5°,
-6 % nearer, 3° off square. Over ten simulated TacTips the shipped tokenizer and head read the same press with 14 % of
-scatter, and with the pattern in its place with 7 % (docs/experiments/tokenizer.md). The place is found in the
+*Scale.* A wider lens shrinks every motion, and a picture alone doesn't tell a near small gel from a far large one: a
+tokenizer misreads the newtons behind a lens it never saw (docs/experiments/tokenizer.md). The px/mm of a camera on its
+pad is known from the data sheet, so marker images of flat gels and of domes come at the scale of the GelSight and
+the TacTip that pretraining is centred on. Taxels are rendered, not seen, and keep their own.
+
+*Place.* Units of one kind differ by how the pattern was moulded and how the camera was mounted: shifted by 1 mm, turned
+by 5°, 6 % nearer, 3° off square. Over ten simulated TacTips the shipped tokenizer and head read the same press with
+14 % of scatter, and with the pattern in its place with 7 % (docs/experiments/tokenizer.md). The place is found in the
 reference, by matching its markers to the drawing's. A pattern that isn't the drawing's is left where it is.
 """
-
-from __future__ import annotations
 
 import logging
 
@@ -15,12 +18,52 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from uniforce_vtla.markers.marker_blobs import spacing
-from uniforce_vtla.markers.nominal_scale import nominal_zoom, sharp
 from uniforce_vtla.markers.raster import CENTRE_PX
-from uniforce_vtla.sensors import SensorSpec
+from uniforce_vtla.sensors import SensorSpec, get_sensor
+
+FLAT, DOME = get_sensor("gelsight").px_per_mm, get_sensor("tactip").px_per_mm  # the others are brought to
+SAME = 1e-3  # zooms closer to 1 than this leave the image untouched
+
+
+def nominal_zoom(spec: SensorSpec) -> tuple[float, float]:
+    """Return the (x, y) factors that bring a sensor's marker images to nominal scale; (1, 1) for taxels."""
+    if spec.signal == "taxel":
+        return 1.0, 1.0
+    nominal = FLAT if spec.dome_radius_mm is None else DOME
+    return nominal[0] / spec.px_per_mm[0], nominal[1] / spec.px_per_mm[1]
+
+
+def is_nominal(spec: SensorSpec) -> bool:
+    """Return whether the sensor's images are at nominal scale as they are."""
+    return all(abs(factor - 1) < SAME for factor in nominal_zoom(spec))
+
+
+def to_nominal_scale(images: np.ndarray, spec: SensorSpec) -> np.ndarray:
+    """Return (..., H, W) uint8 marker images in {0, 255} at nominal scale, zoomed about their centre.
+
+    What leaves the frame is cut, what enters is black; the images come back as they are where nothing changes.
+    """
+    if is_nominal(spec):
+        return images
+    zoom, size = np.array(nominal_zoom(spec)), images.shape[:-3:-1]
+    matrix = np.column_stack([np.diag(zoom), (1 - zoom) * (np.array(size) - 1) / 2])
+    flat = images.reshape(-1, *images.shape[-2:])
+    smooth = np.stack([cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR) for image in flat])
+    return sharp(smooth).reshape(images.shape)
+
+
+def sharp(smooth: np.ndarray) -> np.ndarray:
+    """Return uint8 images in {0, 255} of interpolated ones: an edge stays an edge."""
+    return np.where(smooth >= 128, 255, 0).astype(np.uint8)
+
+
+def points_to_nominal_scale(points_px: np.ndarray, spec: SensorSpec, size_px: tuple[int, int]) -> np.ndarray:
+    """Return (M, 2) image points, x right and y down, where ``to_nominal_scale`` puts them; size is (H, W)."""
+    centre = (np.array(size_px[::-1]) - 1) / 2
+    return ((points_px - centre) * np.array(nominal_zoom(spec)) + centre).astype(points_px.dtype)
+
 
 logger = logging.getLogger(__name__)
-
 TURNS_rad = np.arange(-3, 4) * 0.06  # starts of the search: ±.18
 # a camera turned further was mounted so (`rotation_deg`): its pattern stands at an angle and stays
 MOST_TURN_rad = 0.20

@@ -78,8 +78,7 @@ class Saturation:
 def check_counts(counts: np.ndarray, name: str = "uSkin counts", wanted: tuple[int, ...] = TAXEL_SHAPE) -> np.ndarray:
     """Return (M, 3) integer counts as int64.
 
-    Raises:
-        ContractError: not an integer array of the ``wanted`` shape, or more than any sensor counts.
+    Raises ContractError: not an integer array of the ``wanted`` shape, or more than any sensor counts.
     """
     shape, dtype = getattr(counts, "shape", None), getattr(counts, "dtype", type(counts).__name__)
     if not isinstance(counts, np.ndarray) or shape != wanted or counts.dtype.kind not in "iu":

@@ -54,8 +54,7 @@ class Tokenizer:
     def from_pretrained(cls, path: str | Path | None = None) -> Tokenizer:
         """Load a checkpoint folder, or one shipped with the package: ``"small"`` (None) or ``"nano"``.
 
-        Raises:
-            CheckpointError: missing, truncated, of another shape, or made behind another canonicalizer.
+        Raises CheckpointError: missing, truncated, of another shape, or made behind another canonicalizer.
         """
         folder = checkpoint_folder(path, "tokenizer")
         facts = read_config(folder)
@@ -87,8 +86,7 @@ class Tokenizer:
             current: (B, H, W) images in contact, as the sensor saw them, of any size.
             finger: who wore the sensor; the right finger's images are mirrored.
 
-        Raises:
-            ContractError: images of the wrong form or of two sizes, an unknown finger, a reference without markers.
+        Raises ContractError: images of the wrong form or of two sizes, an unknown finger, a reference without markers.
         """
         if isinstance(reference, MarkerPair) == (current is not None):
             wanted, came = "a MarkerPair alone, or reference and current", f"current {type(current).__name__}"
@@ -107,9 +105,8 @@ class Tokenizer:
     def decode(self, reference: np.ndarray, z: torch.Tensor, finger: Finger = "left") -> torch.Tensor:
         """Return the (B, side, side) canonical image that latents z would show on that reference's sensor.
 
-        Raises:
-            ContractError: a reference of the wrong form or count, or latents of another shape or without an origin.
-            CheckpointError: latents of another tokenizer.
+        Raises ContractError: a reference of the wrong form or count, or latents of another shape or without an origin;
+        CheckpointError: latents of another tokenizer.
         """
         z = own_latent(z, self.hash, "decode")
         wanted = (self.num_patches, self.config.latent)
@@ -131,8 +128,7 @@ class Tokenizer:
     def encode_reference(self, images: np.ndarray, finger: Finger) -> ReferenceCache:
         """Return what frames need of free-air images (B, H, W); a single one is remembered: it lasts an episode.
 
-        Raises:
-            ContractError: images of the wrong form, or without markers.
+        Raises ContractError: images of the wrong form, or without markers.
         """
 
         def encode() -> ReferenceCache:

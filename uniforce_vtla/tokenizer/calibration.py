@@ -107,8 +107,7 @@ class Calibration:
     def load(cls, path: str | Path, tokenizer_hash: str) -> Calibration:
         """Load a calibration made for the tokenizer with this hash.
 
-        Raises:
-            CheckpointError: damaged, or made for another tokenizer.
+        Raises CheckpointError: damaged, or made for another tokenizer.
         """
         folder = Path(path)
         facts = read_config(folder)
@@ -148,10 +147,8 @@ def calibrate(
         anchor: name of the known one.
         config: share held out, fewest grasps, seed.
 
-    Raises:
-        ContractError: too few grasps of a class, different shapes, NaN, no origin, or grasps that never load the
-            sensors.
-        CheckpointError: latents of another tokenizer than the head's.
+    Raises ContractError: too few grasps of a class, different shapes, NaN, no origin, or grasps that never load the
+    sensors; CheckpointError: latents of another tokenizer than the head's.
     """
     config = config or CalibrationConfig()
     origin = head.tokenizer_hash

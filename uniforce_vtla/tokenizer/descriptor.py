@@ -10,6 +10,7 @@ import numpy as np
 
 from uniforce_vtla.contracts import check_marker_image
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.marker_blobs import spacing
 
 DESCRIPTOR_NAMES = ("dx", "dy", "divergence", "curl", "area_change", "count")
 NATURAL_UNITS = (1.0, 1.0, 0.01, 0.01, 0.05, 0.05)  # of the above: what is worth telling apart, px or ratios
@@ -30,14 +31,13 @@ def describe(reference: np.ndarray, current: np.ndarray) -> np.ndarray:
     Mean motion in px, divergence and curl of an affine fit to it, mean log growth of markers' areas, share of
     markers found again.
 
-    Raises:
-        ContractError: no marker images, or a reference with too few markers.
+    Raises ContractError: no marker images, or a reference with too few markers.
     """
     before = find_blobs(check_marker_image(reference, "reference"))
     if len(before.area_px) < MIN_MATCHES:
         do = "Capture it again."
         raise ContractError(expected("reference", f"at least {MIN_MATCHES} markers", len(before.area_px), do))
-    reach = marker_pitch_px(before.centre_px)
+    reach = spacing(before.centre_px)
     return np.stack([_describe_one(before, find_blobs(check_marker_image(image)), reach) for image in current])
 
 
@@ -47,13 +47,6 @@ def find_blobs(image: np.ndarray) -> Blobs:
     area = stats[1:, cv2.CC_STAT_AREA]  # the first is the background
     kept = area >= MIN_BLOB_PX
     return Blobs(centres[1:][kept], area[kept].astype(np.float64))
-
-
-def marker_pitch_px(centre_px: np.ndarray) -> float:
-    """Return the median distance of a marker to its nearest neighbour."""
-    distance = np.linalg.norm(centre_px[:, None] - centre_px[None], axis=-1)
-    np.fill_diagonal(distance, np.inf)
-    return float(np.median(distance.min(axis=1)))
 
 
 def match(before: Blobs, after: Blobs, reach_px: float) -> tuple[np.ndarray, np.ndarray]:

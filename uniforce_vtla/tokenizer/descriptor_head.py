@@ -15,8 +15,7 @@ import torch
 
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.descriptor import DESCRIPTOR_NAMES, NATURAL_UNITS
-from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import ForceRegressor, HeadConfig, HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.weights import load_model, read_config, save_checkpoint
 
 SHIPPED = Path(__file__).parent / "assets"
@@ -46,8 +45,7 @@ class DescriptorHead:
     def from_pretrained(cls, sensor: str, folder: str | Path | None = None) -> DescriptorHead:
         """Load a sensor's head from a folder of heads; the shipped ones know the wiping scene.
 
-        Raises:
-            CheckpointError: no head for that sensor, or one that doesn't fit.
+        Raises CheckpointError: no head for that sensor, or one that doesn't fit.
         """
         place = Path(folder or SHIPPED / f"descriptor_heads_{SCENE}") / sensor
         facts = read_config(place)
@@ -58,8 +56,7 @@ class DescriptorHead:
         try:
             config = HeadConfig(**facts["head"])
         except (TypeError, ContractError) as error:
-            do = "Make it again."
-            raise CheckpointError(expected(f"head in {place}", "a head's sizes", error, do)) from error
+            raise CheckpointError(expected(f"head in {place}", "a head's sizes", error, "Make it again.")) from error
         return cls(load_model(place, lambda: ForceRegressor(config)), sensor)
 
     def save(self, folder: str | Path) -> Path:
@@ -72,16 +69,13 @@ class DescriptorHead:
     def read(self, descriptors: np.ndarray) -> np.ndarray:
         """Return (n, 3) N, canonical frame, of an episode's (n, 6) descriptors from its first frame on.
 
-        Raises:
-            ContractError: another shape, or numbers that aren't finite.
+        Raises ContractError: another shape, or numbers that aren't finite.
         """
         if descriptors.ndim != 2 or descriptors.shape[1] != len(DESCRIPTOR_NAMES):
             do = "Take them from plain_touch.descriptors."
-            came = descriptors.shape
-            raise ContractError(expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", came, do))
+            raise ContractError(expected("descriptors", f"(n, {len(DESCRIPTOR_NAMES)})", descriptors.shape, do))
         if not np.isfinite(descriptors).all():
-            do = "Check the sensor's images."
-            raise ContractError(expected("descriptors", "finite numbers", "NaN or inf", do))
+            raise ContractError(expected("descriptors", "finite numbers", "NaN or inf", "Check the sensor's images."))
         return self._model(_natural(descriptors)[None])[0].double().numpy()
 
 

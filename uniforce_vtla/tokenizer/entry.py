@@ -23,8 +23,7 @@ def prepare(images: np.ndarray, finger: Finger, side: int, name: str = "marker i
         side: pixels per side that the model takes.
         name: what to call the images in an error.
 
-    Raises:
-        ContractError: not an array of that form, empty or too small, NaN, or out of range.
+    Raises ContractError: not an array of that form, empty or too small, NaN, or out of range.
     """
     if not isinstance(images, np.ndarray):
         raise ContractError(expected(name, "a numpy array", type(images).__name__, "Use prepare_tensor."))
@@ -43,8 +42,7 @@ def prepare_tensor(images: torch.Tensor, right: bool, side: int, name: str = "ma
     The aspect is kept: the longer edge becomes ``side``, the rest stays black. Area averaging turns binary
     markers into grey levels that still tell where an edge lies between two pixels.
 
-    Raises:
-        ContractError: as ``prepare``.
+    Raises ContractError: as ``prepare``.
     """
     check_images(images, name)
     canonical = to_canonical(images, "right" if right else "left").float()
@@ -66,14 +64,12 @@ def letterbox(images: torch.Tensor, side: int) -> torch.Tensor:
 def check_images[Images: (np.ndarray, torch.Tensor)](images: Images, name: str) -> Images:
     """Return ``images`` if they are (B, H, W) uint8, or finite floats in [0, 1], of no fewer than 16 px a side.
 
-    Raises:
-        ContractError: anything else.
+    Raises ContractError: anything else.
     """
     kind = str(images.dtype).removeprefix("torch.")
     came = f"{kind} {tuple(images.shape)}"
     if images.ndim != 3 or not (kind == "uint8" or kind.startswith(("float", "bfloat"))):
-        do = "Pass marker images, one channel."
-        raise ContractError(expected(name, "(B, H, W) uint8 or float", came, do))
+        raise ContractError(expected(name, "(B, H, W) uint8 or float", came, "Pass marker images, one channel."))
     if 0 in tuple(images.shape):
         raise ContractError(expected(name, "non-empty images", came, "Check the sensor's frame."))
     if min(images.shape[1:]) < MIN_SIDE_PX:

@@ -9,8 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from uniforce_vtla.contact.materials import get_material
-from uniforce_vtla.contact.virtual import VirtualSensor
+from uniforce_vtla.contact.virtual import VirtualSensor, get_material
 from uniforce_vtla.sensors import SensorSpec
 from uniforce_vtla.sensors.layouts import hexagonal, rectangular
 from uniforce_vtla.sensors.material import Layer, PadMaterial

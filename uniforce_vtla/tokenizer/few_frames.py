@@ -35,8 +35,7 @@ class ForceCorrection:
     def fit(cls, read_N: np.ndarray, known_N: np.ndarray) -> ForceCorrection:
         """Return the correction that brings (n, 3) readings to known forces.
 
-        Raises:
-            ContractError: fewer than ``FEWEST`` frames, another shape, NaN, or an axis that was never loaded.
+        Raises ContractError: fewer than ``FEWEST`` frames, another shape, NaN, or an axis that was never loaded.
         """
         if read_N.shape != known_N.shape or read_N.ndim != 2 or read_N.shape[1] != 3 or len(read_N) < FEWEST:
             came = f"{read_N.shape} and {known_N.shape}"

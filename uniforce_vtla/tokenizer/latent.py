@@ -54,17 +54,14 @@ class Latent(torch.Tensor):
 def own_latent(z: torch.Tensor, tokenizer_hash: str, reader: str) -> torch.Tensor:
     """Return ``z`` as a plain tensor if it comes from the tokenizer that ``reader`` belongs to.
 
-    Raises:
-        ContractError: a tensor that doesn't say where it comes from.
-        CheckpointError: latents of another tokenizer.
+    Raises ContractError: a tensor that doesn't say where it comes from; CheckpointError: latents of another tokenizer.
     """
     if not isinstance(z, Latent):
         do = "Pass what Tokenizer.encode returned; stored latents become Latent.of(z, tokenizer's hash)."
         raise ContractError(expected(f"latents for {reader}", "a Latent", type(z).__name__, do))
     if z.tokenizer_hash != tokenizer_hash:
         wanted, came = (f"tokenizer {name[:12]}…" for name in (tokenizer_hash, z.tokenizer_hash))
-        do = "Load both of one size or folder."
-        raise CheckpointError(expected(f"latents for {reader}", wanted, came, do))
+        raise CheckpointError(expected(f"latents for {reader}", wanted, came, "Load both of one size or folder."))
     return z.as_subclass(torch.Tensor)
 
 
@@ -81,8 +78,7 @@ def _of_all(result: Any, origin: str) -> Any:
 def as_map(z: torch.Tensor) -> torch.Tensor:
     """Return latents (B, P, L) as a square map (B, L, g, g)."""
     if z.ndim != 3 or math.isqrt(z.shape[1]) ** 2 != z.shape[1]:
-        do = "Use Tokenizer.encode."
-        raise ContractError(expected("latent", "(B, P, L), P a square", tuple(z.shape), do))
+        raise ContractError(expected("latent", "(B, P, L), P a square", tuple(z.shape), "Use Tokenizer.encode."))
     side = math.isqrt(z.shape[1])
     return z.transpose(1, 2).unflatten(2, (side, side))  # (B, L, g, g)
 

@@ -3,33 +3,26 @@
 UniForce paper, section "Objective Function"; the paper gives no λ, ours are measured starts.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch.nn import functional as F  # noqa: N812
 
-from uniforce_vtla.errors import CheckpointError, ContractError, expected
 from uniforce_vtla.tokenizer.latent import POOL, pool_latent
 from uniforce_vtla.tokenizer.model import Decoder, Posterior
 from uniforce_vtla.tokenizer.settings import LossConfig
 
-Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 # regions per side; None = every patch
 LEVELS: dict[str, tuple[int | None, ...]] = {"patch": (None,), "levels": (None, POOL, 1)}
 
 
 @dataclass(frozen=True)
 class Side:
-    """One finger's prepared images, (B, 1, S, S) each, and the posterior inferred from them.
-
-    ``material`` (B, M) is what the unit's other contacts tell of it, where the model asks for that.
-    """
+    """One finger's prepared images, (B, 1, S, S) each, and the posterior inferred from them."""
 
     reference: torch.Tensor
     current: torch.Tensor
     posterior: Posterior
-    material: torch.Tensor | None = None
 
 
 def objective(
@@ -44,12 +37,7 @@ def objective(
     sides = {"L": left, "R": right}
     # All four branches i → j in one pass of the decoder.
     branches = [(i, j) for i in sides for j in sides]
-    materials = [m for _, j in branches if (m := sides[j].material) is not None]
-    drawn = decoder(
-        torch.cat([sides[j].reference for _, j in branches]),
-        torch.cat([z[i] for i, _ in branches]),
-        torch.cat(materials) if materials else None,
-    )
+    drawn = decoder(torch.cat([sides[j].reference for _, j in branches]), torch.cat([z[i] for i, _ in branches]))
     parts: dict[str, torch.Tensor] = {}
     for (i, j), image in zip(branches, drawn.chunk(4), strict=True):
         parts[f"recon_{i}{j}"] = reconstruction(image, sides[j], config)
@@ -70,8 +58,8 @@ def reconstruction(drawn: torch.Tensor, truth: Side, config: LossConfig) -> torc
     change = (truth.current - truth.reference).abs()
     weight = 1 + config.changed_pixel_weight * change  # (B, 1, S, S)
     l1 = (weight * (drawn - truth.current).abs()).mean()
-    per_pixel = l1 + config.perceptual_weight * perceptual(config)(drawn, truth.current)
-    return per_pixel * config.pixels_per_patch
+    perceptual = gradient_pyramid(drawn, truth.current, config.pyramid_levels)
+    return (l1 + config.perceptual_weight * perceptual) * config.pixels_per_patch
 
 
 def kl(posterior: Posterior) -> torch.Tensor:
@@ -91,8 +79,7 @@ def equilibrium(z_left: torch.Tensor, z_right: torch.Tensor, config: LossConfig,
     for grid in LEVELS[config.equilibrium]:
         left, right = (z if grid is None else pool_latent(z, grid) for z in (z_left, z_right))
         errors.append((left - right).square().sum(-1).mean(1))  # (B,)
-    error = torch.stack(errors).sum(dim=0)
-    return (error * quality_weights(error.detach(), config.pair_quality)).mean()
+    return torch.stack(errors).sum(dim=0).mean()
 
 
 def _in_own_units(z: torch.Tensor, per_unit: int) -> torch.Tensor:
@@ -103,33 +90,6 @@ def _in_own_units(z: torch.Tensor, per_unit: int) -> torch.Tensor:
     by_unit = z.unflatten(0, (-1, per_unit))
     size = by_unit.square().mean(dim=(1, 2, 3), keepdim=True).sqrt()
     return (by_unit / size.clamp_min(1e-6)).flatten(0, 1)
-
-
-def quality_weights(error: torch.Tensor, tolerance: float) -> torch.Tensor:
-    """Return (B,) weights of pairs by how well they balance: 1 for most, falling off beyond the batch's median.
-
-    A broken pair (a third hand touched the object, fingers not facing each other) pulls z towards what no sensor
-    can agree on; Geman and McClure's weights let go of it.  ``tolerance`` 0 weighs all alike.
-    """
-    if tolerance <= 0:
-        return torch.ones_like(error)
-    return 1 / (1 + (error / (tolerance * error.median()).clamp_min(1e-9)) ** 2) ** 2
-
-
-def perceptual(config: LossConfig) -> Perceptual:
-    """Return the perceptual distance the config names; never another one in its place.
-
-    Raises:
-        CheckpointError: ``lpips`` without its package or backbone weights.
-        ContractError: no such distance.
-    """
-    if config.perceptual == "lpips":
-        wanted, came = "the lpips package and its backbone weights", "neither is part of this installation"
-        do = "Install them and register the distance here, or use perceptual=gradient_pyramid."
-        raise CheckpointError(expected("perceptual=lpips", wanted, came, do))
-    if config.perceptual != "gradient_pyramid":
-        raise ContractError(expected("perceptual", "gradient_pyramid or lpips", repr(config.perceptual), "Choose one."))
-    return lambda drawn, truth: gradient_pyramid(drawn, truth, config.pyramid_levels)
 
 
 def gradient_pyramid(drawn: torch.Tensor, truth: torch.Tensor, levels: int) -> torch.Tensor:

@@ -16,7 +16,6 @@ from uniforce_vtla.tokenizer.motion import CELL_PX, CHANNELS, motion_channels, p
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 
 START_LOG_VARIANCE = -4.0  # σ ≈ 0.14
-MATERIAL_HIDDEN = 32  # units of both layers; a handful of numbers comes out
 FLOW_PX = 2.0  # shift of one unit of the flow head: about a strong shear on a GelSight at 128 px
 LOG_VARIANCE_RANGE = (-10.0, 4.0)  # keeps exp() finite however training goes
 
@@ -175,21 +174,14 @@ class Decoder(nn.Module):
         self.config = config
         self.embed = PatchEmbed(config)
         self.inject = nn.Linear(config.latent, config.width)
-        self.soften = nn.Linear(config.material, config.width, bias=False) if config.material else None
         self.blocks = nn.Sequential(*[DecoderBlock(config) for _ in range(config.decoder_depth)])
         self.draw = nn.Sequential(nn.LayerNorm(config.width), nn.Linear(config.width, config.patch**2))
         nn.init.zeros_(self.draw[1].weight)  # starts from the reference itself (or from black)
         self.flow = FlowHead(config) if config.warp else None
 
-    def forward(self, reference: torch.Tensor, z: torch.Tensor, material: torch.Tensor | None = None) -> torch.Tensor:
-        """Return (B, 1, S, S) current images from references, latents (B, P, latent) and units (B, material).
-
-        Without ``material`` the unit is taken for an average one.
-        """
-        tokens = self.embed(reference) + self.inject(z)
-        if self.soften is not None and material is not None:
-            tokens = tokens + self.soften(material)[:, None]
-        tokens = self.blocks(tokens)
+    def forward(self, reference: torch.Tensor, z: torch.Tensor) -> torch.Tensor:
+        """Return (B, 1, S, S) current images from references and latents (B, P, latent)."""
+        tokens = self.blocks(self.embed(reference) + self.inject(z))
         drawn = self.draw(tokens)  # (B, P, patch²)
         size = (self.config.side, self.config.side)
         image = F.fold(drawn.transpose(1, 2), size, self.config.patch, stride=self.config.patch)
@@ -226,47 +218,6 @@ def warped(image: torch.Tensor, flow_px: torch.Tensor) -> torch.Tensor:
     return F.grid_sample(image, unit.permute(0, 2, 3, 1), padding_mode="zeros", align_corners=False)
 
 
-class MaterialEncoder(nn.Module):
-    """How images changed under which latents → a few numbers per contact's unit, for the decoder alone.
-
-    A reference image doesn't show how soft a gel is; without them the decoder puts a unit's softness into z. They are
-    inferred in pretraining from the *other* contacts of the same unit and its partner's latents there; the encoder
-    never sees them, and z means the same with and without.
-    """
-
-    def __init__(self, patch: int, latent: int, material: int) -> None:
-        super().__init__()
-        self.patch = patch
-        self.look = nn.Sequential(nn.Linear(2 * patch**2 + latent, MATERIAL_HIDDEN), nn.GELU())
-        self.tell = nn.Sequential(
-            nn.Linear(2 * MATERIAL_HIDDEN, MATERIAL_HIDDEN), nn.GELU(), nn.Linear(MATERIAL_HIDDEN, material)
-        )
-
-    def forward(
-        self, reference: torch.Tensor, current: torch.Tensor, z_partner: torch.Tensor, per_unit: int
-    ) -> torch.Tensor:
-        """Return (U·n, material) for each contact, from the unit's ``n`` − 1 others; zeros where n is 1.
-
-        Args:
-            reference: (U·n, 1, S, S), each unit's repeated.
-            current: (U·n, 1, S, S), unit by unit.
-            z_partner: (U·n, P, latent) latents of the other finger; taken as given.
-            per_unit: n.
-        """
-        # (B, P, patch²)
-        change, before = patches(current - reference, self.patch), patches(reference, self.patch)
-        seen = self.look(torch.cat([change, before, z_partner.detach()], dim=2))  # (B, P, H)
-        summary = torch.cat([seen.mean(dim=1), seen.amax(dim=1)], dim=1)  # (B, 2·H)
-        return mean_of_others(self.tell(summary), per_unit)
-
-
-def mean_of_others(values: torch.Tensor, per_unit: int) -> torch.Tensor:
-    """Return (U·n, M): per row the mean over its unit's other rows; a contact never informs about itself."""
-    grouped = values.unflatten(0, (-1, per_unit))  # (U, n, M)
-    others = grouped.sum(dim=1, keepdim=True) - grouped
-    return (others / max(1, per_unit - 1)).flatten(0, 1)
-
-
 class ForceAutoencoder(nn.Module):
     """Encoder and decoder together."""
 
@@ -275,7 +226,6 @@ class ForceAutoencoder(nn.Module):
         self.config = config
         self.encoder = Encoder(config)
         self.decoder = Decoder(config)
-        self.material = MaterialEncoder(config.patch, config.latent, config.material) if config.material else None
 
     def forward(self, reference: torch.Tensor, current: torch.Tensor) -> Posterior:
         """Return the posterior over the latent force map."""

@@ -1,4 +1,4 @@
-"""Pretraining data: equilibrium pairs drawn once, area-resized, as uint8 shards; or drawn anew for every step.
+"""Pretraining data: equilibrium pairs drawn once, area-resized, as uint8 shards.
 
 ⟨GelSight, TacTip⟩ and ⟨uSkin, TacTip⟩, TacTip on the right finger (UniForce paper, "Data Collection Protocol"); a share
 of the cameras may be procedural instead (tokenizer/family.py), always paired by equal traction.
@@ -55,26 +55,6 @@ class PairCache:
         contact = np.stack([rng.permutation(self.pairs_per_unit)[:pairs] for _ in unit])  # (U, n)
         references = [self.arrays[name][unit] for name in NAMES[:2]]
         return _canonical(*references, *(self.arrays[name][unit[:, None], contact] for name in NAMES[2:]))
-
-
-class LivePairs:
-    """Draws every batch anew: no unit and no contact is ever seen twice, nothing lies on disk.
-
-    About a fifth of a training step on one core; the run's log holds the measured share.
-    """
-
-    def __init__(self, config: PairCacheConfig) -> None:
-        self.config = config
-
-    def draw(self, rng: np.random.Generator, units: int, pairs: int) -> Pairs:
-        """Return ``units`` fresh units with ``pairs`` contacts each, the rigs taking turns at random."""
-        config = replace(self.config, pairs_per_unit=pairs)
-        chosen = rigs(config)
-        batches = [_draw_unit(rng, config, chosen[int(rng.integers(len(chosen)))]) for _ in range(units)]
-        return _canonical(*_stacked(batches).values())
-
-
-PairSource = PairCache | LivePairs  # where batches come from; each depends on ``rng`` alone
 
 
 def build_cache(folder: Path, config: PairCacheConfig) -> None:
@@ -164,5 +144,4 @@ def _check_or_write_config(path: Path, config: PairCacheConfig) -> None:
     known = set(asdict(config)) >= set(stored)
     # options added after the cache was drawn stand at their defaults
     if not known or replace(PairCacheConfig(), **stored) != config:
-        do = "Choose another folder."
-        raise DatasetError(expected(f"cache in {path.parent}", asdict(config), stored, do))
+        raise DatasetError(expected(f"cache in {path.parent}", asdict(config), stored, "Choose another folder."))

@@ -22,18 +22,12 @@ from uniforce_vtla.results_file import write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.losses import Side, objective
 from uniforce_vtla.tokenizer.model import ForceAutoencoder, Posterior, build_model
-from uniforce_vtla.tokenizer.pair_cache import LivePairs, PairCache, Pairs, PairSource
+from uniforce_vtla.tokenizer.pair_cache import PairCache, Pairs
 from uniforce_vtla.tokenizer.settings import LossConfig, PretrainSettings
-from uniforce_vtla.tokenizer.training_state import STATE, load_state, save_state
+from uniforce_vtla.tokenizer.weights import STATE, load_state, save_state
 
 RECIPE = "recipe.json"  # every setting of the run, beside its state
-MAY_CHANGE = ("steps", "save_every", "strips_every", "tracker")  # between a run and its continuation
-WITHHELD_SHARE = 0.25  # of units whose material variables are withheld in a step
-
-
-def open_source(settings: PretrainSettings, cache: Path) -> PairSource:
-    """Return the batches' source: the cache in ``cache`` (drawn where it isn't yet), or live drawing."""
-    return PairCache(cache, settings.data) if settings.source == "cache" else LivePairs(settings.data)
+MAY_CHANGE = ("steps", "save_every", "strips_every")  # between a run and its continuation
 
 
 def learning_rate(step: int, settings: PretrainSettings) -> float:
@@ -47,9 +41,7 @@ def learning_rate(step: int, settings: PretrainSettings) -> float:
 def starting_model(settings: PretrainSettings) -> ForceAutoencoder:
     """Return the model before its first step: new, or with the weights of another run.
 
-    Raises:
-        ContractError: that run's model has other sizes.
-        CheckpointError: no tokenizer there.
+    Raises ContractError: that run's model has other sizes; CheckpointError: no tokenizer there.
     """
     model = build_model(settings.model, settings.seed)
     if settings.init:
@@ -67,16 +59,10 @@ class Pretraining:
     Every step draws its batch and noise from (seed, step), so that a resumed run equals an uninterrupted one.
     """
 
-    def __init__(self, settings: PretrainSettings, folder: Path, data: PairSource) -> None:
+    def __init__(self, settings: PretrainSettings, folder: Path, data: PairCache) -> None:
         self.settings, self.folder, self.data = settings, folder, data
         self._check_recipe()
-        self.accelerator = Accelerator(
-            mixed_precision=settings.mixed_precision,
-            log_with=settings.tracker or None,
-            project_dir=folder if settings.tracker else None,
-        )
-        if settings.tracker:
-            self.accelerator.init_trackers("uniforce_tokenizer")
+        self.accelerator = Accelerator(mixed_precision=settings.mixed_precision)
         resumes = (folder / STATE).exists()  # then ``init`` is history, and may be gone
         model = starting_model(replace(settings, init="") if resumes else settings)
         optimizer = torch.optim.AdamW(model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
@@ -166,8 +152,6 @@ class Pretraining:
     def _log(self, report: dict[str, float]) -> None:
         if not self.accelerator.is_main_process:
             return
-        if self.settings.tracker:
-            self.accelerator.log(report, step=self.step)
         self.folder.mkdir(parents=True, exist_ok=True)
         path = self.folder / "log.csv"
         fresh = not path.exists()
@@ -190,35 +174,9 @@ def pair_loss(
     posterior = model.encoder.encode_current(cache, current)
     spread = posterior.mean.std(dim=0).mean()
     references = reference.repeat_interleave(per_unit, dim=0)
-    material = _material(model, references, current, posterior.mean, per_unit)
-    left, right = (
-        Side(before, after, Posterior(mean, log_variance), unit)
-        for before, after, mean, log_variance, unit in zip(
-            references.chunk(2),
-            current.chunk(2),
-            posterior.mean.chunk(2),
-            posterior.log_variance.chunk(2),
-            (None, None) if material is None else material.chunk(2),
-            strict=True,
-        )
-    )
-    loss, parts = objective(model.decoder, left, right, config, step, per_unit)
-    return loss, parts, spread
-
-
-def _material(
-    model: ForceAutoencoder, references: torch.Tensor, current: torch.Tensor, mean: torch.Tensor, per_unit: int
-) -> torch.Tensor | None:
-    """Return (2U·n, M) what each contact's unit is made of, an average one a quarter of the time; None if not asked.
-
-    Decoding without it must stay possible, so some units go without.
-    """
-    if model.material is None:
-        return None
-    partner = torch.cat(mean.chunk(2)[::-1])  # left rows get the right finger's latents, and vice versa
-    material = model.material(references, current, partner, per_unit)
-    kept = torch.rand(len(material) // per_unit, device=material.device) >= WITHHELD_SHARE
-    return material * kept.repeat_interleave(per_unit)[:, None]
+    parts = (part.chunk(2) for part in (references, current, *posterior))  # left rows, right rows
+    left, right = (Side(before, after, Posterior(*q)) for before, after, *q in zip(*parts, strict=True))
+    return *objective(model.decoder, left, right, config, step, per_unit), spread
 
 
 @torch.no_grad()

@@ -7,7 +7,7 @@ from uniforce_vtla.contracts import check_count
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.options import Count, CountOrZero, NotNegative, Pixels, Positive, Rate, Seed, Share, TokenizerFolder
 
-LATER = ("warp", "material")  # fields of TokenizerConfig that came after the first shipped checkpoint
+LATER = ("warp",)  # fields of TokenizerConfig that came after the first shipped checkpoint
 LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below what fills a machine
     "side": (1, 2048),
     "patch": (1, 2048),
@@ -19,7 +19,6 @@ LIMITS = {  # of TokenizerConfig: far beyond what is ever trained, far below wha
     "embed_hidden": (0, 16384),
     "motion_scales": (0, 8),
     "latent": (1, 256),
-    "material": (0, 256),
 }
 MAX_PATCHES = 4096  # 64×64
 # what a calibration grasps, half and half: one class alone fails on the other (docs/design.md)
@@ -43,7 +42,6 @@ class TokenizerConfig:
     predict_change: bool = True  # decoder adds to the reference instead of redrawing every marker
     # decoder also moves the reference's pixels along a flow it predicts; a marker stays a marker
     warp: bool = False
-    material: int = 0  # numbers per unit given to the decoder (MaterialEncoder); 0 = none, as in the paper
 
     def __post_init__(self) -> None:
         for name, (least, most) in LIMITS.items():
@@ -73,9 +71,7 @@ class TokenizerConfig:
 class LossConfig:
     """Weights and named variants of the objective."""
 
-    # lpips needs its own weights on disk
-    perceptual: Literal["gradient_pyramid", "lpips"] = "gradient_pyramid"
-    perceptual_weight: NotNegative = 0.1  # λ of the perceptual term
+    perceptual_weight: NotNegative = 0.1  # λ of the perceptual term, a pyramid of image gradients
     kl_weight: NotNegative = 1e-2  # λ of the KL term, per latent number
     equilibrium_weight: NotNegative = 4.0  # λ of the equilibrium term
     # it rises linearly: at full weight from the start, z learns to be 0
@@ -85,8 +81,6 @@ class LossConfig:
     # absolute is the paper's; per_unit divides each unit's latents by their own size over its contacts: how strongly a
     # unit answers is no imbalance then
     equilibrium_scale: Literal["absolute", "per_unit"] = "absolute"
-    # pairs whose imbalance exceeds so many batch medians count less; 0 = all alike
-    pair_quality: NotNegative = 0.0
     # extra weight where current differs from reference; 0 = plain L1
     changed_pixel_weight: NotNegative = 10.0
     pyramid_levels: Count = 3  # scales of the gradient pyramid
@@ -133,10 +127,7 @@ class PretrainSettings:
     seed: Seed = 0  # weights, batches, latent noise
     save_every: Count = 100  # steps between checkpoints a killed run continues from
     init: TokenizerFolder = ""  # tokenizer folder whose weights it starts from; empty = drawn from the seed
-    source: Literal["cache", "live"] = "cache"  # pairs from disk, or every batch drawn anew
     mixed_precision: Literal["no", "bf16", "fp16"] = "no"  # accelerate's; float32 is fastest on most CPUs
-    # accelerate's, beside log.csv; tensorboard: not installed
-    tracker: Literal["", "wandb", "tensorboard"] = ""
     strips_every: CountOrZero = 500  # steps between pictures of reconstructions (strips/); 0 = none
 
 

@@ -33,9 +33,7 @@ class StreamingEncoder:
         finger: who wears the sensor; the right finger's images are mirrored.
         head: reads newtons from latents, remembering the frames before; None for latents only.
 
-    Raises:
-        ContractError: unknown finger.
-        CheckpointError: a head that was trained on another tokenizer's latents.
+    Raises ContractError: unknown finger; CheckpointError: a head that was trained on another tokenizer's latents.
     """
 
     def __init__(self, tokenizer: Tokenizer, finger: Finger, head: ForceHead | None = None) -> None:
@@ -53,8 +51,7 @@ class StreamingEncoder:
 
         A reference that is refused leaves none: going on with an old one would pass unnoticed.
 
-        Raises:
-            ContractError: not one image, NaN, or without markers.
+        Raises ContractError: not one image, NaN, or without markers.
         """
         self._reference, self._state = None, None
         self._tokenizer.encode_reference(_one(image, "reference"), self.finger)  # refuses what is none
@@ -65,12 +62,10 @@ class StreamingEncoder:
 
         A frame that is refused changes nothing.
 
-        Raises:
-            ContractError: no reference yet, another size, NaN, or a form the tokenizer doesn't take.
+        Raises ContractError: no reference yet, another size, NaN, or a form the tokenizer doesn't take.
         """
         if self._reference is None:
-            do = "Call set_reference in free air."
-            raise ContractError(expected("stream", "a reference first", "a frame", do))
+            raise ContractError(expected("stream", "a reference first", "a frame", "Call set_reference in free air."))
         z = self._tokenizer.encode(self._reference, _one(image, "current"), self.finger)  # (1, P, L)
         if self._head is None:
             return StreamStep(z[0], None)

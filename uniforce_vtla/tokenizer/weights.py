@@ -1,9 +1,12 @@
-"""Checkpoints: a folder with ``model.safetensors`` and ``config.json``, loaded strictly, named by content."""
+"""Checkpoints: a folder with ``model.safetensors`` and ``config.json``, loaded strictly, named by content.
+
+A training run's state (weights, optimiser, step) is safetensors too, so that resuming unpickles nothing.
+"""
 
 import hashlib
 import json
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -46,35 +49,28 @@ def save_checkpoint(folder: Path, model: nn.Module, config: dict[str, Any]) -> P
 def read_config(folder: Path) -> dict[str, Any]:
     """Return the checkpoint's config, its files compared with their hashes.
 
-    Raises:
-        CheckpointError: no such checkpoint, a file that was changed, or a config that isn't JSON.
+    Raises CheckpointError: no such checkpoint, a file that was changed, or a config that isn't JSON.
     """
     path = folder / CONFIG
     if not path.is_file() or not (folder / WEIGHTS).is_file():
-        do = "Check the path."
-        raise CheckpointError(expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", do))
+        raise CheckpointError(expected("checkpoint", f"{WEIGHTS} and {CONFIG} in {folder}", "none", "Check the path."))
     check_hashes(folder, CheckpointError)
     return read_object(path, CheckpointError)
 
 
-def load_model[Model: nn.Module](
-    folder: Path, build: Callable[[], Model], renamed: Mapping[str, str] | None = None
-) -> Model:
+def load_model[Model: nn.Module](folder: Path, build: Callable[[], Model]) -> Model:
     """Return what ``build`` makes, with the checkpoint's tensors.
 
-    It is built without memory first: sizes that don't fit the file cost nothing. ``renamed`` says what tensors of
-    earlier versions are called today.
+    It is built without memory first: sizes that don't fit the file cost nothing.
 
-    Raises:
-        CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type, or not finite; all are
-            listed.
+    Raises CheckpointError: truncated, or any tensor missing, unexpected, of another shape or type, or not finite; all
+    are listed.
     """
     try:
-        stored = load_file(folder / WEIGHTS)
+        tensors = load_file(folder / WEIGHTS)
     except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:
         do = "Copy the checkpoint again."
         raise CheckpointError(expected(str(folder / WEIGHTS), "readable weights", str(error), do)) from error
-    tensors = {(renamed or {}).get(name, name): tensor for name, tensor in stored.items()}
     with torch.device("meta"):
         wanted = build().state_dict()
     wrong = mismatches(wanted, tensors)
@@ -119,3 +115,51 @@ def content_hash(model: nn.Module, facts: dict[str, Any]) -> str:
         digest.update(f"{name} {array.dtype} {array.shape}".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
+
+
+STATE = "state.safetensors"
+MODEL, MOMENTS = "model.", "optimizer."
+
+
+def save_state(folder: Path, step: int, model: dict[str, Any], optimizer: dict[str, Any]) -> Path:
+    """Write both state dicts atomically."""
+    tensors = {MODEL + name: value for name, value in model.items()}
+    for number, moments in optimizer["state"].items():
+        tensors |= {f"{MOMENTS}{number}.{name}": torch.as_tensor(value) for name, value in moments.items()}
+    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    facts = {"step": str(step), "groups": json.dumps(optimizer["param_groups"])}
+    scratch = folder / "state.tmp"
+    save_file(tensors, scratch, metadata=facts)
+    scratch.replace(folder / STATE)
+    return folder / STATE
+
+
+def load_state(folder: Path) -> tuple[int, dict[str, Any], dict[str, Any]]:
+    """Return step, the model's state dict and the optimiser's.
+
+    Raises CheckpointError: truncated, damaged, not a training state, or with NaN or inf.
+    """
+    path = folder / STATE
+    try:
+        with safetensors.safe_open(path, framework="pt") as stored:
+            facts = stored.metadata() or {}
+            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a dict)
+        if bad := [name for name, tensor in sorted(tensors.items()) if not is_finite(tensor)]:
+            raise ValueError(f"NaN or inf in {', '.join(bad)}")
+        step, groups = int(facts["step"]), json.loads(facts["groups"])
+        return step, _part(tensors, MODEL), {"state": _moments(tensors), "param_groups": groups}
+    except (safetensors.SafetensorError, OSError, ValueError, KeyError) as error:
+        do = "Delete it to start the run again, or restore it from a copy."
+        raise CheckpointError(expected(str(path), "a whole training state", repr(error)[:200], do)) from error
+
+
+def _part(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
+def _moments(tensors: dict[str, torch.Tensor]) -> dict[int, dict[str, torch.Tensor]]:
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for place, value in _part(tensors, MOMENTS).items():
+        number, name = place.split(".", 1)
+        moments.setdefault(int(number), {})[name] = value
+    return moments

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from uniforce_datasets.dataset_paths import inside
+from uniforce_datasets.dataset_info import inside
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
 from uniforce_vtla.errors import DatasetError, expected
 
@@ -40,8 +40,7 @@ def subfolders(folder: Path, root: Path) -> list[Path]:
 def numbered_images(folder: Path, root: Path, endings: Iterable[str]) -> list[Path]:
     """Return images called by a number, in its order.
 
-    Raises:
-        DatasetError: none, several kinds of file, the same number twice, or one leading outside ``root``.
+    Raises DatasetError: none, several kinds of file, the same number twice, or one leading outside ``root``.
     """
     kinds = tuple(endings)
     found = [p for p in folder.iterdir() if p.suffix.lower() in kinds and p.stem.isdecimal()]
@@ -57,8 +56,7 @@ def numbered_images(folder: Path, root: Path, endings: Iterable[str]) -> list[Pa
 def read_marker_picture(path: Path, threshold: int) -> np.ndarray:
     """Return a (480, 640) uint8 marker image from a JPEG or PNG of one, white above ``threshold``.
 
-    Raises:
-        DatasetError: unreadable, truncated, of another size, or not a black-and-white picture.
+    Raises DatasetError: unreadable, truncated, of another size, or not a black-and-white picture.
     """
     picture = decode_picture(read_bytes(path), str(path), colour=False)
     if picture.shape != MARKER_IMAGE_SHAPE:
@@ -81,8 +79,7 @@ def read_bytes(path: Path) -> bytes:
 def decode_picture(data: bytes, where: str, colour: bool) -> np.ndarray:
     """Return (H, W, 3) RGB or (H, W) grey uint8 of an encoded picture.
 
-    Raises:
-        DatasetError: no picture, or a truncated one, which decoders fill with grey in silence.
+    Raises DatasetError: no picture, or a truncated one, which decoders fill with grey in silence.
     """
     tail = _ENDS.get(data[:2])
     whole = bool(data) and (tail is None or data.rstrip(b"\0")[-len(tail) :] == tail)

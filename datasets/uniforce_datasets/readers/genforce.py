@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from uniforce_datasets.dataset_paths import inside
+from uniforce_datasets.dataset_info import inside
 from uniforce_datasets.readers.files import (
     existing_folder,
     numbered_images,
@@ -25,10 +25,9 @@ from uniforce_datasets.readers.recording import LabelledRecording
 from uniforce_vtla.array_file import read_array
 from uniforce_vtla.contact import UNSEEN
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
-from uniforce_vtla.errors import ContractError, DatasetError, expected
+from uniforce_vtla.errors import ContractError, DatasetError, expected, require_one_of
 
 log = logging.getLogger(__name__)
-
 PACKED_BYTES = MARKER_IMAGE_SHAPE[0] * MARKER_IMAGE_SHAPE[1] // 8
 LAYOUTS = (".", "hetero", "training/hetero", "dataset/training/hetero")  # where img/ and force/ may be
 SPLITS = ("all", "seen", "unseen")
@@ -104,13 +103,11 @@ def genforce_root(folder: str | Path) -> Path | None:
 def read_genforce(folder: str | Path, config: GenForceConfig | None = None) -> Iterator[LabelledRecording]:
     """Yield every trial of a GenForce folder, sensor by sensor; about one trial is in memory at a time.
 
-    Raises:
-        DatasetError: another layout, an asked sensor that isn't there, a trial without forces or with another
-            number of them, a broken image, NaN, a pressed reference, or a path that leads outside.
+    Raises DatasetError: another layout, an asked sensor that isn't there, a trial without forces or with another number
+    of them, a broken image, NaN, a pressed reference, or a path that leads outside.
     """
     config = config or GenForceConfig()
-    if config.split not in SPLITS:
-        raise ContractError(expected("split", " | ".join(SPLITS), repr(config.split), "Choose one."))
+    require_one_of("split", config.split, SPLITS)
     root = genforce_root(existing_folder(folder))
     if root is None:
         wanted = f"img/ and force/ in one of {', '.join(LAYOUTS)}"
@@ -174,8 +171,7 @@ def _free_air(force_N: np.ndarray, where: str, options: ReadOptions) -> int | No
 def read_forces(path: Path) -> np.ndarray:
     """Return (T, 3) float64 of the first three columns of ft.csv, in the rig's own axes.
 
-    Raises:
-        DatasetError: no such file, fewer columns, no rows, or cells that are no finite number.
+    Raises DatasetError: no such file, fewer columns, no rows, or cells that are no finite number.
     """
     table = read_table(path)
     values = table.iloc[:, :3]
@@ -194,8 +190,7 @@ def _image(path: Path) -> np.ndarray:
 def read_packed(path: Path) -> np.ndarray:
     """Return the (480, 640) uint8 marker image of a .npy file: packed bits, or a plain 0/1 or 0/255 array.
 
-    Raises:
-        DatasetError: truncated, pickled, or of another size or content.
+    Raises DatasetError: truncated, pickled, or of another size or content.
     """
     array = read_array(path)
     if array.dtype == np.uint8 and array.shape == (PACKED_BYTES,):

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from uniforce_datasets.dataset_paths import inside
+from uniforce_datasets.dataset_info import inside
 from uniforce_datasets.readers.files import existing_folder, find, numbered_images, read_marker_picture, subfolders
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE
@@ -41,9 +41,8 @@ def pair_folders(folder: str | Path) -> list[Path]:
 def read_uniforce_pairs(folder: str | Path, config: PairConfig | None = None) -> Iterator[PairRecording]:
     """Yield the pairs of every indenter, at most ``config.max_frames`` at a time.
 
-    Raises:
-        DatasetError: no collection_log.txt, folders that don't name two sensors, indices on one side only, no
-            reference, a broken image, or a path that leads outside.
+    Raises DatasetError: no collection_log.txt, folders that don't name two sensors, indices on one side only, no
+    reference, a broken image, or a path that leads outside.
     """
     config = config or PairConfig()
     root = existing_folder(folder)
@@ -60,8 +59,7 @@ def read_uniforce_pairs(folder: str | Path, config: PairConfig | None = None) ->
 def pair_sensors(folder: Path, root: Path) -> tuple[str, str]:
     """Return (left, right) of a ``<left>_<right>`` folder: names may hold "_", so its marker/ folders decide.
 
-    Raises:
-        DatasetError: its name isn't made of two of the sensors in marker/.
+    Raises DatasetError: its name isn't made of two of the sensors in marker/.
     """
     names = [path.name for path in subfolders(folder / "marker", root)]
     fitting = [(a, b) for a in names for b in names if a != b and f"{a}_{b}" == folder.name]
@@ -130,9 +128,8 @@ def write_uniforce_pairs(root: str | Path, recording: PairRecording, pattern: st
         pattern: marker pattern, the first level below ``root``.
         date: second level, e.g. "20260131"; None for today (UTC).
 
-    Raises:
-        ContractError: names that are no plain folder names, sensors of one name, or another image size.
-        DatasetError: the indenter is there with another reference.
+    Raises ContractError: names that are no plain folder names, sensors of one name, or another image size;
+    DatasetError: the indenter is there with another reference.
     """
     _check_writable(recording, pattern, date)
     date = date or datetime.now(UTC).strftime("%Y%m%d")

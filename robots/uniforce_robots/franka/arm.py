@@ -44,15 +44,13 @@ class ArmState:
 def refuse_stopped(state: ArmState) -> None:
     """Refuse an arm that may not move.
 
-    Raises:
-        RobotError: named after what stopped it: ``communication`` (commands came too late), ``discontinuity`` (a
-            command jumped), ``limit`` (of a joint, a speed or power), ``reflex``, ``user_stop`` or ``guiding``.
+    Raises RobotError: named after what stopped it: ``communication`` (commands came too late), ``discontinuity`` (a
+    command jumped), ``limit`` (of a joint, a speed or power), ``reflex``, ``user_stop`` or ``guiding``.
     """
     if state.mode in STOPPED_MODES:
         fault = fault_of_errors(state.errors) if state.mode == "reflex" else STOPPED_MODES[state.mode]
         came = f"{state.mode} {', '.join(state.errors)}".strip()
-        do = "See to the robot, then call recover()."
-        raise RobotError(expected("arm mode", "idle or move", came, do), fault)
+        raise RobotError(expected("arm mode", "idle or move", came, "See to the robot, then call recover()."), fault)
 
 
 def fault_of_errors(errors: Iterable[str]) -> str:

@@ -128,8 +128,7 @@ class Child:
 
     def _running(self) -> subprocess.Popen[str]:
         if self._process is None:
-            do = "Call connect()."
-            raise RobotError(expected(self._what, "connect() first", "no connection", do), "ended")
+            raise RobotError(expected(self._what, "connect() first", "no connection", "Call connect()."), "ended")
         return self._process
 
     def close(self, grace_s: float = END_s) -> None:

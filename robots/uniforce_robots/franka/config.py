@@ -8,9 +8,9 @@ from lerobot.robots.config import RobotConfig
 
 from uniforce_robots.franka.arm import ROLLOUT, Gains
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.limits import require_in_limits, require_kind, require_one_of
-from uniforce_robots.franka.settings import HandSettings, StreamSettings
+from uniforce_robots.franka.limits import HandSettings, StreamSettings, require_in_limits, require_kind
 from uniforce_robots.sensors.config_uniforce import TactileFingerConfig
+from uniforce_vtla.errors import require_one_of
 
 NESTED = {"gains": Gains, "guards": GuardLimits, "stream": StreamSettings, "gripper": HandSettings}
 

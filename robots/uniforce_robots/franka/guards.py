@@ -1,7 +1,7 @@
 """What an action passes before it becomes a target: finite → workspace box → step → rate. NaN stops, the rest clamps.
 
-Behind it stand the check of what is sent (``send_check``), the tracker's clip (stiffness × clip bounds the force) and
-the robot's own reflex.
+Behind it stand the check of what is sent (``state_check.SendCheck``), the tracker's clip (stiffness × clip bounds the
+force) and the robot's own reflex.
 """
 
 import logging

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from uniforce_robots.franka.clients import HandClient
 from uniforce_robots.franka.hand_command import HandCommand, HandReading, THINNEST_m
-from uniforce_robots.franka.settings import HandSettings
+from uniforce_robots.franka.limits import HandSettings
 from uniforce_vtla.errors import RobotError, SensorError, expected
 
 log = logging.getLogger(__name__)
@@ -67,8 +67,7 @@ class Hand:
         self._client.connect()
         self._take_reading()
         if self._reading is None:
-            came = "hand: expected a first reading, got none. Is the hand initialised?"
-            raise RobotError(came, "hand_connection")
+            raise RobotError("hand: expected a first reading, got none. Is the hand initialised?", "hand_connection")
 
     @property
     def reading(self) -> HandReading:
@@ -112,9 +111,8 @@ class Hand:
     def check(self) -> None:
         """Raise what is wrong with the hand now.
 
-        Raises:
-            RobotError: the hand's fault; ``hand_connection``: it has hung up; ``hand_deadline``: a command takes too
-                long; ``hand_stale``: no new reading; ``grasp_lost``: it let go of what it held without being asked to.
+        Raises RobotError: the hand's fault; ``hand_connection``: it has hung up; ``hand_deadline``: a command takes too
+        long; ``hand_stale``: no new reading; ``grasp_lost``: it let go of what it held without being asked to.
         """
         if self._fault is not None:
             raise self._fault

@@ -1,33 +1,14 @@
-"""Hard limits of every setting of the robot, on one page. No config lifts them; to allow more, change this file.
+"""Hard limits of every setting of the robot, on one page, and the settings of stream and hand. No config lifts them.
 
-A setting says what its owner wants, within these. They are chosen so that a Franka Research 3 beside a person stays
-slow and soft, whatever a file or a command line says. Nothing here has been tried on hardware.
+A setting says what its owner wants, within these; to allow more, change this file. They are chosen so that a Franka
+Research 3 beside a person stays slow and soft, whatever a file or a command line says. Nothing here has been tried on
+hardware.
 """
 
 from dataclasses import dataclass
-from numbers import Real
 
 from uniforce_vtla.errors import ContractError, expected
-
-
-@dataclass(frozen=True)
-class Range:
-    """Allowed values: ``low`` ≤ value ≤ ``high``; ``above`` excludes ``low`` itself."""
-
-    low: float
-    high: float
-    above: bool = False
-
-    def holds(self, value: object) -> bool:
-        """Return whether a value is a finite number inside."""
-        if not isinstance(value, Real) or isinstance(value, bool):
-            return False
-        number = float(value)  # a NaN is not between two numbers, either
-        return self.low <= number <= self.high and not (self.above and number == self.low)
-
-    def __str__(self) -> str:
-        return f"{'above' if self.above else 'from'} {self.low:g} to {self.high:g}"
-
+from uniforce_vtla.options import Range
 
 BOX = (  # x, y m (the arm reaches 0.855), z m, yaw rad (joint 7 turns ±3.02), width m (the hand opens to 0.08)
     Range(-0.9, 0.9),
@@ -105,12 +86,34 @@ def require_kind(what: str, value: object, kind: type) -> None:
         raise ContractError(expected(what, kind.__name__, repr(value), "Give one."))
 
 
-def require_one_of(what: str, value: object, choices: tuple[str, ...]) -> None:
-    """Check a choice; raise ContractError for none of them."""
-    if value not in choices:
-        raise ContractError(expected(what, " or ".join(choices), repr(value), "Choose one."))
-
-
 def _require(what: str, value: object, allowed: Range) -> None:
     if not allowed.holds(value):
-        raise ContractError(expected(what, f"a number {allowed}", repr(value), "Mend the setting."))
+        raise ContractError(expected(what, f"one number, {allowed}", repr(value), "Mend the setting."))
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """Rhythm of the stream; hard limits in ``limits.HARD_LIMITS``."""
+
+    rate_hz: float = 100.0  # targets per second
+    action_period_s: float = 1 / 30  # how long a ramp to a new action takes; the policy's own period
+    stale_s: float = 0.2  # an action older than this is no longer followed
+    state_age_s: float = 0.2  # an older reading is not used; a robot whose clock stands still for so long is gone
+
+    def __post_init__(self) -> None:
+        require_in_limits(self)
+
+
+@dataclass(frozen=True)
+class HandSettings:
+    """How widths become commands; hard limits in ``limits.HARD_LIMITS``."""
+
+    speed_m_s: float = 0.05  # of the fingers
+    # of a grasp; gels and domes are rated for about 11 N; the real hand's smallest force is unverified
+    grip_force_N: float = 10.0
+    grasp_below_m: float = 0.04  # a closing target below this is a grasp (force-bound), above it a move (position)
+    hysteresis_m: float = 0.003  # a smaller change of the target is no new command
+    reading_age_s: float = 0.5  # an older reading stops the arm; the hand gives about ten a second
+
+    def __post_init__(self) -> None:
+        require_in_limits(self)

@@ -221,9 +221,8 @@ class UniforceFranka(Robot):
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Guard an action and make it the target; return what was sent. Never blocks.
 
-        Raises:
-            RobotError: an axis is missing or no finite number, or the robot has a fault. The arm rests then, and every
-                action is refused until ``recover``.
+        Raises RobotError: an axis is missing or no finite number, or the robot has a fault. The arm rests then, and
+        every action is refused until ``recover``.
         """
         with self._halting():
             sent = self._send(action)

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from uniforce_robots.franka.arm import UNBELIEVED, ArmState, refuse_stopped
 from uniforce_robots.franka.clients import Arm
 from uniforce_robots.franka.guards import GuardLimits, towards, turn_towards
+from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.poses import ToolPose, between
-from uniforce_robots.franka.send_check import SendCheck
-from uniforce_robots.franka.settings import StreamSettings
-from uniforce_robots.franka.state_check import StateCheck
+from uniforce_robots.franka.state_check import SendCheck, StateCheck
 from uniforce_vtla.errors import RobotError, expected
 
 log = logging.getLogger(__name__)
@@ -123,8 +122,7 @@ class ArmStream:
 
     def _read_before(self) -> ArmState:
         if self._state is None:
-            text = "arm stream: expected start() first, got no reading. Connect the robot."
-            raise RobotError(text, "ended")
+            raise RobotError("arm stream: expected start() first, got no reading. Connect the robot.", "ended")
         return self._state
 
     def submit(self, target: ToolPose) -> None:
@@ -134,8 +132,7 @@ class ArmStream:
         """
         self._check()
         if self._ending.is_set():
-            text = "arm: expected a running stream, got one that has ended. Connect again."
-            raise RobotError(text, "ended")
+            raise RobotError("arm: expected a running stream, got one that has ended. Connect again.", "ended")
         with self._lock:
             now = self._clock()
             self._ramp = Ramp(self._sent or self._measured(), target, now, self.settings.action_period_s)

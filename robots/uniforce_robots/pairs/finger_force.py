@@ -20,7 +20,8 @@ from torch import nn
 
 from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, check_marker_image
 from uniforce_vtla.errors import CheckpointError, ContractError, expected
-from uniforce_vtla.tokenizer.descriptor import MIN_MATCHES, find_blobs, marker_pitch_px, match
+from uniforce_vtla.markers.marker_blobs import spacing
+from uniforce_vtla.tokenizer.descriptor import MIN_MATCHES, find_blobs, match
 from uniforce_vtla.tokenizer.weights import load_model, read_config
 
 GRID, CHANNELS = 8, 3
@@ -46,7 +47,7 @@ class TouchField:
         if len(self._before.area_px) < MIN_MATCHES:
             came = len(self._before.area_px)
             raise ContractError(expected("reference", f"≥ {MIN_MATCHES} markers", came, "Capture it again."))
-        self._reach_px = marker_pitch_px(self._before.centre_px)
+        self._reach_px = spacing(self._before.centre_px)
         y, x = ((np.arange(GRID) + 0.5) * size / GRID for size in MARKER_IMAGE_SHAPE)
         cells = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         distance = np.linalg.norm(cells[:, None] - self._before.centre_px[None], axis=-1)

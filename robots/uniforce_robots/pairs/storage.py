@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from uniforce_datasets.features import MARKER_VIDEO_SHAPE, flat_column, scalar_column, vector_column
+from uniforce_datasets.features import MARKER_VIDEO_SHAPE, flat_column, scalar_column, vector_column, video_column
 from uniforce_datasets.lossless import check_dataset
 from uniforce_datasets.readers.recording import PairRecording
 from uniforce_datasets.readers.uniforce_pairs import write_uniforce_pairs
@@ -68,8 +68,7 @@ class Pair:
 
 def pair_features() -> dict[str, dict]:
     """Return LeRobot's features dict of recorded pairs."""
-    video = {"dtype": "video", "shape": MARKER_VIDEO_SHAPE, "names": ["height", "width", "channels"]}
-    features: dict[str, dict] = {key: dict(video) for key in keys.TACTILE_KEYS}
+    features: dict[str, dict] = {key: video_column(MARKER_VIDEO_SHAPE) for key in keys.TACTILE_KEYS}
     features |= {keys.pair_force_key(f): vector_column(["fx_N", "fy_N", "fz_N"]) for f in FINGERS}
     features |= {key: vector_column(["x", "y", "z"]) for key in (keys.PAIR_VELOCITY, keys.PAIR_ACCELERATION)}
     features[keys.PAIR_PLACE] = vector_column(["x", "y"])

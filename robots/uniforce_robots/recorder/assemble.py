@@ -13,8 +13,7 @@ from uniforce_datasets.source import read_source
 from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.episode import Parts, Store
 from uniforce_robots.recorder.faults import Interrupts
-from uniforce_robots.recorder.live_view import LiveView
-from uniforce_robots.recorder.operators import Operator
+from uniforce_robots.recorder.operators import LiveView, Operator
 from uniforce_robots.recorder.rig import Rig, RigFacts
 from uniforce_robots.recorder.session import RecordingSession, SessionEnd, SessionSettings
 from uniforce_robots.recorder.steering import Steering

@@ -12,7 +12,7 @@ from lerobot.teleoperators import Teleoperator, TeleoperatorConfig, make_teleope
 import uniforce_robots.teleop  # noqa: F401  registers ours
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_vtla.arguments import Option, check, options_of, own_cause, read_value, refuse_unknown
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, expected, require_one_of
 from uniforce_vtla.options import check_text
 
 FRANKA = "uniforce_franka"
@@ -32,9 +32,7 @@ def read_devices(
     Raises ContractError: an unknown name, a file that isn't there, unknown settings.
     """
     names = teleoperator_names()
-    if teleop not in names:
-        known = " | ".join(["expert", *sorted(names)])
-        raise ContractError(expected("teleop", known, repr(teleop), "Name one."))
+    require_one_of("teleop", teleop, sorted(names), "Name one, or expert.")
     settings = _read_file(file) if file else {}
     settings.setdefault("teleop", {})["type"] = names[teleop]
     options = options_of(TeleoperatorConfig.get_choice_class(names[teleop]), "teleop.")
@@ -51,8 +49,7 @@ def _read_file(file: str) -> dict[str, Any]:
         raise ContractError(expected("rig", "a config file", file, "Give the file of robot and teleop."))
     content = yaml.safe_load(Path(file).read_text())  # JSON is YAML
     if not isinstance(content, dict):
-        came = type(content).__name__
-        raise ContractError(expected(file, "robot: {…} and teleop: {…}", came, "Look at it."))
+        raise ContractError(expected(file, "robot: {…} and teleop: {…}", type(content).__name__, "Look at it."))
     return content
 
 

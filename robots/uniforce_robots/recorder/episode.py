@@ -8,8 +8,7 @@ from typing import Any, Literal
 from uniforce_datasets.recorder import EpisodeRecorder
 from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.faults import Interrupts, StopRequestedError, cause_of
-from uniforce_robots.recorder.live_view import LiveView
-from uniforce_robots.recorder.operators import VERDICTS, Command, Event, Operator, Phase
+from uniforce_robots.recorder.operators import VERDICTS, Command, Event, LiveView, Operator, Phase
 from uniforce_robots.recorder.rig import Rig
 from uniforce_robots.recorder.rows import make_row, raw_frames
 from uniforce_robots.recorder.steering import Steering

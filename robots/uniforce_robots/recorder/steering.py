@@ -20,8 +20,7 @@ class Steering:
         missing = [axis for axis in AXES if axis not in teleop.action_features]
         if missing:
             do = "Take one of ours (teleop=keyboard, spacemouse, gello, hand_guide), or wrap it."
-            came = f"{missing} missing"
-            raise ContractError(expected(f"teleop {teleop.name}", f"actions {AXES}", came, do))
+            raise ContractError(expected(f"teleop {teleop.name}", f"actions {AXES}", f"{missing} missing", do))
         self._teleop: Any = teleop
         self.name = str(teleop.name)
         self._wants_feedback = all(axis in teleop.feedback_features for axis in AXES)

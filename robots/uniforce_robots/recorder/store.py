@@ -112,9 +112,8 @@ class StoreProcess:
     def add(self, row: Mapping[str, Any], task: str, raw: Mapping[Finger, np.ndarray] | None = None) -> None:
         """Hand a row over; see ``EpisodeRecorder.add``.
 
-        Raises:
-            DroppedFrameError: the child is a second behind.
-            DatasetError, ContractError: an earlier row could not be stored.
+        Raises DroppedFrameError: the child is a second behind; DatasetError, ContractError: an earlier row could not be
+        stored.
         """
         self._known()
         while self._has_answer() or self._unanswered >= SLOTS:

@@ -77,8 +77,7 @@ class CameraSource(FrameSource):
         for name, _, value in wanted:
             if name != "buffer" and abs(is_now[name] - value) > TOLERANCE:  # few report the buffer
                 do = f"Choose a value it offers (`v4l2-ctl --list-ctrls`), or {name}=null to leave it."
-                what, came = f"{self.name}, {name}", f"{is_now[name]:g}"
-                raise WrongSensorError(expected(what, f"{value:g}", came, do))
+                raise WrongSensorError(expected(f"{self.name}, {name}", f"{value:g}", f"{is_now[name]:g}", do))
         self.settings_read_back = is_now
 
     def read(self) -> list[Stamped]:

@@ -160,9 +160,8 @@ class TactileFinger(SampledCamera):
     def connect(self, warmup: bool = True) -> None:
         """Open the device and wait for its first sample.
 
-        Raises:
-            SensorError: no device, no samples, another sensor than configured, or a reference taken in contact.
-            DatasetError: one of LeRobot's recorders connects it and would store its images with loss.
+        Raises SensorError: no device, no samples, another sensor than configured, or a reference taken in contact;
+        DatasetError: one of LeRobot's recorders connects it and would store its images with loss.
         """
         delivers = getattr(self.config, "delivers", "markers")  # cameras may deliver raw frames
         refuse_lossy_recording(self.config.label, delivers == "markers")

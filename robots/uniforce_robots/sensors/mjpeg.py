@@ -90,8 +90,7 @@ class MultipartJpeg:
             raise self._error("a boundary", repr(first[:40]))
         length = fields.get(b"content-length", b"none")
         if not re.fullmatch(rb"[0-9]{1,10}", length) or int(length) > MAX_JPEG_BYTES:
-            wanted = f"a Content-Length of at most {MAX_JPEG_BYTES} bytes"
-            raise self._error(wanted, length[:40].decode("latin-1"))
+            raise self._error(f"a Content-Length of at most {MAX_JPEG_BYTES} bytes", length[:40].decode("latin-1"))
         self._length = int(length)
 
     def _error(self, wanted: str, came: str) -> ProtocolError:

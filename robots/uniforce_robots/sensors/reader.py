@@ -23,7 +23,6 @@ from uniforce_robots.sensors import faults
 from uniforce_vtla.errors import ContractError, SensorError, expected
 
 log = logging.getLogger(__name__)
-
 NS_PER_MS = 1e6
 NS_PER_S = 1e9
 JOIN_S = 3.0  # a driver may sit in a blocking read that long; see the capture's read time-outs
@@ -211,8 +210,7 @@ class SampleReader:
         Raises ContractError: a size outside 1 … capacity; SensorError: as ``newest``.
         """
         if not 1 <= size <= self._limits.capacity:
-            do = "Ask for fewer."
-            raise ContractError(expected("window", f"1 … {self._limits.capacity} samples", size, do))
+            raise ContractError(expected("window", f"1 … {self._limits.capacity} samples", size, "Ask for fewer."))
         self.newest(max_age_ms)
         with self._changed:
             kept = list(self._kept)[-size:]

@@ -60,8 +60,7 @@ class XelaMessages:
         self.protocol.receive_data(chunk) if chunk else self.protocol.receive_eof()
         error = self.protocol.handshake_exc or self.protocol.parser_exc
         if error is not None and not isinstance(error, EOFError):
-            wanted = "a WebSocket server (RFC 6455)"
-            raise faults.ProtocolError(expected(self._name, wanted, error, IS_IT)) from error
+            raise faults.ProtocolError(expected(self._name, "a WebSocket server (RFC 6455)", error, IS_IT)) from error
         frames = [event for event in self.protocol.events_received() if isinstance(event, Frame)]
         texts = [self._assembled(frame) for frame in frames if frame.opcode in DATA_OPCODES]
         return [text for text in texts if text is not None]
@@ -228,6 +227,5 @@ def _word(word: object, what: str) -> int:
 def _split(address: str) -> tuple[str, int]:
     host, _, port = address.removeprefix("ws://").rstrip("/").partition(":")
     if not host or (port and not (port.isascii() and port.isdigit() and 0 < int(port) <= 65_535)):
-        do = f"E.g. 192.168.0.5:{PORT}."
-        raise ContractError(expected("xela_server", "host or host:port", address, do))
+        raise ContractError(expected("xela_server", "host or host:port", address, f"E.g. 192.168.0.5:{PORT}."))
     return host, int(port) if port else PORT

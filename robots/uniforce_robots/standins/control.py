@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from uniforce_robots.standins.plugs import READ_BYTES, PseudoTerminal, Sockets
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import require_one_of
 
 MAX_BEHIND_S = 0.25  # after a longer gap (a stopped process, a stall) the past is left out
 
@@ -70,9 +70,7 @@ class StandInServer:
     faults: ClassVar[tuple[str, ...]]
 
     def __init__(self, plug: PseudoTerminal | Sockets, address: str, config: Any, rate_hz: float) -> None:
-        if config.fault not in ("none", *self.faults):
-            known = " | ".join(("none", *self.faults))
-            raise ContractError(expected("fault", known, config.fault, "Name one of them."))
+        require_one_of("fault", config.fault, ("none", *self.faults))
         self.plug, self.address, self.config, self.fault = plug, address, config, config.fault
         self.pace, self.rng = Pace(rate_hz), np.random.default_rng(config.seed)
         self._step = -1

@@ -11,7 +11,7 @@ from scipy.interpolate import interp1d
 from uniforce_vtla.contact.indenters import gap_maps
 from uniforce_vtla.contact.simulator import TactileSimulator, free_air
 from uniforce_vtla.contracts import QUARTERS, ContactState
-from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.errors import ContractError, expected, require_one_of
 
 KEY_STATES = 48  # contact states per press that are simulated; taxel scans between them are interpolated
 TAXEL_NOISE_COUNTS = 2.0  # of real patches at rest: 1 to 5
@@ -66,9 +66,7 @@ def frame_cycle(sensor: str, scene: Scene, rate_hz: float) -> np.ndarray:
 
 def _contacts(simulator: TactileSimulator, scene: Scene, share: np.ndarray) -> ContactState:
     """Return one contact per entry of ``share`` (B,): free air where it is 0."""
-    if scene.where not in ("centre", *QUARTERS):
-        known = " | ".join(("centre", *QUARTERS))
-        raise ContractError(expected("where", known, scene.where, "Name a place on the pad."))
+    require_one_of("where", scene.where, ("centre", *QUARTERS), "Name a place on the pad.")
     row, _, column = scene.where.partition("-")
     place = np.array([{"left": -1, "right": 1}.get(column, 0), {"top": -1, "bottom": 1}.get(row, 0)])
     centre_mm = place * np.asarray(simulator.spec.pad_size_mm) / 4

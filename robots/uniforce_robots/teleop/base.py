@@ -60,8 +60,7 @@ class UniforceTeleoperator(Teleoperator):
     def connect(self, calibrate: bool = True) -> None:
         """Open the device; TeleoperatorError: connected already, not there, or a library it needs is missing."""
         if self.is_connected:
-            do = "Disconnect first."
-            raise TeleoperatorError(expected(self.name, "to be unconnected", "a second connect", do))
+            raise TeleoperatorError(expected(self.name, "to be unconnected", "a second connect", "Disconnect first."))
         with _translated():
             self._open()
 

@@ -123,8 +123,7 @@ class GelloBus(SampleSource):
             self._handler.ser.reset_input_buffer()  # late answers belong to the last question
             result = self._group.txRxPacket()
         except _BROKEN as error:
-            do = "Was it unplugged?"
-            raise LostSensorError(expected(self.name, "a working port", error, do)) from error
+            raise LostSensorError(expected(self.name, "a working port", error, "Was it unplugged?")) from error
         if any(len(answers[motor]) != POSITION_BYTES for motor in self._ids):
             self._count_failure(result, [motor for motor in self._ids if not answers[motor]])
             return []
@@ -142,8 +141,7 @@ class GelloBus(SampleSource):
         if self._failed_in_a_row < FAILED_IN_A_ROW:
             return
         if is_silent and len(missing) == len(self._ids):
-            do = "Is it powered, and is the baud rate right?"
-            raise LostSensorError(expected(self.name, "answers", "none", do))
+            raise LostSensorError(expected(self.name, "answers", "none", "Is it powered, and is the baud rate right?"))
         do = "Check the chain's cables from the first missing motor on."
         wanted, came = f"answers of motors {list(self._ids)}", f"none whole from {missing}"
         raise ProtocolError(expected(self.name, wanted, came, do))
@@ -173,8 +171,7 @@ class UniforceGello(UniforceTeleoperator):
         if np.greater(gaps, START).any():
             wanted = "within {:.3f} m, {:.2f} rad, {:.3f} m of width of the robot".format(*START)
             came = "{:.3f} m, {:.2f} rad, {:.3f} m away".format(*gaps)
-            do = "Bring them together, then start."
-            raise TeleoperatorError(expected(self.name, wanted, came, do), "far")
+            raise TeleoperatorError(expected(self.name, wanted, came, "Bring them together, then start."), "far")
 
     def _next(self, elapsed_s: float) -> np.ndarray:
         return self.integrator.towards(self._pose(), elapsed_s, self.measured)

@@ -37,8 +37,7 @@ class TargetLimits:
                 do = "Give one finite number per axis."
                 raise ContractError(expected(f"limits.{name}", f"{len(AXES)} numbers", row, do))
         if np.any(np.greater_equal(self.low, self.high)) or min(*self.speed, *self.leash) < 0:
-            wanted = "low < high, speed and leash ≥ 0"
-            raise ContractError(expected("target limits", wanted, vars(self), "Mend them."))
+            raise ContractError(expected("target limits", "low < high, speed and leash ≥ 0", vars(self), "Mend them."))
 
 
 @dataclass(kw_only=True)

@@ -105,8 +105,7 @@ class SpaceMouseSource(SampleSource):
             if not report:
                 raise OSError("its end")
         except OSError as error:
-            do = "Was it unplugged?"
-            raise LostSensorError(expected(self.name, "a readable device", error, do)) from error
+            raise LostSensorError(expected(self.name, "a readable device", error, "Was it unplugged?")) from error
         understood = self.feed(report)
         self._bad_in_a_row = 0 if understood else self._bad_in_a_row + 1
         if self._bad_in_a_row >= BAD_IN_A_ROW:
@@ -179,6 +178,5 @@ class UniforceSpaceMouse(UniforceTeleoperator):
         silent_s = sample.age_ms / 1e3
         if beyond.any() and silent_s > SILENT_S:
             came = f"none for {silent_s:.2f} s with the cap deflected"
-            do = "Replug it, or its receiver."
-            raise TeleoperatorError(expected(self.name, "reports", came, do), "stale")
+            raise TeleoperatorError(expected(self.name, "reports", came, "Replug it, or its receiver."), "stale")
         return np.array([*(np.sign(share) * beyond), *sample.raw[6:]])

@@ -5,8 +5,7 @@ import pytest
 
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.zero_shot import Table
-from uniforce_vtla.tokenizer.force_head import HeadConfig
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig
+from uniforce_vtla.tokenizer.force_head import HeadConfig, HeadTrainingConfig
 
 SIDE = 32
 PITCH_PX = {"gelsight": 8, "tactip": 10}  # two toy sensors that differ in their dots' pitch

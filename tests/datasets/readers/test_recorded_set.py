@@ -13,7 +13,7 @@ from uniforce_vtla.contact import UNSEEN
 from uniforce_vtla.errors import DatasetError
 from uniforce_vtla.tokenizer import Tokenizer
 from uniforce_vtla.tokenizer.descriptor import describe
-from uniforce_vtla.tokenizer.head_training import HeadTrainingConfig, train_head
+from uniforce_vtla.tokenizer.force_head import HeadTrainingConfig, train_head
 from uniforce_vtla.tokenizer.pair_cache import shrink
 from uniforce_vtla.tokenizer.settings import TokenizerConfig
 

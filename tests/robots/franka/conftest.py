@@ -4,8 +4,7 @@ from functools import partial
 import pytest
 from fci_client import wait_until
 
-from uniforce_robots.franka.limits import HARD_LIMITS, Range
-from uniforce_robots.franka.settings import StreamSettings
+from uniforce_robots.franka.limits import HARD_LIMITS, Range, StreamSettings
 
 
 @pytest.fixture

@@ -16,8 +16,7 @@ from uniforce_robots.fr3 import HAND_TO_FLANGE, HOME_q_rad, posture
 from uniforce_robots.franka.arm import HAND_GUIDED, ArmState, Gains
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.poses import ToolPose, between, shortest_turn
-from uniforce_robots.franka.send_check import SendCheck
-from uniforce_robots.franka.state_check import StateCheck
+from uniforce_robots.franka.state_check import SendCheck, StateCheck
 from uniforce_vtla.errors import ContractError, RobotError
 
 LIMITS = GuardLimits()
@@ -138,7 +137,7 @@ def test_the_closing_axis_is_the_stiff_one_however_the_hand_is_turned(yaw: float
 
 
 def test_gains_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ContractError, match="from 0 to 3000"):
+    with pytest.raises(ContractError, match="0 … 3,000"):
         Gains((-1.0, 0.0, 0.0))
 
 

@@ -19,8 +19,8 @@ from uniforce_robots.franka.children import common
 from uniforce_robots.franka.clients import EXTRAS, Arm, HandClient, require_installed
 from uniforce_robots.franka.guards import GuardLimits
 from uniforce_robots.franka.hand import Hand
+from uniforce_robots.franka.limits import HandSettings, StreamSettings
 from uniforce_robots.franka.poses import ToolPose
-from uniforce_robots.franka.settings import HandSettings, StreamSettings
 from uniforce_robots.franka.stream import ArmStream
 from uniforce_robots.standins.fci.process import StandIn
 from uniforce_vtla.errors import RobotError

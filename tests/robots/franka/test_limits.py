@@ -13,9 +13,8 @@ from benchmarks.trust.guards import NEEDS, bad_settings, try_all
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka.arm import Gains
 from uniforce_robots.franka.guards import GuardLimits
-from uniforce_robots.franka.limits import FORCE_N, HARD_LIMITS
+from uniforce_robots.franka.limits import FORCE_N, HARD_LIMITS, HandSettings, StreamSettings
 from uniforce_robots.franka.poses import ToolPose
-from uniforce_robots.franka.settings import HandSettings, StreamSettings
 from uniforce_vtla.errors import ContractError
 
 
@@ -32,7 +31,7 @@ def test_every_number_has_a_hard_limit(kind: type) -> None:
 
 
 def test_the_two_settings_that_once_moved_the_arm_out_of_its_box() -> None:
-    with pytest.raises(ContractError, match=r"GuardLimits\.step_m.*above 0 to 0\.1.*-0\.05"):
+    with pytest.raises(ContractError, match=r"GuardLimits\.step_m.*above 0, at most 0\.1.*-0\.05"):
         GuardLimits(step_m=-0.05)
     with pytest.raises(ContractError, match=r"GuardLimits\.longest_gap_s.*-1"):
         GuardLimits(longest_gap_s=-1)

@@ -16,8 +16,8 @@ from robot_fakes import START, FakeArm, FakeHand
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as module
 from uniforce_robots.franka.arm import Gains
+from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.franka.robot import STRATEGIES, forbid_return_motion
-from uniforce_robots.franka.settings import StreamSettings
 from uniforce_robots.sensors import UniforceTactileCameraConfig
 from uniforce_vtla.errors import RobotError, SensorError
 from uniforce_vtla.keys import AXES

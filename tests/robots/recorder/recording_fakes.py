@@ -15,7 +15,7 @@ from scripted import ScriptedCapture
 from uniforce_robots import sensors
 from uniforce_robots.franka import UniforceFranka, UniforceFrankaConfig
 from uniforce_robots.franka import robot as robot_module
-from uniforce_robots.franka.settings import StreamSettings
+from uniforce_robots.franka.limits import StreamSettings
 from uniforce_robots.recorder.operators import Command, Event, Operator, Phase
 from uniforce_robots.recorder.robot_rig import RobotRig
 from uniforce_robots.standins.scene import Scene, frame_cycle

@@ -16,11 +16,9 @@ from uniforce_robots.recorder import disk_guard
 from uniforce_robots.recorder.build import read_devices, teleoperator_names
 from uniforce_robots.recorder.disk_guard import DiskGuard
 from uniforce_robots.recorder.faults import DeviceError, StopRequestedError, cause_of, named
-from uniforce_robots.recorder.live_view import LiveView
-from uniforce_robots.recorder.operators import Command, Event, KeyOperator, Phase, Unattended
-from uniforce_robots.recorder.plain_camera import FROZEN_AFTER, PlainCamera
+from uniforce_robots.recorder.operators import Command, Event, KeyOperator, LiveView, Phase, Unattended
 from uniforce_robots.recorder.rig import FingerTouch, Observation, Picture
-from uniforce_robots.recorder.robot_rig import GarbageWatch
+from uniforce_robots.recorder.robot_rig import FROZEN_AFTER, GarbageWatch, PlainCamera
 from uniforce_robots.recorder.steering import Steering
 from uniforce_robots.recorder.ticker import Ticker
 from uniforce_robots.sensors.faults import FrozenSensorError, LostSensorError, StaleSensorError

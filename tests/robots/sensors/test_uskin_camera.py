@@ -11,7 +11,7 @@ from properties import examples
 from scripted import ScriptedSource
 
 from uniforce_robots.sensors import UniforceUskin, UniforceUskinConfig
-from uniforce_robots.sensors.orientation import Orientation
+from uniforce_robots.sensors.config_uniforce import Orientation
 from uniforce_robots.standins.process import StandIn
 from uniforce_robots.standins.scene import Scene, taxel_cycle
 from uniforce_vtla.errors import ContractError, SensorError

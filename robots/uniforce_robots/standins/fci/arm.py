@@ -8,16 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from uniforce_robots.fr3 import (
-    HAND_TO_FLANGE,
-    JOINTS,
-    DQ_MAX_rad_s,
-    HOME_q_rad,
-    Q_MAX_rad,
-    Q_MIN_rad,
-    TAU_MAX_Nm,
-    posture,
-)
+import uniforce_robots.fr3 as fr3
 from uniforce_robots.standins.fci.protocol import STATE_FLOAT_COUNT, STATE_SLICES, ErrorBit
 
 TICK_s = 0.001
@@ -46,12 +37,12 @@ class Wall:
 class Arm:
     """Seven joints and the hand's frame. Times are the robot's own: one call of a method is one millisecond."""
 
-    q_rad: np.ndarray = field(default_factory=HOME_q_rad.copy)
-    dq_rad_s: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
-    tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(JOINTS))
+    q_rad: np.ndarray = field(default_factory=fr3.HOME_q_rad.copy)
+    dq_rad_s: np.ndarray = field(default_factory=lambda: np.zeros(fr3.JOINTS))
+    tau_Nm: np.ndarray = field(default_factory=lambda: np.zeros(fr3.JOINTS))
     wrench_N: np.ndarray = field(default_factory=lambda: np.zeros(6))  # from outside; base frame, at the hand
     wall: Wall | None = None
-    upper_torque_Nm: np.ndarray = field(default_factory=lambda: np.full(JOINTS, 20.0))
+    upper_torque_Nm: np.ndarray = field(default_factory=lambda: np.full(fr3.JOINTS, 20.0))
     upper_force_N: np.ndarray = field(default_factory=lambda: np.full(6, 30.0))
 
     def __post_init__(self) -> None:
@@ -60,8 +51,8 @@ class Arm:
     def refresh(self) -> None:
         """Recompute what follows from the joint angles and from what was set from outside."""
         self._floats: np.ndarray | None = None
-        here = posture(self.q_rad)
-        self.ee_to_base = here.flange_to_base @ HAND_TO_FLANGE
+        here = fr3.posture(self.q_rad)
+        self.ee_to_base = here.flange_to_base @ fr3.HAND_TO_FLANGE
         self.jacobian = here.jacobian(self.ee_to_base[:3, 3])
         self.twist = self.jacobian @ self.dq_rad_s  # of the hand, m/s and rad/s
         self.contact_N = self._contact()
@@ -79,20 +70,20 @@ class Arm:
 
     def drive(self, tau_Nm: np.ndarray) -> None:
         """Follow torques (7,) for a millisecond."""
-        self.tau_Nm = np.clip(tau_Nm, -TAU_MAX_Nm, TAU_MAX_Nm)
+        self.tau_Nm = np.clip(tau_Nm, -fr3.TAU_MAX_Nm, fr3.TAU_MAX_Nm)
         self._accelerate(self.tau_Nm + self.tau_ext_Nm - FRICTION_Nms * self.dq_rad_s)
 
     def hold(self) -> None:
         """Brake for a millisecond: nothing commands the arm."""
         if not self.tau_Nm.any() and np.abs(self.dq_rad_s).max() < STILL_rad_s:
             return  # spares an idle arm, which is most of a test's time, its kinematics
-        self.tau_Nm = np.zeros(JOINTS)
+        self.tau_Nm = np.zeros(fr3.JOINTS)
         self.dq_rad_s = self.dq_rad_s * BRAKE_SHARE
         self._integrate()
 
     def guide(self) -> None:
         """Be pushed for a millisecond."""
-        self.tau_Nm = np.zeros(JOINTS)
+        self.tau_Nm = np.zeros(fr3.JOINTS)
         self._accelerate(self.tau_ext_Nm - GUIDING_DAMPING_Nms * self.dq_rad_s)
 
     def _accelerate(self, torque_Nm: np.ndarray) -> None:
@@ -110,11 +101,11 @@ class Arm:
             found.add(ErrorBit.CARTESIAN_REFLEX)
         if np.any(np.abs(self.tau_ext_Nm) > self.upper_torque_Nm):
             found.add(ErrorBit.JOINT_REFLEX)
-        if np.any(np.abs(self.dq_rad_s) > DQ_MAX_rad_s * 1.001):
+        if np.any(np.abs(self.dq_rad_s) > fr3.DQ_MAX_rad_s * 1.001):
             found.add(ErrorBit.JOINT_VELOCITY_VIOLATION)
         if self.twist[:3] @ self.twist[:3] > SPEED_MAX_m_s**2:
             found.add(ErrorBit.CARTESIAN_VELOCITY_VIOLATION)
-        if np.any((self.q_rad < Q_MIN_rad) | (self.q_rad > Q_MAX_rad)):
+        if np.any((self.q_rad < fr3.Q_MIN_rad) | (self.q_rad > fr3.Q_MAX_rad)):
             found.add(ErrorBit.JOINT_POSITION_LIMITS_VIOLATION)
         return frozenset(found)
 
@@ -131,7 +122,7 @@ class Arm:
         motor = {"q": self.q_rad, "dq": self.dq_rad_s, "tau_J": self.tau_Nm}
         return {
             **dict.fromkeys(("O_T_EE", "O_T_EE_d", "O_T_EE_c"), pose),
-            **dict.fromkeys(("F_T_EE", "F_T_NE"), HAND_TO_FLANGE.T.ravel()),
+            **dict.fromkeys(("F_T_EE", "F_T_NE"), fr3.HAND_TO_FLANGE.T.ravel()),
             **dict.fromkeys(("EE_T_K", "NE_T_EE"), np.eye(4).ravel()),
             **motor,
             **{f"{name}_d": value for name, value in motor.items()},
@@ -161,6 +152,6 @@ def broken_rules(tau_Nm: np.ndarray, before_Nm: np.ndarray | float = 0.0) -> fro
     found = set()
     if (np.abs(tau_Nm - before_Nm) > TOLERANCE * TORQUE_STEP_Nm).any():
         found.add(ErrorBit.CONTROLLER_TORQUE_DISCONTINUITY)
-    if (np.abs(tau_Nm) > TOLERANCE * TAU_MAX_Nm).any():
+    if (np.abs(tau_Nm) > TOLERANCE * fr3.TAU_MAX_Nm).any():
         found.add(ErrorBit.TAU_J_RANGE_VIOLATION)
     return frozenset(found)

@@ -9,22 +9,11 @@ from uniforce_robots.fr3 import DH, JOINTS, DQ_MAX_rad_s, FLANGE_m, Q_MAX_rad, Q
 from uniforce_robots.standins.fci import protocol as p
 from uniforce_robots.standins.fci.arm import Arm, TICK_s, broken_rules
 from uniforce_robots.standins.fci.link import Journal, Link
-from uniforce_robots.standins.fci.protocol import (
-    ArmCommand,
-    ErrorBit,
-    Message,
-    MoveStatus,
-    ProtocolError,
-    RobotCommand,
-    RobotMode,
-    RobotState,
-    SetterStatus,
-)
 
 PATIENCE_s = 0.02  # of a tick with its client: time passes slower instead of the arm following a stale torque
 SUCCESS_WINDOW = 100  # commands the success rate is about
 MISSES_ALLOWED = 20  # FCI: as many lost packets in a row end the motion
-STOPPED = (RobotMode.REFLEX, RobotMode.USER_STOPPED)
+STOPPED = (p.RobotMode.REFLEX, p.RobotMode.USER_STOPPED)
 LINK_MASS_kg = (3.0, 4.0, 2.5, 3.0, 2.5, 2.0, 1.5, 0.6, 0.05)  # link 0 to flange, plausible
 
 
@@ -33,7 +22,7 @@ class Motion:
     """A Move under way."""
 
     command_id: int
-    command: RobotCommand | None = None  # the newest
+    command: p.RobotCommand | None = None  # the newest
     answered: bool = False  # whether the last state has got its command
     misses: int = 0  # in a row
     broken: frozenset[int] = frozenset()  # rules, by commands that wait to be followed
@@ -51,7 +40,7 @@ class ArmService:
         self.link = Link(address, p.ARM_PORT, p.ARM_HEADER, journal)
         self.version, self.journal = version, journal
         self.arm = Arm()
-        self.mode = RobotMode.IDLE
+        self.mode = p.RobotMode.IDLE
         self.motion: Motion | None = None
         self.errors: frozenset[int] = frozenset()
         self.reflex_reason: frozenset[int] = frozenset()
@@ -61,71 +50,71 @@ class ArmService:
 
     # --- requests ----------------------------------------------------------------------------------------------------
 
-    def answer(self, message: Message) -> None:
-        """Answer one request; ProtocolError: a payload that can't be read."""
-        self.link.write_request(message, ArmCommand)
+    def answer(self, message: p.Message) -> None:
+        """Answer one request; p.ProtocolError: a payload that can't be read."""
+        self.link.write_request(message, p.ArmCommand)
         match message.command:
-            case ArmCommand.CONNECT:
+            case p.ArmCommand.CONNECT:
                 self.link.greet(message, self.version, struct.Struct("<BH").pack)
-            case ArmCommand.MOVE:
+            case p.ArmCommand.MOVE:
                 self._move(message)
-            case ArmCommand.STOP_MOVE:
-                self._reply(message, SetterStatus.SUCCESS)
+            case p.ArmCommand.STOP_MOVE:
+                self._reply(message, p.SetterStatus.SUCCESS)
                 if self.motion is not None:
-                    self.end_motion(MoveStatus.PREEMPTED)
-            case ArmCommand.AUTOMATIC_ERROR_RECOVERY:
+                    self.end_motion(p.MoveStatus.PREEMPTED)
+            case p.ArmCommand.AUTOMATIC_ERROR_RECOVERY:
                 self._recover(message)
-            case ArmCommand.GET_ROBOT_MODEL:
+            case p.ArmCommand.GET_ROBOT_MODEL:
                 self.link.reply(message, b"\0" + urdf().encode())
             case _:
                 self._reply(message, self._set(message))
 
-    def _move(self, message: Message) -> None:
+    def _move(self, message: p.Message) -> None:
         controller, generator, *_ = p.unpack(p.MOVE, message.payload, "Move")
         if (controller, generator) != p.TORQUE_CONTROL:
-            self._reply(message, MoveStatus.INVALID_ARGUMENT)
+            self._reply(message, p.MoveStatus.INVALID_ARGUMENT)
             return
-        if self.mode not in (RobotMode.IDLE, RobotMode.MOVE):
-            self._reply(message, MoveStatus.NOT_POSSIBLE)
+        if self.mode not in (p.RobotMode.IDLE, p.RobotMode.MOVE):
+            self._reply(message, p.MoveStatus.NOT_POSSIBLE)
             return
         if self.motion is not None:
-            self.end_motion(MoveStatus.PREEMPTED)
-        self._reply(message, MoveStatus.MOTION_STARTED)
+            self.end_motion(p.MoveStatus.PREEMPTED)
+        self._reply(message, p.MoveStatus.MOTION_STARTED)
         self.motion = Motion(message.command_id)
-        self.mode, self.success_rate = RobotMode.MOVE, 1.0
+        self.mode, self.success_rate = p.RobotMode.MOVE, 1.0
         self.journal.write("motion")
 
-    def _recover(self, message: Message) -> None:
-        if self.mode == RobotMode.USER_STOPPED:
-            self._reply(message, SetterStatus.NOT_POSSIBLE)
+    def _recover(self, message: p.Message) -> None:
+        if self.mode == p.RobotMode.USER_STOPPED:
+            self._reply(message, p.SetterStatus.NOT_POSSIBLE)
             return
-        if self.mode == RobotMode.REFLEX:
-            self.mode, self.errors = RobotMode.IDLE, frozenset()
-        self._reply(message, SetterStatus.SUCCESS)
+        if self.mode == p.RobotMode.REFLEX:
+            self.mode, self.errors = p.RobotMode.IDLE, frozenset()
+        self._reply(message, p.SetterStatus.SUCCESS)
 
-    def _set(self, message: Message) -> SetterStatus:
+    def _set(self, message: p.Message) -> p.SetterStatus:
         """Obey a setter; while the arm moves, the real one refuses what would change its dynamics.
 
         Its thresholds are the only ones that this arm's behaviour depends on.
         """
         try:
             if message.command not in p.SETTERS:
-                raise ProtocolError("arm command", "0 to 11", message.command)
-            command = ArmCommand(message.command)
+                raise p.ProtocolError("arm command", "0 to 11", message.command)
+            command = p.ArmCommand(message.command)
             values = p.numbers(p.SETTERS[command], message.payload, command.name)
-        except ProtocolError as error:
+        except p.ProtocolError as error:
             self.journal.write("invalid", why=str(error))
-            return SetterStatus.INVALID_ARGUMENT
+            return p.SetterStatus.INVALID_ARGUMENT
         if self.motion is not None:
-            return SetterStatus.NOT_POSSIBLE
-        if command == ArmCommand.SET_COLLISION_BEHAVIOR:
+            return p.SetterStatus.NOT_POSSIBLE
+        if command == p.ArmCommand.SET_COLLISION_BEHAVIOR:
             torque_Nm, force_N = values[p.UPPER_TORQUE], values[p.UPPER_FORCE]
             self.arm.upper_torque_Nm, self.arm.upper_force_N = torque_Nm, force_N
             limits = {"upper_torque_Nm": torque_Nm.tolist(), "upper_force_N": force_N.tolist()}
             self.journal.write("thresholds", **limits)
-        return SetterStatus.SUCCESS
+        return p.SetterStatus.SUCCESS
 
-    def _reply(self, message: Message, status: int) -> None:
+    def _reply(self, message: p.Message, status: int) -> None:
         self.link.reply(message, bytes([status]))
 
     # --- control loop ------------------------------------------------------------------------------------------------
@@ -133,8 +122,8 @@ class ArmService:
     def receive_command(self, datagram: bytes) -> None:
         """Take a command of the control loop."""
         try:
-            command = RobotCommand.decode(datagram)
-        except ProtocolError as error:
+            command = p.RobotCommand.decode(datagram)
+        except p.ProtocolError as error:
             self.journal.write("invalid", why=str(error), bytes=len(datagram))
             return
         if self.journal.is_on:
@@ -155,14 +144,14 @@ class ArmService:
         """Let one millisecond of the robot's time pass and send a state."""
         if self.motion is not None and self.motion.command is not None:
             self._drive(self.motion, self.motion.command)
-        elif self.mode == RobotMode.GUIDING:
+        elif self.mode == p.RobotMode.GUIDING:
             self.arm.guide()
         else:
             self.arm.hold()  # also while the client of a motion has not begun
         self.milliseconds += 1
         self._send_state()
 
-    def _drive(self, motion: Motion, command: RobotCommand) -> None:
+    def _drive(self, motion: Motion, command: p.RobotCommand) -> None:
         motion.misses = 0 if motion.answered else motion.misses + 1
         self.success_rate += (float(motion.answered) - self.success_rate) / SUCCESS_WINDOW
         motion.answered = False
@@ -171,11 +160,11 @@ class ArmService:
             self.arm.drive(command.tau_J_d)
             violations = self.arm.violations()
             if self.miss_rule and motion.misses >= MISSES_ALLOWED:
-                violations |= {ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION}
+                violations |= {p.ErrorBit.COMMUNICATION_CONSTRAINTS_VIOLATION}
         if violations:
             self.reflex(violations)
         elif command.finished:
-            self.end_motion(MoveStatus.SUCCESS)
+            self.end_motion(p.MoveStatus.SUCCESS)
 
     def _send_state(self) -> None:
         self.sent_s = time.monotonic()
@@ -185,14 +174,14 @@ class ArmService:
             self.journal.write("state", id=state.message_id, mode=self.mode.name, position_m=position_m)
         self.send(state)
 
-    def send(self, state: RobotState) -> None:
+    def send(self, state: p.RobotState) -> None:
         """Send a state to the client."""
         self.link.send_state(state.encode())
 
-    def state(self) -> RobotState:
+    def state(self) -> p.RobotState:
         """Return what the arm says of itself now."""
         motion = self.motion
-        return RobotState(
+        return p.RobotState(
             self.milliseconds,
             self.arm.state_floats(),
             p.NO_GENERATOR + 1 if motion else 0,
@@ -205,40 +194,40 @@ class ArmService:
 
     # --- what stops it -----------------------------------------------------------------------------------------------
 
-    def end_motion(self, status: MoveStatus, mode: RobotMode = RobotMode.IDLE) -> None:
+    def end_motion(self, status: p.MoveStatus, mode: p.RobotMode = p.RobotMode.IDLE) -> None:
         """Show the new mode in a state first, then answer the Move: the order clients wait for."""
         motion, self.motion, self.mode = self.motion, None, mode
         self._send_state()
         if motion is not None:
-            self._reply(Message(ArmCommand.MOVE, motion.command_id), status)
+            self._reply(p.Message(p.ArmCommand.MOVE, motion.command_id), status)
 
     def client_gone(self) -> None:
         """Brake when the client has left: no answer is sent."""
         if self.motion is not None:
             self.journal.write("motion lost its client")
-            self.motion, self.mode = None, RobotMode.IDLE
+            self.motion, self.mode = None, p.RobotMode.IDLE
 
     def reflex(self, errors: frozenset[int]) -> None:
         """Stop by reflex; motion is refused until recovery."""
         self.errors = self.reflex_reason = errors
         self.journal.write("reflex", errors=sorted(int(e) for e in errors))
-        self.end_motion(MoveStatus.REFLEX_ABORTED, RobotMode.REFLEX)
+        self.end_motion(p.MoveStatus.REFLEX_ABORTED, p.RobotMode.REFLEX)
 
     def user_stop(self) -> None:
         """Press the stop button."""
         self.journal.write("user stop")
-        self.end_motion(MoveStatus.EMERGENCY_ABORTED, RobotMode.USER_STOPPED)
+        self.end_motion(p.MoveStatus.EMERGENCY_ABORTED, p.RobotMode.USER_STOPPED)
 
     def release(self) -> None:
         """Let go of the stop button or of the guiding buttons."""
-        if self.mode in (RobotMode.USER_STOPPED, RobotMode.GUIDING):
-            self.mode = RobotMode.IDLE
+        if self.mode in (p.RobotMode.USER_STOPPED, p.RobotMode.GUIDING):
+            self.mode = p.RobotMode.IDLE
 
     def guide(self) -> None:
         """Press the guiding buttons at the flange."""
         self.journal.write("guiding")
         if self.mode not in STOPPED:
-            self.end_motion(MoveStatus.ABORTED, RobotMode.GUIDING)
+            self.end_motion(p.MoveStatus.ABORTED, p.RobotMode.GUIDING)
 
     def describe(self) -> dict[str, object]:
         """Return what a test wants to know without a client."""

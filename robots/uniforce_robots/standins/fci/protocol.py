@@ -26,23 +26,13 @@ class ProtocolError(ValueError):
         super().__init__(f"{what}: expected {wanted}, got {came}. Close the connection or drop the datagram.")
 
 
-class ArmCommand(IntEnum):
-    """TCP requests of the arm."""
-
-    CONNECT = 0
-    MOVE = 1
-    STOP_MOVE = 2
-    SET_COLLISION_BEHAVIOR = 3
-    SET_JOINT_IMPEDANCE = 4
-    SET_CARTESIAN_IMPEDANCE = 5
-    SET_GUIDING_MODE = 6
-    SET_EE_TO_K = 7
-    SET_NE_TO_EE = 8
-    SET_LOAD = 9
-    AUTOMATIC_ERROR_RECOVERY = 10
-    GET_ROBOT_MODEL = 11
-
-
+# TCP requests of the arm and of the hand.
+ArmCommand = IntEnum(
+    "ArmCommand",
+    "CONNECT MOVE STOP_MOVE SET_COLLISION_BEHAVIOR SET_JOINT_IMPEDANCE SET_CARTESIAN_IMPEDANCE SET_GUIDING_MODE "
+    "SET_EE_TO_K SET_NE_TO_EE SET_LOAD AUTOMATIC_ERROR_RECOVERY GET_ROBOT_MODEL",
+    start=0,
+)
 HandCommand = IntEnum("HandCommand", "CONNECT HOMING GRASP MOVE STOP", start=0)
 
 
@@ -118,8 +108,7 @@ class Header:
             return None, buffer
         command, command_id, size = self.layout.unpack_from(buffer)
         if not self.layout.size <= size <= MAX_MESSAGE_BYTES:
-            wanted = f"{self.layout.size} to {MAX_MESSAGE_BYTES} bytes"
-            raise ProtocolError(f"{self.device} message size", wanted, size)
+            raise ProtocolError(f"{self.device} message size", f"{self.layout.size} to {MAX_MESSAGE_BYTES} bytes", size)
         if len(buffer) < size:
             return None, buffer
         return Message(command, command_id, buffer[self.layout.size : size]), buffer[size:]
