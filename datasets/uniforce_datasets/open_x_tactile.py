@@ -17,8 +17,7 @@ import numpy as np
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from uniforce_datasets.features import flat_column, vector_column
-from uniforce_datasets.lossless import open_dataset
-from uniforce_datasets.rehash import rehash
+from uniforce_datasets.lossless import open_dataset, rehash
 from uniforce_datasets.source import Source, episode_frames, read_source
 from uniforce_datasets.video_encoder import camera_codec
 from uniforce_datasets.zarr_task import CAMERAS, GROUP, INSTRUCTION, STATES, TIMESTAMPS, Task, TaskWriter, open_task
