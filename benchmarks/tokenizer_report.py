@@ -122,6 +122,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "set_hash": facts["set_hash"],
         "seeds": seeds,
         "tokenizer_hash": tokenizer.hash,
+        "own_sensor_fz_mae_N": own_sensor_mae(rows["UniForce"], table.training) if "UniForce" in rows else None,
         "summary": {name: summary(row, table.transfers()) for name, row in rows.items()},
         "rows": rows,
         "measured_by": kept_origins(committed, rows) | dict.fromkeys(measured, origin),
@@ -132,6 +133,12 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
     if report_set.name == SHIPPED_HEADS_SET and not command.table:
         content["shipped_heads"] = shipped_row(tokenizer, table, len(table.transfers()))
     return content | origin
+
+
+def own_sensor_mae(row: Cells, sensors: Iterable[str]) -> float:
+    """Return a row's mean |error| of Fz on the sensors its heads were trained on: what no transfer can beat."""
+    own = [row[transfer_name(sensor, sensor)]["mae_N_paper_range"][2] for sensor in sensors]
+    return sum(own) / len(own)
 
 
 def in_order(committed: dict[str, Any], rows: dict[str, Cells]) -> dict[str, Cells]:
@@ -259,11 +266,11 @@ def _latent_or_pictures(command: TokenizerReportCommand, report_set: ReportSet, 
     results = Path(command.results)
     if command.question == "correlation":
         table = draw_sets(report_set, tokenizer.config.side, Path(command.cache))
-        found = latent_correlation(tokenizer, table) | {"set": report_set.name}
+        found, name = latent_correlation(tokenizer, table) | {"set": report_set.name}, "latent_correlation.json"
     else:
-        found = reconstructions(tokenizer, PICTURED, results / "reconstruction.png")
+        found, name = reconstructions(tokenizer, PICTURED, results / "reconstruction.png"), "reconstruction.json"
     found |= {"tokenizer_hash": tokenizer.hash}
-    return f"written to {write_json(results / f'{command.question}.json', found | provenance())}"
+    return f"written to {write_json(results / name, found | provenance())}"
 
 
 def _numbers(values: dict[str, float]) -> str:

@@ -27,7 +27,9 @@ from benchmarks.probes.zero_shot import (
 from benchmarks.tokenizer_report import draw_sets
 from uniforce_cli.boundary import command
 from uniforce_vtla.contact.virtual import as_virtual
-from uniforce_vtla.options import Count, FolderPath, Names, OutFile, OutFolder, TokenizerFolder
+from uniforce_vtla.errors import DatasetError
+from uniforce_vtla.json_file import read_object
+from uniforce_vtla.options import Count, FilePath, FolderPath, Names, OutFile, OutFolder, TokenizerFolder
 from uniforce_vtla.results_file import provenance, write_json
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
@@ -51,6 +53,8 @@ class OutsideCommand:
     tokenizer: TokenizerFolder = ""  # checkpoint folder; empty = shipped
     facts: FolderPath = "docs/results"  # the frozen sets' recipes and hashes
     cache: OutFolder = "outputs/labelled"  # drawn sets; delete it after changing contact/
+    real: FilePath = ""  # real.json of `benchmarks.real`: its summary stands beside
+    contact: FilePath = ""  # contact_model.json of `benchmarks.finite_elements`: likewise
     out: OutFile = "outputs/outside.json"
 
 
@@ -74,7 +78,31 @@ def measure(config: OutsideCommand) -> dict[str, Any]:
         rows[f"random encoder {seed}"] = learnt_row(table, untrained, 1, POOL)
     rows["hand descriptor"] = descriptor_row(table, config.seeds)
     rows["mean"] = mean_row(table)
-    return {"set": facts["set"], "set_hash": facts["set_hash"], "tokenizer_hash": tokenizer.hash, "rows": rows}
+    return {"set": facts["set"], "set_hash": facts["set_hash"], "tokenizer_hash": tokenizer.hash, **rows}
+
+
+def real_tactip(real: dict[str, Any]) -> dict[str, Any]:
+    """Return what `benchmarks.real` found on the scored TacTip: |r| of shear and rank of depth, mean over ridges."""
+    scored = next(found for found in real["tactip"].values() if "tokenizer" in found)
+
+    def mean(encoder: str, form: str) -> dict[str, float]:
+        cells = [cell[form] for cells in scored[encoder].values() for cell in cells]
+        read = {"shear": "shear_r", "depth": "depth_rank"}
+        return {name: float(np.mean([cell[key] for cell in cells])) for name, key in read.items()}
+
+    return {
+        "as_is": mean("tokenizer", "as_is"),
+        "one_angle": mean("tokenizer", "one_angle"),
+        "frames_10": mean("tokenizer", "few_frames"),
+        "random_one_angle": mean("untrained", "one_angle"),
+        "random_frames_10": mean("untrained", "few_frames"),
+    } | {key: real[key] for key in ("command", "date", "tokenizer_hash")}
+
+
+def beside(real: str, contact: str) -> dict[str, Any]:
+    """Return the sections of other commands' results that stand in the same file."""
+    found = {"real_tactip": real_tactip(read_object(Path(real), DatasetError))} if real else {}
+    return found | ({"contact_model": read_object(Path(contact), DatasetError)["contact_model"]} if contact else {})
 
 
 def _grasps(config: OutsideCommand, sensor: str) -> list[UnitGrasps]:
@@ -99,11 +127,13 @@ def main(config: OutsideCommand) -> None:
     """Entry of ``python -m benchmarks.finite_elements.outside``."""
     torch.set_num_threads(1)
     content = measure(config)
-    for name, row in content["rows"].items():
-        print(f"{name:18} {summary(row)}")
+    for name, row in content.items():
+        if isinstance(row, dict):
+            print(f"{name:18} {summary(row)}")
     path = Path(config.out)
     found = json.loads(path.read_text()) if path.is_file() else {}
-    print(f"written to {write_json(path, found | {config.set: content | provenance()})}")
+    found |= {config.set: content | provenance()} | beside(config.real, config.contact)
+    print(f"written to {write_json(path, found)}")
 
 
 if __name__ == "__main__":

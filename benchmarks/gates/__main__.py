@@ -153,6 +153,14 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
+def by_bar(scripts: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the scripts that must wipe the level clean and those that must not."""
+    return {
+        "must_pass": {name: line for name, line in scripts.items() if line["at_least"] is not None},
+        "must_fail": {name: line for name, line in scripts.items() if line["at_most"] is not None},
+    }
+
+
 @command(GatesCommand)
 def main(config: GatesCommand) -> None:
     """Entry of ``python -m benchmarks.gates``."""
@@ -169,7 +177,7 @@ def main(config: GatesCommand) -> None:
         "learnt_on": [config.learn_seed, config.learn_seed + config.learn_from - 1],
         "fitted": asdict(fitted),
         "all_hold": all(line["holds"] for line in scripts.values()),
-        "scripts": scripts,
+        **by_bar(scripts),
     }
     print(f"written to {write_json(Path(config.out), content | provenance())}")
 

@@ -68,7 +68,7 @@ def add_best_blind(found: dict[str, Any], gates: dict[str, Any]) -> None:
     wanted = [found["level_hash"], *with_touch["seeds"]]
     if scored != wanted:
         raise ContractError(expected("level and scenes of the blind", wanted, scored, "Run them on the arms' scenes."))
-    blind = {name: row for name, row in gates["scripts"].items() if row["at_most"] is not None}
+    blind = gates["must_fail"]
     name = max(blind, key=lambda name: blind[name]["clean"])
     found["arms"]["best blind"] = {"script": name, **blind[name]}
     one, two = ([code == "C" for code in row["by_seed"]] for row in (with_touch, blind[name]))

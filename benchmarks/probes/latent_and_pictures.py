@@ -129,8 +129,12 @@ def latent_correlation(tokenizer: Tokenizer, table: Table) -> dict[str, Any]:
             for name, labelled in table.frozen.items()
         }
 
-    found = {"latent": per_sensor(lambda s: pad_latent(tokenizer, s)), "hand_descriptor": per_sensor(_descriptor)}
-    return {"what": "simulated; |r| of Fx, Fy, Fz with their axes, unseen indenters", "source": SOURCE, "abs_r": found}
+    return {
+        "what": "simulated; |r| of Fx, Fy, Fz with their axes, unseen indenters",
+        "source": SOURCE,
+        "best_abs_r": per_sensor(lambda s: pad_latent(tokenizer, s)),
+        "hand_descriptor": per_sensor(_descriptor),
+    }
 
 
 def _descriptor(labelled: LabelledSet) -> np.ndarray:

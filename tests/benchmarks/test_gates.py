@@ -88,5 +88,5 @@ def test_a_run_scores_every_script_and_a_second_one_goes_on(tmp_path: Path, caps
     first = rows.read_text()
     assert main([*given, "episodes=1"]) == 0 and rows.read_text() == first
     written = json.loads((tmp_path / "gates.json").read_text())
-    assert set(written["scripts"]) == set(GATES) and written["scripts"]["expert"]["n"] == 1
+    assert set(written["must_pass"] | written["must_fail"]) == set(GATES) and written["must_pass"]["expert"]["n"] == 1
     assert "DOES NOT HOLD" in capsys.readouterr().out or written["all_hold"]

@@ -112,12 +112,8 @@ def test_parts_become_one_table_and_small_arms_stand_aside(tmp_path: Path) -> No
 def test_the_best_script_without_touch_stands_beside_the_arms() -> None:
     found = report_of.joined([part_of("arms", **{"V+T": 204})])
     found["arms"]["V+T"] |= {"seeds": [10, 13], "by_seed": "CCCr"}
-    lines = {
-        "expert": {"at_most": None, "clean": 4, "by_seed": "CCCC"},
-        "open loop": {"at_most": 0.15, "clean": 0, "by_seed": "rrrr"},
-        "plane known": {"at_most": 0.15, "clean": 1, "by_seed": "Crrr"},
-    }
-    gates = {"level_hash": "a", "seeds": [10, 13], "scripts": lines}
+    blind = {"open loop": {"clean": 0, "by_seed": "rrrr"}, "plane known": {"clean": 1, "by_seed": "Crrr"}}
+    gates = {"level_hash": "a", "seeds": [10, 13], "must_fail": blind}
     report_of.add_best_blind(found, gates)
     assert found["arms"]["best blind"]["script"] == "plane known"
     assert found["tests"][-1]["points"] == 50 and found["tests"][-1]["arms"] == ["V+T", "best blind"]
