@@ -27,7 +27,9 @@ from uniforce_vtla.tokenizer.weights import SIZES
 
 EVERY = 2  # steps between two looks, as tiny takes them
 LOOKS = 8  # that make half a second
-MARGIN = 1.1  # of the largest distance seen in clean wipes
+# of the largest distance seen in clean wipes: in free air, and while something is held (at 1.1 four of 25 + 25 demos,
+# which wear these sensors on the other finger, went over it by 2 %)
+FREE_MARGIN, RUN_MARGIN = 1.1, 1.25
 KINDS = ("tactip", "gelsight", "uskin")
 # development scenes, and units that no benchmark wears
 LIMITS = [(39_700 + n, 20 + n) for n in range(16)]
@@ -115,8 +117,8 @@ def fit(config: MonitorCommand, kind: str) -> Path:
     usual = LatentRange.fit(latents.flatten(0, 1), kind, tokenizer.hash)
     usual.free_limit = usual.run_limit = 1.0
     seen = _watch_all(config, [(f"{kind}:{unit}", seed) for seed, unit in LIMITS], usual, f"clean wipes, {kind}")
-    usual.free_limit = round(MARGIN * max(one.free for one in seen), 3)
-    usual.run_limit = round(MARGIN * max(one.run for one in seen), 3)
+    usual.free_limit = round(FREE_MARGIN * max(one.free for one in seen), 3)
+    usual.run_limit = round(RUN_MARGIN * max(one.run for one in seen), 3)
     return usual.save(Path(config.folder) / f"latent_range_{kind}")
 
 
