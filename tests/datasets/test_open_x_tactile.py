@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from uniforce_cli.convert import main
 from uniforce_datasets import zarr_task as store
-from uniforce_datasets.lossless import check_dataset
+from uniforce_datasets.lossless import check_dataset, rehash
 from uniforce_datasets.open_x_tactile import _pad_key, from_lerobot, to_lerobot, wrist_pose
-from uniforce_datasets.rehash import rehash
 from uniforce_datasets.source import episode_frames, read_source
 from uniforce_datasets.synthetic import record_synthetic
 from uniforce_robots.franka.poses import TOOL_TO_EE, ToolPose
