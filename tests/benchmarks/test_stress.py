@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.stress.actors import Arm, Row, play
 from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
+from benchmarks.stress.monitor import summary, watched
 from benchmarks.stress.operators import OPERATORS, worn_with
 from benchmarks.stress.page import draw, one_table, retention
 from benchmarks.stress.readings import ReadsWorn, read_scenes
@@ -19,6 +20,7 @@ from uniforce_vtla.contact.worn import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead
+from uniforce_vtla.tokenizer.latent_range import LatentRange
 
 SCENE = range(39_700, 39_701)
 
@@ -163,3 +165,17 @@ def test_a_refused_reference_is_an_aborted_episode() -> None:
     arm = Arm("expert reads tactip:1", acts="reads")
     found = play(arm, "touch", "tactip:1+flicker=0.9", "M2 flicker", 0.9, "cell", 39_700, 39_700)
     assert found.outcome == "aborted" and found.cell == "cell"
+
+
+def test_a_monitors_alarm_is_timed_and_clean_wipes_are_told_from_faulty_ones() -> None:
+    usual = LatentRange("tactip", "abc", 6, free_limit=1.0, run_limit=2.0)
+    calm, odd = np.full(60, 0.5), np.full(60, 0.5)
+    odd[30:] = 3.0  # looks of 1/15 s
+    clean, faulty = (watched(distances, usual, 4.0, refused=False) for distances in (calm, odd))
+    assert clean.score == pytest.approx(0.5) and clean.alarm_s == np.inf
+    assert faulty.run == pytest.approx(1.5) and 30 / 15 < faulty.alarm_s < 40 / 15
+    in_free_air = watched(odd[::-1], usual, 4.0, refused=False)
+    assert in_free_air.free == pytest.approx(3.0) and in_free_air.alarm_s == pytest.approx(0.2)
+    refused = watched(calm[:3], usual, 0.2, refused=True)
+    found = summary([faulty, refused], [clean, clean])
+    assert (found["auroc"], found["noticed"], found["refused"]) == (1.0, 2, 1)
