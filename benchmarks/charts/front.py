@@ -52,8 +52,11 @@ def draw_chart(points: Sequence[Point], axes: Axes, path: Path) -> Path:
         span = [[point.score - point.low], [point.high - point.score]]
         fill = "C0" if point.default else "white"
         plot.errorbar(point.cost, point.score, yerr=span, marker="o", color="C0", markerfacecolor=fill, capsize=2)
-        plot.annotate(point.name, (point.cost, point.score), xytext=(5, 5), textcoords="offset points", fontsize=8)
+        plot.annotate(
+            point.name, (point.cost, point.score), xytext=(3, 4), textcoords="offset points", fontsize=8, rotation=40
+        )
     plot.set(title=axes.title, xlabel=axes.cost, ylabel=axes.score, xscale="log")
     plot.grid(alpha=0.3)
+    plot.margins(x=0.15, y=0.2)  # room for names
     plot.legend(loc="lower right")
     return save_figure(figure, path)
