@@ -9,12 +9,11 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
-import numpy as np
 import torch
 from torch import nn
 
 from benchmarks.probes.labelled_set import LabelledSet
-from benchmarks.probes.zero_shot import encode_set, score, transfer_name
+from benchmarks.probes.zero_shot import encode_set, score, summary, transfer_name
 from benchmarks.timing import in_turns
 from uniforce_vtla.contracts import FINGERS
 from uniforce_vtla.tokenizer.api import Tokenizer
@@ -82,7 +81,7 @@ def _seconds(call: Callable[[], None]) -> float:
 
 
 def accuracies(frozen: dict[str, LabelledSet]) -> dict[str, dict[str, Any]]:
-    """Return point → Fz R² (mean, worst), shear R² (mean, worst) and their cells, by the shipped heads."""
+    """Return point → what a table's row says (``zero_shot.summary``) and R² of each cell, by the shipped heads."""
     found = {}
     for size in SIZES:
         for precision in PRECISIONS:
@@ -95,13 +94,5 @@ def accuracies(frozen: dict[str, LabelledSet]) -> dict[str, dict[str, Any]]:
 def _accuracy(latents: dict[str, torch.Tensor], size: str, frozen: dict[str, LabelledSet]) -> dict[str, Any]:
     pairs = [(source, target) for source in frozen for target in frozen if source != target]
     heads = {source: ForceHead.from_pretrained(source, size) for source in frozen}
-    read = {(a, b): heads[a].sequence(latents[b]).numpy() for a, b in pairs}
-    cells = {transfer_name(a, b): score(frozen[b].force_N, read[a, b])["r2"] for a, b in pairs}
-    r2 = np.array(list(cells.values()))
-    return {
-        "fz_mean": float(r2[:, 2].mean()),
-        "fz_worst": float(r2[:, 2].min()),
-        "shear_mean": float(r2[:, :2].mean()),
-        "shear_worst": float(r2[:, :2].min()),
-        "cells": cells,
-    }
+    cells = {transfer_name(a, b): score(frozen[b].force_N, heads[a].sequence(latents[b]).numpy()) for a, b in pairs}
+    return summary(cells, pairs) | {"cells": {name: cell["r2"] for name, cell in cells.items()}}

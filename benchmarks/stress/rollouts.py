@@ -4,7 +4,6 @@ All cells act in the same scenes. Each arm has its expert beside it: for a senso
 sensor, for the scene's faults the one with the true wrench, so that an impossible cell isn't blamed on the policy.
 """
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
+from benchmarks.ledger import Ledger
 from benchmarks.stress.actors import Arm, Row, play
 from benchmarks.stress.disturbed import SCENE_OPERATORS
 from benchmarks.stress.operators import OPERATORS, Operator, worn_with
@@ -74,22 +74,17 @@ def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
 
 def roll(cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path) -> dict[str, dict[int, Row]]:
     """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it."""
-    lines = path.read_text().split("\n")[:-1] if path.is_file() else []  # without one that a kill has cut short
-    rows = [Row(**json.loads(line)) for line in lines]
-    done = {(row.cell, row.seed) for row in rows}
+    ledger = Ledger(path.parent)
+    done = {(row["cell"], row["seed"]) for row in ledger.read(path.stem)}
     jobs = [
         delayed(play)(cell.arm, level, cell.words, cell.operator, cell.dose, cell.name, seed, seeds.start)
         for seed in seeds
         for cell in cells
         if (cell.name, seed) not in done
     ]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(f"{line}\n" for line in lines))
-    with path.open("a") as file:
-        for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
-            file.write(json.dumps(asdict(row)) + "\n")
-            file.flush()
-            rows.append(row)
+    for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
+        ledger.add(path.stem, asdict(row))
+    rows = [Row(**row) for row in ledger.read(path.stem)]
     return by_cell(rows, cells, seeds)
 
 

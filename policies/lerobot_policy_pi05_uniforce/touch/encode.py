@@ -14,7 +14,7 @@ from lerobot_policy_pi05_uniforce.processor_pi05_uniforce import MEASURED_STATE
 from lerobot_policy_pi05_uniforce.weights import no_weights
 from uniforce_vtla.contracts import FINGERS, Finger
 from uniforce_vtla.errors import CheckpointError, ContractError, RolloutError, SensorError, UniForceError, expected
-from uniforce_vtla.keys import SLOTS, latent_key, tactile_key
+from uniforce_vtla.keys import AXES, SLOTS, latent_key, tactile_key
 from uniforce_vtla.markers.reference import ReferenceMemory
 from uniforce_vtla.tokenizer import Tokenizer, TokenizerConfig, pool_latent
 from uniforce_vtla.tokenizer.api import STORED_KEY, canonicalizer_facts
@@ -32,7 +32,7 @@ logger = logging.getLogger(__name__)
 LATENT_KEYS = {slot: latent_key(slot) for slot in SLOTS}
 # reference, current
 PAIR_KEYS = {finger: (tactile_key(finger, True), tactile_key(finger)) for finger in FINGERS}
-WIDTH = 4  # axis of the hand in state and action
+WIDTH = AXES.index("width.pos")
 OPEN_m = 0.004  # of its widest command: what it measures lags behind
 HALF_SECOND = 15  # control steps, at 30 Hz
 ENCODER = "model.tactile_encoder."  # its tensors in a policy; stored only where the package doesn't have them
