@@ -93,5 +93,6 @@ def _draw_unit(settings: HardSettings, sensor: VirtualSensor, rng: np.random.Gen
     seed, creep, light = int(rng.integers(2**31)), Creep.draw(rng, settings.creep_share), Light.draw(rng)
     loss = settings.marker_loss if camera else 0.0
     direct = not (settings.canonicalize and camera)
-    # drawn anew: the set's digest was locked with such noise
-    return WornView(WornSensor(sensor, unit, light, marker_loss=loss, direct=direct), seed, "drawn"), creep
+    worn = WornSensor(sensor, unit, light, marker_loss=loss, direct=direct)
+    # the set's digest was locked with noise drawn anew and before patterns were registered
+    return WornView(worn, seed, "drawn", register=False), creep

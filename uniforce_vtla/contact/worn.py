@@ -71,16 +71,19 @@ class WornView:
         worn: the unit; ``direct`` leaves raw frame and canonicalizer out.
         seed: draws the noise.
         pixel_noise: of raw frames, see ``ContactOptions``.
+        register: see ``Canonicalizer``.
 
     Raises SensorError: the canonicalizer refuses the reference.
     """
 
-    def __init__(self, worn: WornSensor, seed: int = 0, pixel_noise: PixelNoise = "sheet") -> None:
+    def __init__(
+        self, worn: WornSensor, seed: int = 0, pixel_noise: PixelNoise = "sheet", register: bool = True
+    ) -> None:
         options = ContactOptions(
             marker_loss=worn.marker_loss > 0, loss_probability=worn.marker_loss, pixel_noise=pixel_noise
         )
         self.worn, self.simulator = worn, TactileSimulator(worn.sensor, worn.unit, options, seed)
-        self._canonicalizer, self._light = Canonicalizer(worn.kind), worn.light
+        self._canonicalizer, self._light = Canonicalizer(worn.kind, register=register), worn.light
         if worn.direct:
             stale = worn.stale_N > 0
             shown = self.simulator.marker_images(_left_on(worn.stale_N))[0] if stale else self.simulator.reference()

@@ -31,13 +31,18 @@ class Canonicalizer:
     the reference's pattern lies as in the spec's drawing; another pattern is brought to nominal scale by the spec's
     px/mm. Taxels: counts are drawn relative to the reference.
 
+    Args:
+        sensor: a registered name.
+        taxel_scales: None: those of the sensor's form.
+        register: False leaves a camera's pattern as it was mounted, as frozen sets made before registration did.
+
     Attributes:
         match: how the latest camera frame read against a reference matches it; None before.
         saturation: what taxel rendering had to clip so far; stays 0 for cameras.
     """
 
-    def __init__(self, sensor: str, taxel_scales: TaxelScales | None = None) -> None:
-        self.spec = get_sensor(sensor)
+    def __init__(self, sensor: str, taxel_scales: TaxelScales | None = None, register: bool = True) -> None:
+        self.spec, self._register = get_sensor(sensor), register
         self.sensor = sensor
         self.match: MarkerMatch | None = None
         self.saturation = Saturation()
@@ -113,7 +118,7 @@ class Canonicalizer:
     def _remember(self, raw: np.ndarray) -> tuple[MarkerReference, np.ndarray | None]:
         count = len(self.spec.layout_mm)
         found = MarkerReference(raw, self._is_dome, (count // LIKELY_COUNT, count * LIKELY_COUNT))
-        return found, find_view(found.centres_px, self.spec)
+        return found, find_view(found.centres_px, self.spec) if self._register else None
 
     def _camera_image(
         self, raw: np.ndarray, reference: MarkerReference | None, view: np.ndarray | None = None

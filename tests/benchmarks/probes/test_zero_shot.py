@@ -88,11 +88,14 @@ def test_no_held_out_sensor_is_in_the_pretraining_family() -> None:
     assert keen.rest_counts > 1.25 * usual.rest_counts  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("name", ["gelsight_d", "tactip", "uskin"])
-def test_a_set_draws_the_same_every_time(name: str) -> None:
-    sensor = hetero_sensors()[name]
-    one, two = draw_hard(BRIEF, sensor, 32), draw_hard(BRIEF, sensor, 32)
-    assert one.digest == two.digest and np.array_equal(one.frames, two.frames)
+# of BRIEF, by code that draws the whole set to its committed hash
+SCORED = {"gelsight_d": "8e6c838602f5", "tactip": "f217d66e3144", "uskin": "179b340a7e17"}
+
+
+@pytest.mark.parametrize("name", SCORED)
+def test_a_set_draws_as_it_was_scored(name: str) -> None:
+    one = draw_hard(BRIEF, hetero_sensors()[name], 32)
+    assert one.digest.startswith(SCORED[name])
     assert one.frames.shape == (2, 4, 32, 32) and one.force_N.shape == (2, 4, 3)
 
 
