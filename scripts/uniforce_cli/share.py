@@ -1,4 +1,4 @@
-"""Put everything another person needs of a policy into one folder, and on request onto the hub."""
+"""Put what another person needs of a policy, a dataset or the scene into one folder, and on request onto the hub."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 SCORES, TRAIN_CONFIG, ADAPTER = "scores.json", "train_config.json", "adapter_config.json"
 TOKENIZER = "model.tactile_encoder."
 CARD = "README.md"
-UPLOADED = ["*.safetensors", "*.json", CARD]
+UPLOADED = ["*.safetensors", "*.json", "*.py", CARD]
 TAGS = ["lerobot", "robotics", "tactile", "uniforce"]
 DESCRIPTION = "Demonstrations with marker images of tactile sensors, recorded with uniforce-vtla."
 TrainedPolicy = Annotated[str, Existing("a checkpoint's folder", "config.json")]
@@ -34,6 +34,7 @@ class ShareConfig:
     Example: uniforce share checkpoint=outputs/train/checkpoints/last/pretrained_model scores=outputs/score/wiping.json
     then: uniforce share … push=your-name/pi05-wiping  (needs `hf auth login`)
     a dataset: uniforce share dataset=outputs/demos push=your-name/wiping licence=cc-by-4.0
+    the scene, for LeRobot's EnvHub: uniforce share scene=true push=your-name/wipe-by-touch
     """
 
     checkpoint: TrainedPolicy = ""  # what the trainer saved: …/checkpoints/last/pretrained_model
@@ -42,6 +43,7 @@ class ShareConfig:
     push: HubName = ""  # hub repository, name/model; "" = nothing leaves this machine
     private: bool = False  # of a new hub repository
     dataset: Dataset = ""  # instead of a checkpoint: a recorded dataset's folder, checked in full, then pushed
+    scene: bool = False  # instead: env.py and a card, from which LeRobot's make_env("name/repository") makes the scene
     licence: Licence = ""  # of the dataset, as the hub spells it; "" = its card names none
     half: bool = False  # store trained weights as float16, half the size; they are computed with as before
 
@@ -129,6 +131,17 @@ def share_dataset(config: ShareConfig) -> str:
     return f"pushed {dataset.num_episodes} episodes to {config.push}"
 
 
+def share_scene(config: ShareConfig) -> Path:
+    """Write the EnvHub form of the wiping scene and return the folder."""
+    import lerobot_env_uniforce_wiping
+
+    out = Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
+    for file in Path(lerobot_env_uniforce_wiping.__file__).with_name("hub").iterdir():
+        (out / file.name).write_text(file.read_text().replace("NAME/REPOSITORY", config.push or "NAME/REPOSITORY"))
+    return out
+
+
 def _read(path: Path) -> dict[str, Any] | None:
     return read_object(path, CheckpointError) if path.is_file() else None
 
@@ -137,13 +150,14 @@ def _read(path: Path) -> dict[str, Any] | None:
 def main(config: ShareConfig) -> int:
     one_thread()
     _read(Path(config.scores))  # a damaged file is named first
-    if bool(config.dataset) == bool(config.checkpoint):
-        came = "both" if config.dataset else "neither"
-        raise ContractError(expected("share", "checkpoint=… or dataset=…", came, "Name one."))
+    named = [name for name in ("checkpoint", "dataset", "scene") if getattr(config, name)]
+    if len(named) != 1:
+        came = " and ".join(named) or "none"
+        raise ContractError(expected("share", "checkpoint=…, dataset=… or scene=true", came, "Name one."))
     if config.dataset:
         print(share_dataset(config))
         return 0
-    out = share(config)
+    out = share_scene(config) if config.scene else share(config)
     print(f"everything is in {out}; read {out / CARD} before you hand it on")
     if config.push:
         print(f"pushed to {push(out, config)}")
