@@ -52,10 +52,11 @@ def _pair_call(name: str, rng: np.random.Generator) -> Callable[[], object]:
         reference, *pressed = frame_cycle(name, ONE_PRESS, FRAMES_hz)
         currents = cycle(pressed)
         return lambda: canon.pair(reference, next(currents), "left")
-    counts = rng.integers(16_000, 38_000, spec.raw_shape)
-    canon.set_reference(counts)
-    loads = cycle([counts + rng.integers(0, 4_000, spec.raw_shape) for _ in range(FRAMES)])
-    return lambda: canon.marker_image(next(loads))
+    free = rng.integers(16_000, 38_000, spec.raw_shape) if spec.taxels else rng.normal(0, 0.01, spec.raw_shape)
+    loads = rng.integers(0, 4_000, (FRAMES, *spec.raw_shape)) if spec.taxels else rng.uniform(0, 1, (FRAMES, 1, 3))
+    canon.set_reference(free)
+    loaded = cycle(free + load for load in loads)
+    return lambda: canon.marker_image(next(loaded))
 
 
 def _first_frame_call(name: str) -> Callable[[], object]:

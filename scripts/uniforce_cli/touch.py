@@ -79,7 +79,7 @@ def opened(config: TouchConfig) -> Iterator[TactileFinger]:
         source = config.source
         if source == STAND_IN:
             print("starting a stand-in: simulated touch, no hardware")
-            taxels = get_sensor(config.sensor).signal == "taxel"
+            taxels = get_sensor(config.sensor).signal != "camera"
             options = ("slcan", "rate_hz=100") if taxels else ("mjpeg", f"sensor={config.sensor}")
             source = stack.enter_context(StandIn(*options, "rest_s=2")).address
         finger = stack.enter_context(make_finger(config, source))

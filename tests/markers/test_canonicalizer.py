@@ -27,6 +27,9 @@ COUNTS = np.random.default_rng(0).integers(15_000, 38_000, (16, 3))
 
 
 def raw_pair(sensor: str) -> tuple[np.ndarray, np.ndarray]:
+    if get_sensor(sensor).points:
+        free = np.random.default_rng(0).normal(0, 0.005, get_sensor(sensor).raw_shape)
+        return free, free + np.array([0.3, -0.2, 0.5])
     if get_sensor(sensor).signal == "taxel":
         free = COUNTS if sensor == "uskin" else np.zeros(get_sensor(sensor).raw_shape, int)
         return free, free + (np.array([50, -30, 800]) / get_sensor(sensor).taxels.worth).round().astype(int)

@@ -34,7 +34,7 @@ def pressed(*force_N: float) -> ContactState:
 
 
 def test_datasets_know_the_others_by_the_places_they_had() -> None:
-    assert list_sensors() == ("gelsight", "tactip", "uskin", "paxini")
+    assert list_sensors() == ("gelsight", "tactip", "uskin", "paxini", "tac3d")
 
 
 def test_its_taxels_lie_as_the_sdk_says_and_apart() -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 CONTROL_HZ = 30  # steps of lag and stall
 CREEP_s = 0.6  # relaxation time of the creep that a fault brings
 CAMERA, TAXEL = ("camera",), ("taxel",)
-BOTH = CAMERA + TAXEL
+EVERY = (*CAMERA, *TAXEL, "points")
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Fault:
     what: str  # in words
     unit: str  # of a dose
     put: Callable[[WornSensor, float], WornSensor]  # a worn unit and a dose → the unit with that fault
-    signals: tuple[str, ...] = BOTH  # kinds of sensor that can have it
+    signals: tuple[str, ...] = EVERY  # kinds of sensor that can have it
 
 
 def _unit(name: str) -> Callable[[WornSensor, float], WornSensor]:

@@ -98,6 +98,17 @@ class CameraResponse:
         return MarkerMotion(shift, np.sqrt(np.clip(1 + field[:, 3], 0.25, 4.0)) * (1 + nearer))
 
 
+class PointResponse:
+    """Points that the sensor tracks itself: their displacements in mm, z into the pad."""
+
+    def __init__(self, influence: Influence, rest_mm: np.ndarray, scale: float = 1.0) -> None:
+        self._motion = PointMotion(influence, rest_mm, scale)
+
+    def __call__(self, traction: Traction) -> np.ndarray:
+        """Return (B, N, 3) float32 displacements in mm, without noise."""
+        return self._motion(traction)[:, :3].transpose(0, 2, 1).astype(np.float32)
+
+
 class TaxelResponse:
     """Magnets in the elastomer over Hall sensors: a magnet that moves changes the field of every sensor.
 

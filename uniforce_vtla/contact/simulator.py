@@ -7,12 +7,19 @@ import numpy as np
 from uniforce_vtla.contact.pads import CELL_MM, GRID_CELLS, build_pad, has_object
 from uniforce_vtla.contact.pressure import Pressure, solve_pressure
 from uniforce_vtla.contact.raw_look import gelsight_frames, tactip_frames
-from uniforce_vtla.contact.responses import CameraResponse, ContactOptions, ForceTaxelResponse, TaxelResponse
+from uniforce_vtla.contact.responses import (
+    CameraResponse,
+    ContactOptions,
+    ForceTaxelResponse,
+    PointResponse,
+    TaxelResponse,
+)
 from uniforce_vtla.contact.traction import Traction, solve_traction, transmitted
 from uniforce_vtla.contact.units import Look, UnitVariation
 from uniforce_vtla.contact.virtual import VirtualSensor, as_virtual, gel_of
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, expected
+from uniforce_vtla.markers.point_render import place_points
 from uniforce_vtla.markers.raster import CENTRE_PX, fill_discs, fill_squares
 from uniforce_vtla.markers.taxel_render import TaxelDiscs, TaxelScales, draw_discs, place_discs
 from uniforce_vtla.sensors.material import ForceTaxelMaterial, TaxelMaterial
@@ -20,6 +27,7 @@ from uniforce_vtla.sensors.material import ForceTaxelMaterial, TaxelMaterial
 Transform = Callable[[np.ndarray], np.ndarray]  # (B, 480, 640) uint8 → (B, …), e.g. an area resize
 
 Taxels = TaxelResponse | ForceTaxelResponse
+Drawn = Taxels | PointResponse  # there is no camera: the canonicalizer draws their rows of three numbers
 _CHUNK = 16  # images drawn at once: 5 MB, stays in cache
 _SCALES = TaxelScales()
 
@@ -91,16 +99,17 @@ class TactileSimulator:
         """
         if not isinstance(self._respond, Taxels):
             raise ContractError(expected("counts", "a taxel sensor", self.spec.name, "Use raw_frames for a camera."))
-        return self._counts(self.traction(contact), self.options.noise)
+        return self._rows(self.traction(contact), self.options.noise)
 
     def raw_reference(self) -> np.ndarray:
-        """Return one free-air raw signal: (480, 640, 3) uint8 RGB frame, or (M, 3) int32 counts."""
+        """Return one free-air raw signal: (480, 640, 3) uint8 RGB frame, (M, 3) int32 counts or (N, 3) float32 mm."""
         return self.raw_frames(free_air(1))[0]
 
     def raw_frames(self, contact: ContactState) -> np.ndarray:
-        """Return what the driver would deliver: (B, 480, 640, 3) uint8 RGB, or (B, M, 3) int32 counts."""
-        if isinstance(self._respond, Taxels):
-            return (self._baseline + self._counts(self.traction(contact), self.options.noise)).astype(np.int32)
+        """Return what the driver would deliver: (B, 480, 640, 3) uint8 RGB, (B, M, 3) int32 counts or (B, N, 3) mm."""
+        if isinstance(self._respond, Drawn):
+            rows = self._rows(self.traction(contact), self.options.noise)
+            return rows if self.spec.points else (self._baseline + rows).astype(np.int32)
         press_N = self._pressure(contact).press_N  # solved once for picture and shade
         images = self.images_under(self._traction(press_N, contact))
         if self.spec.dome_radius_mm is not None:
@@ -130,7 +139,7 @@ class TactileSimulator:
         return Traction(cells, press, shear)
 
     def _markers(self, traction: Traction, noise: bool) -> tuple[np.ndarray, np.ndarray]:
-        if isinstance(self._respond, Taxels):
+        if isinstance(self._respond, Drawn):
             discs = self._discs(traction, noise)
             return np.stack([d.centres_px for d in discs]), 2 * np.stack([d.radii_px for d in discs])
         motion = self._respond(traction).without(self._dead)
@@ -161,21 +170,25 @@ class TactileSimulator:
             centre_px = np.where(self._lost[:, None], np.nan, centre_px)
         return centre_px
 
-    def _counts(self, traction: Traction, noise: bool) -> np.ndarray:
-        assert isinstance(self._respond, Taxels)
-        counts = np.where(self._dead[:, None], 0, self._respond(traction))
-        counts = counts + np.float32(self.unit.crosstalk) * (counts.mean(axis=1, keepdims=True) - counts)
+    def _rows(self, traction: Traction, noise: bool) -> np.ndarray:
+        """Return (B, M, 3) float32: whole counts above the baseline, or displacements in mm."""
+        assert isinstance(self._respond, Drawn)
+        rows = np.where(self._dead[:, None], 0, self._respond(traction))
+        rows = rows + np.float32(self.unit.crosstalk) * (rows.mean(axis=1, keepdims=True) - rows)
         if noise:
-            scatter = self._rng.standard_normal(counts.shape) * self._noise_counts
-            counts = counts + scatter.astype(np.float32)
-        return np.round(counts)
+            scatter = self._rng.standard_normal(rows.shape) * self._row_noise
+            rows = rows + scatter.astype(np.float32)
+        return rows if self.spec.points else np.round(rows)
 
     def _discs(self, traction: Traction, noise: bool) -> list[TaxelDiscs]:
-        return [place_discs(counts, self.spec, _SCALES) for counts in self._counts(traction, noise)]
+        rows = self._rows(traction, noise)
+        if self.spec.points:
+            return [place_points(moved_mm, self.spec) for moved_mm in rows]
+        return [place_discs(counts, self.spec, _SCALES) for counts in rows]
 
     def _images(self, traction: Traction, noise: bool) -> np.ndarray:
-        """Return (B, 480, 640): taxels drawn by the canonicalizer's rule, camera markers by our own."""
-        if isinstance(self._respond, Taxels):
+        """Return (B, 480, 640): taxels and points drawn by the canonicalizer's rule, camera markers by our own."""
+        if isinstance(self._respond, Drawn):
             return np.stack([draw_discs(discs) for discs in self._discs(traction, noise)])
         centre_px, size_px = self._markers(traction, noise)
         turn = self.unit.rotation_rad + self.unit.view_turn_rad
@@ -183,31 +196,35 @@ class TactileSimulator:
             return fill_discs(centre_px, size_px)
         return fill_squares(centre_px, size_px, turn + (np.pi / 4 if self.spec.marker_shape == "diamond" else 0))
 
-    def _build_response(self) -> CameraResponse | Taxels:
+    def _build_response(self) -> CameraResponse | Drawn:
         rng = np.random.default_rng(self.unit.seed)
         offset = np.asarray(self.unit.offset_mm, dtype=np.float32)
         if self.spec.taxels:
             taxel_mm = self.spec.layout_mm + offset
             gain = self.unit.gain * (1 + 0.5 * self.unit.jitter_mm * rng.standard_normal((len(taxel_mm), 3)))
         if isinstance(self._material, ForceTaxelMaterial):
-            self._baseline, self._noise_counts = np.zeros(self.spec.raw_shape, int), self._material.noise_counts
+            self._baseline, self._row_noise = np.zeros(self.spec.raw_shape, int), self._material.noise_counts
             return ForceTaxelResponse(self.pad.position_mm, taxel_mm, self._material, gain)
         if isinstance(self._material, TaxelMaterial):
-            self._noise_counts = self.options.noise_counts
+            self._row_noise = self.options.noise_counts
             shear = rng.integers(*self._material.baseline_shear, size=(len(taxel_mm), 2))
             normal = rng.integers(*self._material.baseline_normal, size=(len(taxel_mm), 1))
             self._baseline = np.concatenate([shear, normal], axis=1)  # raw counts at rest
             return TaxelResponse(self.pad.influence, taxel_mm, self._material, gain, 1 / self._stiffness)
-        self._rest_mm = self._unit_layout(rng, offset)
         scale = self.unit.gain / self._stiffness
+        if self.spec.points:
+            self._row_noise = self.spec.points.noise_mm
+            return PointResponse(self.pad.influence, self.spec.points.place_mm + offset, scale)
+        self._rest_mm = self._unit_layout(rng, offset)
         return CameraResponse(self.pad.influence, self._rest_mm, self._material, scale)
 
     def _damage(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return (M,) bool twice: markers that are gone, and markers or taxels that never move."""
-        rng, count = np.random.default_rng([self.unit.seed, 1]), len(self.spec.layout_mm)
+        """Return (M,) bool twice: markers that are gone, and markers, taxels or points that never move."""
+        places_mm = self.spec.points.place_mm if self.spec.points else self.spec.layout_mm
+        rng, count = np.random.default_rng([self.unit.seed, 1]), len(places_mm)
         gone = np.argsort(rng.random(count)) < round(self.unit.lost * count)
-        place = self.spec.layout_mm[rng.integers(count)]
-        near = np.argsort(np.argsort(np.linalg.norm(self.spec.layout_mm - place, axis=1), kind="stable"))
+        place = places_mm[rng.integers(count)]
+        near = np.argsort(np.argsort(np.linalg.norm(places_mm - place, axis=1), kind="stable"))
         return gone, near < round(self.unit.dead * count)
 
     def _unit_layout(self, rng: np.random.Generator, offset_mm: np.ndarray) -> np.ndarray:

@@ -127,7 +127,7 @@ def unit_of(sensor: VirtualSensor, number: int) -> WornSensor:
     """Return a unit by its number: moulding, camera pose, light and rubber are drawn from it."""
     rng = np.random.default_rng([number, zlib.crc32(sensor.name.encode())])
     unit, creep = UnitVariation.draw(rng, sensor), Creep.draw(rng, CREEP_SHARE)
-    if sensor.spec.signal == "taxel":
+    if sensor.spec.signal != "camera":
         return WornSensor(sensor, unit, None, creep, lag_steps=LAG_STEPS)
     return WornSensor(sensor, unit.mounted(rng, Look()), Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS)
 

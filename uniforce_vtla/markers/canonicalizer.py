@@ -6,7 +6,8 @@ from uniforce_vtla.contracts import MARKER_IMAGE_SHAPE, Finger, MarkerPair, chec
 from uniforce_vtla.errors import ContractError, expected
 from uniforce_vtla.markers.camera_markers import Segmentation, fit_canonical, segment
 from uniforce_vtla.markers.marker_reference import MarkerMatch, MarkerReference
-from uniforce_vtla.markers.reference import ReferenceMemory, refuse_pressed_reference
+from uniforce_vtla.markers.point_render import check_points, is_pressed, place_points
+from uniforce_vtla.markers.reference import ReferenceMemory, refuse, refuse_pressed_reference
 from uniforce_vtla.markers.registration import find_view, points_to_nominal_scale, seen_from, to_nominal_scale
 from uniforce_vtla.markers.taxel_render import (
     Saturation,
@@ -18,7 +19,6 @@ from uniforce_vtla.markers.taxel_render import (
     place_discs,
 )
 from uniforce_vtla.sensors import get_sensor
-from uniforce_vtla.sensors.spec import TaxelSignal
 
 LIKELY_COUNT = 4  # times the spec's markers or a quarter: gels of one kind carry 25 to 266, domes 127 or 331
 
@@ -29,7 +29,7 @@ class Canonicalizer:
     Cameras: the way to see the markers (channel, polarity, scale) is found in the reference, and its markers are
     looked for (``MarkerReference``); before there is one, the way is found in every frame. The image is moved so that
     the reference's pattern lies as in the spec's drawing; another pattern is brought to nominal scale by the spec's
-    px/mm. Taxels: counts are drawn relative to the reference.
+    px/mm. Taxels and points: counts or displacements are drawn relative to the reference.
 
     Args:
         sensor: a registered name.
@@ -48,7 +48,7 @@ class Canonicalizer:
         self.saturation = Saturation()
         self._is_dome = self.spec.dome_radius_mm is not None
         self._taxel_scales = taxel_scales or TaxelScales()
-        self._reference_counts: np.ndarray | None = None
+        self._reference_rows: np.ndarray | None = None  # counts or displacements
         self._reference: MarkerReference | None = None
         self._view: np.ndarray | None = None  # (3, 3) onto the drawing, of the reference
         self._references: ReferenceMemory[tuple[MarkerReference, np.ndarray | None]] = ReferenceMemory(1)
@@ -59,8 +59,8 @@ class Canonicalizer:
         Raises ContractError: wrong shape or dtype; SensorError: a camera frame without markers or with an unlikely
         number of them, or a dead sensor: a tared one still reads noise.
         """
-        if self._is_taxel:
-            self._reference_counts = self._checked(raw, "reference")
+        if self._is_drawn:
+            self._reference_rows = self._checked(raw, "reference")
         else:
             (self._reference, self._view), self.match = self._remember(raw), None
 
@@ -70,7 +70,8 @@ class Canonicalizer:
         """Return the marker pair of two raw signals of one sensor; leaves ``set_reference`` as it was.
 
         Args:
-            reference_raw: free-air frame (H, W, 3) uint8 RGB, or (M, 3) integer counts of M taxels.
+            reference_raw: free-air frame (H, W, 3) uint8 RGB, (M, 3) integer counts of M taxels, or (N, 3) float mm of
+                N points.
             current_raw: the same, now.
             finger: the finger that wears the sensor.
             reference_from: "own", or where a borrowed reference came from.
@@ -79,19 +80,19 @@ class Canonicalizer:
         markers, too few of the reference's, dark, dead, or a reference that was pressed.
         """
         check_finger(finger)
-        images = self._taxel_pair if self._is_taxel else self._camera_pair
+        images = self._drawn_pair if self._is_drawn else self._camera_pair
         reference, current = images(reference_raw, current_raw)
         return MarkerPair(reference, current, finger, self.sensor, reference_from)
 
     def marker_image(self, raw: np.ndarray) -> np.ndarray:
-        """Return the (480, 640) uint8 image in {0, 255} of a frame (H, W, 3) uint8 RGB or counts (M, 3).
+        """Return the (480, 640) uint8 image in {0, 255} of a raw signal, in a form that ``pair`` takes.
 
         Raises ContractError: wrong shape or dtype, or taxels without a reference; SensorError: no markers, too few of
         the reference's, dark or dead.
         """
-        if not self._is_taxel:
+        if not self._is_drawn:
             return self._camera_image(raw, self._reference, self._view)
-        discs = self._discs(raw, self._reference_counts)
+        discs = self._discs(raw, self._reference_rows)
         self.saturation.add(discs)
         return draw_discs(discs)
 
@@ -102,18 +103,13 @@ class Canonicalizer:
 
         Raises ContractError: as ``marker_image``; SensorError: no markers, dark or dead.
         """
-        if not self._is_taxel:
+        if not self._is_drawn:
             return points_to_nominal_scale(self._segment(raw).centres_px, self.spec, MARKER_IMAGE_SHAPE)
-        return self._discs(raw, self._reference_counts).centres_px
+        return self._discs(raw, self._reference_rows).centres_px
 
     @property
-    def _is_taxel(self) -> bool:
-        return self.spec.taxels is not None
-
-    @property
-    def _taxels(self) -> TaxelSignal:
-        assert self.spec.taxels is not None
-        return self.spec.taxels
+    def _is_drawn(self) -> bool:
+        return self.spec.signal != "camera"
 
     def _remember(self, raw: np.ndarray) -> tuple[MarkerReference, np.ndarray | None]:
         count = len(self.spec.layout_mm)
@@ -142,25 +138,36 @@ class Canonicalizer:
             raise ContractError(expected("current frame", shapes[0], shapes[1], "Use one camera setting for both."))
         return self._placed(reference.image, view), self._camera_image(current, reference, view)
 
-    def _taxel_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _drawn_pair(self, free: np.ndarray, current: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         reference = self._checked(free, "reference")
         discs = self._discs(current, reference)
-        refuse_pressed_reference((current.astype(np.int64) - reference) * self._taxels.worth)
+        self._refuse_pressed(current.astype(reference.dtype) - reference)
         self.saturation.add(discs)
         return draw_discs(self._placed_discs(np.zeros_like(reference))), draw_discs(discs)
 
+    def _refuse_pressed(self, change: np.ndarray) -> None:
+        if self.spec.taxels is not None:
+            refuse_pressed_reference(change * self.spec.taxels.worth)
+        elif is_pressed(change):
+            refuse("points at or below it", f"{-change[:, 2].min():.2f} mm above it")
+
     def _discs(self, raw: np.ndarray, reference: np.ndarray | None) -> TaxelDiscs:
         if reference is None:
-            do = "Call set_reference(counts) with a free-air scan first."
-            wanted = f"{self.spec.raw_shape} counts in free air"
+            do = "Call set_reference(raw) with a free-air scan first."
+            wanted = f"{self.spec.raw_shape} in free air"
             raise ContractError(expected(f"{self.sensor} reference", wanted, "none", do))
-        return self._placed_discs(self._checked(raw, "counts") - reference)
+        return self._placed_discs(self._checked(raw, self.spec.signal) - reference)
 
-    def _placed_discs(self, delta_counts: np.ndarray) -> TaxelDiscs:
-        return place_discs(delta_counts, self.spec, self._taxel_scales)
+    def _placed_discs(self, change: np.ndarray) -> TaxelDiscs:
+        if self.spec.points is not None:
+            return place_points(change, self.spec)
+        return place_discs(change, self.spec, self._taxel_scales)
 
     def _checked(self, raw: np.ndarray, what: str) -> np.ndarray:
-        """Return a scan's counts (M, 3) int64, if it came from a live sensor."""
+        """Return a scan's counts (M, 3) int64, or displacements (N, 3) float64, if it came from a live sensor."""
         name = f"{self.sensor} {what}"
+        if self.spec.points is not None:
+            return check_alive(check_points(raw, name, self.spec.raw_shape), name)
         counts = check_counts(raw, name, self.spec.raw_shape)
-        return counts if self._taxels.tared else check_alive(counts, name)
+        tared = self.spec.taxels is not None and self.spec.taxels.tared
+        return counts if tared else check_alive(counts, name)

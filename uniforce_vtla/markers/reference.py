@@ -47,13 +47,13 @@ def capture_taxel_reference(scans: Sequence[np.ndarray], resting_level: np.ndarr
     spread = np.median(np.abs(counts - np.median(counts, axis=0)), axis=0)
     moved = float(1.4826 * spread.max())  # one garbled scan isn't a touch
     if moved > MAX_TAXEL_STD:
-        _refuse(f"taxels steady within {MAX_TAXEL_STD:g} counts", f"a spread of {moved:.0f}")
+        refuse(f"taxels steady within {MAX_TAXEL_STD:g} counts", f"a spread of {moved:.0f}")
     reference = np.rint(np.median(counts, axis=0)).astype(np.int64)
     if resting_level is not None:
         resting = check_counts(np.asarray(resting_level), "resting level")
         offset = int(np.abs(reference - resting).max())
         if offset > MAX_REST_OFFSET:
-            _refuse(f"taxels within {MAX_REST_OFFSET:g} counts of the resting level", f"{offset} counts off")
+            refuse(f"taxels within {MAX_REST_OFFSET:g} counts of the resting level", f"{offset} counts off")
     return reference
 
 
@@ -72,7 +72,7 @@ def capture_camera_reference(frames: Sequence[np.ndarray], centres_px: Sequence[
     nearest_px = [cKDTree(centres).query(centres_px[0])[0] for centres in centres_px[1:]]
     motion = max(float(np.percentile(distance, 90)) for distance in nearest_px)
     if motion > MAX_MARKER_MOTION_PX:
-        _refuse(f"markers still within {MAX_MARKER_MOTION_PX:g} px", f"a motion of {motion:.1f} px")
+        refuse(f"markers still within {MAX_MARKER_MOTION_PX:g} px", f"a motion of {motion:.1f} px")
     return np.median(np.stack(frames), axis=0).astype(np.uint8)
 
 
@@ -80,7 +80,7 @@ def refuse_pressed_reference(delta_counts: np.ndarray) -> None:
     """Raise SensorError where (M, 3) uSkin counts above the reference show that the reference was pressed."""
     released = int((delta_counts[:, 2] < -PRESSED_COUNTS).sum())
     if released >= PRESSED_TAXELS and delta_counts[:, 2].sum() < 0:
-        _refuse("taxels at or above it", f"{released} of {len(delta_counts)} far below it")
+        refuse("taxels at or above it", f"{released} of {len(delta_counts)} far below it")
 
 
 def _check_enough(count: int) -> None:
@@ -89,7 +89,8 @@ def _check_enough(count: int) -> None:
         raise ContractError(expected("reference", wanted, count, "Record a little longer in free air."))
 
 
-def _refuse(wanted: str, came: str) -> None:
+def refuse(wanted: str, came: str) -> None:
+    """Raise SensorError: a reference was taken in contact."""
     do = "It was in contact: open the gripper and take it again in free air."
     raise SensorError(expected("reference", wanted, came, do))
 

@@ -26,8 +26,8 @@ SAME = 1e-3  # zooms closer to 1 than this leave the image untouched
 
 
 def nominal_zoom(spec: SensorSpec) -> tuple[float, float]:
-    """Return the (x, y) factors that bring a sensor's marker images to nominal scale; (1, 1) for taxels."""
-    if spec.signal == "taxel":
+    """Return the (x, y) factors that bring a sensor's marker images to nominal scale; (1, 1) for taxels and points."""
+    if spec.signal != "camera":
         return 1.0, 1.0
     nominal = FLAT if spec.dome_radius_mm is None else DOME
     return nominal[0] / spec.px_per_mm[0], nominal[1] / spec.px_per_mm[1]

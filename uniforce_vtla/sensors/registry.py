@@ -4,10 +4,11 @@ from uniforce_vtla.errors import SensorError, expected
 from uniforce_vtla.sensors.gelsight import GELSIGHT
 from uniforce_vtla.sensors.paxini import PAXINI
 from uniforce_vtla.sensors.spec import SensorSpec
+from uniforce_vtla.sensors.tac3d import TAC3D
 from uniforce_vtla.sensors.tactip import TACTIP
 from uniforce_vtla.sensors.uskin import USKIN
 
-_SENSORS = {spec.name: spec for spec in (GELSIGHT, TACTIP, USKIN, PAXINI)}
+_SENSORS = {spec.name: spec for spec in (GELSIGHT, TACTIP, USKIN, PAXINI, TAC3D)}
 
 
 def list_sensors() -> tuple[str, ...]:

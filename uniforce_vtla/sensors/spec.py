@@ -20,12 +20,24 @@ class TaxelSignal:
 
 
 @dataclass(frozen=True, kw_only=True)
+class PointSignal:
+    """Points tracked by the sensor's own program: displacements in mm; x right, y down, z into the pad.
+
+    They lie denser than other sensors' markers: each marker is drawn as the mean of the points nearest to its place.
+    """
+
+    place_mm: np.ndarray  # (N, 2) where the points rest, as ``layout_mm``
+    noise_mm: float = 0.005  # standard deviation of a displacement at rest
+
+
+@dataclass(frozen=True, kw_only=True)
 class SensorSpec:
     """Facts about one kind of sensor."""
 
     name: str  # registry name
     taxels: TaxelSignal | None = None  # markers are rendered from counts; None: a camera sees them
-    raw_shape: tuple[int, ...] = (480, 640, 3)  # of the usual camera frame, or (taxels, 3)
+    points: PointSignal | None = None  # markers are rendered from displacements
+    raw_shape: tuple[int, ...] = (480, 640, 3)  # of the usual camera frame, or (taxels or points, 3)
     # (M, 2) rest position of each marker on the pad, x right, y down, 0 at the pad's centre; taxels in order of counts
     layout_mm: np.ndarray
     px_per_mm: tuple[float, float]  # (x, y) scale from the pad to the 640×480 canonical image
@@ -41,6 +53,8 @@ class SensorSpec:
     material: Material | None = None  # of its pad; None: real frames are read, nothing is simulated
 
     @property
-    def signal(self) -> Literal["camera", "taxel"]:
-        """What the sensor delivers: "camera" (frames) or "taxel" (counts)."""
+    def signal(self) -> Literal["camera", "taxel", "points"]:
+        """What the sensor delivers: "camera" (frames), "taxel" (counts) or "points" (displacements)."""
+        if self.points is not None:
+            return "points"
         return "camera" if self.taxels is None else "taxel"

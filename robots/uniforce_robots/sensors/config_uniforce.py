@@ -160,7 +160,9 @@ class UniforceTactileCameraConfig(TactileFingerConfig, CapturedCameraConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.spec.signal != "camera":
-            raise ContractError(expected("sensor", "a camera sensor", self.sensor, "Use uniforce_uskin."))
+            raise ContractError(
+                expected("sensor", "a camera sensor", self.sensor, "A patch of taxels is uniforce_uskin.")
+            )
         require_one_of("delivers", self.delivers, ("markers", "raw"))
         if self.delivers == "raw":
             self.height, self.width, _ = self.raw_shape
@@ -199,7 +201,7 @@ class UniforceUskinConfig(TactileFingerConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.spec.raw_shape != TAXEL_SHAPE:
-            do = "No driver of it is here: give its counts to Canonicalizer."
+            do = "No driver of it is here: give its raw signal to Canonicalizer."
             raise ContractError(expected("sensor", "a patch of 4×4 taxels", self.sensor, do))
         require_one_of("link", self.link, ("slcan", "server"))
         require_one_of("rotation_deg", self.rotation_deg, TURNS, "A grid of taxels turns by quarters.")
