@@ -42,6 +42,7 @@ class StressCommand:
     blind: Text = ""  # rollouts: likewise, of a policy without touch; it acts where a scene's fault is
     calibrations: FolderPath = ""  # rollouts: of exchanged sensors, uskin-2 …; "" = they wear none
     rollouts: Count = 40  # scenes, the same for every cell
+    benign: Count = 4  # of them with a dose that changes nothing
     first_seed: Seed = 0  # 0 = screen: development scenes; rollouts: the benchmark's own block
     only: Text = ""  # rollouts: just these operators, comma between them; "" = all
     workers: Workers = 2
@@ -109,9 +110,8 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
     first = config.first_seed or BLOCKS["stress"].start
     cells = {arm.name: cells_of(arm, doses) for arm, doses in arms(config)}
     every = [cell for of_arm in cells.values() for cell in of_arm]
-    rows = roll(
-        every, config.level, range(first, first + config.rollouts), config.workers, Path(config.work) / "episodes.jsonl"
-    )
+    seeds, ledger = range(first, first + config.rollouts), Path(config.work) / "episodes.jsonl"
+    rows = roll(every, config.level, seeds, config.workers, ledger, config.benign)
     return {name: summarise(of_arm, rows) for name, of_arm in cells.items()}
 
 

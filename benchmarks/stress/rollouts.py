@@ -40,6 +40,11 @@ class Cell:
         return worn
 
     @property
+    def benign(self) -> bool:
+        """Whether its dose changes nothing: a few scenes show that, since then each ends as without the fault."""
+        return bool(self.operator) and self.dose == ALL_OPERATORS[self.operator].benign
+
+    @property
     def name(self) -> str:
         """Arm, operator and dose."""
         return f"{self.arm.name}, {self.operator} {self.dose:g}" if self.operator else self.arm.name
@@ -72,15 +77,20 @@ def cells_of(arm: Arm, doses: Mapping[str, Sequence[float]]) -> list[Cell]:
     return cells
 
 
-def roll(cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path) -> dict[str, dict[int, Row]]:
-    """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it."""
+def roll(
+    cells: Sequence[Cell], level: str, seeds: range, workers: int, path: Path, benign: int = 4
+) -> dict[str, dict[int, Row]]:
+    """Return cell → scene → row; what stands in ``path`` is kept, each new episode is added to it.
+
+    Benign doses act in the first ``benign`` scenes.
+    """
     ledger = Ledger(path.parent)
     done = {(row["cell"], row["seed"]) for row in ledger.read(path.stem)}
     jobs = [
         delayed(play)(cell.arm, level, cell.words, cell.operator, cell.dose, cell.name, seed, seeds.start)
         for seed in seeds
         for cell in cells
-        if (cell.name, seed) not in done
+        if (cell.name, seed) not in done and (not cell.benign or seed - seeds.start < benign)
     ]
     for row in tqdm(Parallel(workers, return_as="generator")(jobs), total=len(jobs), desc="episodes", disable=None):
         ledger.add(path.stem, asdict(row))
@@ -112,6 +122,8 @@ def summarise(cells: Sequence[Cell], rows: Mapping[str, Mapping[int, Row]]) -> d
             **{key: [one[key] for one in counted] for key in found[""]},
             "lower_bound": [round(bound, 3) for bound in lower],
             "benign": counts(rows[benign.name])["clean"],
+            "benign_n": len(rows[benign.name]),
+            "benign_alike": all(_alike(row, usual.get(seed)) for seed, row in rows[benign.name].items()),
             "breaking_dose": breaking[0] if breaking else None,
         }
     return found
@@ -142,6 +154,10 @@ def mean_corruption_error(arm: Mapping[str, Any], without_touch: Mapping[str, An
         failed, fails = (1 - sum(row["clean"]) / sum(row["n"]) for row in (here, there))
         ratios.append(failed / max(fails, 1e-9))
     return round(sum(ratios) / len(ratios), 3) if ratios else None
+
+
+def _alike(row: Row, other: Row | None) -> bool:
+    return other is not None and (row.clean, row.outcome) == (other.clean, other.outcome)
 
 
 def _lower_bound(faulty: Mapping[int, Row], usual: Mapping[int, Row]) -> float:

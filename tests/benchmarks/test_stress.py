@@ -6,6 +6,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from benchmarks.stress import rollouts
 from benchmarks.stress.actors import Arm, Row, play
 from benchmarks.stress.disturbed import SCENE_OPERATORS, Disturbance, DisturbedEnv
 from benchmarks.stress.monitor import summary, watched
@@ -98,6 +99,17 @@ def test_the_first_dose_that_loses_more_than_the_margin_breaks() -> None:
     assert (found[""]["n"], found[""]["clean"]) == (40, 40)
     lag = found["T1 lag"]
     assert (lag["clean"], lag["benign"], lag["breaking_dose"]) == ([40, 30], 40, 533)
+
+
+def test_benign_doses_act_in_a_few_scenes_and_end_as_without_the_fault(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(rollouts, "play", lambda *given: row(given[5], given[6], given[6] != 1))
+    cells = cells_of(Arm("me", "uskin:2"), {"T1 lag": [533]})
+    rows = roll(cells, "touch", range(6), 1, tmp_path / "rows.jsonl", benign=3)
+    assert {name: len(found) for name, found in rows.items()} == {"me": 6, "me, T1 lag 0": 3, "me, T1 lag 533": 6}
+    lag = summarise(cells, rows)["T1 lag"]
+    assert (lag["benign"], lag["benign_n"], lag["benign_alike"]) == (2, 3, True)
+    rows["me, T1 lag 0"][0] = row("", 0, False)
+    assert not summarise(cells, rows)["T1 lag"]["benign_alike"]
 
 
 def test_episodes_are_kept(tmp_path) -> None:
