@@ -55,6 +55,8 @@ class StressCommand:
         return Path(self.out or Path(self.work) / f"{self.part}.json")
 
 
+# what a new reference in free air can mend: also rolled out without the monitor that takes it
+MENDED = ("C2 shift", "C3 turn", "M2 flicker", "R1 stale reference")
 SCREENED_FROM = 39_700  # development scenes
 
 
@@ -97,6 +99,9 @@ def arms(config: StressCommand) -> list[tuple[Arm, dict[str, list[float]]]]:
         doses = near_cliffs(screened[sensor]) | (scene if number == 0 else {})
         of_sensor = {name: near for name, near in doses.items() if name in OPERATORS}
         found.append((Arm(f"policy on {sensor}", sensor, "policy", policies, worn), doses))
+        if number == 0:
+            unwatched = {name: near for name, near in doses.items() if name in MENDED}
+            found.append((Arm("policy without monitor", sensor, "policy", policies, worn, "off"), unwatched))
         found.append((Arm(f"expert reads {sensor}", sensor, "reads"), of_sensor))
     found.append((Arm("expert", acts="expert"), scene))
     if blind:

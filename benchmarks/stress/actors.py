@@ -31,6 +31,7 @@ class Arm:
     acts: Literal["policy", "expert", "reads"] = "policy"  # expert: by the true wrench; reads: by the worn sensor
     policies: tuple[str, ...] = ()  # checkpoint folders that take turns
     calibration: str = ""  # folder; of a policy's sensor
+    monitor: Literal["stop", "off"] = "stop"  # of a policy's sensor
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def play(arm: Arm, level: str, words: str, operator: str, dose: float, cell: str
 
 
 def _policy(arm: Arm, level: str, words: str, disturbance: Disturbance, seed: int, first: int) -> EpisodeResult:
-    rig = Rig(level, right_sensor=words, right_calibration=arm.calibration)
+    rig = Rig(level, right_sensor=words, right_calibration=arm.calibration, monitor=arm.monitor)
     controller = _controller(whose_turn(seed - first, arm.policies), rig)
     worn = (rig.mounted["left"], rig.mounted["right"])
     env = DisturbedEnv(disturbance, level, *worn, drawn=controller.reads, expose_wrench=controller.needs_true_wrench)

@@ -18,7 +18,7 @@ def one_table(arms: Arms, screened: Mapping[str, Any]) -> dict[str, Any]:
     """Return the form of stress.json: what was rolled out, operator by operator, and what was only screened."""
     policies = [name for name in arms if name.startswith("policy on ")]
     own = policies[0]
-    blind = arms.get("policy without touch", {})
+    blind, unwatched = arms.get("policy without touch", {}), arms.get("policy without monitor", {})
     operators = {}
     for name in (name for name in arms[own] if name):
         reader = "expert" if name in SCENE_OPERATORS else own.replace("policy on", "expert reads")
@@ -29,8 +29,9 @@ def one_table(arms: Arms, screened: Mapping[str, Any]) -> dict[str, Any]:
         for other in policies[1:]:
             if name in arms[other]:
                 row[other] = arms[other][name]
-        if name in blind:
-            row["policy without touch"] = blind[name]["clean"]
+        for label, others in (("policy without touch", blind), ("policy without monitor", unwatched)):
+            if name in others:
+                row[label] = others[name]["clean"]
         operators[name] = row
     return {
         "clean_without_fault": {name: {key: found[""][key] for key in ("clean", "n")} for name, found in arms.items()},

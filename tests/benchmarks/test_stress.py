@@ -132,6 +132,7 @@ def arms() -> dict:
         "policy on tactip:1": {"": usual, "T1 lag": found([40, 30], 40), "P2 pushed arm": found([20, 10], 40)},
         "expert reads tactip:1": {"": usual, "T1 lag": found([40, 40], 40)},
         "expert": {"": usual, "P2 pushed arm": found([39, 38], 40)},
+        "policy without monitor": {"": usual, "T1 lag": found([9, 8], 40)},
         "policy without touch": {"": {"n": 40, "clean": 20}, "P2 pushed arm": found([8, 0], 20)},
     }
 
@@ -141,6 +142,7 @@ def test_the_table_puts_the_right_expert_beside_each_operator(tmp_path) -> None:
     operators = table["operators"]
     assert operators["T1 lag"]["expert"] == [40, 40] and operators["P2 pushed arm"]["expert"] == [39, 38]
     assert "policy without touch" not in operators["T1 lag"]
+    assert operators["T1 lag"]["policy without monitor"] == [9, 8]
     # 10 of 80 failed where the policy without touch fails 20 of 40; 50 of 80 where it fails 72 of 80
     assert table["mce"] == pytest.approx((0.125 / 0.5 + 0.625 / 0.9) / 2, abs=1e-3)
     assert mean_corruption_error({"": {}}, {}) is None
