@@ -14,6 +14,7 @@ BLOCKS: dict[str, range] = {
     "swap ladder": range(1_010_000, 1_020_000),
     "arms": range(1_020_000, 1_030_000),
     "controls": range(1_030_000, 1_040_000),
+    "is touch needed": range(1_070_000, 1_080_000),
     "kinds left out": range(1_060_000, 1_070_000),
     "stress": range(1_040_000, 1_060_000),
 }
