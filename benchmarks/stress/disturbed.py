@@ -12,7 +12,7 @@ from lerobot_env_uniforce_wiping import WipeEnv
 from lerobot_env_uniforce_wiping.levels import CONTROL_HZ
 from lerobot_env_uniforce_wiping.scene_params import SceneParams
 from lerobot_env_uniforce_wiping.touch import PadImages
-from uniforce_vtla.contact.worn import wear
+from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
 
 PUSH_EVERY, PUSH_STEPS = round(2 * CONTROL_HZ), round(0.2 * CONTROL_HZ)

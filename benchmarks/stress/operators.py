@@ -6,7 +6,7 @@ Ids of RoboTactile's suite where the fault is the same; further ones in the same
 from dataclasses import dataclass
 
 from uniforce_vtla.contact.faults import FAULTS
-from uniforce_vtla.contact.worn import wear
+from uniforce_vtla.contact.worn_in_words import wear
 
 
 @dataclass(frozen=True)

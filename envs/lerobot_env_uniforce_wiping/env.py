@@ -13,7 +13,8 @@ from lerobot_env_uniforce_wiping.recording import CLEAR_m, TraceRecorder
 from lerobot_env_uniforce_wiping.scene_params import TASK_TEXTS, SceneParams, draw_scene
 from lerobot_env_uniforce_wiping.simulation import WipeSimulation
 from lerobot_env_uniforce_wiping.touch import PadImages
-from uniforce_vtla.contact.worn import Wear, WornSensor, wear
+from uniforce_vtla.contact.worn import WornSensor
+from uniforce_vtla.contact.worn_in_words import Wear, wear
 from uniforce_vtla.contracts import FINGERS, MARKER_IMAGE_SHAPE, Finger
 from uniforce_vtla.errors import ContractError, RolloutError, expected
 from uniforce_vtla.evaluation.episode import EpisodeResult, EpisodeTrace, ScoreLimits, score_episode

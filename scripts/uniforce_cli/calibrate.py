@@ -66,7 +66,7 @@ class Grasps:
 
 def calibrate_sensor(config: CalibrateCommand, tokenizer: Tokenizer) -> Calibration:
     """Gather grasps and fit; raises as ``calibrate``, SensorError for an unknown sensor, DatasetError for bad pairs."""
-    from uniforce_vtla.contact.worn import wear
+    from uniforce_vtla.contact.worn_in_words import wear
     from uniforce_vtla.tokenizer.calibration import calibrate
     from uniforce_vtla.tokenizer.force_head import ForceHead
 
@@ -88,7 +88,8 @@ def simulated_grasps(config: CalibrateCommand, encode: Encode) -> Grasps:
 
     from uniforce_vtla.contact.indenters import PRETRAIN
     from uniforce_vtla.contact.sampling import FLAT, ForceRange, sample_loads, sample_objects
-    from uniforce_vtla.contact.worn import WornView, wear
+    from uniforce_vtla.contact.worn import WornView
+    from uniforce_vtla.contact.worn_in_words import wear
     from uniforce_vtla.contracts import ContactState
     from uniforce_vtla.markers.mirror import mirrored
 

@@ -33,7 +33,7 @@ class Rig:
     @property
     def kinds(self) -> dict[Finger, str]:
         """Finger → kind of sensor, which a policy knows or doesn't."""
-        from uniforce_vtla.contact.worn import wear
+        from uniforce_vtla.contact.worn_in_words import wear
 
         return {finger: wear(words)(0).kind for finger, words in self.mounted.items()}
 

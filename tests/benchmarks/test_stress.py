@@ -17,7 +17,7 @@ from benchmarks.stress.rollouts import cells_of, mean_corruption_error, near_cli
 from benchmarks.stress.screen import against, screen_cell
 from lerobot_env_uniforce_wiping import WipeEnv, WipeExpert
 from lerobot_env_uniforce_wiping.episodes import walk
-from uniforce_vtla.contact.worn import wear
+from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.evaluation.episode import WIPING_PHASE
 from uniforce_vtla.tokenizer.api import Tokenizer
 from uniforce_vtla.tokenizer.force_head import ForceHead

@@ -6,7 +6,8 @@ import pytest
 from lerobot_env_uniforce_wiping import levels
 from uniforce_vtla.contact.faults import CONTROL_HZ, FAULTS
 from uniforce_vtla.contact.simulator import free_air
-from uniforce_vtla.contact.worn import WornSensor, WornView, wear
+from uniforce_vtla.contact.worn import WornSensor, WornView
+from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import SensorError
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from uniforce_vtla.contact import free_air
-from uniforce_vtla.contact.worn import WornView, wear
+from uniforce_vtla.contact.worn import WornView
+from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.errors import SensorError
 
 

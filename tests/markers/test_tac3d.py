@@ -6,7 +6,8 @@ import pytest
 from lerobot_env_uniforce_wiping import WipeEnv
 from uniforce_vtla import Canonicalizer, ForceHead, Tokenizer
 from uniforce_vtla.contact import ContactOptions, TactileSimulator, gap_map
-from uniforce_vtla.contact.worn import WornView, wear
+from uniforce_vtla.contact.worn import WornView
+from uniforce_vtla.contact.worn_in_words import wear
 from uniforce_vtla.contracts import ContactState
 from uniforce_vtla.errors import ContractError, SensorError
 from uniforce_vtla.keys import tactile_name

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from uniforce_vtla.contact.units import UnitVariation
 from uniforce_vtla.contact.wear import Creep, Light
-
-if TYPE_CHECKING:
-    from uniforce_vtla.contact.worn import WornSensor
+from uniforce_vtla.contact.worn import WornSensor
 
 CONTROL_HZ = 30  # steps of lag and stall
 CREEP_s = 0.6  # relaxation time of the creep that a fault brings

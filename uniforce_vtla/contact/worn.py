@@ -1,29 +1,20 @@
-"""What a simulated finger wears: one unit of a sensor as a lab would find it, or the bare drawing.
-
-In words, as commands take it: ``tactip`` is unit 1 of that sensor, ``tactip:7`` another one, ``tactip:any`` another one
-in every scene, and ``tactip:drawing`` the fast path: the marker image as the contact model draws it, without a frame.
-``tactip:7+flicker=0.2+lag=100`` is unit 7 with two faults (``faults.FAULTS``).
-"""
+"""What a simulated finger wears: one unit of a sensor as a lab would find it, or the bare drawing."""
 
 import zlib
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from uniforce_vtla.contact.faults import FAULTS
 from uniforce_vtla.contact.indenters import flat_face_gap
 from uniforce_vtla.contact.raw_look import PixelNoise
 from uniforce_vtla.contact.responses import ContactOptions
 from uniforce_vtla.contact.simulator import TactileSimulator, free_air
 from uniforce_vtla.contact.units import Look, UnitVariation
-from uniforce_vtla.contact.virtual import VirtualSensor, any_virtual, get_material
+from uniforce_vtla.contact.virtual import VirtualSensor, get_material
 from uniforce_vtla.contact.wear import Creep, Light
 from uniforce_vtla.contracts import ContactState
-from uniforce_vtla.errors import SensorError, expected
 from uniforce_vtla.markers.canonicalizer import Canonicalizer
 
-USUAL_UNIT, ANY, DRAWING = "1", "any", "drawing"
 CREEP_SHARE = (0.05, 0.20)  # part of a motion that comes late; rubbers .1–.3
 MARKER_LOSS = 0.02  # chance per marker and frame that the camera misses it; ViTac 2024 draws .01
 LAG_STEPS = 1  # 33 ms from exposure to image
@@ -130,43 +121,3 @@ def unit_of(sensor: VirtualSensor, number: int) -> WornSensor:
     if sensor.spec.signal != "camera":
         return WornSensor(sensor, unit, None, creep, lag_steps=LAG_STEPS)
     return WornSensor(sensor, unit.mounted(rng, Look()), Light.draw(rng), creep, MARKER_LOSS, LAG_STEPS)
-
-
-Wear = Callable[[int], WornSensor]  # a scene's seed → what is worn there
-
-
-def wear(sensor: str | WornSensor) -> Wear:
-    """Return what a finger wears in each scene.
-
-    Raises SensorError: an unknown name, neither a number nor ``any`` nor ``drawing`` behind it, or an unknown fault.
-    """
-    if isinstance(sensor, WornSensor):
-        return lambda seed: sensor
-    words, *faults = sensor.split("+")
-    name, _, which = words.partition(":")
-    drawn, which = any_virtual(name), which or USUAL_UNIT
-    if which == ANY:
-        return lambda seed: with_faults(unit_of(drawn, 1_000_000 + seed), faults)  # no unit that a number names
-    if which != DRAWING and not (which.isdecimal() and int(which) < 1_000_000):
-        wanted, do = f"a number below 1,000,000, {ANY} or {DRAWING}", "Or leave it out: unit 1."
-        raise SensorError(expected(f"unit of {name}", wanted, repr(which), do))
-    one = with_faults(drawing(drawn) if which == DRAWING else unit_of(drawn, int(which)), faults)
-    return lambda seed: one
-
-
-def with_faults(worn: WornSensor, faults: Sequence[str]) -> WornSensor:
-    """Return a worn unit with faults in words, ``flicker=0.2``.
-
-    Raises SensorError: an unknown fault, one that this kind of sensor can't have, or no number behind it.
-    """
-    for words in faults:
-        name, _, dose = words.partition("=")
-        fault = FAULTS.get(name)
-        if fault is None or worn.sensor.spec.signal not in fault.signals:
-            known = [name for name, fault in FAULTS.items() if worn.sensor.spec.signal in fault.signals]
-            raise SensorError(expected(f"fault of {worn.sensor.name}", " | ".join(known), repr(name), "Name one."))
-        try:
-            worn = fault.put(worn, float(dose))
-        except ValueError as error:
-            raise SensorError(expected(f"dose of {name}", f"a number [{fault.unit}]", repr(dose), "Say it.")) from error
-    return worn

@@ -1,0 +1,53 @@
+"""What a finger wears, in the words that commands take.
+
+``tactip`` is unit 1 of that sensor, ``tactip:7`` another one, ``tactip:any`` another one in every scene, and
+``tactip:drawing`` the fast path: the marker image as the contact model draws it, without a frame.
+``tactip:7+flicker=0.2+lag=100`` is unit 7 with two faults (``faults.FAULTS``).
+"""
+
+from collections.abc import Callable, Sequence
+
+from uniforce_vtla.contact.faults import FAULTS
+from uniforce_vtla.contact.virtual import any_virtual
+from uniforce_vtla.contact.worn import WornSensor, drawing, unit_of
+from uniforce_vtla.errors import SensorError, expected
+
+USUAL_UNIT, ANY, DRAWING = "1", "any", "drawing"
+Wear = Callable[[int], WornSensor]  # a scene's seed → what is worn there
+
+
+def wear(sensor: str | WornSensor) -> Wear:
+    """Return what a finger wears in each scene.
+
+    Raises SensorError: an unknown name, neither a number nor ``any`` nor ``drawing`` behind it, or an unknown fault.
+    """
+    if isinstance(sensor, WornSensor):
+        return lambda seed: sensor
+    words, *faults = sensor.split("+")
+    name, _, which = words.partition(":")
+    drawn, which = any_virtual(name), which or USUAL_UNIT
+    if which == ANY:
+        return lambda seed: with_faults(unit_of(drawn, 1_000_000 + seed), faults)  # no unit that a number names
+    if which != DRAWING and not (which.isdecimal() and int(which) < 1_000_000):
+        wanted, do = f"a number below 1,000,000, {ANY} or {DRAWING}", "Or leave it out: unit 1."
+        raise SensorError(expected(f"unit of {name}", wanted, repr(which), do))
+    one = with_faults(drawing(drawn) if which == DRAWING else unit_of(drawn, int(which)), faults)
+    return lambda seed: one
+
+
+def with_faults(worn: WornSensor, faults: Sequence[str]) -> WornSensor:
+    """Return a worn unit with faults in words, ``flicker=0.2``.
+
+    Raises SensorError: an unknown fault, one that this kind of sensor can't have, or no number behind it.
+    """
+    for words in faults:
+        name, _, dose = words.partition("=")
+        fault = FAULTS.get(name)
+        if fault is None or worn.sensor.spec.signal not in fault.signals:
+            known = [name for name, fault in FAULTS.items() if worn.sensor.spec.signal in fault.signals]
+            raise SensorError(expected(f"fault of {worn.sensor.name}", " | ".join(known), repr(name), "Name one."))
+        try:
+            worn = fault.put(worn, float(dose))
+        except ValueError as error:
+            raise SensorError(expected(f"dose of {name}", f"a number [{fault.unit}]", repr(dose), "Say it.")) from error
+    return worn
