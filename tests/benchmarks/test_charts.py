@@ -10,9 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.charts import __main__ as charts
+from benchmarks.charts import policy
 from benchmarks.charts.front import TIE, Point, front
 from benchmarks.charts.tokenizer import PRECISIONS, running_in
 from benchmarks.probes.labelled_set import FROZEN, SENSORS, draw_labelled
+from lerobot_policy_pi05_uniforce.controller import shipped_checkpoint, stored_config
+from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
 from uniforce_vtla.tokenizer.api import Tokenizer
 
 numbers = st.floats(0, 1, allow_nan=False)
@@ -55,3 +58,19 @@ def test_a_precision_changes_latents_a_little_and_only_within_its_block(precisio
     assert torch.equal(tokenizer.encode(*pair), whole)
     relative = float((changed - whole).norm() / whole.norm())
     assert (relative == 0) if precision == "float32" else (0 < relative < 0.3), relative
+
+
+def test_a_policys_point_shares_a_call_among_the_steps_it_gives() -> None:
+    rows = [
+        EpisodeRow(seed, "success", seed > 0, False, False, 0.0, 6.0, 8.0, 13.0, think_p50_ms=24.0, think_p95_ms=30.0)
+        for seed in range(4)
+    ]
+    found = policy.point(ArmReport("executes 2", rows), 2, default=2)
+    assert (found.name, found.cost, found.score, found.default) == ("2 of 16", 12.0, 0.75, True)
+    assert found.low < 0.75 < found.high
+
+
+def test_a_copied_checkpoint_executes_other_steps_and_is_whole(tmp_path: Path) -> None:
+    folder = policy.executing(shipped_checkpoint(), 3, tmp_path / "three")
+    assert stored_config(folder).n_action_steps == 3
+    assert policy.executing(tmp_path / "absent", 3, folder) == folder  # kept from an earlier run
