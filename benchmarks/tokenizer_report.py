@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from tqdm import tqdm
 
-from benchmarks.baselines import rows as baseline_rows
+from benchmarks.baselines.rows import trained
 from benchmarks.baselines.speed import speed_report
 from benchmarks.probes.labelled_set import LabelledSet
 from benchmarks.probes.latent_and_pictures import latent_correlation, reconstructions
@@ -108,7 +108,7 @@ def measure(command: TokenizerReportCommand, report_set: ReportSet, tokenizer: T
         "mean": lambda: mean_row(table),
     }
     if command.baselines:
-        makers |= baseline_rows.trained(table, tokenizer, seeds)
+        makers |= trained(table, tokenizer, seeds)
     chosen = choose(makers, command.only)
     _committed_table(command, report_set, facts)  # refuses one that does not fit before the work begins
     measured = {name: make() for name, make in tqdm(chosen.items(), desc="rows")}
