@@ -156,7 +156,6 @@ def make_heads(config: DescriptorHeadsConfig) -> dict[str, Any]:
 
 @command(DescriptorHeadsConfig)
 def main(config: DescriptorHeadsConfig) -> None:
-    """Entry of ``python -m benchmarks.descriptor_heads``."""
     one_thread()
     report = make_heads(config)
     path = write_json(Path(config.results), report | provenance())

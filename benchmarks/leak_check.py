@@ -182,7 +182,6 @@ def verdict(found: dict[str, float]) -> str:
 
 @command(LeakConfig)
 def main(config: LeakConfig) -> None:
-    """Entry of ``python -m benchmarks.leak_check``."""
     one_thread()
     samples = collect(config)
     found = measure(samples, config.cnn_steps)

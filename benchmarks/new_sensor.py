@@ -59,7 +59,6 @@ def new_sensor(config: NewSensorConfig) -> dict[str, Any]:
 
 @command(NewSensorConfig)
 def main(config: NewSensorConfig) -> None:
-    """Entry of ``python -m benchmarks.new_sensor``."""
     one_thread()
     found = new_sensor(config)
     for transfer, cell in found["rows"].items():

@@ -84,7 +84,6 @@ def _line(row: dict[str, Any]) -> str:
 
 @command(PairQualityConfig)
 def main(config: PairQualityConfig) -> None:
-    """Entry of ``python -m benchmarks.pair_quality``."""
     one_thread()
     content = measure(config)
     path = write_json(Path(config.out), content | provenance())

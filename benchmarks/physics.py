@@ -209,7 +209,6 @@ def _speed(axis: Axes, time_step: dict[str, Any], noslip: dict[str, Any]) -> Non
 
 @command(PhysicsCommand)
 def main(command: PhysicsCommand) -> None:
-    """Entry of ``python -m benchmarks.physics``."""
     panels = measure(command)
     what = "simulated; nothing hidden in the scene, GelSight left, TacTip right"
     path = write_json(Path(command.results) / "physics.json", {"what": what, **panels} | provenance())

@@ -100,7 +100,6 @@ def measure(config: PretrainingChoicesCommand, tokenizer: Tokenizer, seed: int, 
 
 @command(PretrainingChoicesCommand)
 def main(config: PretrainingChoicesCommand) -> None:
-    """Entry of ``python -m benchmarks.pretraining_choices``."""
     one_thread()
     torch.set_num_threads(1)
     path = Path(config.out)

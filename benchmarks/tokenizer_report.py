@@ -279,7 +279,6 @@ def _numbers(values: dict[str, float]) -> str:
 
 @command(TokenizerReportCommand)
 def main(command: TokenizerReportCommand) -> None:
-    """Entry of ``python -m benchmarks.tokenizer_report``."""
     logging.basicConfig(level=logging.INFO)
     one_thread()
     print(_report(command))

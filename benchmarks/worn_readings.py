@@ -75,7 +75,6 @@ def measure(config: WornReadingsCommand) -> dict[str, Any]:
 
 @command(WornReadingsCommand)
 def main(config: WornReadingsCommand) -> None:
-    """Entry of ``python -m benchmarks.worn_readings``."""
     torch.set_num_threads(1)
     content = measure(config)
     print(f"{'sensor':16} {'':10} press × and + N, r | grip bias, error N")

@@ -25,7 +25,6 @@ CALLS = 10  # of a turn: one alone is too short to time
 
 
 def name_of(size: str, precision: str) -> str:
-    """Return a point's name."""
     return f"{size}, {precision}"
 
 

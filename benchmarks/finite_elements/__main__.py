@@ -116,7 +116,6 @@ def _summary(rows: list[tuple[str, float, float, float]]) -> dict[str, float]:
 
 @command(FiniteElementsCommand)
 def main(settings: FiniteElementsCommand) -> None:
-    """Entry of ``python -m benchmarks.finite_elements``."""
     content = measure(settings.contacts, settings.seed) | provenance()
     path = write_json(Path(settings.results) / "contact_model.json", content)
     print(f"worst flat pad: {content['contact_model']}; written to {path}")

@@ -124,7 +124,6 @@ def summary(row: Cells) -> str:
 
 @command(OutsideCommand)
 def main(config: OutsideCommand) -> None:
-    """Entry of ``python -m benchmarks.finite_elements.outside``."""
     torch.set_num_threads(1)
     content = measure(config)
     for name, row in content.items():

@@ -155,15 +155,12 @@ def summarise(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 def by_bar(scripts: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the scripts that must wipe the level clean and those that must not."""
-    return {
-        "must_pass": {name: line for name, line in scripts.items() if line["at_least"] is not None},
-        "must_fail": {name: line for name, line in scripts.items() if line["at_most"] is not None},
-    }
+    bars = {"must_pass": "at_least", "must_fail": "at_most"}
+    return {key: {n: line for n, line in scripts.items() if line[bar] is not None} for key, bar in bars.items()}
 
 
 @command(GatesCommand)
 def main(config: GatesCommand) -> None:
-    """Entry of ``python -m benchmarks.gates``."""
     one_thread()
     fitted = fit(config.level, config.learn_from, config.sweep_on, config.learn_seed, config.workers, Path(config.work))
     scripts = summarise(run_all(config, fitted))

@@ -41,13 +41,12 @@ class BlindSettings:
 
 
 class Settled:
-    """Counts how long something has been so."""
+    """Whether something has been so for ``SETTLE_steps``."""
 
     def __init__(self) -> None:
         self._steps = 0
 
     def __call__(self, now: bool) -> bool:
-        """Return whether it has been so for ``SETTLE_steps``."""
         self._steps = self._steps + 1 if now else 0
         return self._steps >= SETTLE_steps
 
@@ -67,7 +66,6 @@ class OpenLoopRegulator:
         return nxt, self._closed(nxt == self._width_m)
 
     def hold(self, target_m: float, measured: np.ndarray) -> float:
-        """Keep the width."""
         return target_m
 
     def lower(self, target_m: float, measured: np.ndarray) -> tuple[float, bool]:
@@ -76,7 +74,6 @@ class OpenLoopRegulator:
         return nxt, self._lowered(nxt == self._z_m)
 
     def press(self, target_m: float, measured: np.ndarray) -> float:
-        """Keep the height."""
         return target_m
 
     def lost(self) -> bool:
@@ -127,12 +124,7 @@ class MeasuredRelative(MeasuredPress):
 
 
 class BlindScript:
-    """A script with the expert's own sequence and layout, without touch.
-
-    Args:
-        settings: its set points.
-        style: makes its regulator.
-    """
+    """A script with the expert's own sequence and layout, without touch; ``style`` makes its regulator."""
 
     def __init__(
         self, settings: BlindSettings, style: Callable[[Layout, BlindSettings], Regulator] = OpenLoopRegulator
@@ -140,13 +132,11 @@ class BlindScript:
         self._settings, self._style = settings, style
 
     def reset(self, env: WipeEnv) -> None:
-        """Start a new episode."""
         regulator, start = self._style(env.level.layout, self._settings), env.state.astype(np.float64)
         self._sequence = WipeSequence(env.level, regulator, start, lambda: look_back(env))
 
     @property
     def phase(self) -> str:
-        """What it is doing, one of ``sequence.PHASES``."""
         return self._sequence.phase
 
     def act(self, env: WipeEnv) -> np.ndarray:

@@ -103,13 +103,7 @@ class Observed:
         return replace(read, press_N=float(press_N[0, 0]))
 
 
-def save_observer(model: PressObserver, path: Path) -> None:
-    """Write the weights."""
-    torch.save(model.state_dict(), path)
-
-
 def load_observer(path: Path) -> PressObserver:
-    """Read weights that ``save_observer`` wrote."""
     weights = torch.load(path, weights_only=True)
     model = PressObserver(weights["mean"], weights["spread"])
     model.load_state_dict(weights)

@@ -43,7 +43,6 @@ class LagMeter:
         self.lags_s: list[float] = []
 
     def __call__(self, target_m: float, measured_m: float) -> None:
-        """Look at one step."""
         speed = (target_m - self._before) * CONTROL_HZ
         moves = abs(speed) > 0.01
         self._steady = self._steady + 1 if moves and self._same(speed) else 0
@@ -89,7 +88,6 @@ class HarderEachLook(BlindScript):
     """Presses harder each time it sees ink that is left."""
 
     def reset(self, env: WipeEnv) -> None:
-        """Start a new episode with the first press."""
         regulator = self._style(env.level.layout, self._settings)
 
         def look() -> float | None:
@@ -133,7 +131,6 @@ class Keeping(TouchRegulator):
         return float(target_m + step_m), bool(abs(self._height_m - measured[2]) < 0.001)
 
     def lost(self) -> bool:
-        """Return whether the board is lost, while it feels."""
         return self._feels and super().lost()
 
 

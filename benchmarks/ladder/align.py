@@ -40,7 +40,6 @@ def described(reference: np.ndarray, current: np.ndarray, finger: Finger) -> Lat
 
 @command(AlignCommand)
 def main(config: AlignCommand) -> None:
-    """Entry of ``python -m benchmarks.ladder.align``."""
     one_thread()
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None) if config.feature == "latent" else None
     encode = pooled_latents(tokenizer) if tokenizer else described

@@ -80,7 +80,6 @@ def lines_of(found: dict[str, Any]) -> list[str]:
 
 @command(RealCommand)
 def main(config: RealCommand) -> None:
-    """Entry of ``python -m benchmarks.real``."""
     folders = [Path(name) for name in split(config.data)]
     tokenizer = Tokenizer.from_pretrained(config.tokenizer or None)
     labelled = [folder for folder in folders if is_tactip_shear(folder)]

@@ -57,7 +57,6 @@ def run(config: BenchConfig) -> dict[str, Any]:
 
 @command(BenchConfig)
 def main(config: BenchConfig) -> None:
-    """Entry of ``python -m benchmarks.speed``."""
     results = run(config)
     path = write_json(Path(config.out) / "bench.json", results | {"config": asdict(config)} | provenance())
     for name, value in results.items():

@@ -117,7 +117,6 @@ def roll_out(config: StressCommand) -> dict[str, Any]:
 
 @command(StressCommand)
 def main(config: StressCommand) -> None:
-    """Entry of ``python -m benchmarks.stress``."""
     content: dict[str, Any] = {"level": config.level, "level_hash": level_hash(LEVELS[config.level])}
     if config.part == "screen":
         content["screened"] = rows = screen(config)

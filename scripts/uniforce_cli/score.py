@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from uniforce_cli.boundary import command
 from uniforce_cli.score_settings import SCRIPTS, ScoreConfig
 from uniforce_vtla.errors import ContractError, expected
-from uniforce_vtla.results_file import provenance, write_json
+from uniforce_vtla.results_file import append_line, provenance, write_json
 
 if TYPE_CHECKING:
     from uniforce_vtla.evaluation.arms import ArmReport, EpisodeRow
@@ -55,7 +55,7 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     from tqdm import tqdm
 
     from uniforce_cli.score_worker import Job, score_job
-    from uniforce_vtla.evaluation.arms import ArmReport, write_row
+    from uniforce_vtla.evaluation.arms import ArmReport
 
     for config in configs:
         check_film(config.film, config.seeds)
@@ -71,7 +71,7 @@ def score_arms(configs: Sequence[ScoreConfig], workers: int) -> list[ArmReport]:
     pool = Parallel(max(1, min(workers, len(jobs))), return_as="generator_unordered", batch_size=1)
     episodes = pool(delayed(score_job)(job) for job in jobs)
     for index, row in tqdm(episodes, total=len(jobs), desc=label, unit="episode", disable=None):
-        write_row(configs[index].folder / ROWS, row)
+        append_line(configs[index].folder / ROWS, asdict(row))
         done[index][row.seed] = row
     return [ArmReport(c.arm, [rows[seed] for seed in c.seeds]) for c, rows in zip(configs, done, strict=True)]
 
